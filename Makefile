@@ -1,0 +1,38 @@
+PYTHON ?= python3
+BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest
+
+.PHONY: sweep test test-slow lint clean .venv
+
+# The main job: search the paper's case 1.2 for better gains.
+sweep: .venv/.installed
+	$(BIN)/mjx-climb sweep configs/case_1_2.yaml --stiffness 1e2:1e6:12 --damping 1e0:1e5:12 --out results/case_1_2
+
+test: .venv/.installed-test
+	$(PYTEST) -m "not slow"
+
+# Exit code 5: no slow test exists.
+test-slow: .venv/.installed-test
+	$(PYTEST) -m slow || { test $$? -eq 5 && echo "There are no slow tests."; }
+
+lint: .venv/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+.venv: .venv/.installed-test
+
+# One stamp for each set of packages: nothing is installed again until pyproject.toml changes.
+.venv/.installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "mjx-climb needs Python 3.11 or newer as $(PYTHON); choose another with make PYTHON=..." >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+.venv/.installed-%: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$*]"
+	@touch $@
+
+clean:
+	rm -rf .venv build dist results out .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

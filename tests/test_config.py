@@ -1,0 +1,308 @@
+"""Scenarios: what loads, what the overrides do, and what a wrong file is told."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mjx_climb.config import Cargo, ConfigError, Push, Scenario, load_scenario
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(content: str | bytes) -> Path:
+        path = tmp_path / "walk.yaml"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write
+
+
+def message(call, *arguments) -> str:
+    with pytest.raises(ConfigError) as raised:
+        call(*arguments)
+    text = str(raised.value)
+    assert len(text.splitlines()) == 1
+    assert text.encode()
+    return text
+
+
+@pytest.mark.parametrize(
+    ("name", "gravity", "damping", "stiffness", "cargo", "pushes"),
+    [
+        ("case_1_1", -9.81, 1e4, 4e5, 1.0, 0),
+        ("case_1_2", -9.81 / 6, 5e3, 5e4, 1.0, 0),
+        ("case_2", -9.81e-6, 5e3, 2e4, 0.0, 3),
+    ],
+)
+def test_configs_hold_the_papers_cases(name, gravity, damping, stiffness, cargo, pushes):
+    scenario = load_scenario(CONFIGS / f"{name}.yaml")
+    assert scenario.gravity == pytest.approx((0, 0, gravity))
+    assert (scenario.control.inertia, scenario.control.damping, scenario.control.stiffness) == (
+        1,
+        damping,
+        stiffness,
+    )
+    assert scenario.disturbance.cargo == Cargo(mass=cargo, start=2.0, stop=None)
+    assert len(scenario.disturbance.pushes) == pushes
+    assert scenario.steps == 8000
+
+
+def test_case_2_pushes_are_the_papers():
+    assert load_scenario(CONFIGS / "case_2.yaml").disturbance.pushes == (
+        Push(force=(-5, 0, 0), start=1.0, stop=1.5),
+        Push(force=(0, 5, 0), start=4.5, stop=5.0),
+        Push(force=(0, -10, 0), start=7.0, stop=7.5),
+    )
+
+
+def test_defaults_are_valid_and_left_out_keys_take_them(write):
+    assert Scenario.model_validate(Scenario().model_dump()) == Scenario()
+    assert load_scenario(write("gait: {cycle: 2.0}")) == Scenario().with_overrides({"gait.cycle": 2.0})
+
+
+@pytest.mark.parametrize("text", ["2e3", "2E+3", "2000", "+2000.", "2.0e3", "002000"])
+def test_every_spelling_of_a_number_is_one(write, text):
+    assert load_scenario(write(f"control: {{damping: {text}}}")).control.damping == 2000.0
+    assert Scenario().with_overrides([f"control.damping={text}"]).control.damping == 2000.0
+
+
+def test_to_yaml_gives_back_an_equal_scenario(write):
+    scenario = load_scenario(CONFIGS / "case_2.yaml").with_overrides(
+        {
+            "robot": "1e3",  # looks like a number
+            "gait.heading": np.float32(0.1),
+            "control.stiffness": np.geomspace(1e-7, 1e17, 6),
+            "contact.holding_limit": None,
+            "disturbance.pushes.1.moment": (0, 1 / 3, 0),
+        }
+    )
+    assert load_scenario(write(scenario.to_yaml())) == scenario
+    assert hash(load_scenario(write(scenario.to_yaml()))) == hash(scenario)
+
+
+def test_overrides_reach_every_kind_of_key():
+    case = load_scenario(
+        CONFIGS / "case_2.yaml",
+        [
+            "duration=4",
+            "disturbance.pushes.0.start = 0.5",
+            "contact.holding_limit=null",
+            "control.inertia=[1,1,1,2,2,2]",
+        ],
+    )
+    assert case.duration == 4.0
+    assert [push.start for push in case.disturbance.pushes] == [0.5, 4.5, 7.0]
+    assert case.contact.holding_limit is None
+    assert case.control.inertia == (1, 1, 1, 2, 2, 2)
+
+
+def test_a_mapping_changes_only_the_keys_that_it_names():
+    changed = Scenario().with_overrides({"gait.stride": 0.07}).with_overrides({"gait": {"cycle": 2.0}})
+    assert (changed.gait.stride, changed.gait.cycle) == (0.07, 2.0)
+    assert changed == Scenario().with_overrides(["gait={stride: 0.07, cycle: 2.0}"])
+
+
+def test_the_last_override_wins_and_only_the_end_is_validated():
+    overrides = ["control.reading=measured_pose", "control.controller=end_effector_admittance"]
+    assert (
+        Scenario().with_overrides([*overrides, "control.reading=virtual_model"]).control.reading
+        == "virtual_model"
+    )
+
+
+def test_whole_numbers_of_steps_tolerate_floats():
+    assert Scenario().with_overrides({"duration": 0.3, "time_step": 0.1, "gait.cycle": 0.7}).steps == 3
+
+
+BAD_FILES = [
+    ("", "expected a mapping with keys robot, gravity"),
+    ("- 1", "expected a mapping with keys robot, gravity"),
+    ("gait:", "gait: expected a mapping with keys cycle, duty"),
+    ("gait: {dutty: 0.8}", "gait.dutty: expected a known key, got an unknown one (did you mean duty?)"),
+    ("holding_limits: 3", "did you mean contact.holding_limit?"),
+    ("stifness: 3", "did you mean contact.stiffness or control.stiffness?"),
+    ("robot: ''", "robot: expected the name of a robot"),
+    ("gravity: [0, 0]", "gravity: expected a list of three finite numbers, got [0, 0]"),
+    ("gravity: [0, 0, .nan]", "gravity: expected a list of three finite numbers"),
+    ("gravity: -9.81", "gravity: expected a list of three finite numbers, got -9.81"),
+    ("duration: true", "duration: expected a finite number above 0, got true"),
+    ("duration: '8'", 'duration: expected a finite number above 0, got "8"'),
+    ("duration: .inf", "duration: expected a finite number above 0"),
+    (f"duration: {'9' * 5000}", "duration: expected a finite number above 0"),
+    ("duration: 8.0005", "duration: expected a whole number of time steps of 0.001 s, got 8.0005"),
+    ("duration: 1.0e-12", "duration: expected a whole number of time steps"),
+    ("duration: 1e300\ntime_step: 1e-300", "duration: expected at most 10000000 time steps"),
+    ("gait: {cycle: 3.9995}", "gait.cycle: expected a whole number of time steps of 0.001 s, got 3.9995"),
+    ("gait: {duty: 1.0}", "gait.duty: expected a number from 0.75 to below 1, got 1.0"),
+    ("gait: {duty: 0.74}", "gait.duty: expected a number from 0.75 to below 1, got 0.74"),
+    ("gait: {sequence: [LH, LF, RH, LH]}", "gait.sequence: expected the four limbs"),
+    ("gait: {sequence: [LH, LF, RH]}", "gait.sequence: expected the four limbs"),
+    ("gait: {heading: 90}", "gait.heading: expected an angle in rad"),
+    ("gait: {base_reference: sagged}", "gait.base_reference: expected 'nominal' or 'actual', got \"sagged\""),
+    (
+        "contact: {holding_limit: -1}",
+        "contact.holding_limit: expected a finite number, 0 or above, or null, got -1",
+    ),
+    (
+        "control: {controller: lqr}",
+        "control.controller: expected 'pd', 'base_admittance' or 'end_effector_admittance'",
+    ),
+    ("control: {damping: 0}", "control.damping: expected a finite number above 0, or a list of six, got 0"),
+    (
+        "control: {damping: [1, 2, 3, 4, 5]}",
+        "control.damping: expected a finite number above 0, or a list of six",
+    ),
+    ("control: {stiffness: [1, 1, 1, 1, 1, -1]}", "control.stiffness: expected"),
+    (
+        "control: {controller: end_effector_admittance, reading: measured_pose}",
+        "control.reading: expected virtual_model with end_effector_admittance (measured_pose reads "
+        'base_admittance only), got "measured_pose"',
+    ),
+    (
+        "disturbance: {cargo: {start: 2, stop: 2}}",
+        "disturbance.cargo.stop: expected a time after start = 2 s, or null",
+    ),
+    (
+        "disturbance: {cargo: null}",
+        "disturbance.cargo: expected a mapping with keys mass, start, stop, got null",
+    ),
+    ("disturbance: {pushes: 5}", "disturbance.pushes: expected a list, got 5"),
+    (
+        "disturbance: {pushes: [5]}",
+        "disturbance.pushes.0: expected a mapping with keys force, moment, start, stop",
+    ),
+    ("disturbance: {pushes: [{start: 1}]}", "disturbance.pushes.0.force: expected a value, got none"),
+    (
+        "disturbance: {pushes: [{force: [0, 0, 1], start: 2, stop: 1}]}",
+        "disturbance.pushes.0.stop: expected a time after start = 2 s, or null, got 1.0",
+    ),
+    (
+        "disturbance: {pushes: [{force: [0, 0, 1], start: 2, strt: 1}]}",
+        "disturbance.pushes.0.strt: expected a known",
+    ),
+    ("duration: -1\ntime_step: 0\nrobot: 3", "robot: expected the name of a robot, got 3 (and 2 more)"),
+    ("duration: 8\ngait: {cycle: 4\nduty", "expected valid YAML, got line 3:"),
+    ("duration: 8\nduration: 9", "expected valid YAML, got line 2: key 'duration' comes twice"),
+    ("1: 2", "expected valid YAML, got line 1: a key is not a word"),
+    ("? [a, b]\n: 2", "expected valid YAML, got line 1: a key is not a word"),
+    (
+        "gait: &a {cycle: 2}\ncontact: *a",
+        "expected valid YAML, got line 1: tags, anchors and aliases are not used",
+    ),
+    ("duration: *a", "expected valid YAML, got line 1: tags, anchors and aliases are not used"),
+    ("duration: !!int ''", "expected valid YAML, got line 1: tags, anchors and aliases are not used"),
+    (
+        "duration: !!python/name:os.system",
+        "expected valid YAML, got line 1: tags, anchors and aliases are not used",
+    ),
+    ("duration: 1\n---\nduration: 2", "expected valid YAML, got line 2"),
+    ("gait: " + "[" * 100_000, "expected valid YAML, got line 1: nested deeper than 20"),
+    ("robot: " + "a" * 1_000_000, "expected at most 1000000 bytes"),
+    ("robot: \x00", "expected valid YAML, got"),
+    (b"robot: \xff", "expected UTF-8 text, got byte 0xff at offset 7"),
+    ("robot: 8\n".encode("utf-16"), "expected UTF-8 text"),
+]
+
+
+@pytest.mark.parametrize(
+    ("content", "fragment"), BAD_FILES, ids=[str(content)[:40] for content, _ in BAD_FILES]
+)
+def test_a_bad_file_is_told_what_is_wrong(write, content, fragment):
+    path = write(content)
+    text = message(load_scenario, path)
+    assert text.startswith(f"{path}: ")
+    assert fragment in text
+
+
+def test_paths_that_are_no_readable_file(tmp_path):
+    assert "got no such file or directory" in message(load_scenario, tmp_path / "absent.yaml")
+    assert "got is a directory" in message(load_scenario, tmp_path)
+    assert "expected a readable file" in message(load_scenario, "a\0b")
+
+
+BAD_OVERRIDES = [
+    (["control.damping"], 'expected an override of the form dotted.key=value, got "control.damping"'),
+    (["=3"], "expected an override of the form"),
+    (["contact.holding_limit="], "expected an override of the form"),
+    (["gait..cycle=3"], "expected an override of the form"),
+    ([3], "expected an override of the form"),
+    ({3: 3}, "expected an override of the form"),
+    (["gait.cycle=[1"], "gait.cycle: expected valid YAML"),
+    (["gait.cycle.x=1"], 'gait.cycle: expected no further keys below this one, got "x"'),
+    (["gait.cicle=1"], "gait.cicle: expected a known key, got an unknown one (did you mean cycle?)"),
+    (["gate.cycle=1"], "gate: expected a known key, got an unknown one (did you mean gait?)"),
+    (["disturbance.pushes.0.start=1"], 'disturbance.pushes: expected an index below 0, got "0"'),
+    (["gravity.-1=1"], 'gravity: expected an index below 3, got "-1"'),
+    (["gravity.x\n\x1b\u2028=1"], "gravity: expected an index below 3"),
+    (["control.kp=true"], "control.kp: expected a finite number above 0, got true"),
+    (["gate={}"], "gate: expected a mapping with at least one key"),
+    ({"control.damping": np.ones(5)}, "control.damping: expected a finite number above 0, or a list of six"),
+    ({"robot": object}, "robot: expected the name of a robot"),
+]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "fragment"), BAD_OVERRIDES, ids=[str(bad)[:40] for bad, _ in BAD_OVERRIDES]
+)
+def test_a_bad_override_is_told_what_is_wrong(overrides, fragment):
+    assert fragment in message(load_scenario, CONFIGS / "case_1_1.yaml", overrides)
+
+
+def test_a_value_that_holds_itself_is_an_error():
+    endless: list = []
+    endless.append(endless)
+    message(Scenario().with_overrides, {"gravity": endless})
+
+
+KEYS = st.sampled_from(
+    ["robot", "gravity", "gait.sequence", "control.inertia", "contact", "disturbance.pushes.0"]
+)
+
+
+@given(
+    st.text() | st.tuples(KEYS, st.text()).map("=".join) | st.tuples(st.text(), st.just("1")).map("=".join)
+)
+def test_no_override_string_raises_anything_but_config_error(text):
+    try:
+        scenario = Scenario().with_overrides([text])
+    except ConfigError as error:
+        assert len(str(error).splitlines()) == 1
+    else:
+        assert isinstance(scenario, Scenario)
+
+
+@given(st.binary() | st.text(alphabet="[]{}:,-?&*!|>'\"%@`#~ \n\tae01.").map(str.encode))
+def test_no_file_raises_anything_but_config_error(tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / "odd.yaml"
+    path.write_bytes(content)
+    try:
+        load_scenario(path)
+    except ConfigError as error:
+        assert len(str(error).splitlines()) == 1
+
+
+def test_every_key_says_what_it_is():
+    def bare(schema: dict) -> list[str]:
+        return [name for name, field in schema.get("properties", {}).items() if "description" not in field]
+
+    schema = Scenario.model_json_schema()
+    assert bare(schema) == []
+    assert {name: bare(section) for name, section in schema["$defs"].items() if bare(section)} == {}
+
+
+def test_config_is_light():
+    """A command line that only reads a scenario must not wait for JAX."""
+    source = sys.modules["mjx_climb.config"].__file__
+    code = (
+        "import runpy, sys\n"
+        f"runpy.run_path({source!r}, run_name='config')\n"
+        "assert not {'jax', 'mujoco'} & set(sys.modules), 'heavy import'\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
