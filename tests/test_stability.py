@@ -1,0 +1,283 @@
+"""Stability margins: against ClimbLab's own on its walks, against geometry by hand, and their derivatives."""
+
+import itertools
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mjx_climb.stability import gia_margin, net_external_wrench, tumble_stability_margin
+
+jax.config.update("jax_enable_x64", True)
+
+REFERENCE = Path(__file__).parent / "reference"
+WALKS = {"climblab_1G_no_load": 9.81, "climblab_microgravity_impacts": 9.81e-6}  # gravity, m/s^2
+PUSHES = {  # s, N
+    "climblab_1G_no_load": [],
+    "climblab_microgravity_impacts": [(1.0, 1.5, (-5, 0, 0)), (4.5, 5.0, (0, 5, 0)), (7.0, 7.5, (0, -10, 0))],
+}
+HOLDING_FORCE = 15.0
+MODEL = json.loads((REFERENCE / "dynamics_vectors.json").read_text())["model"]
+MASS = MODEL["total_mass"]
+
+SQUARE = np.array([[0.14, 0.14, 0], [-0.14, 0.14, 0], [-0.14, -0.14, 0], [0.14, -0.14, 0]])
+PATTERNS = np.array(list(itertools.product([False, True], repeat=4)))
+
+
+@jax.jit
+def both_margins(foot_position, support, com, force, moment, mass, gravity, holding_force):
+    """TSM and GIA margin, (T,) each, of arrays with the batch first."""
+    feet, com, force, moment = (
+        jnp.moveaxis(jnp.asarray(a), 0, -1) for a in (foot_position, com, force, moment)
+    )
+    feet, support = feet.swapaxes(0, 1), jnp.asarray(support).T
+    mass, gravity, holding_force = (
+        jnp.broadcast_to(a, com.shape[1:]) for a in (mass, gravity, holding_force)
+    )
+    return (
+        tumble_stability_margin(feet, support, force, moment, mass, gravity, holding_force),
+        gia_margin(feet, support, com, force, mass, holding_force),
+    )
+
+
+def standing_still(com, mass, gravity):
+    """Net external wrench on a robot at rest: it cancels gravity at the centre of mass."""
+    force = np.array([0, 0, mass * gravity])
+    return force, np.cross(com, force)
+
+
+# --- ClimbLab's walks ---
+
+
+def rotation(axis, angle):
+    """Rotation about x (0) or z (2), (..., 3, 3)."""
+    i, j = [(1, 2), None, (0, 1)][axis]
+    matrix = np.broadcast_to(np.eye(3), (*np.shape(angle), 3, 3)).copy()
+    matrix[..., i, i] = matrix[..., j, j] = np.cos(angle)
+    matrix[..., j, i] = np.sin(angle)
+    matrix[..., i, j] = -matrix[..., j, i]
+    return matrix
+
+
+def wrench_link_by_link(walk, gravity):
+    """Inertial minus gravity wrench about the world origin, (T, 3) each, of the recorded accelerations."""
+    inertias = np.array(MODEL["link_inertia_about_com_in_link_frame"])
+    inertias[11] = inertias[5]  # the shipped one is a copy error
+    turn = lambda frame, vector: frame @ np.asarray(vector)  # noqa: E731
+    carried = lambda a, alpha, w, r: a + np.cross(alpha, r) + np.cross(w, np.cross(w, r))  # noqa: E731
+    force = moment = 0.0
+
+    def add(mass, inertia, frame, position, w, a, alpha):
+        nonlocal force, moment
+        inertia = frame @ inertia @ frame.swapaxes(-1, -2)
+        times = lambda v: (inertia @ v[..., None])[..., 0]  # noqa: E731
+        link_force = mass * (a + np.array([0, 0, gravity]))
+        force = force + link_force
+        moment = moment + np.cross(position, link_force) + times(alpha) + np.cross(w, times(w))
+
+    base = [walk[key] for key in ("base_rot", "base_pos", "base_angvel", "base_linacc", "base_angacc")]
+    add(MODEL["base_mass"], np.array(MODEL["base_inertia_about_com_body"]), *base)
+    for limb in range(4):
+        frame, position, w, a, alpha = base
+        for i in range(3 * limb, 3 * limb + 3):
+            offsets = MODEL["base_com_to_joint_c0"][i], MODEL["link_com_to_child_joint_cc"][i - 1]
+            arm = turn(frame, offsets[i % 3 > 0])
+            position, a = position + arm, carried(a, alpha, w, arm)
+            frame = frame @ rotation(0, MODEL["Qi"][i][0]) @ rotation(2, MODEL["Qi"][i][2] + walk["q"][:, i])
+            spin = frame[..., 2] * walk["qd"][:, i, None]
+            alpha = alpha + frame[..., 2] * walk["qdd"][:, i, None] + np.cross(w, spin)
+            w = w + spin
+            arm = -turn(frame, MODEL["link_com_to_own_joint_cc_ii"][i])
+            position, a = position + arm, carried(a, alpha, w, arm)
+            add(MODEL["link_mass"][i], inertias[i], frame, position, w, a, alpha)
+    return force, moment
+
+
+def load_walk(name):
+    with np.load(REFERENCE / f"{name}.npz") as file:
+        return {key: a.astype(float) if a.dtype == np.float32 else a for key, a in file.items()}
+
+
+def grips_unchanged(walk):
+    """Rows (T,) more than two rows (10 ms) away from any change of a grip or contact; never the last."""
+    changed = np.zeros(len(walk["time"]), bool)
+    for key in ("support", "support_for_margins", "contact"):
+        changed[1:] |= (walk[key][1:] != walk[key][:-1]).any(1)  # row i differs from row i - 1
+    near = np.convolve(changed, np.ones(6), "full")[3:-2] > 0  # rows i - 3 to i + 2
+    near[-1] = True
+    return ~near
+
+
+def assert_close_to_climblab(walk, tsm, margin):
+    rows = grips_unchanged(walk)
+    assert rows.sum() > 1300
+    # Measured: at most 8e-5 and 3e-4 (TSM), 3e-8 and 8e-8 (GIA margin, which no inertia enters).
+    for ours, theirs, median, most in (
+        (tsm, walk["tsm"], 5e-4, 2e-3),
+        (margin, walk["gia_margin"], 1e-6, 1e-5),
+    ):
+        error = np.abs(np.asarray(ours) / theirs - 1)[rows]
+        assert np.median(error) < median
+        assert np.percentile(error, 90) < most
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_margins_of_recorded_accelerations_are_those_of_climblab(name):
+    walk, gravity = load_walk(name), WALKS[name]
+    force, moment = wrench_link_by_link(walk, gravity)
+    feet, support, com = walk["foot_pos"], walk["support_for_margins"], walk["com"]
+    tsm, margin = both_margins(feet, support, com, force, moment, MASS, gravity, HOLDING_FORCE)
+    assert_close_to_climblab(walk, tsm, margin)
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_margins_of_foot_forces_and_push_are_those_of_climblab(name):
+    """The cheap way to the same wrench, as in a rollout: foot forces and push instead of accelerations."""
+    walk, gravity = load_walk(name), WALKS[name]
+    push = np.zeros((6, len(walk["time"])))
+    for start, stop, pushed in PUSHES[name]:
+        push[:3, (walk["time"] > start - 1e-6) & (walk["time"] < stop + 1e-6)] = np.reshape(pushed, (3, 1))
+    batch_last = (jnp.asarray(walk[key].T) for key in ("foot_pos", "foot_force", "base_pos"))
+    force, moment = net_external_wrench(*batch_last, jnp.asarray(push))
+    feet, support, com = walk["foot_pos"], walk["support_for_margins"], walk["com"]
+    tsm, margin = both_margins(feet, support, com, force.T, moment.T, MASS, gravity, HOLDING_FORCE)
+    assert_close_to_climblab(walk, tsm, margin)
+
+
+# --- by hand ---
+
+
+def one(feet, support, com, force, moment, mass, gravity, holding_force):
+    batch_of_one = (np.asarray(a)[None] for a in (feet, support, com, force, moment))
+    tsm, margin = both_margins(*batch_of_one, mass, gravity, holding_force)
+    return float(tsm[0]), float(margin[0])
+
+
+def test_standing_on_a_square_without_holding():
+    """TSM: horizontal distance of the centre of mass to the nearest edge. GIA: g times the sine to it."""
+    com, mass, gravity = np.array([0.03, -0.05, 0.1]), 2.0, 9.81
+    tsm, margin = one(SQUARE, [True] * 4, com, *standing_still(com, mass, gravity), mass, gravity, 0.0)
+    assert tsm == pytest.approx(0.14 - 0.05, rel=1e-12)
+    assert margin == pytest.approx(gravity * 0.09 / np.hypot(0.09, 0.1), rel=1e-12)
+
+
+def test_three_feet_support_a_triangle():
+    com, mass, gravity = np.array([0.03, 0.01, 0.1]), 2.0, 1.635
+    support, wrench = [True, True, False, True], standing_still(com, mass, gravity)
+    tsm, margin = one(SQUARE, support, com, *wrench, mass, gravity, 0.0)
+    to_diagonal = (0.03 + 0.01) / np.sqrt(2)  # LH to RF, through the origin
+    assert tsm == pytest.approx(to_diagonal, rel=1e-12)
+    assert margin == pytest.approx(gravity * to_diagonal / np.hypot(to_diagonal, 0.1), rel=1e-12)
+
+
+def test_holding_force_adds_its_moments():
+    """TSM: one gripper at the far edge (the longest arm). GIA margin: both of them."""
+    com, mass, gravity, holding = np.array([0.0, 0.0, 0.1]), 2.0, 9.81, 15.0
+    tsm, margin = one(SQUARE, [True] * 4, com, *standing_still(com, mass, gravity), mass, gravity, holding)
+    assert tsm == pytest.approx(0.14 + holding * 0.28 / (mass * gravity), rel=1e-12)
+    height = np.hypot(0.14, 0.1)
+    assert margin == pytest.approx(gravity * 0.14 / height + 2 * holding * 0.28 / (mass * height), rel=1e-12)
+
+
+def test_center_of_mass_outside_of_the_polygon_tumbles_unless_held():
+    com, mass, gravity = np.array([0.2, 0.0, 0.1]), 2.0, 9.81
+    wrench = standing_still(com, mass, gravity)
+    assert one(SQUARE, [True] * 4, com, *wrench, mass, gravity, 0.0) == (0.0, 0.0)
+    assert min(one(SQUARE, [True] * 4, com, *wrench, mass, gravity, 15.0)) > 0.0
+
+
+def test_no_polygon_no_margin():
+    com, mass, gravity = np.array([0.0, 0.0, 0.1]), 2.0, 9.81
+    wrench = standing_still(com, mass, gravity)
+    for support in PATTERNS[PATTERNS.sum(1) < 3]:
+        assert one(SQUARE, support, com, *wrench, mass, gravity, 15.0) == (0.0, 0.0)
+
+
+def test_without_gravity_the_tsm_has_no_length():
+    com = np.array([0.0, 0.0, 0.1])
+    at_rest = one(SQUARE, [True] * 4, com, np.zeros(3), np.zeros(3), 2.0, 0.0, 15.0)
+    assert at_rest[0] == np.inf and np.isfinite(at_rest[1])
+    torn_off = one(SQUARE, [True] * 4, com, np.array([0, 0, -100.0]), np.zeros(3), 2.0, 0.0, 15.0)
+    assert torn_off == (0.0, 0.0)
+
+
+# --- invariance and derivatives ---
+
+
+def random_scene(rng, patterns):
+    """Uneven ground and a wrench that leaves most scenes stable, batch first."""
+    count = len(patterns)
+    feet = SQUARE + rng.uniform(-0.02, 0.02, (count, 4, 3))
+    com = np.array([0, 0, 0.1]) + rng.uniform(-0.02, 0.02, (count, 3))
+    force = np.array([0, 0, 20.0]) + rng.uniform(-4, 4, (count, 3))
+    moment = np.cross(com, force) + rng.uniform(-0.1, 0.1, (count, 3))
+    return feet, patterns, com, force, moment
+
+
+def test_margins_do_not_depend_on_where_the_scene_is():
+    rng = np.random.default_rng(0)
+    feet, support, com, force, moment = random_scene(rng, np.repeat(PATTERNS, 4, 0))
+    turn, shift = rotation(2, 0.7), np.array([3.0, -2.0, 0.5])
+    here = both_margins(feet, support, com, force, moment, 2.2, 9.81, 15.0)
+    feet, com, force = feet @ turn.T + shift, com @ turn.T + shift, force @ turn.T
+    moment = moment @ turn.T + np.cross(shift, force)
+    there = both_margins(feet, support, com, force, moment, 2.2, 9.81, 15.0)
+    assert (np.array(here)[:, support.sum(1) >= 3] > 0).all()
+    np.testing.assert_allclose(there, here, rtol=1e-10, atol=1e-12)
+
+
+def test_order_of_limbs_may_start_anywhere():
+    feet, support, *rest = random_scene(np.random.default_rng(1), PATTERNS)
+    here = both_margins(feet, support, *rest, 2.2, 9.81, 15.0)
+    rolled = both_margins(np.roll(feet, 1, 1), np.roll(support, 1, 1), *rest, 2.2, 9.81, 15.0)
+    np.testing.assert_allclose(rolled, here, rtol=1e-12)
+
+
+def test_derivatives_for_every_support_pattern():
+    rng = np.random.default_rng(2)
+    feet, support, *rest = random_scene(rng, PATTERNS)
+    point = (feet, *rest, np.full(16, 2.2), np.full(16, 9.81), np.full(16, 15.0))
+    direction = tuple(rng.normal(size=a.shape) * np.abs(a).max() for a in point)
+
+    def margins(feet, *others):
+        return jnp.stack(both_margins(feet, support, *others))
+
+    value, slope = jax.jvp(margins, point, direction)
+    assert np.isfinite(value).all() and np.isfinite(slope).all()
+    assert (np.abs(slope[:, support.sum(1) >= 3]) > 0).all()
+    step = 1e-7
+    ahead = margins(*(a + step * da for a, da in zip(point, direction, strict=True)))
+    behind = margins(*(a - step * da for a, da in zip(point, direction, strict=True)))
+    np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("collapse", ["feet", "center_of_mass", "everything"])
+def test_degenerate_geometry_stays_finite(collapse):
+    """Two feet in one place, the centre of mass on an axis, all in one point; both derivatives."""
+    feet, support, com, force, moment = random_scene(np.random.default_rng(3), PATTERNS)
+    if collapse == "feet":
+        feet[:, 1] = feet[:, 0]
+    elif collapse == "center_of_mass":
+        com = (feet[:, 0] + feet[:, 1]) / 2
+    else:
+        feet, com = np.zeros_like(feet), np.zeros_like(com)
+
+    def margins(feet, com, force, moment):
+        return jnp.stack(both_margins(feet, support, com, force, moment, 2.2, 9.81, 15.0))
+
+    point = (feet, com, force, moment)
+    value, slope = jax.jvp(margins, point, tuple(np.ones_like(a) for a in point))
+    gradient = jax.grad(lambda *a: margins(*a).sum(), argnums=(0, 1, 2, 3))(*point)
+    assert all(np.isfinite(a).all() for a in (value, slope, *gradient))
+
+
+def test_single_precision_is_good_enough():
+    scene = random_scene(np.random.default_rng(4), np.repeat(PATTERNS, 4, 0))
+    exact = both_margins(*scene, 2.2, 9.81, 15.0)
+    scene32 = [a.astype(np.float32) if a.dtype == float else a for a in scene]
+    single = both_margins(*scene32, *(np.float32(a) for a in (2.2, 9.81, 15.0)))
+    assert all(a.dtype == np.float32 for a in single)
+    np.testing.assert_allclose(single, exact, rtol=1e-4)
