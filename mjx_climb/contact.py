@@ -1,0 +1,53 @@
+"""Grip: a spring-damper between a foot and the point where it gripped, and its letting go."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.kinematics import Feet
+from mjx_climb.parameters import Parameters
+from mjx_climb.spatial import norm
+
+
+class Contact(NamedTuple):
+    """What the contacts remember between steps."""
+
+    grip_point: Array  # (3, L, B) m, world
+    closed: Array  # (L, B) bool: gripper shut at the last step
+    touching: Array  # (L, B) bool: the ground acted on the foot at the last step
+    detached: Array  # (L, B) bool: the gripper was torn off, for good
+
+
+class Grip(NamedTuple):
+    """Contacts of one step."""
+
+    force: Array  # (3, L, B) N, of the ground on the foot, world axes
+    support: Array  # (L, B) bool: the gripper holds
+    torn_off: Array  # (L, B) bool: the holding limit was passed in this step
+
+
+def ground_height(grip_point: Array) -> Array:
+    """Return the height of the ground below a point, (...) m: flat ground at zero."""
+    return jnp.zeros_like(grip_point[2])
+
+
+def grip(contact: Contact, feet: Feet, closed: Array, numbers: Parameters) -> tuple[Contact, Grip]:
+    """Return the contacts after this step and the forces in it.
+
+    A shut gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while its foot
+    is at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or the foot first
+    touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down with more than the
+    holding limit in all (ClimbLab's rule).
+    """
+    ground = ground_height(feet.position)
+    support = closed & ~contact.detached
+    touching = support | (feet.position[2] <= ground)
+    fresh = touching & ~contact.touching
+    below = jnp.stack([feet.position[0], feet.position[1], ground])
+    grip_point = jnp.where(fresh, below, contact.grip_point)
+    spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
+    force = jnp.where(touching, spring_damper, 0.0)
+    torn_off = support & (force[2] < 0) & (norm(force) > numbers.holding_limit)
+    after = Contact(grip_point, closed, touching, contact.detached | torn_off)
+    return after, Grip(force, support, torn_off)

@@ -1,0 +1,17 @@
+"""The baseline: the joints follow the gait, whatever the forces."""
+
+import jax.numpy as jnp
+
+from mjx_climb.control.law import Command, Law
+from mjx_climb.parameters import Gains
+
+
+def build(gains: Gains, time_step: float) -> Law:
+    """Return the law that commands the gait's own reference."""
+    del time_step
+    no_shift = jnp.zeros_like(gains.stiffness)
+
+    def command(state, measurement, reference):
+        return state, Command(*reference, base_displacement=no_shift)
+
+    return Law(initial=(), command=command)

@@ -1,0 +1,23 @@
+"""What the world does to the base: cargo and pushes, each in its window of time."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.parameters import Parameters
+
+
+def _active(start: Array, stop: Array, step: Array, time_step: float) -> Array:
+    """Tell whether a step lies in [start, stop), both rounded to whole steps."""
+    return (step >= jnp.round(start / time_step)) & (step < jnp.round(stop / time_step))
+
+
+def cargo_mass(numbers: Parameters, step: Array, time_step: float) -> Array:
+    """Return the cargo on the base, (B,) kg."""
+    return jnp.where(_active(numbers.cargo_start, numbers.cargo_stop, step, time_step), numbers.cargo_mass, 0.0)
+
+
+def push(numbers: Parameters, step: Array, time_step: float) -> Array:
+    """Return force and moment on the base at its centre of mass, (6, B) N and N m, world axes."""
+    active = _active(numbers.push_start, numbers.push_stop, step, time_step)
+    wrenches = jnp.concatenate([numbers.push_force, numbers.push_moment], axis=1)
+    return jnp.where(active[:, None], wrenches, 0.0).sum(0)

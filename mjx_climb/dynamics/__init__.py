@@ -1,0 +1,73 @@
+"""Forward dynamics behind one seam: state, torques and forces in, accelerations out.
+
+An engine is one module with `build(robot) -> ForwardDynamics`, in the layout of the hot path; nothing outside this
+package knows which one runs.
+"""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.dynamics import mjx_engine
+from mjx_climb.robot import Robot, load_robot
+from mjx_climb.state import Acceleration, State, batch_last, joints_to_limbs, limbs_to_joints
+
+# state, joint torque (3, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
+ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
+
+ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.build}
+DEFAULT_ENGINE = "mjx"
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+
+
+def forward_dynamics(
+    state: State,
+    tau: Array,
+    foot_force: Array,
+    base_wrench: Array,
+    cargo_mass: Array | float,
+    *,
+    gravity: Array | tuple[float, float, float] = STANDARD_GRAVITY,
+    robot: str | Robot = "hubrobo_v3_2",
+    engine: str = DEFAULT_ENGINE,
+) -> Acceleration:
+    """Solve the equations of motion for the accelerations (paper Eq. 1).
+
+    Arguments:
+        state: with any leading batch axes, or none.
+        tau: joint torques (..., 12) N m.
+        foot_force: force of the ground on each foot (..., 4, 3) N, world axes.
+        base_wrench: force and moment on the base at its centre of mass (..., 6) N and N m, world axes.
+        cargo_mass: point mass at the base's centre of mass (...,) kg.
+        gravity: (..., 3) m/s^2, world axes.
+        robot: name of a robot or its constants.
+        engine: one of `mjx_climb.ENGINES`.
+
+    Raises:
+        KeyError: no such engine.
+    """
+    robot = load_robot(robot) if isinstance(robot, str) else robot
+    dtype = jnp.result_type(state.base_position)
+    shape = state.base_position.shape[:-1]
+    limbs = len(robot.limbs)
+
+    def flat(value, *tail):
+        return jnp.broadcast_to(jnp.asarray(value, dtype), (*shape, *tail)).reshape(-1, *tail)
+
+    hot = batch_last(
+        State(**{name: flat(value, value.shape[-1]) for name, value in vars(state).items()}),
+    )
+    result = ENGINES[engine](robot)(
+        hot,
+        joints_to_limbs(flat(tau, 3 * limbs)),
+        jnp.moveaxis(flat(foot_force, limbs, 3), (0, 1, 2), (2, 1, 0)),
+        flat(base_wrench, 6).T,
+        flat(cargo_mass),
+        flat(gravity, 3).T,
+    )
+    return Acceleration(
+        base_linear=result.base_linear.T.reshape(*shape, 3),
+        base_angular=result.base_angular.T.reshape(*shape, 3),
+        joints=limbs_to_joints(result.joints).reshape(*shape, 3 * limbs),
+    )

@@ -1,0 +1,78 @@
+"""The equations of motion by MJX's smooth stages: kinematics, composite inertia, factorisation, Newton-Euler, solve."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from mujoco import mjx
+from mujoco.mjx._src import smooth
+
+from mjx_climb.kinematics import base_wrench_of_foot_force, foot_kinematics, joint_torque_of_foot_force, limb_frames
+from mjx_climb.robot import Robot, load_model
+from mjx_climb.spatial import quaternion_to_matrix, rotate, rotate_back
+from mjx_climb.state import Acceleration, State, limbs_to_joints, joints_to_limbs
+
+_BASE = 1
+
+
+@functools.cache
+def _put_model(name: str, x64: bool) -> tuple[mjx.Model, mjx.Data]:
+    del x64  # a key of the cache alone: the arrays take the precision in force
+    model = load_model(name)
+    with jax.ensure_compile_time_eval():
+        return mjx.put_model(model), mjx.make_data(model)
+
+
+def _accelerations(model, data, qpos, qvel, force, cargo_mass, gravity):
+    """Return MuJoCo's qacc (18,) of one robot: linear in world axes, angular in base axes, joints."""
+    model = model.replace(
+        body_mass=model.body_mass.at[_BASE].add(cargo_mass),
+        opt=model.opt.replace(gravity=gravity),
+    )
+    data = data.replace(qpos=qpos, qvel=qvel)
+    data = smooth.kinematics(model, data)
+    data = smooth.com_pos(model, data)
+    data = smooth.crb(model, data)
+    data = smooth.factor_m(model, data)
+    data = smooth.com_vel(model, data)
+    data = smooth.rne(model, data)
+    return smooth.solve_m(model, data, force - data.qfrc_bias)
+
+
+def build(robot: Robot):
+    """Return MJX's forward dynamics of a robot in the layout of the hot path: see `ForwardDynamics`."""
+
+    def forward_dynamics(state: State, torque, foot_force, base_wrench, cargo_mass, gravity) -> Acceleration:
+        dtype = state.base_position.dtype
+        model, data = _put_model(robot.name, bool(jax.config.jax_enable_x64))
+        model, data = (
+            jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
+            for tree in (model, data)
+        )
+        rotation = quaternion_to_matrix(state.base_orientation)
+        feet = foot_kinematics(limb_frames(robot, rotation, state.joint_angles), state)
+        wrench = base_wrench + base_wrench_of_foot_force(feet.lever, foot_force)
+        joint_force = torque + joint_torque_of_foot_force(feet, foot_force)
+        # MuJoCo's free joint: linear velocity in world axes, angular velocity in the body's own
+        qpos = jnp.concatenate([state.base_position, state.base_orientation, limbs_to_joints(state.joint_angles).T])
+        qvel = jnp.concatenate(
+            [
+                state.base_linear_velocity,
+                rotate_back(rotation, state.base_angular_velocity),
+                limbs_to_joints(state.joint_rates).T,
+            ]
+        )
+        force = jnp.concatenate([wrench[:3], rotate_back(rotation, wrench[3:]), limbs_to_joints(joint_force).T])
+        batch = qpos.shape[-1]
+        cargo_mass = jnp.broadcast_to(cargo_mass, (batch,))
+        gravity = jnp.broadcast_to(gravity, (3, batch))
+        qacc = jax.vmap(functools.partial(_accelerations, model, data), in_axes=-1, out_axes=-1)(
+            qpos, qvel, force, cargo_mass, gravity
+        )
+        return Acceleration(
+            base_linear=qacc[:3],
+            base_angular=rotate(rotation, qacc[3:6]),
+            joints=joints_to_limbs(qacc[6:].T),
+        )
+
+    return forward_dynamics

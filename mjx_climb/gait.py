@@ -1,0 +1,107 @@
+"""Periodic crawl: which gripper is open, where the base and the feet should be (DESIGN of ClimbLab's default gait)."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.parameters import Parameters
+from mjx_climb.robot import Robot
+from mjx_climb.spatial import quaternion_about_z, quaternion_multiply, rotate, rotation_about_z
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """The walk that a scenario asks for: B or 1 environments, times counted in steps."""
+
+    base_start: Array  # (3, B) m, world
+    base_orientation: Array  # (4, B) wxyz, held throughout
+    footholds: Array  # (3, L, B) m, world, where the feet stand at the start
+    advance: Array  # (3, B) m, world, of base and feet in one cycle
+    step_height: Array  # (B,) m
+    cycle_steps: Array  # (B,) steps
+    swing_steps: Array  # (B,) steps
+    swing_offset: Array  # (L, B) steps after the start of a cycle at which a limb lifts off
+
+
+class Memory(NamedTuple):
+    """What the gait remembers between steps."""
+
+    lift_off: Array  # (3, L, B) m, world, where a swing starts
+    cycle_base: Array  # (3, B) m, world, base reference at the start of the cycle
+
+
+class Schedule(NamedTuple):
+    """Where each limb is in its swing at one step."""
+
+    cycle: Array  # (B,) number of cycles completed
+    cycle_phase: Array  # (B,) in [0, 1)
+    swing_phase: Array  # (L, B) in [0, 1) while swinging
+    closed: Array  # (L, B) bool: the gripper is commanded shut
+
+
+def plan(robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[str, ...], time_step: float) -> Plan:
+    """Return the walk of a robot whose feet stand at `stance_feet` (3, L, 1) m in world axes at heading zero."""
+    heading = rotation_about_z(numbers.heading)
+    cycle_steps = jnp.round(numbers.cycle / time_step)
+    order = jnp.asarray([sequence.index(limb) for limb in robot.limbs], numbers.cycle.dtype)
+    zero = jnp.zeros_like(numbers.stride)
+    return Plan(
+        base_start=rotate(heading, robot.stance_position),
+        base_orientation=quaternion_multiply(quaternion_about_z(numbers.heading), robot.stance_orientation),
+        footholds=rotate(heading[:, :, None], stance_feet),
+        advance=rotate(heading, jnp.stack([numbers.stride, zero, zero])),
+        step_height=numbers.step_height,
+        cycle_steps=cycle_steps,
+        swing_steps=jnp.round((1 - numbers.duty) * numbers.cycle / time_step),
+        swing_offset=jnp.round(order[:, None] / len(sequence) * cycle_steps),
+    )
+
+
+def schedule(plan: Plan, step: Array) -> Schedule:
+    """Return the phases of the limbs at a step (scalar integer)."""
+    step = step.astype(plan.cycle_steps.dtype)
+    cycle = jnp.floor(step / plan.cycle_steps)
+    in_cycle = step - cycle * plan.cycle_steps
+    since_lift_off = jnp.mod(in_cycle - plan.swing_offset, plan.cycle_steps)
+    return Schedule(
+        cycle=cycle,
+        cycle_phase=in_cycle / plan.cycle_steps,
+        swing_phase=since_lift_off / plan.swing_steps,
+        closed=since_lift_off >= plan.swing_steps,
+    )
+
+
+def rest_to_rest(phase: Array) -> Array:
+    """Return the cubic from 0 to 1 with zero slope at both ends; its curvature is zero in the middle."""
+    return phase * phase * (3 - 2 * phase)
+
+
+def remember(
+    plan: Plan, memory: Memory, now: Schedule, grip_point: Array, base_position: Array, *, follow_base: bool
+) -> Memory:
+    """Return the memory after the step's contacts are known.
+
+    A cycle's base reference starts where the last one ended, or, with `follow_base`, where the base is.
+    """
+    nominal = plan.base_start + now.cycle * plan.advance
+    start = jnp.where(now.cycle_phase == 0, base_position, memory.cycle_base) if follow_base else nominal
+    return Memory(lift_off=jnp.where(now.closed, grip_point, memory.lift_off), cycle_base=start)
+
+
+def base_reference(plan: Plan, memory: Memory, now: Schedule) -> Array:
+    """Return where the base should be, (3, B) m in world axes: one cubic a cycle, rest to rest."""
+    return memory.cycle_base + rest_to_rest(now.cycle_phase) * plan.advance
+
+
+def foot_targets(plan: Plan, memory: Memory, now: Schedule, grip_point: Array) -> Array:
+    """Return where the feet should be, (3, L, B) m in world axes: the grip, or the swing to the next foothold."""
+    landing = plan.footholds + (now.cycle + 1) * plan.advance[:, None]
+    phase = jnp.where(now.closed, 0.0, now.swing_phase)
+    swing = memory.lift_off + rest_to_rest(phase) * (landing - memory.lift_off)
+    lift = plan.step_height * rest_to_rest(jnp.where(phase < 0.5, 2 * phase, 2 - 2 * phase))
+    swing = swing.at[2].add(lift)
+    return jnp.where(now.closed, grip_point, swing)

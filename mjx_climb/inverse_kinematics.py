@@ -1,0 +1,118 @@
+"""Closed-form inverse kinematics of a limb: a yaw joint, then two parallel pitch joints, all link offsets kept."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from mjx_climb.robot import Robot, RobotError
+from mjx_climb.spatial import rotate_back
+
+_PARALLEL = 1e-9
+
+
+class LimbGeometry(NamedTuple):
+    """What the closed form needs of the limbs: plane coordinates are (outward, up) in the coxa's own frame."""
+
+    hip_position: np.ndarray  # (3, L, 1) m, base frame
+    hip_rotation: np.ndarray  # (3, 3, L, 1): x outward in the limb's plane, z along the coxa's axis
+    lateral: np.ndarray  # (L, 1) m, distance of the foot from the plane through the coxa's axis
+    femur_out: np.ndarray  # (L, 1) m, femur joint from the coxa's axis
+    femur_up: np.ndarray  # (L, 1) m
+    femur_length: np.ndarray  # (L, 1) m
+    tibia_length: np.ndarray  # (L, 1) m
+    femur_angle: np.ndarray  # (L, 1) rad, elevation of the femur's line at joint zero
+    tibia_angle: np.ndarray  # (L, 1) rad, elevation of the line to the foot at joint zero
+    femur_sign: np.ndarray  # (L, 1), +1 where a positive joint angle raises
+    tibia_sign: np.ndarray  # (L, 1)
+    knee_sign: np.ndarray  # (L, 1), sign of the knee's bend within the joint limits
+
+
+class JointSolution(NamedTuple):
+    """Joint angles and whether the target could be met."""
+
+    joint_angles: Array  # (3, L, B) rad
+    reachable: Array  # (L, B) bool
+
+
+def limb_geometry(robot: Robot) -> LimbGeometry:
+    """Return the geometry of a robot's limbs for `inverse_kinematics`.
+
+    Raises:
+        RobotError: a limb whose femur axis is not at right angles to the coxa's, or whose tibia axis is not parallel to it.
+    """
+    columns = []
+    for limb, name in enumerate(robot.limbs):
+        rotation = np.asarray(robot.frame_rotation)[..., limb, 0]
+        position = np.asarray(robot.frame_position)[..., limb, 0]
+        femur_axis = rotation[1][:, 2]  # in the coxa's frame
+        tibia_axis = rotation[1] @ rotation[2][:, 2]
+        if abs(femur_axis[2]) > _PARALLEL or np.linalg.norm(np.cross(femur_axis, tibia_axis)) > _PARALLEL:
+            raise RobotError(f"{robot.name}: limb {name} needs femur and tibia axes parallel, at right angles to the coxa's")
+        knee = position[1] + rotation[1] @ position[2]
+        foot = knee + rotation[1] @ rotation[2] @ np.asarray(robot.foot_center)[:, limb, 0]
+        outward = np.cross([0.0, 0.0, 1.0], femur_axis)
+        outward *= np.sign(outward @ foot)
+        plane = np.stack([outward, np.cross([0.0, 0.0, 1.0], outward), [0.0, 0.0, 1.0]], axis=1)
+        femur_origin, knee, foot = (plane.T @ point for point in (position[1], knee, foot))
+        # a rotation about the plane's own -y raises
+        femur_sign, tibia_sign = (-(plane.T @ axis)[1] for axis in (femur_axis, tibia_axis))
+        elevation = [np.arctan2(v[2], v[0]) for v in (knee - femur_origin, foot - knee)]
+        middle = (robot.joint_lower[2, limb, 0] + robot.joint_upper[2, limb, 0]) / 2
+        columns.append(
+            LimbGeometry(
+                hip_position=position[0],
+                hip_rotation=rotation[0] @ plane,
+                lateral=foot[1],
+                femur_out=femur_origin[0],
+                femur_up=femur_origin[2],
+                femur_length=np.hypot(*(knee - femur_origin)[[0, 2]]),
+                tibia_length=np.hypot(*(foot - knee)[[0, 2]]),
+                femur_angle=elevation[0],
+                tibia_angle=elevation[1],
+                femur_sign=np.sign(femur_sign),
+                tibia_sign=np.sign(tibia_sign),
+                knee_sign=np.sign(elevation[1] - elevation[0] + np.sign(tibia_sign) * middle),
+            )
+        )
+    return LimbGeometry(*(np.stack(field, axis=-1)[..., None] for field in zip(*columns, strict=True)))
+
+
+def _safe_sqrt(square: Array, floor: float) -> Array:
+    """Return sqrt(square), held at sqrt(floor) with derivative zero below the floor."""
+    above = square > floor
+    return jnp.sqrt(jnp.where(above, square, floor))
+
+
+def inverse_kinematics(geometry: LimbGeometry, foot: Array) -> JointSolution:
+    """Return the joint angles that put the feet at `foot`, (3, L, B) m in the base frame.
+
+    A target out of reach gives the nearest stretch or fold of the limb towards it, finite in value and derivative, and is
+    flagged. Angles lie in (-pi, pi]; joint limits are not applied here.
+    """
+    local = rotate_back(geometry.hip_rotation, foot - geometry.hip_position)
+    tiny = float(jnp.finfo(local.dtype).eps) * 1e-2
+    horizontal = local[0] ** 2 + local[1] ** 2 - geometry.lateral**2
+    out = _safe_sqrt(horizontal, tiny)
+    on_axis = local[0] ** 2 + local[1] ** 2 < tiny
+    coxa = jnp.arctan2(jnp.where(on_axis, 0.0, local[1]), jnp.where(on_axis, 1.0, local[0])) - jnp.arctan2(geometry.lateral, out)
+
+    x, z = out - geometry.femur_out, local[2] - geometry.femur_up
+    a, b = geometry.femur_length, geometry.tibia_length
+    cosine = (x * x + z * z - a * a - b * b) / (2 * a * b)
+    within = jnp.abs(cosine) < 1
+    cosine = jnp.clip(cosine, -1.0, 1.0)
+    sine = geometry.knee_sign * jnp.where(within, jnp.sqrt(jnp.where(within, 1 - cosine**2, 1.0)), 0.0)
+    knee = jnp.arctan2(sine, cosine)
+    at_femur = x * x + z * z < tiny
+    direction = jnp.arctan2(jnp.where(at_femur, 0.0, z), jnp.where(at_femur, 1.0, x))
+    along, across = a + b * cosine, b * sine
+    folded = along * along + across * across < tiny
+    line = direction - jnp.arctan2(jnp.where(folded, 0.0, across), jnp.where(folded, 1.0, along))
+
+    femur = geometry.femur_sign * (line - geometry.femur_angle)
+    tibia = geometry.tibia_sign * (knee + geometry.femur_angle - geometry.tibia_angle)
+    angles = jnp.stack([coxa, femur, tibia])
+    wrapped = jnp.where(angles > jnp.pi, angles - 2 * jnp.pi, jnp.where(angles <= -jnp.pi, angles + 2 * jnp.pi, angles))
+    return JointSolution(wrapped, within & (horizontal > tiny))

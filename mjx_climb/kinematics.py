@@ -1,0 +1,75 @@
+"""Forward kinematics of the limbs: frames, feet and their Jacobians."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.robot import Robot
+from mjx_climb.state import State
+from mjx_climb.spatial import compose, cross, dot, rotate
+
+
+class LimbFrames(NamedTuple):
+    """Link frames of every limb, in world axes, relative to the base's centre of mass."""
+
+    rotation: tuple[Array, ...]  # per link (3, 3, L, B)
+    position: tuple[Array, ...]  # per link (3, L, B) m, the joint
+    foot: Array  # (3, L, B) m
+
+
+class Feet(NamedTuple):
+    """Position, velocity and Jacobian of the feet, in world axes."""
+
+    position: Array  # (3, L, B) m
+    velocity: Array  # (3, L, B) m/s, of the foot point itself
+    lever: Array  # (3, L, B) m, from the base's centre of mass to the foot
+    jacobian: tuple[Array, ...]  # per joint of a limb (3, L, B) m: foot velocity per joint rate
+
+
+def limb_frames(robot: Robot, base_rotation: Array, joint_angles: Array) -> LimbFrames:
+    """Return the link frames for a base rotation (3, 3, B) and joint angles (3, L, B) rad."""
+    rotation, position = base_rotation[:, :, None, :], jnp.zeros_like(joint_angles)
+    rotations, positions = [], []
+    for link in range(3):
+        position = position + rotate(rotation, robot.frame_position[link])
+        zero_rotation = compose(rotation, robot.frame_rotation[link])
+        c, s = jnp.cos(joint_angles[link]), jnp.sin(joint_angles[link])
+        x, y, z = zero_rotation[:, 0], zero_rotation[:, 1], zero_rotation[:, 2]
+        rotation = jnp.stack([c * x + s * y, c * y - s * x, jnp.broadcast_to(z, x.shape)], axis=1)
+        rotations.append(rotation)
+        positions.append(position)
+    return LimbFrames(tuple(rotations), tuple(positions), position + rotate(rotation, robot.foot_center))
+
+
+def foot_kinematics(frames: LimbFrames, state: State) -> Feet:
+    """Return positions, velocities and Jacobians of the feet for a state in the layout of the hot path."""
+    jacobian = tuple(
+        cross(rotation[:, 2], frames.foot - position)
+        for rotation, position in zip(frames.rotation, frames.position, strict=True)
+    )
+    velocity = state.base_linear_velocity[:, None] + cross(state.base_angular_velocity[:, None], frames.foot)
+    for column, rate in zip(jacobian, state.joint_rates, strict=True):
+        velocity = velocity + column * rate
+    return Feet(state.base_position[:, None] + frames.foot, velocity, frames.foot, jacobian)
+
+
+def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo_mass: Array) -> Array:
+    """Return the centre of mass (3, B) m, world, of the robot with `cargo_mass` (B,) kg at the base's own."""
+    moment = sum(
+        (mass * (position + rotate(rotation, center))).sum(1)
+        for mass, center, position, rotation in zip(
+            robot.link_mass, robot.link_center, frames.position, frames.rotation, strict=True
+        )
+    )
+    return base_position + moment / (robot.total_mass + cargo_mass)
+
+
+def joint_torque_of_foot_force(feet: Feet, foot_force: Array) -> Array:
+    """Return `J_m^T F_e`, the joint torques (3, L, B) N m that foot forces (3, L, B) N amount to."""
+    return jnp.stack([dot(column, foot_force) for column in feet.jacobian])
+
+
+def base_wrench_of_foot_force(lever: Array, foot_force: Array) -> Array:
+    """Return `J_b^T F_e` (6, B): sum of the foot forces, N, and of their moments about the base, N m."""
+    return jnp.concatenate([foot_force.sum(1), cross(lever, foot_force).sum(1)])

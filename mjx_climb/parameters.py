@@ -1,0 +1,149 @@
+"""The numbers of a scenario as a pytree: what may differ from one environment of a batch to the next."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from mjx_climb.config import Scenario
+
+
+def _natural(ndim: int):
+    return dataclasses.field(metadata={"ndim": ndim})
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Gains:
+    """Gains of the admittance law (paper Eqs. 2 and 3): scalar, six axes, or a batch of six axes.
+
+    Axes: three translations, then three rotations, about the axes of the walk (x ahead, z up). The end-effector law uses
+    the translations. `kp` and `kd` replace the scenario's joint gains where given.
+    """
+
+    inertia: Float[Array, "*batch_axis"] | float  # kg, kg m^2
+    damping: Float[Array, "*batch_axis"] | float  # N s/m, N m s
+    stiffness: Float[Array, "*batch_axis"] | float  # N/m, N m
+    kp: Float[Array, "*batch"] | float | None = None  # N m/rad
+    kd: Float[Array, "*batch"] | float | None = None  # N m s/rad
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Parameters:
+    """Numbers of a scenario in SI units, each with any leading batch axes that broadcast with the gains'.
+
+    `metadata["ndim"]` of a field tells how many axes one environment's value has.
+    """
+
+    gravity: Array = _natural(1)  # (3,) m/s^2
+    contact_stiffness: Array = _natural(0)  # N/m
+    contact_damping: Array = _natural(0)  # N s/m
+    holding_limit: Array = _natural(0)  # N, infinite where a gripper cannot be torn off
+    kp: Array = _natural(0)  # N m/rad
+    kd: Array = _natural(0)  # N m s/rad
+    stride: Array = _natural(0)  # m
+    step_height: Array = _natural(0)  # m
+    cycle: Array = _natural(0)  # s
+    duty: Array = _natural(0)  # 1
+    heading: Array = _natural(0)  # rad
+    cargo_mass: Array = _natural(0)  # kg
+    cargo_start: Array = _natural(0)  # s
+    cargo_stop: Array = _natural(0)  # s
+    push_force: Array = _natural(2)  # (pushes, 3) N
+    push_moment: Array = _natural(2)  # (pushes, 3) N m
+    push_start: Array = _natural(1)  # (pushes,) s
+    push_stop: Array = _natural(1)  # (pushes,) s
+
+
+def _or_infinite(value: float | None) -> float:
+    return math.inf if value is None else value
+
+
+def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
+    """Return the numbers of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
+    contact, control, gait = scenario.contact, scenario.control, scenario.gait
+    cargo, pushes = scenario.disturbance.cargo, scenario.disturbance.pushes
+    values = Parameters(
+        gravity=scenario.gravity,
+        contact_stiffness=contact.stiffness,
+        contact_damping=contact.damping,
+        holding_limit=_or_infinite(contact.holding_limit),
+        kp=control.kp,
+        kd=control.kd,
+        stride=gait.stride,
+        step_height=gait.step_height,
+        cycle=gait.cycle,
+        duty=gait.duty,
+        heading=gait.heading,
+        cargo_mass=cargo.mass,
+        cargo_start=cargo.start,
+        cargo_stop=_or_infinite(cargo.stop),
+        push_force=[push.force for push in pushes],
+        push_moment=[push.moment for push in pushes],
+        push_start=[push.start for push in pushes],
+        push_stop=[_or_infinite(push.stop) for push in pushes],
+    )
+    arrays = {}
+    for field in dataclasses.fields(values):
+        array = jnp.asarray(getattr(values, field.name), dtype or jnp.result_type(float))
+        arrays[field.name] = array.reshape(0, 3) if field.metadata["ndim"] == 2 and array.size == 0 else array
+    return Parameters(**arrays)
+
+
+def gains(scenario: Scenario) -> Gains:
+    """Return the admittance gains that the scenario's own control section gives."""
+    control = scenario.control
+    return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
+
+
+def batch_shape(gains: Gains, parameters: Parameters) -> tuple[int, ...]:
+    """Return the batch shape that gains and parameters broadcast to.
+
+    Raises:
+        ValueError: shapes that do not broadcast, or gains whose last axis is not 1 or 6.
+    """
+    shapes = [
+        jnp.shape(getattr(parameters, f.name))[: jnp.ndim(getattr(parameters, f.name)) - f.metadata["ndim"]]
+        for f in dataclasses.fields(parameters)
+    ]
+    for name in ("inertia", "damping", "stiffness"):
+        shape = jnp.shape(getattr(gains, name))
+        if shape and shape[-1] not in (1, 6):
+            raise ValueError(f"gains.{name}: expected a scalar or a last axis of six, got shape {shape}")
+        shapes.append(shape[:-1])
+    shapes += [jnp.shape(value) for value in (gains.kp, gains.kd) if value is not None]
+    return jnp.broadcast_shapes(*shapes)
+
+
+def batch_last(
+    gains: Gains, parameters: Parameters, shape: tuple[int, ...], dtype: jnp.dtype
+) -> tuple[Gains, Parameters]:
+    """Return gains (6, B) and parameters (..., B) in the layout of the hot path.
+
+    The batch axes `shape` are flattened to one; what does not vary over them keeps a batch axis of size one.
+    """
+
+    def last(value, natural: tuple[int, ...]) -> Array:
+        value = jnp.asarray(value, dtype)
+        lead = value.shape[: value.ndim - len(natural)]
+        if math.prod(lead) != 1:
+            lead = shape
+        value = jnp.broadcast_to(value, (*lead, *natural)).reshape(math.prod(lead), *natural)
+        return jnp.moveaxis(value, 0, -1)
+
+    def six(value):
+        value = jnp.asarray(value, dtype)
+        return last(value if value.ndim else value[None], (6,))
+
+    numbers = {}
+    for field in dataclasses.fields(parameters):
+        value = jnp.asarray(getattr(parameters, field.name), dtype)
+        numbers[field.name] = last(value, value.shape[value.ndim - field.metadata["ndim"] :])
+    for name in ("kp", "kd"):
+        if getattr(gains, name) is not None:
+            numbers[name] = last(getattr(gains, name), ())
+    return Gains(six(gains.inertia), six(gains.damping), six(gains.stiffness)), Parameters(**numbers)

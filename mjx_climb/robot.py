@@ -1,0 +1,172 @@
+"""The robot as constants: what the equations need of an MJCF, in the layout of the hot path."""
+
+import dataclasses
+import functools
+from importlib import resources
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+
+JOINTS_PER_LIMB = 3
+
+
+class RobotError(ValueError):
+    """A model that mjx_climb cannot use: the message names the model and what was expected."""
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=[
+        "base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation",
+        "foot_center", "joint_lower", "joint_upper", "stance_position", "stance_orientation", "stance_joints",
+    ],
+    meta_fields=["name", "limbs"],
+)  # fmt: skip
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """A base with limbs of three revolute joints: masses, frames and limits.
+
+    Every link has a frame at its joint whose z axis is the joint's axis; with the joint at zero, `frame_rotation` and
+    `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: link (3, or 0
+    for the coxa to 2 for the tibia) before components, limbs (L) second to last, batch (1) last. SI units.
+    """
+
+    name: str
+    limbs: tuple[str, ...]
+    base_mass: np.ndarray  # (1,) kg
+    base_inertia: np.ndarray  # (3, 3, 1) kg m^2, base frame
+    link_mass: np.ndarray  # (3, L, 1) kg
+    link_center: np.ndarray  # (3, 3, L, 1) m: [link, component], link frame
+    link_inertia: np.ndarray  # (3, 3, 3, L, 1) kg m^2 about the link's centre of mass, link frame
+    frame_position: np.ndarray  # (3, 3, L, 1) m: [link, component], parent frame
+    frame_rotation: np.ndarray  # (3, 3, 3, L, 1): [link, row, column]
+    foot_center: np.ndarray  # (3, L, 1) m, tibia frame
+    joint_lower: np.ndarray  # (3, L, 1) rad
+    joint_upper: np.ndarray  # (3, L, 1) rad
+    stance_position: np.ndarray  # (3, 1) m, world
+    stance_orientation: np.ndarray  # (4, 1) wxyz
+    stance_joints: np.ndarray  # (3, L, 1) rad
+
+    @property
+    def total_mass(self):
+        """Mass of base and links, (1,) kg."""
+        return self.base_mass + self.link_mass.sum((0, 1))
+
+
+def model_path(name: str) -> Path:
+    """Return the MJCF file of a robot that comes with mjx_climb.
+
+    Raises:
+        RobotError: no such robot.
+    """
+    folder = Path(str(resources.files("mjx_climb"))) / "robots"
+    path = folder / f"{name}.xml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
+        raise RobotError(f"robot: expected one of {known}, got {name!r}")
+    return path
+
+
+@functools.cache
+def load_model(name: str) -> mujoco.MjModel:
+    """Return the compiled MuJoCo model of a robot."""
+    return mujoco.MjModel.from_xml_path(str(model_path(name)))
+
+
+@functools.cache
+def load_robot(name: str) -> Robot:
+    """Return the constants of a robot, read off its MuJoCo model in the joints' zero position.
+
+    Raises:
+        RobotError: no such robot, or a model that is not a floating base with limbs of three hinges and a foot site each.
+    """
+    return robot_from_model(load_model(name), name)
+
+
+def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:
+    """Return the body ids of each limb, coxa to tibia, in the order of the model."""
+    if model.nq < 7 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
+        raise RobotError(f"{name}: expected a base on a free joint as the first body")
+    limbs = []
+    for coxa in np.flatnonzero(model.body_parentid == 1):
+        chain = [int(coxa)]
+        while len(children := np.flatnonzero(model.body_parentid == chain[-1])) == 1:
+            chain.append(int(children[0]))
+        hinges = all(
+            model.body_jntnum[b] == 1 and model.jnt_type[model.body_jntadr[b]] == mujoco.mjtJoint.mjJNT_HINGE for b in chain
+        )
+        if len(children) or len(chain) != JOINTS_PER_LIMB or not hinges:
+            raise RobotError(f"{name}: expected limbs of {JOINTS_PER_LIMB} hinges each, got body {model.body(coxa).name!r}")
+        limbs.append(chain)
+    if not limbs or model.nbody != 2 + JOINTS_PER_LIMB * len(limbs):
+        raise RobotError(f"{name}: expected a base with limbs of {JOINTS_PER_LIMB} hinges and no other bodies")
+    return limbs
+
+
+def _frame(axis: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return a rotation matrix with z along `axis` and x as near to the columns of `reference` as that allows."""
+    x = reference[:, np.argmin(np.abs(reference.T @ axis).round(6))]
+    x = x - axis * (axis @ x)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis], axis=1)
+
+
+def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
+    """Return the constants of a MuJoCo model: see `load_robot`."""
+    limbs = _limb_bodies(model, name)
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+    mujoco.mj_kinematics(model, data)
+    if np.abs(model.body_ipos[1]).max() > 1e-12:
+        raise RobotError(f"{name}: expected the base frame at the base's centre of mass, got an offset {model.body_ipos[1]}")
+
+    def inertia(body, rotation):
+        principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
+        return principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T
+
+    fields = {key: [] for key in ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")}
+    for chain in limbs:
+        parent_position, parent_rotation = np.zeros(3), np.eye(3)
+        column = {key: [] for key in fields}
+        for body in chain:
+            joint = model.body_jntadr[body]
+            position = data.xanchor[joint]
+            rotation = _frame(data.xaxis[joint], data.xmat[body].reshape(3, 3))
+            column["mass"].append(model.body_mass[body])
+            column["center"].append(rotation.T @ (data.xipos[body] - position))
+            column["inertia"].append(inertia(body, rotation))
+            column["position"].append(parent_rotation.T @ (position - parent_position))
+            column["rotation"].append(parent_rotation.T @ rotation)
+            column["lower"].append(model.jnt_range[joint, 0] if model.jnt_limited[joint] else -np.pi)
+            column["upper"].append(model.jnt_range[joint, 1] if model.jnt_limited[joint] else np.pi)
+            parent_position, parent_rotation = position, rotation
+        sites = np.flatnonzero(model.site_bodyid == chain[-1])
+        if len(sites) != 1:
+            raise RobotError(f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}")
+        column["foot"] = parent_rotation.T @ (data.site_xpos[sites[0]] - parent_position)
+        for key, value in column.items():
+            fields[key].append(np.asarray(value))
+    if model.nkey < 1:
+        raise RobotError(f"{name}: expected a keyframe with the rest stance")
+    stance = model.key_qpos[0]
+    stacked = {key: np.stack(value, axis=-1)[..., None] for key, value in fields.items()}
+    return Robot(
+        name=name,
+        limbs=tuple(model.body(chain[0]).name.split("_")[0] for chain in limbs),
+        base_mass=model.body_mass[1:2].copy(),
+        base_inertia=inertia(1, np.eye(3))[..., None],
+        link_mass=stacked["mass"],
+        link_center=stacked["center"],
+        link_inertia=stacked["inertia"],
+        frame_position=stacked["position"],
+        frame_rotation=stacked["rotation"],
+        foot_center=stacked["foot"],
+        joint_lower=stacked["lower"],
+        joint_upper=stacked["upper"],
+        stance_position=stance[:3, None].copy(),
+        stance_orientation=stance[3:7, None].copy(),
+        stance_joints=stance[7:].reshape(-1, JOINTS_PER_LIMB).T[..., None].copy(),
+    )

@@ -1,0 +1,243 @@
+"""Rollouts: one robot with full histories, or a batch with its metrics alone; jit-compiled once per shape."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from mjx_climb import compilation_cache
+from mjx_climb import metrics as metrics_module
+from mjx_climb.config import Scenario
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.parameters import Gains, Parameters, batch_last, batch_shape, parameters
+from mjx_climb.parameters import gains as gains_of
+from mjx_climb.robot import load_robot
+from mjx_climb.sample import Sample
+from mjx_climb.trajectory import Trajectory, from_samples, to_samples
+from mjx_climb.walk import Structure, advance, begin, prepare, structure
+
+Metrics = dict[str, Array]
+
+
+def _floating_dtype(tree) -> jnp.dtype:
+    """Return the precision of a tree's arrays, or the one in force where it holds plain numbers alone."""
+    arrays = [leaf for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
+    floats = [leaf for leaf in arrays if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.result_type(*floats) if floats else jnp.result_type(float)
+
+
+def _metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
+    """Walk a batch and return its metrics, with the batch axes that gains and parameters broadcast to."""
+    shape, dtype = batch_shape(gains, numbers), _floating_dtype(gains)
+    batch = math.prod(shape)
+    walk = prepare(structure, *batch_last(gains, numbers, shape, dtype))
+
+    def step(carry, index):
+        walked, total = carry
+        walked, sample = advance(walk, walked, index)
+        return (walked, metrics_module.accumulate(total, sample, walk.robot, walk.time_step)), None
+
+    start = (begin(walk, batch), metrics_module.start(batch, dtype))
+    (_, total), _ = jax.lax.scan(step, start, jnp.arange(structure.steps))
+    result = metrics_module.finish(total, walk.numbers.gravity)
+    return {name: value.reshape(shape) for name, value in result.items()}
+
+
+def _samples_of(structure: Structure, gains: Gains, numbers: Parameters) -> Sample:
+    """Walk one robot and return every sample, stacked over time."""
+    walk = prepare(structure, *batch_last(gains, numbers, (), _floating_dtype(gains)))
+    return jax.lax.scan(functools.partial(advance, walk), begin(walk, 1), jnp.arange(structure.steps))[1]
+
+
+_compiled_metrics = jax.jit(_metrics_of, static_argnums=0)
+_compiled_samples = jax.jit(_samples_of, static_argnums=0)
+
+
+def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE) -> Callable[..., Metrics]:
+    """Return a pure function `f(gains, parameters=None) -> metrics` for `jit`, `vmap`, `jvp` and `jacfwd`.
+
+    Arguments:
+        scenario: what walks where; its control gains are not used, its other numbers are the default parameters.
+        engine: the dynamics, one of `mjx_climb.ENGINES`.
+
+    Returns:
+        A function of `Gains` (and `Parameters`) with any leading batch axes, in the precision of the gains. It gives a
+        dict of arrays with those batch axes, named and in units as `mjx_climb.METRICS` says. A batch axis in the gains
+        is faster than `vmap`: it stays contiguous. NaN stands for what is not defined: `detached_at` while all limbs hold
+        (`detached_limb` is then -1, else the index of the limb), and everything but `diverged` where the state stopped
+        being finite.
+    """
+    shape = structure(scenario, engine)
+
+    def simulate(gains: Gains, numbers: Parameters | None = None) -> Metrics:
+        dtype = _floating_dtype(gains)
+        gains = jax.tree.map(lambda value: jnp.asarray(value, dtype), gains)
+        return _metrics_of(shape, gains, parameters(scenario, dtype) if numbers is None else numbers)
+
+    return simulate
+
+
+def _cast(tree, dtype):
+    return jax.tree.map(lambda value: np.asarray(value, dtype), tree)
+
+
+def rollout(
+    scenario: Scenario,
+    gains: Gains | None = None,
+    numbers: Parameters | None = None,
+    *,
+    dtype=np.float64,
+    engine: str = DEFAULT_ENGINE,
+) -> Trajectory:
+    """Walk one robot through a scenario and return the full time histories.
+
+    Arguments:
+        scenario: what walks where, under which controller and disturbance.
+        gains: of the admittance law; the scenario's own where None.
+        numbers: parameters in place of the scenario's, unbatched.
+        dtype: precision of the simulation; float64 needs no setting of JAX's.
+        engine: the dynamics, one of `mjx_climb.ENGINES`.
+
+    Raises:
+        ValueError: batched gains or parameters (see `rollout_metrics`).
+    """
+    gains, numbers = _given(scenario, gains, numbers, dtype)
+    if batch_shape(gains, numbers) != ():
+        raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
+    compilation_cache.enable()
+    with jax.enable_x64(np.dtype(dtype) == np.float64):
+        samples = _compiled_samples(structure(scenario, engine), gains, numbers)
+        samples = jax.tree.map(np.asarray, samples)
+    return from_samples(samples, scenario, gains, load_robot(scenario.robot).limbs)
+
+
+def _given(scenario, gains, numbers, dtype) -> tuple[Gains, Parameters]:
+    """Return gains and parameters as numpy arrays, the scenario's own where None is given."""
+    with jax.enable_x64(True):
+        gains = gains_of(scenario) if gains is None else gains
+        numbers = parameters(scenario) if numbers is None else numbers
+        return _cast(gains, dtype), _cast(numbers, dtype)
+
+
+def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
+    """Return the metrics of one walk: the numbers of `mjx_climb.METRICS`, in their units.
+
+    `detached_at` and `detached_limb` (a name) are None while all limbs hold; where the state stopped being finite
+    everything but `diverged` is None, as is what is not defined.
+    """
+    robot = load_robot(trajectory.scenario.robot)
+    samples = to_samples(trajectory)
+    dtype = samples.base_position.dtype
+    with jax.enable_x64(dtype == np.float64):
+        robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
+        total = _accumulated(samples, robot, trajectory.scenario.time_step)
+        gravity = jnp.asarray(trajectory.scenario.gravity, dtype)[:, None]
+        values = {name: value.item() for name, value in metrics_module.finish(total, gravity).items()}
+    return named(values, trajectory.limbs)
+
+
+@jax.jit
+def _accumulated(samples, robot, time_step):
+    dtype = samples.base_position.dtype
+    step = lambda total, sample: (metrics_module.accumulate(total, sample, robot, time_step), None)  # noqa: E731
+    return jax.lax.scan(step, metrics_module.start(1, dtype), samples)[0]
+
+
+def named(values: dict, limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
+    """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
+    result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
+    result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
+    return result
+
+
+def rollout_metrics(
+    scenario: Scenario,
+    gains: Gains | None = None,
+    numbers: Parameters | None = None,
+    *,
+    dtype=np.float32,
+    batch_size: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> dict[str, np.ndarray]:
+    """Walk a batch of robots and return their metrics; memory does not grow with time.
+
+    Arguments:
+        scenario: what walks where.
+        gains: with leading batch axes, `Gains(damping=(..., 6), ...)`; the scenario's own where None.
+        numbers: parameters with leading batch axes that broadcast with the gains'.
+        dtype: precision of the simulation.
+        batch_size: walk at most so many robots at a time, by one compiled program; all at once where None.
+        progress: called with the number of robots that have walked and the number in all, after each part.
+        engine: the dynamics, one of `mjx_climb.ENGINES`.
+
+    Returns:
+        Arrays with the batch axes of gains and parameters, named as in `mjx_climb.METRICS`; NaN and -1 as `simulator` says.
+    """
+    gains, numbers = _given(scenario, gains, numbers, dtype)
+    shape = batch_shape(gains, numbers)
+    count = math.prod(shape)
+    size = min(batch_size or count, count)
+    gains, numbers = _flattened(gains, numbers, shape)
+    compilation_cache.enable()
+    parts = []
+    with jax.enable_x64(np.dtype(dtype) == np.float64):
+        for start in range(0, count, size):
+            # the last part is filled up with its last robot, so that every part has the shape that was compiled
+            rows = np.minimum(np.arange(start, start + size), count - 1)
+            part = _compiled_metrics(structure(scenario, engine), *_rows(gains, numbers, rows, count))
+            parts.append(jax.tree.map(lambda value: np.asarray(value)[: count - start], part))
+            if progress is not None:
+                progress(min(start + size, count), count)
+    return {name: np.concatenate([part[name] for part in parts]).reshape(shape) for name in parts[0]}
+
+
+def _natural_ndim(tree) -> dict[str, int]:
+    if isinstance(tree, Parameters):
+        return {field.name: field.metadata["ndim"] for field in dataclasses.fields(tree)}
+    return {"inertia": 1, "damping": 1, "stiffness": 1, "kp": 0, "kd": 0}
+
+
+def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tuple[Gains, Parameters]:
+    """Return both with one batch axis wherever they vary."""
+
+    def flat(tree):
+        changes = {}
+        for name, ndim in _natural_ndim(tree).items():
+            value = getattr(tree, name)
+            if value is None:
+                continue
+            value = np.broadcast_to(value, (1,)) if ndim == 1 and value.ndim == 0 else value
+            lead, tail = value.shape[: value.ndim - ndim], value.shape[value.ndim - ndim :]
+            if math.prod(lead) > 1:
+                value = np.broadcast_to(value, (*shape, *tail)).reshape(-1, *tail)
+            else:
+                value = value.reshape(tail)
+            changes[name] = value
+        return dataclasses.replace(tree, **changes)
+
+    return flat(gains), flat(numbers)
+
+
+def _rows(gains: Gains, numbers: Parameters, rows: np.ndarray, count: int) -> tuple[Gains, Parameters]:
+    """Return some environments of flattened gains and parameters; the gains always carry the batch axis."""
+
+    def taken(tree, always):
+        changes = {}
+        for name, ndim in _natural_ndim(tree).items():
+            value = getattr(tree, name)
+            if value is None:
+                continue
+            if value.ndim > ndim:
+                changes[name] = value[rows]
+            elif always and ndim:
+                changes[name] = np.broadcast_to(value, (len(rows), *value.shape))
+        return dataclasses.replace(tree, **changes)
+
+    return taken(gains, True), taken(numbers, False)

@@ -1,0 +1,97 @@
+"""Vectors, rotations and quaternions with their components on the leading axis.
+
+A vector is `(3, ...)`, a rotation matrix `(3, 3, ...)` (row, column), a quaternion `(4, ...)` in the order wxyz.
+Trailing axes (limbs, batch) stay contiguous and broadcast, so every function here is elementwise over them.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return the scalar product over the leading axis."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the vector product over the leading axis."""
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def norm(a: Array) -> Array:
+    """Return the Euclidean length over the leading axis, with derivative zero at the zero vector."""
+    square = jnp.sum(a * a, axis=0)
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def rotate(matrix: Array, vector: Array) -> Array:
+    """Return `matrix @ vector`."""
+    return matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
+
+
+def rotate_back(matrix: Array, vector: Array) -> Array:
+    """Return `matrix.T @ vector`."""
+    return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])
+
+
+def compose(first: Array, second: Array) -> Array:
+    """Return the matrix product `first @ second`."""
+    return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
+
+
+def rotation_about_z(angle: Array) -> Array:
+    """Return the rotation matrix about z, `(3, 3, ...)`, for an angle in rad."""
+    c, s, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
+    return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, zero + 1])])
+
+
+def quaternion_to_matrix(quaternion: Array) -> Array:
+    """Return the rotation matrix of a unit quaternion wxyz."""
+    w, x, y, z = quaternion
+    return jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def quaternion_multiply(a: Array, b: Array) -> Array:
+    """Return the Hamilton product of two quaternions wxyz."""
+    return jnp.stack(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
+
+
+def quaternion_conjugate(quaternion: Array) -> Array:
+    """Return the inverse of a unit quaternion wxyz."""
+    return jnp.concatenate([quaternion[:1], -quaternion[1:]])
+
+
+def quaternion_normalize(quaternion: Array) -> Array:
+    """Return the quaternion scaled to unit length."""
+    return quaternion / jnp.sqrt(jnp.sum(quaternion * quaternion, axis=0))
+
+
+def quaternion_from_rotation_vector(vector: Array) -> Array:
+    """Return the quaternion wxyz of a rotation vector in rad, smooth through zero."""
+    square = jnp.sum(vector * vector, axis=0)
+    small = square < 1e-6
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    # sin(a/2)/a to seventh order in a: exact to rounding below a = 1e-3
+    scale = jnp.where(small, 0.5 - square / 48 + square**2 / 3840, jnp.sin(angle / 2) / angle)
+    real = jnp.where(small, 1 - square / 8 + square**2 / 384, jnp.cos(angle / 2))
+    return jnp.concatenate([real[None], scale * vector])
+
+
+def quaternion_about_z(angle: Array) -> Array:
+    """Return the quaternion wxyz of a rotation about z by an angle in rad."""
+    zero = jnp.zeros_like(angle)
+    return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])

@@ -1,0 +1,73 @@
+"""The mechanical state and its time derivative, in both layouts."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from mjx_climb.robot import JOINTS_PER_LIMB
+from mjx_climb.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_normalize
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class State:
+    """Configuration and velocity of the robot; any leading batch axes, the same for every field."""
+
+    base_position: Float[Array, "*batch 3"]  # m, world, of the base's centre of mass
+    base_orientation: Float[Array, "*batch 4"]  # unit quaternion wxyz, base to world
+    base_linear_velocity: Float[Array, "*batch 3"]  # m/s, world axes
+    base_angular_velocity: Float[Array, "*batch 3"]  # rad/s, world axes
+    joint_angles: Float[Array, "*batch joints"]  # rad, limb after limb, coxa, femur, tibia
+    joint_rates: Float[Array, "*batch joints"]  # rad/s
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Acceleration:
+    """What the equations of motion give; leading batch axes as in the state."""
+
+    base_linear: Float[Array, "*batch 3"]  # m/s^2, world axes, of the base's centre of mass
+    base_angular: Float[Array, "*batch 3"]  # rad/s^2, world axes
+    joints: Float[Array, "*batch joints"]  # rad/s^2
+
+
+def joints_to_limbs(joints: Array) -> Array:
+    """Turn joint values (B, 3 L) into the layout of the hot path, (3, L, B)."""
+    return jnp.moveaxis(joints.reshape(joints.shape[0], -1, JOINTS_PER_LIMB), (0, 1, 2), (2, 1, 0))
+
+
+def limbs_to_joints(limbs: Array) -> Array:
+    """Turn joint values (3, L, B) of the hot path into (B, 3 L)."""
+    return jnp.moveaxis(limbs, (0, 1, 2), (2, 1, 0)).reshape(limbs.shape[2], -1)
+
+
+def batch_last(state: State) -> State:
+    """Turn a state with one leading batch axis into the layout of the hot path: (3, B), (4, B), joints (3, L, B)."""
+    moved = {
+        field.name: joints_to_limbs(value) if field.name.startswith("joint") else jnp.moveaxis(value, 0, -1)
+        for field in dataclasses.fields(state)
+        for value in [getattr(state, field.name)]
+    }
+    return State(**moved)
+
+
+def integrate(state: State, acceleration: Acceleration, time_step: float) -> State:
+    """Advance a state by one step of semi-implicit Euler: velocities first, positions with the new velocities.
+
+    The orientation turns by the exponential of the new angular velocity, so its length stays one. Layout of the hot path.
+    """
+    linear = state.base_linear_velocity + time_step * acceleration.base_linear
+    angular = state.base_angular_velocity + time_step * acceleration.base_angular
+    rates = state.joint_rates + time_step * acceleration.joints
+    turn = quaternion_from_rotation_vector(time_step * angular)
+    return State(
+        base_position=state.base_position + time_step * linear,
+        base_orientation=quaternion_normalize(quaternion_multiply(turn, state.base_orientation)),
+        base_linear_velocity=linear,
+        base_angular_velocity=angular,
+        joint_angles=state.joint_angles + time_step * rates,
+        joint_rates=rates,
+    )

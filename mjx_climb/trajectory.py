@@ -1,0 +1,79 @@
+"""The full time histories of one robot's walk."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from mjx_climb.config import Scenario
+from mjx_climb.parameters import Gains
+from mjx_climb.sample import Sample
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """One walk, sampled at every time step; SI units, world axes, limbs in the order of the robot.
+
+    A row holds the state at `time`, and the forces and accelerations that act in the step from there.
+    """
+
+    scenario: Scenario
+    gains: Gains
+    limbs: tuple[str, ...]
+    time: Float[np.ndarray, " time"]  # s
+    base_position: Float[np.ndarray, "time 3"]  # m, of the base's centre of mass
+    base_orientation: Float[np.ndarray, "time 4"]  # wxyz
+    base_linear_velocity: Float[np.ndarray, "time 3"]  # m/s
+    base_angular_velocity: Float[np.ndarray, "time 3"]  # rad/s
+    base_linear_acceleration: Float[np.ndarray, "time 3"]  # m/s^2
+    base_angular_acceleration: Float[np.ndarray, "time 3"]  # rad/s^2
+    joint_angles: Float[np.ndarray, "time limb joint"]  # rad
+    joint_rates: Float[np.ndarray, "time limb joint"]  # rad/s
+    joint_accelerations: Float[np.ndarray, "time limb joint"]  # rad/s^2
+    joint_targets: Float[np.ndarray, "time limb joint"]  # rad
+    joint_torque: Float[np.ndarray, "time limb joint"]  # N m
+    foot_position: Float[np.ndarray, "time limb 3"]  # m
+    foot_velocity: Float[np.ndarray, "time limb 3"]  # m/s
+    foot_target: Float[np.ndarray, "time limb 3"]  # m
+    foot_force: Float[np.ndarray, "time limb 3"]  # N, of the ground on the foot
+    grip_point: Float[np.ndarray, "time limb 3"]  # m
+    support: Bool[np.ndarray, "time limb"]  # the gripper is shut and holds
+    contact: Bool[np.ndarray, "time limb"]  # the ground acts on the foot
+    detached: Bool[np.ndarray, "time limb"]  # the gripper was torn off before
+    torn_off: Bool[np.ndarray, "time limb"]  # it is torn off in this step
+    reachable: Bool[np.ndarray, "time limb"]  # the foot target was within reach
+    base_reference: Float[np.ndarray, "time 3"]  # m, where the gait wants the base
+    base_displacement: Float[np.ndarray, "time 6"]  # m, rad: shift by the control law, axes of the reference
+    base_wrench: Float[np.ndarray, "time 6"]  # N, N m: J_b^T F_e
+    push: Float[np.ndarray, "time 6"]  # N, N m, on the base from outside
+    cargo_mass: Float[np.ndarray, " time"]  # kg
+    center_of_mass: Float[np.ndarray, "time 3"]  # m, robot and cargo
+    tsm: Float[np.ndarray, " time"]  # m
+    gia_margin: Float[np.ndarray, " time"]  # m/s^2
+
+
+def from_samples(samples: Sample, scenario: Scenario, gains: Gains, limbs: tuple[str, ...]) -> Trajectory:
+    """Return the trajectory of samples stacked over time, (T, ..., 1) in the layout of the hot path."""
+
+    def public(value):
+        value = np.asarray(value)
+        if value.ndim == 1:
+            return value
+        return np.swapaxes(value[..., 0], 1, 2) if value.ndim == 4 else value[..., 0]
+
+    return Trajectory(scenario, gains, limbs, **{name: public(value) for name, value in samples._asdict().items()})
+
+
+def to_samples(trajectory: Trajectory) -> Sample:
+    """Return the samples of a trajectory, stacked over time in the layout of the hot path: (T, ..., 1)."""
+
+    def hot(name):
+        value = getattr(trajectory, name)
+        if name == "time":
+            return value
+        return (np.swapaxes(value, 1, 2) if value.ndim == 3 else value)[..., None]
+
+    samples = {name: hot(name) for name in Sample._fields}
+    for name in ("support", "contact", "detached", "torn_off", "reachable"):
+        samples[name] = np.asarray(getattr(trajectory, name))[..., None]
+    return Sample(**samples)

@@ -1,0 +1,190 @@
+"""One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb import disturbance, gait
+from mjx_climb.config import Scenario
+from mjx_climb.contact import Contact, grip
+from mjx_climb.control import LAWS, Law, Measurement, Reference
+from mjx_climb.control.joint_loop import joint_torque
+from mjx_climb.dynamics import ENGINES, ForwardDynamics
+from mjx_climb.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
+from mjx_climb.parameters import Gains, Parameters
+from mjx_climb.robot import Robot, load_robot
+from mjx_climb.sample import Sample
+from mjx_climb.spatial import norm, quaternion_to_matrix, rotate_back
+from mjx_climb.stability import gia_margin, net_external_wrench, tumble_stability_margin
+from mjx_climb.state import State, integrate
+
+
+class Structure(NamedTuple):
+    """What a compiled walk depends on, numbers apart; hashable."""
+
+    robot: str
+    engine: str
+    controller: str
+    reading: str
+    sequence: tuple[str, ...]
+    follow_base: bool
+    steps: int
+    time_step: float
+
+
+class Walk(NamedTuple):
+    """What stays the same from step to step."""
+
+    robot: Robot
+    geometry: LimbGeometry
+    numbers: Parameters
+    plan: gait.Plan
+    law: Law
+    forward_dynamics: ForwardDynamics
+    time_step: float
+    follow_base: bool
+
+
+class Carry(NamedTuple):
+    """What goes from one step to the next."""
+
+    state: State
+    contact: Contact
+    gait: gait.Memory
+    law: Any
+
+
+def structure(scenario: Scenario, engine: str) -> Structure:
+    """Return what a compiled walk of the scenario depends on beside its numbers."""
+    return Structure(
+        robot=scenario.robot,
+        engine=engine,
+        controller=scenario.control.controller,
+        reading=scenario.control.reading,
+        sequence=scenario.gait.sequence,
+        follow_base=scenario.gait.base_reference == "actual",
+        steps=scenario.steps,
+        time_step=scenario.time_step,
+    )
+
+
+def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
+    """Return the walk for gains (6, B) and numbers (..., B): every choice by name is made here, once."""
+    dtype = gains.stiffness.dtype
+    constants = load_robot(structure.robot)
+    robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
+    stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
+    feet = robot.stance_position[:, None] + stance.foot
+    return Walk(
+        robot=robot,
+        geometry=geometry,
+        numbers=numbers,
+        plan=gait.plan(robot, feet, numbers, structure.sequence, structure.time_step),
+        law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
+        forward_dynamics=ENGINES[structure.engine](robot),
+        time_step=structure.time_step,
+        follow_base=structure.follow_base,
+    )
+
+
+def begin(walk: Walk, batch: int) -> Carry:
+    """Return the rest stance with all grippers shut."""
+    dtype = walk.plan.base_start.dtype
+
+    def each(value: Array) -> Array:
+        return jnp.broadcast_to(jnp.asarray(value, dtype), (*value.shape[:-1], batch))
+
+    joints, position = each(walk.robot.stance_joints), each(walk.plan.base_start)
+    feet = each(walk.plan.footholds)
+    shut = jnp.ones(feet.shape[1:], bool)
+    still = jnp.zeros_like(position)
+    return Carry(
+        state=State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints)),
+        contact=Contact(grip_point=feet, closed=shut, touching=shut, detached=~shut),
+        gait=gait.Memory(lift_off=feet, cycle_base=position),
+        law=walk.law.initial,
+    )
+
+
+def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
+    """Return the walk one time step later, and all that is known about this step."""
+    robot, numbers, state = walk.robot, walk.numbers, carry.state
+    rotation = quaternion_to_matrix(state.base_orientation)
+    frames = limb_frames(robot, rotation, state.joint_angles)
+    feet = foot_kinematics(frames, state)
+
+    now = gait.schedule(walk.plan, step)
+    contact, held = grip(carry.contact, feet, now.closed, numbers)
+    wrench = base_wrench_of_foot_force(feet.lever, held.force)
+
+    memory = gait.remember(
+        walk.plan, carry.gait, now, contact.grip_point, state.base_position, follow_base=walk.follow_base
+    )
+    reference = Reference(
+        base_position=gait.base_reference(walk.plan, memory, now),
+        base_orientation=walk.plan.base_orientation,
+        foot_position=gait.foot_targets(walk.plan, memory, now, contact.grip_point),
+    )
+    measurement = Measurement(
+        state.base_position,
+        state.base_orientation,
+        state.base_linear_velocity,
+        state.base_angular_velocity,
+        held.force,
+        wrench,
+        held.support,
+    )
+    law_state, command = walk.law.command(carry.law, measurement, reference)
+    target_rotation = quaternion_to_matrix(command.base_orientation)
+    target = rotate_back(target_rotation[:, :, None], command.foot_position - command.base_position[:, None])
+    joints = inverse_kinematics(walk.geometry, target)
+    torque = joint_torque(numbers, joints.joint_angles, state.joint_angles, state.joint_rates)
+
+    cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
+    push = disturbance.push(numbers, step, walk.time_step)
+    acceleration = walk.forward_dynamics(state, torque, held.force, push, cargo, numbers.gravity)
+
+    mass = robot.total_mass + cargo
+    com = center_of_mass(robot, frames, state.base_position, cargo)
+    net_force, net_moment = net_external_wrench(feet.position, held.force, state.base_position, push)
+    # a gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet
+    holding = jnp.where(jnp.isfinite(numbers.holding_limit), numbers.holding_limit, 0.0)
+    sample = Sample(
+        time=step * jnp.asarray(walk.time_step, com.dtype),
+        base_position=state.base_position,
+        base_orientation=state.base_orientation,
+        base_linear_velocity=state.base_linear_velocity,
+        base_angular_velocity=state.base_angular_velocity,
+        base_linear_acceleration=acceleration.base_linear,
+        base_angular_acceleration=acceleration.base_angular,
+        joint_angles=state.joint_angles,
+        joint_rates=state.joint_rates,
+        joint_accelerations=acceleration.joints,
+        joint_targets=joints.joint_angles,
+        joint_torque=torque,
+        foot_position=feet.position,
+        foot_velocity=feet.velocity,
+        foot_target=command.foot_position,
+        foot_force=held.force,
+        grip_point=contact.grip_point,
+        support=held.support,
+        contact=contact.touching,
+        detached=carry.contact.detached,
+        torn_off=held.torn_off,
+        reachable=joints.reachable,
+        base_reference=reference.base_position,
+        base_displacement=command.base_displacement,
+        base_wrench=wrench,
+        push=push,
+        cargo_mass=cargo,
+        center_of_mass=com,
+        tsm=tumble_stability_margin(
+            feet.position, held.support, net_force, net_moment, mass, norm(numbers.gravity), holding
+        ),
+        gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
+    )
+    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state)
+    return after, sample
