@@ -46,7 +46,9 @@ def grip(contact: Contact, feet: Feet, closed: Array, numbers: Parameters) -> tu
     fresh = touching & ~contact.touching
     below = jnp.stack([feet.position[0], feet.position[1], ground])
     grip_point = jnp.where(fresh, below, contact.grip_point)
-    spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
+    spring_damper = (
+        -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
+    )
     force = jnp.where(touching, spring_damper, 0.0)
     torn_off = support & (force[2] < 0) & (norm(force) > numbers.holding_limit)
     after = Contact(grip_point, closed, touching, contact.detached | torn_off)

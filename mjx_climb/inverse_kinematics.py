@@ -49,7 +49,9 @@ def limb_geometry(robot: Robot) -> LimbGeometry:
         femur_axis = rotation[1][:, 2]  # in the coxa's frame
         tibia_axis = rotation[1] @ rotation[2][:, 2]
         if abs(femur_axis[2]) > _PARALLEL or np.linalg.norm(np.cross(femur_axis, tibia_axis)) > _PARALLEL:
-            raise RobotError(f"{robot.name}: limb {name} needs femur and tibia axes parallel, at right angles to the coxa's")
+            raise RobotError(
+                f"{robot.name}: limb {name} needs femur and tibia axes parallel, at right angles to the coxa's"
+            )
         knee = position[1] + rotation[1] @ position[2]
         foot = knee + rotation[1] @ rotation[2] @ np.asarray(robot.foot_center)[:, limb, 0]
         outward = np.cross([0.0, 0.0, 1.0], femur_axis)
@@ -96,7 +98,9 @@ def inverse_kinematics(geometry: LimbGeometry, foot: Array) -> JointSolution:
     horizontal = local[0] ** 2 + local[1] ** 2 - geometry.lateral**2
     out = _safe_sqrt(horizontal, tiny)
     on_axis = local[0] ** 2 + local[1] ** 2 < tiny
-    coxa = jnp.arctan2(jnp.where(on_axis, 0.0, local[1]), jnp.where(on_axis, 1.0, local[0])) - jnp.arctan2(geometry.lateral, out)
+    coxa = jnp.arctan2(jnp.where(on_axis, 0.0, local[1]), jnp.where(on_axis, 1.0, local[0])) - jnp.arctan2(
+        geometry.lateral, out
+    )
 
     x, z = out - geometry.femur_out, local[2] - geometry.femur_up
     a, b = geometry.femur_length, geometry.tibia_length
@@ -114,5 +118,7 @@ def inverse_kinematics(geometry: LimbGeometry, foot: Array) -> JointSolution:
     femur = geometry.femur_sign * (line - geometry.femur_angle)
     tibia = geometry.tibia_sign * (knee + geometry.femur_angle - geometry.tibia_angle)
     angles = jnp.stack([coxa, femur, tibia])
-    wrapped = jnp.where(angles > jnp.pi, angles - 2 * jnp.pi, jnp.where(angles <= -jnp.pi, angles + 2 * jnp.pi, angles))
+    wrapped = jnp.where(
+        angles > jnp.pi, angles - 2 * jnp.pi, jnp.where(angles <= -jnp.pi, angles + 2 * jnp.pi, angles)
+    )
     return JointSolution(wrapped, within & (horizontal > tiny))

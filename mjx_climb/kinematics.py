@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.robot import Robot
-from mjx_climb.state import State
 from mjx_climb.spatial import compose, cross, dot, rotate
+from mjx_climb.state import State
 
 
 class LimbFrames(NamedTuple):

@@ -91,7 +91,8 @@ def accumulate(total: Accumulator, sample: Sample, robot: Robot, time_step: floa
         steps=total.steps + 1,
         peak_foot_force=jnp.maximum(total.peak_foot_force, largest),
         largest_foot_force=largest,
-        force_variation=total.force_variation + jnp.where(first, 0.0, jnp.abs(largest - total.largest_foot_force)),
+        force_variation=total.force_variation
+        + jnp.where(first, 0.0, jnp.abs(largest - total.largest_foot_force)),
         peak_pull_force=jnp.maximum(total.peak_pull_force, jnp.where(pulling, force, 0.0).max(0)),
         peak_joint_torque=jnp.maximum(total.peak_joint_torque, jnp.abs(sample.joint_torque).max((0, 1))),
         work=total.work + power * time_step,
@@ -120,7 +121,9 @@ def finish(total: Accumulator, gravity: Array) -> dict[str, Array]:
     defined = weight_travel > 0
     values = {name: getattr(total, name) for name in METRICS if hasattr(total, name)}
     values["travel"] = travel
-    values["cost_of_transport"] = jnp.where(defined, total.work / jnp.where(defined, weight_travel, 1.0), jnp.nan)
+    values["cost_of_transport"] = jnp.where(
+        defined, total.work / jnp.where(defined, weight_travel, 1.0), jnp.nan
+    )
     values["diverged"] = ~total.finite
     result = {}
     for name in METRICS:

@@ -97,7 +97,9 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
 def gains(scenario: Scenario) -> Gains:
     """Return the admittance gains that the scenario's own control section gives."""
     control = scenario.control
-    return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
+    return Gains(
+        *(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness))
+    )
 
 
 def batch_shape(gains: Gains, parameters: Parameters) -> tuple[int, ...]:

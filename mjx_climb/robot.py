@@ -95,13 +95,18 @@ def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:
         while len(children := np.flatnonzero(model.body_parentid == chain[-1])) == 1:
             chain.append(int(children[0]))
         hinges = all(
-            model.body_jntnum[b] == 1 and model.jnt_type[model.body_jntadr[b]] == mujoco.mjtJoint.mjJNT_HINGE for b in chain
+            model.body_jntnum[b] == 1 and model.jnt_type[model.body_jntadr[b]] == mujoco.mjtJoint.mjJNT_HINGE
+            for b in chain
         )
         if len(children) or len(chain) != JOINTS_PER_LIMB or not hinges:
-            raise RobotError(f"{name}: expected limbs of {JOINTS_PER_LIMB} hinges each, got body {model.body(coxa).name!r}")
+            raise RobotError(
+                f"{name}: expected limbs of {JOINTS_PER_LIMB} hinges each, got body {model.body(coxa).name!r}"
+            )
         limbs.append(chain)
     if not limbs or model.nbody != 2 + JOINTS_PER_LIMB * len(limbs):
-        raise RobotError(f"{name}: expected a base with limbs of {JOINTS_PER_LIMB} hinges and no other bodies")
+        raise RobotError(
+            f"{name}: expected a base with limbs of {JOINTS_PER_LIMB} hinges and no other bodies"
+        )
     return limbs
 
 
@@ -121,13 +126,17 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
     data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
     mujoco.mj_kinematics(model, data)
     if np.abs(model.body_ipos[1]).max() > 1e-12:
-        raise RobotError(f"{name}: expected the base frame at the base's centre of mass, got an offset {model.body_ipos[1]}")
+        raise RobotError(
+            f"{name}: expected the base frame at the base's centre of mass, got an offset {model.body_ipos[1]}"
+        )
 
     def inertia(body, rotation):
         principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
         return principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T
 
-    fields = {key: [] for key in ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")}
+    fields = {
+        key: [] for key in ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")
+    }
     for chain in limbs:
         parent_position, parent_rotation = np.zeros(3), np.eye(3)
         column = {key: [] for key in fields}
@@ -145,7 +154,9 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             parent_position, parent_rotation = position, rotation
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
         if len(sites) != 1:
-            raise RobotError(f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}")
+            raise RobotError(
+                f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}"
+            )
         column["foot"] = parent_rotation.T @ (data.site_xpos[sites[0]] - parent_position)
         for key, value in column.items():
             fields[key].append(np.asarray(value))

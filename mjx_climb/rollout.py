@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -151,7 +150,10 @@ def _accumulated(samples, robot, time_step):
 
 def named(values: dict, limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
     """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
-    result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
+    result = {
+        name: None if isinstance(value, float) and math.isnan(value) else value
+        for name, value in values.items()
+    }
     result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
     return result
 

@@ -75,7 +75,9 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     """Return the walk for gains (6, B) and numbers (..., B): every choice by name is made here, once."""
     dtype = gains.stiffness.dtype
     constants = load_robot(structure.robot)
-    robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
+    robot, geometry = jax.tree.map(
+        lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants))
+    )
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
     return Walk(
@@ -105,7 +107,7 @@ def begin(walk: Walk, batch: int) -> Carry:
         state=State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints)),
         contact=Contact(grip_point=feet, closed=shut, touching=shut, detached=~shut),
         gait=gait.Memory(lift_off=feet, cycle_base=position),
-        law=walk.law.initial,
+        law=jax.tree.map(each, walk.law.initial),
     )
 
 
@@ -187,4 +189,5 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
     )
     after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state)
-    return after, sample
+    # what all environments share (a gait of one timing, say) has a batch axis of one until here
+    return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry), sample

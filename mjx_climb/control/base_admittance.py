@@ -60,7 +60,9 @@ def build_measured_pose(gains: Gains, time_step: float) -> Law:
 
     def command(state, measurement: Measurement, reference: Reference):
         rotation = quaternion_to_matrix(reference.base_orientation)
-        turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measurement.base_orientation)
+        turn = quaternion_multiply(
+            quaternion_conjugate(reference.base_orientation), measurement.base_orientation
+        )
         turn = jnp.where(turn[0] < 0, -turn, turn)
         offset = jnp.concatenate(
             [rotate_back(rotation, measurement.base_position - reference.base_position), 2 * turn[1:]]

@@ -28,4 +28,7 @@ def build(gains: Gains, time_step: float) -> Law:
         target = reference.foot_position + rotate(rotation, state.displacement)
         return state, Command(reference.base_position, reference.base_orientation, target, no_shift)
 
-    return Law(initial=rest(jnp.broadcast_to(translations.stiffness, (3, _LIMBS, no_shift.shape[1]))), command=command)
+    return Law(
+        initial=rest(jnp.broadcast_to(translations.stiffness, (3, _LIMBS, no_shift.shape[1]))),
+        command=command,
+    )

@@ -7,10 +7,15 @@ import jax.numpy as jnp
 from mujoco import mjx
 from mujoco.mjx._src import smooth
 
-from mjx_climb.kinematics import base_wrench_of_foot_force, foot_kinematics, joint_torque_of_foot_force, limb_frames
+from mjx_climb.kinematics import (
+    base_wrench_of_foot_force,
+    foot_kinematics,
+    joint_torque_of_foot_force,
+    limb_frames,
+)
 from mjx_climb.robot import Robot, load_model
 from mjx_climb.spatial import quaternion_to_matrix, rotate, rotate_back
-from mjx_climb.state import Acceleration, State, limbs_to_joints, joints_to_limbs
+from mjx_climb.state import Acceleration, State, joints_to_limbs, limbs_to_joints
 
 _BASE = 1
 
@@ -54,7 +59,9 @@ def build(robot: Robot):
         wrench = base_wrench + base_wrench_of_foot_force(feet.lever, foot_force)
         joint_force = torque + joint_torque_of_foot_force(feet, foot_force)
         # MuJoCo's free joint: linear velocity in world axes, angular velocity in the body's own
-        qpos = jnp.concatenate([state.base_position, state.base_orientation, limbs_to_joints(state.joint_angles).T])
+        qpos = jnp.concatenate(
+            [state.base_position, state.base_orientation, limbs_to_joints(state.joint_angles).T]
+        )
         qvel = jnp.concatenate(
             [
                 state.base_linear_velocity,
@@ -62,7 +69,9 @@ def build(robot: Robot):
                 limbs_to_joints(state.joint_rates).T,
             ]
         )
-        force = jnp.concatenate([wrench[:3], rotate_back(rotation, wrench[3:]), limbs_to_joints(joint_force).T])
+        force = jnp.concatenate(
+            [wrench[:3], rotate_back(rotation, wrench[3:]), limbs_to_joints(joint_force).T]
+        )
         batch = qpos.shape[-1]
         cargo_mass = jnp.broadcast_to(cargo_mass, (batch,))
         gravity = jnp.broadcast_to(gravity, (3, batch))
