@@ -71,9 +71,7 @@ Number = Annotated[_Finite, _expects("a finite number")]
 Positive = Annotated[_Finite, Field(gt=0), _expects("a finite number above 0")]
 NonNegative = Annotated[_Finite, Field(ge=0), _expects("a finite number, 0 or above")]
 Duty = Annotated[_Finite, Field(ge=0.75, lt=1), _expects("a number from 0.75 to below 1")]
-Angle = Annotated[
-    _Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an angle in rad between -2 pi and 2 pi")
-]
+Angle = Annotated[_Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an angle in rad between -2 pi and 2 pi")]
 Limit = Annotated[NonNegative | None, _expects("a finite number, 0 or above, or null")]
 Vector = Annotated[tuple[_Finite, _Finite, _Finite], _expects("a list of three finite numbers")]
 Gain = Annotated[
@@ -100,14 +98,10 @@ class Gait(_Section):
     """Periodic crawl with one limb in the air at a time."""
 
     cycle: Positive = Field(default=4.0, description="period of the gait, s; a whole number of time steps")
-    duty: Duty = Field(
-        default=0.75, description="share of the cycle that each limb is gripped, 1; 0.75 to below 1"
-    )
+    duty: Duty = Field(default=0.75, description="share of the cycle that each limb is gripped, 1; 0.75 to below 1")
     stride: NonNegative = Field(default=0.05, description="way of the base per cycle, m")
     step_height: Positive = Field(default=0.03, description="height of a swing foot's arc over the ground, m")
-    sequence: Sequence4 = Field(
-        default=("LH", "LF", "RH", "RF"), description="order in which the limbs swing"
-    )
+    sequence: Sequence4 = Field(default=("LH", "LF", "RH", "RF"), description="order in which the limbs swing")
     base_reference: Literal["nominal", "actual"] = Field(
         default="nominal",
         description="where each cycle's base reference starts: where planned, or where the base is",
@@ -137,12 +131,8 @@ class Control(_Section):
         description="form of Eq. 3 in discrete time: own state, or measured base motion",
     )
     inertia: Gain = Field(default=1.0, description="virtual inertia M, kg (translations), kg m^2 (rotations)")
-    damping: Gain = Field(
-        default=5.0e3, description="virtual damping D, N s/m (translations), N m s/rad (rotations)"
-    )
-    stiffness: Gain = Field(
-        default=5.0e4, description="virtual stiffness K, N/m (translations), N m/rad (rotations)"
-    )
+    damping: Gain = Field(default=5.0e3, description="virtual damping D, N s/m (translations), N m s/rad (rotations)")
+    stiffness: Gain = Field(default=5.0e4, description="virtual stiffness K, N/m (translations), N m/rad (rotations)")
     kp: Positive = Field(default=50.0, description="proportional gain of the joint loop, N m/rad")
     kd: NonNegative = Field(default=0.2, description="derivative gain of the joint loop, N m s/rad")
 
@@ -186,18 +176,14 @@ class Disturbance(_Section):
     """What happens to the robot on its way."""
 
     cargo: Cargo = Field(default=Cargo(), description="cargo on the base")
-    pushes: tuple[Push, ...] = Field(
-        default=(), description="pushes on the base; they add up where they overlap"
-    )
+    pushes: tuple[Push, ...] = Field(default=(), description="pushes on the base; they add up where they overlap")
 
 
 class Scenario(_Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
     robot: Name = Field(default="hubrobo_v3_2", description="name of the robot")
-    gravity: Vector = Field(
-        default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it"
-    )
+    gravity: Vector = Field(default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it")
     duration: Positive = Field(default=8.0, description="length of the walk, s; a whole number of time steps")
     time_step: Positive = Field(default=0.001, description="time step of the simulation, s")
     gait: Gait = Field(default=Gait(), description="how the limbs move")
@@ -230,9 +216,7 @@ class Scenario(_Section):
         return _overridden(self, overrides, "scenario")
 
 
-def load_scenario(
-    path: str | os.PathLike[str], overrides: Sequence[str] | Mapping[str, Any] = ()
-) -> Scenario:
+def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] | Mapping[str, Any] = ()) -> Scenario:
     """Read a scenario from a YAML file, then change some keys.
 
     **Arguments:**
@@ -260,18 +244,12 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         event = self.peek_event()
-        if (
-            isinstance(event, yaml.AliasEvent)
-            or getattr(event, "anchor", None)
-            or getattr(event, "tag", None)
-        ):
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) or getattr(event, "tag", None):
             raise yaml.MarkedYAMLError(
                 problem="tags, anchors and aliases are not used here", problem_mark=event.start_mark
             )
         if self.depth == MAX_NESTING:
-            raise yaml.MarkedYAMLError(
-                problem=f"nested deeper than {MAX_NESTING}", problem_mark=event.start_mark
-            )
+            raise yaml.MarkedYAMLError(problem=f"nested deeper than {MAX_NESTING}", problem_mark=event.start_mark)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -283,9 +261,7 @@ class _Loader(yaml.SafeLoader):
             if key.tag != "tag:yaml.org,2002:str":
                 raise yaml.MarkedYAMLError(problem="a key is not a word", problem_mark=key.start_mark)
             if key.value in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"key {key.value!r} comes twice", problem_mark=key.start_mark
-                )
+                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} comes twice", problem_mark=key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
@@ -317,17 +293,13 @@ def _read(source: str) -> str:
         with Path(source).open("rb") as file:
             content = file.read(MAX_FILE_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-        raise _error(
-            source, "", "a readable file", (getattr(error, "strerror", None) or str(error)).lower()
-        ) from None
+        raise _error(source, "", "a readable file", (getattr(error, "strerror", None) or str(error)).lower()) from None
     if len(content) > MAX_FILE_BYTES:
         raise _error(source, "", f"at most {MAX_FILE_BYTES} bytes", "more")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise _error(
-            source, "", "UTF-8 text", f"byte 0x{content[error.start]:02x} at offset {error.start}"
-        ) from None
+        raise _error(source, "", "UTF-8 text", f"byte 0x{content[error.start]:02x} at offset {error.start}") from None
 
 
 def _parse(text: str, source: str, key: str = "") -> Any:
@@ -456,11 +428,7 @@ def _suggestion(where: Sequence[str | int]) -> str:
         return f" (did you mean {near[0]}?)"
     places = [f"{key}.{inner}" for key in Scenario.model_fields for inner in _keys(key)]
     near = difflib.get_close_matches(name, [place.split(".")[-1] for place in places], 1)
-    return (
-        f" (did you mean {' or '.join(place for place in places if place.endswith('.' + near[0]))}?)"
-        if near
-        else ""
-    )
+    return f" (did you mean {' or '.join(place for place in places if place.endswith('.' + near[0]))}?)" if near else ""
 
 
 def _keys(key: str) -> list[str]:

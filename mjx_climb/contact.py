@@ -35,10 +35,10 @@ def ground_height(grip_point: Array) -> Array:
 def grip(contact: Contact, feet: Feet, closed: Array, numbers: Parameters) -> tuple[Contact, Grip]:
     """Return the contacts after this step and the forces in it.
 
-    A shut gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while its foot
-    is at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or the foot first
-    touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down with more than the
-    holding limit in all (ClimbLab's rule).
+    A shut gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while
+    its foot is at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or
+    the foot first touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down with
+    more than the holding limit in all (ClimbLab's rule).
     """
     ground = ground_height(feet.position)
     support = closed & ~contact.detached
@@ -46,9 +46,7 @@ def grip(contact: Contact, feet: Feet, closed: Array, numbers: Parameters) -> tu
     fresh = touching & ~contact.touching
     below = jnp.stack([feet.position[0], feet.position[1], ground])
     grip_point = jnp.where(fresh, below, contact.grip_point)
-    spring_damper = (
-        -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
-    )
+    spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
     force = jnp.where(touching, spring_damper, 0.0)
     torn_off = support & (force[2] < 0) & (norm(force) > numbers.holding_limit)
     after = Contact(grip_point, closed, touching, contact.detached | torn_off)

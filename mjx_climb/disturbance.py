@@ -13,9 +13,7 @@ def _active(start: Array, stop: Array, step: Array, time_step: float) -> Array:
 
 def cargo_mass(numbers: Parameters, step: Array, time_step: float) -> Array:
     """Return the cargo on the base, (B,) kg."""
-    return jnp.where(
-        _active(numbers.cargo_start, numbers.cargo_stop, step, time_step), numbers.cargo_mass, 0.0
-    )
+    return jnp.where(_active(numbers.cargo_start, numbers.cargo_stop, step, time_step), numbers.cargo_mass, 0.0)
 
 
 def push(numbers: Parameters, step: Array, time_step: float) -> Array:

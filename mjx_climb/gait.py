@@ -43,9 +43,7 @@ class Schedule(NamedTuple):
     closed: Array  # (L, B) bool: the gripper is commanded shut
 
 
-def plan(
-    robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[str, ...], time_step: float
-) -> Plan:
+def plan(robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[str, ...], time_step: float) -> Plan:
     """Return the walk of a robot whose feet stand at `stance_feet` (3, L, 1) m in world axes at heading zero."""
     heading = rotation_about_z(numbers.heading)
     cycle_steps = jnp.round(numbers.cycle / time_step)

@@ -40,7 +40,7 @@ def limb_geometry(robot: Robot) -> LimbGeometry:
     """Return the geometry of a robot's limbs for `inverse_kinematics`.
 
     Raises:
-        RobotError: a limb whose femur axis is not at right angles to the coxa's, or whose tibia axis is not parallel to it.
+        RobotError: a limb whose femur axis is not at right angles to the coxa's, or not parallel to the tibia's.
     """
     columns = []
     for limb, name in enumerate(robot.limbs):
@@ -90,8 +90,8 @@ def _safe_sqrt(square: Array, floor: float) -> Array:
 def inverse_kinematics(geometry: LimbGeometry, foot: Array) -> JointSolution:
     """Return the joint angles that put the feet at `foot`, (3, L, B) m in the base frame.
 
-    A target out of reach gives the nearest stretch or fold of the limb towards it, finite in value and derivative, and is
-    flagged. Angles lie in (-pi, pi]; joint limits are not applied here.
+    A target out of reach gives the nearest stretch or fold of the limb towards it, finite in value and derivative, and
+    is flagged. Angles lie in (-pi, pi]; joint limits are not applied here.
     """
     local = rotate_back(geometry.hip_rotation, foot - geometry.hip_position)
     tiny = float(jnp.finfo(local.dtype).eps) * 1e-2
@@ -118,7 +118,5 @@ def inverse_kinematics(geometry: LimbGeometry, foot: Array) -> JointSolution:
     femur = geometry.femur_sign * (line - geometry.femur_angle)
     tibia = geometry.tibia_sign * (knee + geometry.femur_angle - geometry.tibia_angle)
     angles = jnp.stack([coxa, femur, tibia])
-    wrapped = jnp.where(
-        angles > jnp.pi, angles - 2 * jnp.pi, jnp.where(angles <= -jnp.pi, angles + 2 * jnp.pi, angles)
-    )
+    wrapped = jnp.where(angles > jnp.pi, angles - 2 * jnp.pi, jnp.where(angles <= -jnp.pi, angles + 2 * jnp.pi, angles))
     return JointSolution(wrapped, within & (horizontal > tiny))

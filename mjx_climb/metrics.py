@@ -91,8 +91,7 @@ def accumulate(total: Accumulator, sample: Sample, robot: Robot, time_step: floa
         steps=total.steps + 1,
         peak_foot_force=jnp.maximum(total.peak_foot_force, largest),
         largest_foot_force=largest,
-        force_variation=total.force_variation
-        + jnp.where(first, 0.0, jnp.abs(largest - total.largest_foot_force)),
+        force_variation=total.force_variation + jnp.where(first, 0.0, jnp.abs(largest - total.largest_foot_force)),
         peak_pull_force=jnp.maximum(total.peak_pull_force, jnp.where(pulling, force, 0.0).max(0)),
         peak_joint_torque=jnp.maximum(total.peak_joint_torque, jnp.abs(sample.joint_torque).max((0, 1))),
         work=total.work + power * time_step,
@@ -112,8 +111,8 @@ def accumulate(total: Accumulator, sample: Sample, robot: Robot, time_step: floa
 def finish(total: Accumulator, gravity: Array) -> dict[str, Array]:
     """Return the metrics (B,) of a walk under `gravity` (3, B) m/s^2.
 
-    Where the state stopped being finite all but `diverged` are NaN (`detached_limb` -1). Without gravity, or without travel,
-    there is no cost of transport: NaN.
+    Where the state stopped being finite all but `diverged` are NaN (`detached_limb` -1). Without gravity, or without
+    travel, there is no cost of transport: NaN.
     """
     moved = total.end - total.start
     travel = norm(moved.at[2].set(0.0))
@@ -121,9 +120,7 @@ def finish(total: Accumulator, gravity: Array) -> dict[str, Array]:
     defined = weight_travel > 0
     values = {name: getattr(total, name) for name in METRICS if hasattr(total, name)}
     values["travel"] = travel
-    values["cost_of_transport"] = jnp.where(
-        defined, total.work / jnp.where(defined, weight_travel, 1.0), jnp.nan
-    )
+    values["cost_of_transport"] = jnp.where(defined, total.work / jnp.where(defined, weight_travel, 1.0), jnp.nan)
     values["diverged"] = ~total.finite
     result = {}
     for name in METRICS:

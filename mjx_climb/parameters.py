@@ -2,6 +2,9 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,18 +14,16 @@ from jaxtyping import Float
 from mjx_climb.config import Scenario
 
 
-def _natural(ndim: int):
-    return dataclasses.field(metadata={"ndim": ndim})
-
-
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Gains:
     """Gains of the admittance law (paper Eqs. 2 and 3): scalar, six axes, or a batch of six axes.
 
-    Axes: three translations, then three rotations, about the axes of the walk (x ahead, z up). The end-effector law uses
-    the translations. `kp` and `kd` replace the scenario's joint gains where given.
+    Axes: three translations, then three rotations, about the axes of the walk (x ahead, z up). The end-effector law
+    uses the translations. `kp` and `kd` replace the scenario's joint gains where given.
     """
+
+    AXES: ClassVar[Mapping[str, int]] = MappingProxyType({"inertia": 1, "damping": 1, "stiffness": 1})
 
     inertia: Float[Array, "*batch_axis"] | float  # kg, kg m^2
     damping: Float[Array, "*batch_axis"] | float  # N s/m, N m s
@@ -36,27 +37,31 @@ class Gains:
 class Parameters:
     """Numbers of a scenario in SI units, each with any leading batch axes that broadcast with the gains'.
 
-    `metadata["ndim"]` of a field tells how many axes one environment's value has.
+    `AXES` tells how many axes one environment's value has, where it is no scalar.
     """
 
-    gravity: Array = _natural(1)  # (3,) m/s^2
-    contact_stiffness: Array = _natural(0)  # N/m
-    contact_damping: Array = _natural(0)  # N s/m
-    holding_limit: Array = _natural(0)  # N, infinite where a gripper cannot be torn off
-    kp: Array = _natural(0)  # N m/rad
-    kd: Array = _natural(0)  # N m s/rad
-    stride: Array = _natural(0)  # m
-    step_height: Array = _natural(0)  # m
-    cycle: Array = _natural(0)  # s
-    duty: Array = _natural(0)  # 1
-    heading: Array = _natural(0)  # rad
-    cargo_mass: Array = _natural(0)  # kg
-    cargo_start: Array = _natural(0)  # s
-    cargo_stop: Array = _natural(0)  # s
-    push_force: Array = _natural(2)  # (pushes, 3) N
-    push_moment: Array = _natural(2)  # (pushes, 3) N m
-    push_start: Array = _natural(1)  # (pushes,) s
-    push_stop: Array = _natural(1)  # (pushes,) s
+    AXES: ClassVar[Mapping[str, int]] = MappingProxyType(
+        {"gravity": 1, "push_force": 2, "push_moment": 2, "push_start": 1, "push_stop": 1}
+    )
+
+    gravity: Array  # (3,) m/s^2
+    contact_stiffness: Array  # N/m
+    contact_damping: Array  # N s/m
+    holding_limit: Array  # N, infinite where a gripper cannot be torn off
+    kp: Array  # N m/rad
+    kd: Array  # N m s/rad
+    stride: Array  # m
+    step_height: Array  # m
+    cycle: Array  # s
+    duty: Array  # 1
+    heading: Array  # rad
+    cargo_mass: Array  # kg
+    cargo_start: Array  # s
+    cargo_stop: Array  # s
+    push_force: Array  # (pushes, 3) N
+    push_moment: Array  # (pushes, 3) N m
+    push_start: Array  # (pushes,) s
+    push_stop: Array  # (pushes,) s
 
 
 def _or_infinite(value: float | None) -> float:
@@ -90,16 +95,14 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
     arrays = {}
     for field in dataclasses.fields(values):
         array = jnp.asarray(getattr(values, field.name), dtype or jnp.result_type(float))
-        arrays[field.name] = array.reshape(0, 3) if field.metadata["ndim"] == 2 and array.size == 0 else array
+        arrays[field.name] = array.reshape(0, 3) if Parameters.AXES.get(field.name) == 2 and array.size == 0 else array
     return Parameters(**arrays)
 
 
 def gains(scenario: Scenario) -> Gains:
     """Return the admittance gains that the scenario's own control section gives."""
     control = scenario.control
-    return Gains(
-        *(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness))
-    )
+    return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
 
 
 def batch_shape(gains: Gains, parameters: Parameters) -> tuple[int, ...]:
@@ -109,8 +112,7 @@ def batch_shape(gains: Gains, parameters: Parameters) -> tuple[int, ...]:
         ValueError: shapes that do not broadcast, or gains whose last axis is not 1 or 6.
     """
     shapes = [
-        jnp.shape(getattr(parameters, f.name))[: jnp.ndim(getattr(parameters, f.name)) - f.metadata["ndim"]]
-        for f in dataclasses.fields(parameters)
+        jnp.shape(value)[: jnp.ndim(value) - Parameters.AXES.get(name, 0)] for name, value in vars(parameters).items()
     ]
     for name in ("inertia", "damping", "stiffness"):
         shape = jnp.shape(getattr(gains, name))
@@ -142,9 +144,8 @@ def batch_last(
         return last(value if value.ndim else value[None], (6,))
 
     numbers = {}
-    for field in dataclasses.fields(parameters):
-        value = jnp.asarray(getattr(parameters, field.name), dtype)
-        numbers[field.name] = last(value, value.shape[value.ndim - field.metadata["ndim"] :])
+    for name, value in vars(parameters).items():
+        numbers[name] = last(value, jnp.shape(value)[jnp.ndim(value) - Parameters.AXES.get(name, 0) :])
     for name in ("kp", "kd"):
         if getattr(gains, name) is not None:
             numbers[name] = last(getattr(gains, name), ())

@@ -29,8 +29,8 @@ class Robot:
     """A base with limbs of three revolute joints: masses, frames and limits.
 
     Every link has a frame at its joint whose z axis is the joint's axis; with the joint at zero, `frame_rotation` and
-    `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: link (3, or 0
-    for the coxa to 2 for the tibia) before components, limbs (L) second to last, batch (1) last. SI units.
+    `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: link (coxa,
+    femur, tibia) before components, limbs (L) second to last, batch (1) last. SI units.
     """
 
     name: str
@@ -77,10 +77,10 @@ def load_model(name: str) -> mujoco.MjModel:
 
 @functools.cache
 def load_robot(name: str) -> Robot:
-    """Return the constants of a robot, read off its MuJoCo model in the joints' zero position.
+    """Return the constants of a robot, read off its MuJoCo model with the joints at zero.
 
     Raises:
-        RobotError: no such robot, or a model that is not a floating base with limbs of three hinges and a foot site each.
+        RobotError: no such robot, or a model other than a floating base with limbs of three hinges and a foot site.
     """
     return robot_from_model(load_model(name), name)
 
@@ -104,9 +104,7 @@ def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:
             )
         limbs.append(chain)
     if not limbs or model.nbody != 2 + JOINTS_PER_LIMB * len(limbs):
-        raise RobotError(
-            f"{name}: expected a base with limbs of {JOINTS_PER_LIMB} hinges and no other bodies"
-        )
+        raise RobotError(f"{name}: expected a base with limbs of {JOINTS_PER_LIMB} hinges and no other bodies")
     return limbs
 
 
@@ -134,9 +132,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
         return principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T
 
-    fields = {
-        key: [] for key in ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")
-    }
+    fields = {key: [] for key in ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")}
     for chain in limbs:
         parent_position, parent_rotation = np.zeros(3), np.eye(3)
         column = {key: [] for key in fields}
@@ -154,9 +150,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             parent_position, parent_rotation = position, rotation
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
         if len(sites) != 1:
-            raise RobotError(
-                f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}"
-            )
+            raise RobotError(f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}")
         column["foot"] = parent_rotation.T @ (data.site_xpos[sites[0]] - parent_position)
         for key, value in column.items():
             fields[key].append(np.asarray(value))

@@ -68,9 +68,9 @@ def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE) -> Callable[.
     Returns:
         A function of `Gains` (and `Parameters`) with any leading batch axes, in the precision of the gains. It gives a
         dict of arrays with those batch axes, named and in units as `mjx_climb.METRICS` says. A batch axis in the gains
-        is faster than `vmap`: it stays contiguous. NaN stands for what is not defined: `detached_at` while all limbs hold
-        (`detached_limb` is then -1, else the index of the limb), and everything but `diverged` where the state stopped
-        being finite.
+        is faster than `vmap`: it stays contiguous. NaN stands for what is not defined: `detached_at` while all limbs
+        hold (`detached_limb` is then -1, else the index of the limb), and everything but `diverged` where the state
+        stopped being finite.
     """
     shape = structure(scenario, engine)
 
@@ -150,10 +150,7 @@ def _accumulated(samples, robot, time_step):
 
 def named(values: dict, limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
     """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
-    result = {
-        name: None if isinstance(value, float) and math.isnan(value) else value
-        for name, value in values.items()
-    }
+    result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
     result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
     return result
 
@@ -180,7 +177,8 @@ def rollout_metrics(
         engine: the dynamics, one of `mjx_climb.ENGINES`.
 
     Returns:
-        Arrays with the batch axes of gains and parameters, named as in `mjx_climb.METRICS`; NaN and -1 as `simulator` says.
+        Arrays with the batch axes of gains and parameters, named as in `mjx_climb.METRICS`; NaN and -1 as `simulator`
+        says.
     """
     gains, numbers = _given(scenario, gains, numbers, dtype)
     shape = batch_shape(gains, numbers)
@@ -193,53 +191,40 @@ def rollout_metrics(
         for start in range(0, count, size):
             # the last part is filled up with its last robot, so that every part has the shape that was compiled
             rows = np.minimum(np.arange(start, start + size), count - 1)
-            part = _compiled_metrics(structure(scenario, engine), *_rows(gains, numbers, rows, count))
-            parts.append(jax.tree.map(lambda value: np.asarray(value)[: count - start], part))
+            part = _compiled_metrics(structure(scenario, engine), *_rows(gains, numbers, rows))
+            parts.append({name: np.asarray(value)[: count - start] for name, value in part.items()})
             if progress is not None:
                 progress(min(start + size, count), count)
     return {name: np.concatenate([part[name] for part in parts]).reshape(shape) for name in parts[0]}
 
 
-def _natural_ndim(tree) -> dict[str, int]:
-    if isinstance(tree, Parameters):
-        return {field.name: field.metadata["ndim"] for field in dataclasses.fields(tree)}
-    return {"inertia": 1, "damping": 1, "stiffness": 1, "kp": 0, "kd": 0}
-
-
 def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tuple[Gains, Parameters]:
-    """Return both with one batch axis wherever they vary."""
+    """Return both with one batch axis wherever they vary, and the gains' own axis of six."""
 
     def flat(tree):
         changes = {}
-        for name, ndim in _natural_ndim(tree).items():
-            value = getattr(tree, name)
+        for name, value in vars(tree).items():
             if value is None:
                 continue
-            value = np.broadcast_to(value, (1,)) if ndim == 1 and value.ndim == 0 else value
-            lead, tail = value.shape[: value.ndim - ndim], value.shape[value.ndim - ndim :]
-            if math.prod(lead) > 1:
-                value = np.broadcast_to(value, (*shape, *tail)).reshape(-1, *tail)
-            else:
-                value = value.reshape(tail)
-            changes[name] = value
+            value = np.atleast_1d(value) if tree.AXES.get(name) else value
+            split = value.ndim - tree.AXES.get(name, 0)
+            tail = value.shape[split:]
+            varies = math.prod(value.shape[:split]) > 1
+            changes[name] = (
+                np.broadcast_to(value, (*shape, *tail)).reshape(-1, *tail) if varies else value.reshape(tail)
+            )
         return dataclasses.replace(tree, **changes)
 
     return flat(gains), flat(numbers)
 
 
-def _rows(gains: Gains, numbers: Parameters, rows: np.ndarray, count: int) -> tuple[Gains, Parameters]:
+def _rows(gains: Gains, numbers: Parameters, rows: np.ndarray) -> tuple[Gains, Parameters]:
     """Return some environments of flattened gains and parameters; the gains always carry the batch axis."""
 
-    def taken(tree, always):
-        changes = {}
-        for name, ndim in _natural_ndim(tree).items():
-            value = getattr(tree, name)
-            if value is None:
-                continue
-            if value.ndim > ndim:
-                changes[name] = value[rows]
-            elif always and ndim:
-                changes[name] = np.broadcast_to(value, (len(rows), *value.shape))
-        return dataclasses.replace(tree, **changes)
+    def taken(tree):
+        varying = {n: v[rows] for n, v in vars(tree).items() if v is not None and v.ndim > tree.AXES.get(n, 0)}
+        return dataclasses.replace(tree, **varying)
 
-    return taken(gains, True), taken(numbers, False)
+    gains, numbers = taken(gains), taken(numbers)
+    stiffness = np.broadcast_to(gains.stiffness, (len(rows), *gains.stiffness.shape[-1:]))
+    return dataclasses.replace(gains, stiffness=stiffness), numbers

@@ -57,7 +57,7 @@ def batch_last(state: State) -> State:
 def integrate(state: State, acceleration: Acceleration, time_step: float) -> State:
     """Advance a state by one step of semi-implicit Euler: velocities first, positions with the new velocities.
 
-    The orientation turns by the exponential of the new angular velocity, so its length stays one. Layout of the hot path.
+    The orientation turns by the exponential of the new angular velocity. Layout of the hot path.
     """
     linear = state.base_linear_velocity + time_step * acceleration.base_linear
     angular = state.base_angular_velocity + time_step * acceleration.base_angular

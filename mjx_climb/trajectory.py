@@ -61,9 +61,7 @@ def from_samples(samples: Sample, scenario: Scenario, gains: Gains, limbs: tuple
             return value
         return np.swapaxes(value[..., 0], 1, 2) if value.ndim == 4 else value[..., 0]
 
-    return Trajectory(
-        scenario, gains, limbs, **{name: public(value) for name, value in samples._asdict().items()}
-    )
+    return Trajectory(scenario, gains, limbs, **{name: public(value) for name, value in samples._asdict().items()})
 
 
 def to_samples(trajectory: Trajectory) -> Sample:

@@ -75,9 +75,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     """Return the walk for gains (6, B) and numbers (..., B): every choice by name is made here, once."""
     dtype = gains.stiffness.dtype
     constants = load_robot(structure.robot)
-    robot, geometry = jax.tree.map(
-        lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants))
-    )
+    robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
     return Walk(

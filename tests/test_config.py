@@ -111,10 +111,7 @@ def test_a_mapping_changes_only_the_keys_that_it_names():
 
 def test_the_last_override_wins_and_only_the_end_is_validated():
     overrides = ["control.reading=measured_pose", "control.controller=end_effector_admittance"]
-    assert (
-        Scenario().with_overrides([*overrides, "control.reading=virtual_model"]).control.reading
-        == "virtual_model"
-    )
+    assert Scenario().with_overrides([*overrides, "control.reading=virtual_model"]).control.reading == "virtual_model"
 
 
 def test_whole_numbers_of_steps_tolerate_floats():
@@ -211,9 +208,7 @@ BAD_FILES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("content", "fragment"), BAD_FILES, ids=[str(content)[:40] for content, _ in BAD_FILES]
-)
+@pytest.mark.parametrize(("content", "fragment"), BAD_FILES, ids=[str(content)[:40] for content, _ in BAD_FILES])
 def test_a_bad_file_is_told_what_is_wrong(write, content, fragment):
     path = write(content)
     text = message(load_scenario, path)
@@ -248,9 +243,7 @@ BAD_OVERRIDES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("overrides", "fragment"), BAD_OVERRIDES, ids=[str(bad)[:40] for bad, _ in BAD_OVERRIDES]
-)
+@pytest.mark.parametrize(("overrides", "fragment"), BAD_OVERRIDES, ids=[str(bad)[:40] for bad, _ in BAD_OVERRIDES])
 def test_a_bad_override_is_told_what_is_wrong(overrides, fragment):
     assert fragment in message(load_scenario, CONFIGS / "case_1_1.yaml", overrides)
 
@@ -261,14 +254,10 @@ def test_a_value_that_holds_itself_is_an_error():
     message(Scenario().with_overrides, {"gravity": endless})
 
 
-KEYS = st.sampled_from(
-    ["robot", "gravity", "gait.sequence", "control.inertia", "contact", "disturbance.pushes.0"]
-)
+KEYS = st.sampled_from(["robot", "gravity", "gait.sequence", "control.inertia", "contact", "disturbance.pushes.0"])
 
 
-@given(
-    st.text() | st.tuples(KEYS, st.text()).map("=".join) | st.tuples(st.text(), st.just("1")).map("=".join)
-)
+@given(st.text() | st.tuples(KEYS, st.text()).map("=".join) | st.tuples(st.text(), st.just("1")).map("=".join))
 def test_no_override_string_raises_anything_but_config_error(text):
     try:
         scenario = Scenario().with_overrides([text])

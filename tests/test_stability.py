@@ -30,13 +30,9 @@ PATTERNS = np.array(list(itertools.product([False, True], repeat=4)))
 @jax.jit
 def both_margins(foot_position, support, com, force, moment, mass, gravity, holding_force):
     """TSM and GIA margin, (T,) each, of arrays with the batch first."""
-    feet, com, force, moment = (
-        jnp.moveaxis(jnp.asarray(a), 0, -1) for a in (foot_position, com, force, moment)
-    )
+    feet, com, force, moment = (jnp.moveaxis(jnp.asarray(a), 0, -1) for a in (foot_position, com, force, moment))
     feet, support = feet.swapaxes(0, 1), jnp.asarray(support).T
-    mass, gravity, holding_force = (
-        jnp.broadcast_to(a, com.shape[1:]) for a in (mass, gravity, holding_force)
-    )
+    mass, gravity, holding_force = (jnp.broadcast_to(a, com.shape[1:]) for a in (mass, gravity, holding_force))
     return (
         tumble_stability_margin(feet, support, force, moment, mass, gravity, holding_force),
         gia_margin(feet, support, com, force, mass, holding_force),

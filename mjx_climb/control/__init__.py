@@ -1,6 +1,7 @@
 """Control laws behind one seam: what is measured and planned goes in, targets of base and feet come out.
 
-A law is one module with `build(gains, time_step) -> Law`; what depends on the gains alone is worked out there, once a walk.
+A law is one module with `build(gains, time_step) -> Law`; what depends on the gains alone is worked out there, once a
+walk.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """Base admittance, the paper's Eq. 3: `M dxdd + D dxd + K dx = w`, in two readings.
 
-w = J_b^T F_e is the wrench of the foot forces on the base, dx the shift of the base in its six axes. Gains and shift are
-taken along the axes of the base reference, so a walk turned about z is the same walk.
+w = J_b^T F_e is the wrench of the foot forces on the base, dx the shift of the base in its six axes. Gains and shift
+are taken along the axes of the base reference, so a walk turned about z is the same walk.
 """
 
 import jax.numpy as jnp
@@ -54,15 +54,13 @@ def build_virtual_model(gains: Gains, time_step: float) -> Law:
 def build_measured_pose(gains: Gains, time_step: float) -> Law:
     """Return Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
 
-    `a = (w - D dxd - K dx) / M`, target `x_b + dt dxd + dt^2 a`; dx is the base's offset from its reference, dxd the base's
-    own velocity. Rotations are twice the vector part of the quaternion.
+    `a = (w - D dxd - K dx) / M`, target `x_b + dt dxd + dt^2 a`; dx is the base's offset from its reference, dxd the
+    base's own velocity. Rotations are twice the vector part of the quaternion.
     """
 
     def command(state, measurement: Measurement, reference: Reference):
         rotation = quaternion_to_matrix(reference.base_orientation)
-        turn = quaternion_multiply(
-            quaternion_conjugate(reference.base_orientation), measurement.base_orientation
-        )
+        turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measurement.base_orientation)
         turn = jnp.where(turn[0] < 0, -turn, turn)
         offset = jnp.concatenate(
             [rotate_back(rotation, measurement.base_position - reference.base_position), 2 * turn[1:]]

@@ -1,7 +1,8 @@
 """End-effector admittance, the paper's Eq. 2: every supporting foot gives way to its own force.
 
-`M dxdd + D dxd + K dx = F_e` for each foot and each translation, integrated exactly; the target of the foot is shifted by dx,
-which goes back to zero at once when the gripper opens. The gains of the three translations apply to every foot.
+`M dxdd + D dxd + K dx = F_e` for each foot and each translation, integrated exactly; the target of the foot is
+shifted by dx, which goes back to zero at once when the gripper opens. The gains of the three translations apply to
+every foot.
 """
 
 import jax

@@ -37,9 +37,9 @@ def rest(like: Array) -> VirtualState:
 def discretize(gains: Gains, time_step: float) -> Transition:
     """Return the zero-order hold of `M xdd + D xd + K x = f` for one time step, stable for any positive gains.
 
-    The matrix exponential is found by doubling a second-order L-stable step of `time_step / 2**24`. The closed form with
-    sqrt(D^2 - 4 K M) is no alternative: it has no derivative at critical damping and cancels in float32. Working with the
-    increments (exponential minus identity) keeps the slow motion of a stiff damper to full precision.
+    The matrix exponential is found by doubling a second-order L-stable step of `time_step / 2**24`. The closed form
+    with sqrt(D^2 - 4 K M) is no alternative: it has no derivative at critical damping and cancels in float32. Working
+    with the increments (exponential minus identity) keeps the slow motion of a stiff damper to full precision.
     """
     h = time_step / 2**_DOUBLINGS
     damping, stiffness = gains.damping / gains.inertia, gains.stiffness / gains.inertia

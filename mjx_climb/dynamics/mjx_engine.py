@@ -59,9 +59,7 @@ def build(robot: Robot):
         wrench = base_wrench + base_wrench_of_foot_force(feet.lever, foot_force)
         joint_force = torque + joint_torque_of_foot_force(feet, foot_force)
         # MuJoCo's free joint: linear velocity in world axes, angular velocity in the body's own
-        qpos = jnp.concatenate(
-            [state.base_position, state.base_orientation, limbs_to_joints(state.joint_angles).T]
-        )
+        qpos = jnp.concatenate([state.base_position, state.base_orientation, limbs_to_joints(state.joint_angles).T])
         qvel = jnp.concatenate(
             [
                 state.base_linear_velocity,
@@ -69,9 +67,7 @@ def build(robot: Robot):
                 limbs_to_joints(state.joint_rates).T,
             ]
         )
-        force = jnp.concatenate(
-            [wrench[:3], rotate_back(rotation, wrench[3:]), limbs_to_joints(joint_force).T]
-        )
+        force = jnp.concatenate([wrench[:3], rotate_back(rotation, wrench[3:]), limbs_to_joints(joint_force).T])
         batch = qpos.shape[-1]
         cargo_mass = jnp.broadcast_to(cargo_mass, (batch,))
         gravity = jnp.broadcast_to(gravity, (3, batch))
