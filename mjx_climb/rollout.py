@@ -44,7 +44,7 @@ def _metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metr
 
     start = (begin(walk, batch), metrics_module.start(batch, dtype))
     (_, total), _ = jax.lax.scan(step, start, jnp.arange(structure.steps))
-    result = metrics_module.finish(total, walk.numbers.gravity)
+    result = metrics_module.finish(total, walk.numbers.gravity, walk.numbers.heading)
     return {name: value.reshape(shape) for name, value in result.items()}
 
 
@@ -137,7 +137,8 @@ def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
         robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
         total = _accumulated(samples, robot, trajectory.scenario.time_step)
         gravity = jnp.asarray(trajectory.scenario.gravity, dtype)[:, None]
-        values = {name: value.item() for name, value in metrics_module.finish(total, gravity).items()}
+        heading = jnp.asarray([trajectory.scenario.gait.heading], dtype)
+        values = {name: value.item() for name, value in metrics_module.finish(total, gravity, heading).items()}
     return named(values, trajectory.limbs)
 
 
