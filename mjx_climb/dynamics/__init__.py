@@ -17,7 +17,7 @@ from mjx_climb.state import Acceleration, State, batch_last, joints_to_limbs, li
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
 
 ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.build, "limb": limb_engine.build}
-DEFAULT_ENGINE = "mjx"
+DEFAULT_ENGINE = "limb"
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 

@@ -219,11 +219,7 @@ def build(robot: Robot):
             [jnp.stack([dot(force_rows[:, i], moment_solved[:, j]).sum(0) for j in range(3)]) for i in range(3)]
         )
         base_linear, base_angular = solve_base(linear, mixed, rotational, force, moment)
-        joints = (
-            freed
-            - rotate(force_solved, base_linear[:, None])
-            - rotate(moment_solved, base_angular[:, None])
-        )
+        joints = freed - rotate(force_solved, base_linear[:, None]) - rotate(moment_solved, base_angular[:, None])
         return Acceleration(base_linear, base_angular, joints)
 
     return forward_dynamics
