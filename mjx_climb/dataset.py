@@ -1,0 +1,298 @@
+"""Results as labelled arrays with units, and files that are either whole or not there."""
+
+import contextlib
+import dataclasses
+import datetime
+import importlib.metadata
+import json
+import os
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from mjx_climb import config
+from mjx_climb.config import ConfigError, Scenario
+from mjx_climb.metrics import METRICS
+from mjx_climb.parameters import Gains
+from mjx_climb.robot import load_robot
+from mjx_climb.trajectory import Trajectory
+
+PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
+
+JOINTS = ["coxa", "femur", "tibia"]
+AXES = ["x", "y", "z"]
+QUATERNION = ["w", "x", "y", "z"]
+SIX = ["x", "y", "z", "rx", "ry", "rz"]
+
+_VECTOR, _SIX = ("time", "axis"), ("time", "six")
+_JOINT, _FOOT, _LIMB = ("time", "limb", "joint"), ("time", "limb", "axis"), ("time", "limb")
+
+# name: dimensions, units, long name; one entry for every array of a trajectory
+VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "base_position": (_VECTOR, "m", "position of the base's centre of mass"),
+    "base_orientation": (("time", "quaternion"), "1", "orientation of the base, unit quaternion"),
+    "base_linear_velocity": (_VECTOR, "m/s", "linear velocity of the base"),
+    "base_angular_velocity": (_VECTOR, "rad/s", "angular velocity of the base"),
+    "base_linear_acceleration": (_VECTOR, "m/s^2", "linear acceleration of the base"),
+    "base_angular_acceleration": (_VECTOR, "rad/s^2", "angular acceleration of the base"),
+    "joint_angles": (_JOINT, "rad", "joint angle"),
+    "joint_rates": (_JOINT, "rad/s", "joint rate"),
+    "joint_accelerations": (_JOINT, "rad/s^2", "joint acceleration"),
+    "joint_targets": (_JOINT, "rad", "commanded joint angle"),
+    "joint_torque": (_JOINT, "N m", "joint torque"),
+    "foot_position": (_FOOT, "m", "position of the foot"),
+    "foot_velocity": (_FOOT, "m/s", "velocity of the foot"),
+    "foot_target": (_FOOT, "m", "commanded position of the foot"),
+    "foot_force": (_FOOT, "N", "force of the ground on the foot"),
+    "grip_point": (_FOOT, "m", "point where the foot grips or last gripped"),
+    "support": (_LIMB, "1", "the gripper is shut and holds"),
+    "contact": (_LIMB, "1", "the ground acts on the foot"),
+    "detached": (_LIMB, "1", "the gripper was torn off before"),
+    "torn_off": (_LIMB, "1", "the gripper is torn off in this step"),
+    "reachable": (_LIMB, "1", "the foot target is within reach"),
+    "base_reference": (_VECTOR, "m", "base position that the gait asks for"),
+    "base_displacement": (_SIX, "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law"),
+    "base_wrench": (_SIX, "N (x, y, z), N m (rx, ry, rz)", "wrench of the foot forces on the base"),
+    "push": (_SIX, "N (x, y, z), N m (rx, ry, rz)", "wrench on the base from outside"),
+    "cargo_mass": (("time",), "kg", "mass of the cargo"),
+    "center_of_mass": (_VECTOR, "m", "centre of mass of robot and cargo"),
+    "tsm": (("time",), "m", "tumble stability margin"),
+    "gia_margin": (("time",), "m/s^2", "gravito-inertial acceleration margin"),
+}
+
+METRIC_NAMES: dict[str, str] = {
+    "peak_foot_force": "peak foot force",
+    "force_variation": "variation of the largest foot force",
+    "peak_pull_force": "peak pulling force",
+    "peak_joint_torque": "peak joint torque",
+    "cost_of_transport": "cost of transport",
+    "travel": "travel",
+    "base_deviation": "largest deviation of the base",
+    "min_tsm": "smallest tumble stability margin",
+    "min_gia_margin": "smallest GIA margin",
+    "joint_limit_margin": "smallest margin to a joint limit",
+    "detached_at": "time of the first detachment",
+    "detached_limb": "limb that detached first",
+    "diverged": "the simulation diverged",
+}
+
+# what a sweep may run over: units, long name
+COORDINATES: dict[str, tuple[str, str]] = {
+    "inertia": ("kg, kg m^2", "virtual inertia M"),
+    "damping": ("N s/m, N m s/rad", "virtual damping D"),
+    "stiffness": ("N/m, N m/rad", "virtual stiffness K"),
+    "kp": ("N m/rad", "joint gain kp"),
+    "kd": ("N m s/rad", "joint gain kd"),
+    "contact_stiffness": ("N/m", "contact stiffness"),
+    "contact_damping": ("N s/m", "contact damping"),
+    "holding_limit": ("N", "holding limit of a gripper"),
+    "stride": ("m", "stride"),
+    "step_height": ("m", "step height"),
+    "cycle": ("s", "gait cycle"),
+    "duty": ("1", "duty"),
+    "heading": ("rad", "heading"),
+    "cargo_mass": ("kg", "mass of the cargo"),
+}
+
+
+class OutputError(ValueError):
+    """A place that cannot be written to; in one line: path, what was expected, what was got."""
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Labelled arrays
+
+
+def to_dataset(trajectory: Trajectory) -> xr.Dataset:
+    """Return a walk as labelled arrays: every variable has units and a long name.
+
+    The attributes hold the resolved scenario (YAML), the gains (JSON), versions, git revision and time of
+    creation.
+    """
+    data = {
+        name: (dims, getattr(trajectory, name), {"units": units, "long_name": text})
+        for name, (dims, units, text) in VARIABLES.items()
+    }
+    labels = {
+        "limb": (list(trajectory.limbs), "limb"),
+        "joint": (JOINTS, "joint, from the base outwards"),
+        "axis": (AXES, "axis of the world frame, z up"),
+        "six": (SIX, "translations, then rotations"),
+        "quaternion": (QUATERNION, "component of the quaternion"),
+    }
+    coords = {name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()}
+    coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
+    attrs = {"title": "walk of a limbed climbing robot", **_provenance(trajectory.scenario)}
+    attrs["gains"] = json.dumps(_gains_to_plain(trajectory.gains))
+    return xr.Dataset(data, coords, attrs)
+
+
+def sweep_dataset(
+    metrics: Mapping[str, np.ndarray],
+    coordinates: Mapping[str, np.ndarray | xr.DataArray],
+    scenario: Scenario,
+) -> xr.Dataset:
+    """Return the metrics of a grid of walks as labelled arrays.
+
+    Arguments:
+        metrics: arrays of `mjx_climb.METRICS`, with one axis per coordinate, in their order.
+        coordinates: the values along each axis: names of `COORDINATES`, or others with a DataArray that has
+            units.
+        scenario: what all the walks have in common.
+
+    Raises:
+        ValueError: an unknown metric or coordinate, or shapes that do not fit.
+    """
+    coords, shape = {}, []
+    for name, values in coordinates.items():
+        if not isinstance(values, xr.DataArray) or "units" not in values.attrs:
+            if name not in COORDINATES:
+                raise ValueError(f"coordinate {name}: expected one of {', '.join(COORDINATES)}, or units of its own")
+            units, text = COORDINATES[name]
+            values = xr.DataArray(np.asarray(values), dims=name, attrs={"units": units, "long_name": text})
+        if values.ndim != 1:
+            raise ValueError(f"coordinate {name}: expected one axis, got {values.ndim}")
+        coords[name] = (name, values.values, values.attrs)
+        shape.append(values.size)
+    data = {}
+    for name, values in metrics.items():
+        values = np.asarray(values)
+        if name not in METRICS:
+            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS)}")
+        if values.shape != tuple(shape):
+            raise ValueError(f"metric {name}: expected shape {tuple(shape)} as the coordinates, got {values.shape}")
+        attrs: dict[str, Any] = {"units": METRICS[name], "long_name": METRIC_NAMES[name]}
+        if name == "detached_limb":
+            limbs = load_robot(scenario.robot).limbs
+            values = values.astype(np.int32)
+            attrs["flag_values"] = np.arange(-1, len(limbs), dtype=np.int32)
+            attrs["flag_meanings"] = " ".join(["none", *limbs])
+        data[name] = (tuple(coords), values, attrs)
+    attrs = {"title": "metrics of walks of a limbed climbing robot", **_provenance(scenario)}
+    return xr.Dataset(data, coords, attrs)
+
+
+def scenario_of(dataset: xr.Dataset) -> Scenario:
+    """Return the scenario that a dataset was made from.
+
+    Raises:
+        ConfigError: the dataset holds none, or not a valid one.
+    """
+    source = str(dataset.encoding.get("source", "dataset"))
+    if "scenario" not in dataset.attrs:
+        raise ConfigError(f"{source}: expected an attribute 'scenario', got none")
+    return config._validated(config._parse(dataset.attrs["scenario"], source), source)
+
+
+def _provenance(scenario: Scenario) -> dict[str, str]:
+    """Return what is needed to repeat a computation."""
+    attrs = {"scenario": scenario.to_yaml()}
+    for name, distribution in PACKAGES.items():
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            attrs[f"{name}_version"] = importlib.metadata.version(distribution)
+    if revision := _git_revision():
+        attrs["git_revision"] = revision
+    attrs["created"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return attrs
+
+
+def _git_revision() -> str | None:
+    """Return the commit checked out in the working directory, with "-dirty" where files differ from it."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+def _gains_to_plain(gains: Gains) -> dict[str, float | list[float] | None]:
+    return {
+        field.name: None if (value := getattr(gains, field.name)) is None else np.asarray(value).tolist()
+        for field in dataclasses.fields(gains)
+    }
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Files
+
+
+def save(dataset: xr.Dataset, path: str | os.PathLike[str]) -> Path:
+    """Write a dataset as netCDF4 and return its path; a crash leaves the old file or the new one.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    encoding = {
+        name: {"zlib": True, "complevel": 1, "shuffle": True}
+        for name, variable in dataset.variables.items()
+        if variable.ndim and variable.dtype.kind in "fiub"
+    }
+    return write_bytes_atomically(path, dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
+
+
+def load(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Read a dataset that `save` wrote.
+
+    Raises:
+        ConfigError: no netCDF4 file.
+    """
+    try:
+        return xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError) as error:
+        number = getattr(error, "errno", None)  # HDF5's own text is long
+        reason = os.strerror(number) if number else "another file, or a damaged one"
+        raise ConfigError(f"{os.fspath(path)}: expected a netCDF4 file, got {reason.lower()}") from None
+
+
+def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read the walk that `save(to_dataset(trajectory), path)` wrote.
+
+    Raises:
+        ConfigError: no netCDF4 file, or one without a whole walk.
+    """
+    dataset = load(path)
+    if missing := sorted({"time", "limb", *VARIABLES} - set(dataset.variables)):
+        raise ConfigError(f"{os.fspath(path)}: expected a walk, got a dataset without {missing[0]}")
+    arrays = {name: dataset[name].values for name in ("time", *VARIABLES)}
+    dtype = dataset["base_position"].dtype
+    gains = {
+        name: None if value is None else np.asarray(value, dtype)
+        for name, value in json.loads(dataset.attrs["gains"]).items()
+    }
+    limbs = tuple(str(limb) for limb in dataset["limb"].values)
+    return Trajectory(scenario_of(dataset), Gains(**gains), limbs, **arrays)
+
+
+def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:
+    """Write UTF-8 text as `write_bytes_atomically` does."""
+    return write_bytes_atomically(path, text.encode())
+
+
+def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memoryview) -> Path:
+    """Write a file by way of a temporary one beside it and return its path; missing folders are made.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with partial.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+        reason = (getattr(error, "strerror", None) or str(error)).lower()
+        place = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
+        raise OutputError(f"{place}: expected a file that can be written, got {reason}") from None
+    return path

@@ -1,0 +1,177 @@
+"""Labelled results: nothing is lost on the way to a file and back, and a file is whole or not there."""
+
+import dataclasses
+import json
+import os
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb import dataset as ds
+
+SCENARIO = mc.Scenario().with_overrides(
+    {
+        "duration": 2.0,
+        "gravity": [0.0, 0.0, -1.635],
+        "control.stiffness": [1e3, 2e3, 3e3, 4e1, 5e1, 6e1],
+        "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "start": 1.0, "stop": 1.5}],
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def trajectory():
+    return mc.rollout(SCENARIO)
+
+
+def sweep(scenario=SCENARIO):
+    """A grid of 3 stiffnesses and 2 dampings; one walk lost a gripper, another diverged."""
+    metrics = {name: np.arange(6.0).reshape(3, 2) for name in mc.METRICS}
+    metrics["detached_limb"] = np.array([[-1, -1], [2, -1], [-1, -1]])
+    metrics["detached_at"] = np.where(metrics["detached_limb"] >= 0, 1.5, np.nan)
+    metrics["diverged"] = np.zeros((3, 2), bool)
+    metrics["diverged"][2, 1] = True
+    return ds.sweep_dataset(metrics, {"stiffness": [1e2, 1e3, 1e4], "damping": [1e0, 1e2]}, scenario)
+
+
+def assert_equal_walks(one, other):
+    for field in dataclasses.fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype, field.name
+            np.testing.assert_array_equal(a, b, err_msg=field.name)
+    assert (one.scenario, one.limbs) == (other.scenario, other.limbs)
+    assert jax.tree.structure(one.gains) == jax.tree.structure(other.gains)
+    jax.tree.map(np.testing.assert_array_equal, one.gains, other.gains)
+
+
+def test_every_array_of_a_walk_is_a_variable(trajectory):
+    arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "limbs"}
+    assert arrays == {"time", *ds.VARIABLES}
+    assert set(ds.METRIC_NAMES) == set(mc.METRICS)
+
+
+def test_every_variable_has_units_and_a_long_name(trajectory):
+    for dataset in (ds.to_dataset(trajectory), sweep()):
+        for name, variable in dataset.variables.items():
+            assert variable.attrs["units"] and variable.attrs["long_name"], name
+
+
+def test_values_are_found_by_label(trajectory):
+    dataset = ds.to_dataset(trajectory)
+    torque = dataset["joint_torque"].sel(limb="RH", joint="femur")
+    np.testing.assert_array_equal(torque, trajectory.joint_torque[:, 2, 1])
+    np.testing.assert_array_equal(dataset["base_displacement"].sel(six="rz"), trajectory.base_displacement[:, 5])
+    np.testing.assert_array_equal(dataset["base_orientation"].sel(quaternion="w"), trajectory.base_orientation[:, 0])
+    assert float(dataset["push"].sel(six="x").sel(time=1.2, method="nearest")) == -5.0
+
+
+@pytest.mark.parametrize("kp", [None, 40.0])
+def test_walk_survives_a_file(trajectory, tmp_path, kp):
+    walk = dataclasses.replace(trajectory, gains=dataclasses.replace(trajectory.gains, kp=kp and np.asarray(kp)))
+    path = ds.save(ds.to_dataset(walk), tmp_path / "new" / "walk.nc")
+    assert_equal_walks(walk, ds.load_trajectory(path))
+    assert os.listdir(path.parent) == ["walk.nc"]
+
+
+def test_single_precision_survives_a_file(trajectory, tmp_path):
+    arrays = {name: getattr(trajectory, name) for name in ("time", *ds.VARIABLES)}
+    singles = {name: array.astype(np.float32) for name, array in arrays.items() if array.dtype == np.float64}
+    gains = jax.tree.map(np.float32, trajectory.gains)
+    walk = dataclasses.replace(trajectory, gains=gains, **singles)
+    loaded = ds.load_trajectory(ds.save(ds.to_dataset(walk), tmp_path / "walk.nc"))
+    assert loaded.base_position.dtype == np.float32
+    assert_equal_walks(walk, loaded)
+
+
+def test_attributes_tell_how_to_repeat_the_run(trajectory, tmp_path):
+    dataset = ds.load(ds.save(ds.to_dataset(trajectory), tmp_path / "walk.nc"))
+    assert ds.scenario_of(dataset) == SCENARIO
+    assert json.loads(dataset.attrs["gains"])["stiffness"] == [1e3, 2e3, 3e3, 4e1, 5e1, 6e1]
+    assert dataset.attrs["numpy_version"] == np.__version__
+    assert dataset.attrs["jax_version"] == jax.__version__
+    assert dataset.attrs["created"].endswith("+00:00")
+
+
+def test_no_revision_outside_of_a_checkout(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert "git_revision" not in sweep().attrs
+    monkeypatch.setenv("PATH", "")
+    assert "git_revision" not in sweep().attrs
+
+
+def test_sweep_survives_a_file(tmp_path):
+    dataset = sweep()
+    loaded = ds.load(ds.save(dataset, tmp_path / "sweep.nc"))
+    xr.testing.assert_equal(dataset, loaded)
+    assert loaded["peak_foot_force"].dims == ("stiffness", "damping")
+    assert loaded["peak_foot_force"].attrs["units"] == "N"
+    assert loaded["damping"].attrs["units"] == "N s/m, N m s/rad"
+    assert ds.scenario_of(loaded) == SCENARIO
+    limb = loaded["detached_limb"]
+    flags = dict(zip(limb.attrs["flag_values"].tolist(), limb.attrs["flag_meanings"].split(), strict=True))
+    assert flags == {-1: "none", 0: "LF", 1: "LH", 2: "RH", 3: "RF"}
+    assert flags[int(limb.sel(stiffness=1e3, damping=1.0))] == "RH"
+    assert loaded["diverged"].dtype == bool
+
+
+def test_sweep_rejects_what_does_not_fit():
+    good = {"stiffness": [1e2, 1e3]}
+    with pytest.raises(ValueError, match=r"metric speed: expected one of peak_foot_force"):
+        ds.sweep_dataset({"speed": np.zeros(2)}, good, SCENARIO)
+    with pytest.raises(ValueError, match=r"metric travel: expected shape \(2,\)"):
+        ds.sweep_dataset({"travel": np.zeros(3)}, good, SCENARIO)
+    with pytest.raises(ValueError, match="coordinate colour: expected one of"):
+        ds.sweep_dataset({"travel": np.zeros(2)}, {"colour": [1, 2]}, SCENARIO)
+    own = xr.DataArray([1.0, 2.0], dims="slope", attrs={"units": "rad", "long_name": "slope"})
+    assert ds.sweep_dataset({"travel": np.zeros(2)}, {"slope": own}, SCENARIO)["slope"].attrs["units"] == "rad"
+
+
+@pytest.mark.parametrize("broken", ["fsync", "replace"])
+def test_failure_in_the_middle_leaves_the_old_file(tmp_path, monkeypatch, broken):
+    path = ds.write_text_atomically(tmp_path / "result.txt", "old")
+
+    def fail(*args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, broken, fail)
+    with pytest.raises(ds.OutputError, match=r"result\.txt: expected a file .*, got no space left on device$"):
+        ds.write_text_atomically(path, "new")
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["result.txt"]
+
+
+def test_interrupt_leaves_the_old_file(tmp_path, monkeypatch):
+    path = ds.write_text_atomically(tmp_path / "result.txt", "old")
+
+    def interrupt(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        ds.write_text_atomically(path, "new")
+    assert (path.read_text(), os.listdir(tmp_path)) == ("old", ["result.txt"])
+
+
+def test_impossible_places_are_told_in_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "inside.txt", tmp_path, tmp_path / "nul\0"):
+        with pytest.raises(ds.OutputError, match=r"^.+: expected a file that can be written, got .+$") as caught:
+            ds.write_text_atomically(path, "text")
+        assert "\n" not in str(caught.value)
+
+
+def test_other_files_are_told_in_one_line(tmp_path):
+    (tmp_path / "text.nc").write_text("no netCDF")
+    ds.save(sweep(), tmp_path / "sweep.nc")
+    for name, reason in (
+        ("text.nc", "another file"),
+        ("lacks.nc", "no such file"),
+        ("sweep.nc", "a dataset without"),
+    ):
+        with pytest.raises(mc.ConfigError, match=rf"{name}: expected .*, got {reason}"):
+            ds.load_trajectory(tmp_path / name)

@@ -1,0 +1,234 @@
+"""Pictures: what must be seen on them is there."""
+
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.collections import PatchCollection
+
+import mjx_climb as mc
+from mjx_climb import plots
+
+CASE = {
+    "duration": 2.0,
+    "gravity": [0.0, 0.0, -9.81e-6],
+    "control.stiffness": [5e4] * 6,  # the same program then serves tests/test_dataset.py
+    "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "start": 1.0, "stop": 1.5}],
+    "disturbance.cargo.mass": 0.5,
+    "disturbance.cargo.start": 1.7,
+}
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return mc.rollout(mc.Scenario().with_overrides(CASE))
+
+
+@pytest.fixture(scope="module")
+def torn():
+    """The same walk with weak grippers: one program serves both."""
+    return mc.rollout(mc.Scenario().with_overrides({**CASE, "contact.holding_limit": 2.0}))
+
+
+def diverged(trajectory):
+    """The walk as it would be if its state grew without bound from 0.8 s on."""
+    late = np.maximum(trajectory.time - 0.8, 0)
+    growth = np.where(late < 0.1, np.exp(np.minimum(1000 * late, 300)), np.nan)
+    changes = {
+        name: getattr(trajectory, name) * growth.reshape(-1, *[1] * (getattr(trajectory, name).ndim - 1))
+        for name in ("base_position", "joint_rates", "foot_force", "joint_torque", "tsm")
+    }
+    return dataclasses.replace(trajectory, **changes)
+
+
+def grid():
+    """Metrics over 4 stiffnesses and 3 dampings: one walk lost a gripper, one diverged."""
+    values = np.geomspace(1.0, 2.0, 12).reshape(4, 3)
+    values[3, 0] = np.nan
+    limb = np.full((4, 3), -1)
+    limb[2, 0] = 1
+    dims = ("stiffness", "damping")
+    return xr.Dataset(
+        {
+            "peak_foot_force": (dims, values, {"units": "N", "long_name": "peak foot force"}),
+            "min_gia_margin": (dims, values, {"units": "m/s^2", "long_name": "smallest GIA margin"}),
+            "cost_of_transport": (dims, values**8, {"units": "1", "long_name": "cost of transport"}),
+            "detached_limb": (
+                dims,
+                limb,
+                {"flag_values": [-1, 0, 1, 2, 3], "flag_meanings": "none LF LH RH RF", "units": "1"},
+            ),
+            "diverged": (dims, np.isnan(values)),
+        },
+        {"stiffness": [1e2, 1e3, 1e4, 1e5], "damping": [1e0, 1e2, 1e4]},
+    )
+
+
+def find(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+def texts(figure):
+    return [text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))]
+
+
+def y_labels(figure):
+    return [" ".join(axes.get_ylabel().split()) for axes in figure.axes]
+
+
+def test_thin_keeps_the_extremes_and_the_ends():
+    time = np.arange(8000) * 1e-3
+    values = np.sin(time)
+    values[[17, 4321]] = 9.0, -9.0
+    thin_time, thin_values = plots.thin(time, values)
+    assert thin_time.size <= 1502 and (np.diff(thin_time) > 0).all()
+    assert thin_values.max() == 9.0 and thin_values.min() == -9.0
+    assert thin_time[0] == time[0] and thin_time[-1] == time[-1]
+
+
+def test_walk_shows_every_quantity_with_its_unit(walk):
+    figure = plots.plot_walk(walk)
+    assert y_labels(figure) == [
+        "largest foot force [N]",
+        "coxa $\\tau$ [N m]",
+        "femur $\\tau$ [N m]",
+        "tibia $\\tau$ [N m]",
+        "base [mm]",
+        "base off ref. [mm]",
+        "shift $\\Delta x$ [mm]",
+        "turn $\\Delta x$ [mrad]",
+        "TSM [m]",
+        "GIA margin [m/s$^2$]",
+        "support",
+    ]
+    assert figure.axes[-1].get_xlabel() == "time [s]"
+    force = figure.axes[0].lines[0].get_ydata()
+    assert force.max() == plots.largest_foot_force(walk).max()
+
+
+def test_walk_marks_grip_changes_and_disturbances(walk):
+    figure = plots.plot_walk(walk)
+    labels = [text.get_text() for text in find(figure, "disturbance label")]
+    assert labels == ["cargo 0.5 kg", "\N{MINUS SIGN}5 N x"]
+    assert len(find(figure, "disturbance")) == 2 * len(figure.axes)
+    changes = {line.get_xdata()[0] for line in find(figure.axes[0], "grip change")}
+    assert min(abs(change - 1.0) for change in changes) < 0.01
+    assert len(find(figure.axes[-1], "support")) == 4
+    assert not find(figure, "detachment") and not find(figure, "failure")
+
+
+def test_torn_gripper_is_marked_in_red(torn):
+    (instant, limb), *_ = plots.detachments(torn)
+    figure = plots.plot_walk(torn)
+    crosses = find(figure, "detachment")
+    assert {cross.get_color() for cross in crosses} == {plots.RED}
+    for panel in figure.axes:
+        assert any(cross.get_xdata()[0] == instant for cross in find(panel, "detachment"))
+    (label,) = find(figure, "failure")
+    assert label.get_text().startswith(f"{limb} torn off, {instant:.2f} s")
+    assert instant == pytest.approx(mc.metrics(torn)["detached_at"] or instant)
+
+
+def test_diverged_walk_is_drawn_to_its_end(walk, tmp_path):
+    figure = plots.plot_walk(diverged(walk))
+    (label,) = find(figure, "failure")
+    assert label.get_text() == "diverged, 0.90 s"
+    assert figure.axes[0].get_ylim()[1] < 100
+    plots.save_figure(figure, tmp_path / "diverged", dpi=50)
+
+
+def test_walk_without_gravity_has_no_tsm(walk, tmp_path):
+    figure = plots.plot_walk(dataclasses.replace(walk, tsm=np.full_like(walk.tsm, np.nan)))
+    plots.save_figure(figure, tmp_path / "walk", dpi=50)
+
+
+def test_pd_walk_has_no_shift_panels(walk):
+    walk = dataclasses.replace(walk, base_displacement=np.zeros_like(walk.base_displacement))
+    assert not any("Delta" in label for label in y_labels(plots.plot_walk(walk)))
+
+
+def test_comparison_draws_all_walks_on_the_same_axes(walk, torn):
+    figure = plots.plot_comparison({"pd": walk, "proposed": torn}, "Case 2", per_limb=True)
+    assert y_labels(figure) == [
+        "largest foot force [N]",
+        "largest joint torque [N m]",
+        *(f"{limb} largest torque [N m]" for limb in walk.limbs),
+        "TSM [m]",
+        "GIA margin [m/s$^2$]",
+        "base off its reference [mm]",
+    ]
+    assert {"pd", "proposed", "Case 2"} <= set(texts(figure))
+    assert len(find(figure, "detachment")) == len(figure.axes)
+    assert len(plots.plot_comparison({"pd": walk}).axes) == 5
+    with pytest.raises(ValueError, match="at least one walk"):
+        plots.plot_comparison({})
+
+
+def test_map_is_logarithmic_with_units_marks_and_baseline():
+    marks = {"paper": (5e4, 5e3), "best": (3e3, 1e2)}
+    figure = plots.plot_map(grid(), "peak_foot_force", marks, baseline=1.5)
+    panel, bar = figure.axes
+    assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
+    assert panel.get_xlabel() == "stiffness" and panel.get_ylabel() == "damping"
+    assert bar.get_ylabel() == "peak foot force [N]"
+    assert [line.get_ydata()[0] for line in find(bar, "baseline")] == [1.5]
+    drawn = {line.get_label(): line for line in panel.lines}
+    assert {name: (line.get_xdata()[0], line.get_ydata()[0]) for name, line in drawn.items()} == marks
+    assert len({line.get_marker() for line in drawn.values()}) == 2
+    assert {"paper", "best", "failed walk", "no value", "pd"} <= set(texts(figure))
+
+
+def test_map_hatches_failed_walks_and_scales_by_the_others():
+    dataset = grid()
+    dataset["peak_foot_force"][2, 0] = 1e6
+    figure = plots.plot_map(dataset, "peak_foot_force")
+    hatched = find(figure, "failed walks")
+    assert all(isinstance(cells, PatchCollection) and cells.get_hatch() for cells in hatched)
+    corners = {tuple(path.vertices.min(0)) for cells in hatched for path in cells.get_paths()}
+    expected = {(10**3.5, 0.1), (10**4.5, 0.1)}
+    np.testing.assert_allclose(sorted(corners), sorted(expected))
+    assert figure.axes[0].collections[0].norm.vmax < 3
+
+
+def test_map_shows_a_mark_beside_the_grid():
+    panel = plots.plot_map(grid(), "peak_foot_force", {"paper": (4e7, 1e4)}).axes[0]
+    assert panel.get_xlim()[1] > 4e7
+
+
+def test_map_of_walks_without_values(tmp_path):
+    dataset = grid()
+    dataset["peak_foot_force"][:] = np.nan
+    dataset["diverged"][:] = True
+    plots.save_figure(plots.plot_map(dataset, "peak_foot_force", baseline=2.0), tmp_path / "map", dpi=50)
+
+
+def test_map_rejects_what_it_cannot_draw():
+    with pytest.raises(ValueError, match="speed: expected one of peak_foot_force"):
+        plots.plot_map(grid(), "speed")
+    with pytest.raises(ValueError, match="peak_foot_force: expected dimensions stiffness and inertia"):
+        plots.plot_map(grid(), "peak_foot_force", y="inertia")
+    with pytest.raises(ValueError, match="above 0"):
+        plots.plot_map(grid().assign_coords(damping=[0.0, 1.0, 2.0]), "peak_foot_force")
+
+
+def test_sheet_of_maps(tmp_path):
+    metrics = ["peak_foot_force", "min_gia_margin", "cost_of_transport", "detached_limb", "diverged"]
+    figure = plots.plot_maps(grid(), metrics, {"paper": (5e4, 5e3)}, baselines={"peak_foot_force": 9.0})
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
+    assert titles[:3] == ["peak foot force [N]", "smallest GIA margin [m/s$^2$]", "cost of transport"]
+    assert {"none", "LF", "LH", "RH", "RF", "pd \N{UPWARDS ARROW}"} <= set(texts(figure))
+    paths = plots.save_figure(figure, tmp_path / "out" / "sheet.v1", dpi=50)
+    assert [path.name for path in paths] == ["sheet.v1.png", "sheet.v1.svg"]
+
+
+def test_files_are_small(walk, tmp_path):
+    png, svg = plots.save_figure(plots.plot_walk(walk), tmp_path / "one", dpi=100)
+    assert png.stat().st_size < 300_000 and svg.stat().st_size < 600_000
+
+
+def test_package_loads_without_matplotlib():
+    code = "import sys, mjx_climb; sys.exit('matplotlib' in sys.modules)"
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, cwd=mc.__path__[0] + "/..")
