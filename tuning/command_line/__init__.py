@@ -4,7 +4,6 @@ Exit codes: 0 done; 2 bad input, with one line on stderr; 130 interrupted, with 
 Commands import JAX and all that is heavy when they run, so that `--help` is quick.
 """
 
-import os
 import signal
 import sys
 import threading
@@ -20,7 +19,7 @@ app = typer.Typer(
     name="mjx-climb",
     help="Simulate a limbed climbing robot, and find the admittance gains that keep it on the wall.",
     epilog="Each command has its own help with examples: mjx-climb run --help",
-    rich_markup_mode=None if os.environ.get("TYPER_USE_RICH", "1") in ("0", "false") else "rich",
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )

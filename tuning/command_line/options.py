@@ -33,9 +33,7 @@ GainsFile = Annotated[
     typer.Option("--gains", metavar="FILE", help="Gains file in place of the config's gains."),
 ]
 Engine = Annotated[str, typer.Option(metavar="NAME", help="Implementation of the robot's dynamics.")]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")
-]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
 def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 from rich import box
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 WIDTH = 100  # of tables in a file
 
 
-def console(*, stderr: bool = False) -> Console:
+def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
     """Return where people read: plain text of a fixed width unless it is a terminal."""
-    made = Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=False)
-    return made if made.is_terminal else Console(
-        stderr=stderr, highlight=False, markup=False, emoji=False, width=WIDTH
-    )  # fmt: skip
+    made = Console(file=file, stderr=stderr, highlight=False, markup=False, emoji=False)
+    if not made.is_terminal:
+        made.width = WIDTH
+    return made
 
 
 def plain(value):
