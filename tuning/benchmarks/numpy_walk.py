@@ -141,7 +141,8 @@ class Walker:
             curve[0] += self.stride * (cycle + _cubic(phase))
             curve[2] += self.step_height * _cubic(2 * phase if phase < 0.5 else 2 - 2 * phase)
             target[:, limb] = curve[:, None]
-        reference = self.base + [self.stride * (cycle + _cubic(in_cycle / self.cycle)), 0.0, 0.0]
+        reference = self.base.copy()
+        reference[0] += self.stride * (cycle + _cubic(in_cycle / self.cycle))
         relative = target - (reference[:, None] + self.shift[:3])[:, None]
         joints = self.inverse_kinematics(_turned_back(self.shift[3:], relative))
         self.foot_force, self.torque = force, self.kp * (joints - angles) - self.kd * rates
