@@ -1,5 +1,6 @@
 """mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control."""
 
+from mjx_climb.compilation import compiler_options
 from mjx_climb.config import ConfigError, Scenario, load_scenario
 from mjx_climb.dynamics import ENGINES, forward_dynamics
 from mjx_climb.metrics import METRICS
@@ -20,6 +21,7 @@ __all__ = [
     "Scenario",
     "State",
     "Trajectory",
+    "compiler_options",
     "forward_dynamics",
     "load_scenario",
     "metrics",

@@ -27,13 +27,6 @@ class Plan:
     swing_offset: Array  # (L, B) steps after the start of a cycle at which a limb lifts off
 
 
-class Memory(NamedTuple):
-    """What the gait remembers between steps."""
-
-    lift_off: Array  # (3, L, B) m, world, where a swing starts
-    cycle_base: Array  # (3, B) m, world, base reference at the start of the cycle
-
-
 class Schedule(NamedTuple):
     """Where each limb is in its swing at one step."""
 
@@ -80,28 +73,32 @@ def rest_to_rest(phase: Array) -> Array:
     return phase * phase * (3 - 2 * phase)
 
 
-def remember(
-    plan: Plan, memory: Memory, now: Schedule, grip_point: Array, base_position: Array, *, follow_base: bool
-) -> Memory:
-    """Return the memory after the step's contacts are known.
+def cycle_start(plan: Plan, now: Schedule, last: Array, base_position: Array, *, follow_base: bool) -> Array:
+    """Return where the cycle's base reference starts, (3, B) m in world axes.
 
-    A cycle's base reference starts where the last one ended, or, with `follow_base`, where the base is.
+    That is where the last cycle's ended or, with `follow_base`, where the base was when the cycle began; `last` is the
+    value at the last step.
     """
-    nominal = plan.base_start + now.cycle * plan.advance
-    start = jnp.where(now.cycle_phase == 0, base_position, memory.cycle_base) if follow_base else nominal
-    return Memory(lift_off=jnp.where(now.closed, grip_point, memory.lift_off), cycle_base=start)
+    if follow_base:
+        return jnp.where(now.cycle_phase == 0, base_position, last)
+    return plan.base_start + now.cycle * plan.advance
 
 
-def base_reference(plan: Plan, memory: Memory, now: Schedule) -> Array:
+def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:
     """Return where the base should be, (3, B) m in world axes: one cubic a cycle, rest to rest."""
-    return memory.cycle_base + rest_to_rest(now.cycle_phase) * plan.advance
+    return start + rest_to_rest(now.cycle_phase) * plan.advance
 
 
-def foot_targets(plan: Plan, memory: Memory, now: Schedule, grip_point: Array) -> Array:
-    """Return where the feet should be, (3, L, B) m in world axes: the grip, or the swing to the next foothold."""
-    landing = plan.footholds + (now.cycle + 1) * plan.advance[:, None]
+def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
+    """Return where the feet should be, (3, L, B) m in world axes.
+
+    A shut gripper stays where it grips. A swing is the same curve whatever came before: from the cycle's planned
+    foothold to the next, even where a sagging robot touched down short of it.
+    """
+    foothold = plan.footholds + now.cycle * plan.advance[:, None]
+    # a limb on the ground has no swing: its phase runs past one
     phase = jnp.where(now.closed, 0.0, now.swing_phase)
-    swing = memory.lift_off + rest_to_rest(phase) * (landing - memory.lift_off)
+    swing = foothold + rest_to_rest(phase) * plan.advance[:, None]
     lift = plan.step_height * rest_to_rest(jnp.where(phase < 0.5, 2 * phase, 2 - 2 * phase))
     swing = swing.at[2].add(lift)
     return jnp.where(now.closed, grip_point, swing)

@@ -108,15 +108,17 @@ def accumulate(total: Accumulator, sample: Sample, robot: Robot, time_step: floa
     )
 
 
-def finish(total: Accumulator, gravity: Array) -> dict[str, Array]:
-    """Return the metrics (B,) of a walk under `gravity` (3, B) m/s^2.
+def finish(total: Accumulator, gravity: Array, heading: Array) -> dict[str, Array]:
+    """Return the metrics (B,) of a walk under `gravity` (3, B) m/s^2 along `heading` (B,) rad.
+
+    Travel is the way made along the heading.
 
     Where the state stopped being finite all but `diverged` are NaN (`detached_limb` -1). Without gravity, or without
     travel, there is no cost of transport: NaN.
     """
     moved = total.end - total.start
-    travel = norm(moved.at[2].set(0.0))
-    weight_travel = total.mass * norm(gravity) * travel
+    travel = jnp.cos(heading) * moved[0] + jnp.sin(heading) * moved[1]
+    weight_travel = total.mass * norm(gravity) * jnp.abs(travel)
     defined = weight_travel > 0
     values = {name: getattr(total, name) for name in METRICS if hasattr(total, name)}
     values["travel"] = travel

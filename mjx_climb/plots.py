@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
@@ -38,7 +39,7 @@ GREY = "#BDBDBD"
 
 LARGER_IS_BETTER = {"min_tsm", "min_gia_margin", "joint_limit_margin", "detached_at", "travel"}
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 7.5,
     "axes.labelsize": 7.5,
@@ -199,8 +200,8 @@ def _end(trajectory: Trajectory) -> float:
 
 def _panels(heights: Sequence[float], end: float, height: float) -> tuple[Figure, list[Axes]]:
     """Return a tall figure of panels over one time axis that runs to `end`."""
-    figure = Figure(figsize=(COLUMN, height), layout="constrained")
-    figure.get_layout_engine().set(h_pad=0.02, w_pad=0.02, hspace=0.0)
+    layout = ConstrainedLayoutEngine(h_pad=0.02, w_pad=0.02, hspace=0.0)
+    figure = Figure(figsize=(COLUMN, height), layout=layout)
     axes = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
     axes[0].set_xlim(0, end)
     axes[-1].set_xlabel("time [s]")
@@ -647,8 +648,14 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
         handles.append(Patch(facecolor=GREY, label="no value"))
     for number, (name, (at_x, at_y)) in enumerate(marks.items()):
         marker = _MARKERS[number % len(_MARKERS)]
-        look: dict[str, Any] = {"marker": marker, "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": BLACK,
-                "markeredgewidth": 0.9, "markersize": 9 if marker == "*" else 6}  # fmt: skip
+        look: dict[str, Any] = {
+            "marker": marker,
+            "linestyle": "none",
+            "markerfacecolor": "white",
+            "markeredgecolor": BLACK,
+            "markeredgewidth": 0.9,
+            "markersize": 9 if marker == "*" else 6,
+        }
         panel.plot([at_x], [at_y], **look, zorder=4, label=name)
         handles.append(Line2D([], [], **look, label=name))
     # a mark beside the grid is shown too

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb import compilation_cache
 from mjx_climb import metrics as metrics_module
+from mjx_climb.compilation import compiler_options, enable_cache
 from mjx_climb.config import Scenario
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.parameters import Gains, Parameters, batch_last, batch_shape, parameters
@@ -44,7 +44,7 @@ def _metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metr
 
     start = (begin(walk, batch), metrics_module.start(batch, dtype))
     (_, total), _ = jax.lax.scan(step, start, jnp.arange(structure.steps))
-    result = metrics_module.finish(total, walk.numbers.gravity)
+    result = metrics_module.finish(total, walk.numbers.gravity, walk.numbers.heading)
     return {name: value.reshape(shape) for name, value in result.items()}
 
 
@@ -54,8 +54,9 @@ def _samples_of(structure: Structure, gains: Gains, numbers: Parameters) -> Samp
     return jax.lax.scan(functools.partial(advance, walk), begin(walk, 1), jnp.arange(structure.steps))[1]
 
 
-_compiled_metrics = jax.jit(_metrics_of, static_argnums=0)
-_compiled_samples = jax.jit(_samples_of, static_argnums=0)
+@functools.cache
+def _compiled(function: Callable, batch: int) -> Callable:
+    return jax.jit(function, static_argnums=0, compiler_options=compiler_options(batch))
 
 
 def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE) -> Callable[..., Metrics]:
@@ -109,9 +110,9 @@ def rollout(
     gains, numbers = _given(scenario, gains, numbers, dtype)
     if batch_shape(gains, numbers) != ():
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
-    compilation_cache.enable()
+    enable_cache()
     with jax.enable_x64(np.dtype(dtype) == np.float64):
-        samples = _compiled_samples(structure(scenario, engine), gains, numbers)
+        samples = _compiled(_samples_of, 1)(structure(scenario, engine), gains, numbers)
         samples = jax.tree.map(np.asarray, samples)
     return from_samples(samples, scenario, gains, load_robot(scenario.robot).limbs)
 
@@ -137,7 +138,8 @@ def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
         robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
         total = _accumulated(samples, robot, trajectory.scenario.time_step)
         gravity = jnp.asarray(trajectory.scenario.gravity, dtype)[:, None]
-        values = {name: value.item() for name, value in metrics_module.finish(total, gravity).items()}
+        heading = jnp.asarray([trajectory.scenario.gait.heading], dtype)
+        values = {name: value.item() for name, value in metrics_module.finish(total, gravity, heading).items()}
     return named(values, trajectory.limbs)
 
 
@@ -185,13 +187,13 @@ def rollout_metrics(
     count = math.prod(shape)
     size = min(batch_size or count, count)
     gains, numbers = _flattened(gains, numbers, shape)
-    compilation_cache.enable()
+    enable_cache()
     parts = []
     with jax.enable_x64(np.dtype(dtype) == np.float64):
         for start in range(0, count, size):
             # the last part is filled up with its last robot, so that every part has the shape that was compiled
             rows = np.minimum(np.arange(start, start + size), count - 1)
-            part = _compiled_metrics(structure(scenario, engine), *_rows(gains, numbers, rows))
+            part = _compiled(_metrics_of, size)(structure(scenario, engine), *_rows(gains, numbers, rows))
             parts.append({name: np.asarray(value)[: count - start] for name, value in part.items()})
             if progress is not None:
                 progress(min(start + size, count), count)

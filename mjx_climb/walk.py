@@ -53,7 +53,7 @@ class Carry(NamedTuple):
 
     state: State
     contact: Contact
-    gait: gait.Memory
+    cycle_start: Array  # (3, B) m, base reference at the start of the gait cycle
     law: Any
 
 
@@ -104,7 +104,7 @@ def begin(walk: Walk, batch: int) -> Carry:
     return Carry(
         state=State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints)),
         contact=Contact(grip_point=feet, closed=shut, touching=shut, detached=~shut),
-        gait=gait.Memory(lift_off=feet, cycle_base=position),
+        cycle_start=position,
         law=jax.tree.map(each, walk.law.initial),
     )
 
@@ -120,13 +120,11 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     contact, held = grip(carry.contact, feet, now.closed, numbers)
     wrench = base_wrench_of_foot_force(feet.lever, held.force)
 
-    memory = gait.remember(
-        walk.plan, carry.gait, now, contact.grip_point, state.base_position, follow_base=walk.follow_base
-    )
+    cycle_start = gait.cycle_start(walk.plan, now, carry.cycle_start, state.base_position, follow_base=walk.follow_base)
     reference = Reference(
-        base_position=gait.base_reference(walk.plan, memory, now),
+        base_position=gait.base_reference(walk.plan, now, cycle_start),
         base_orientation=walk.plan.base_orientation,
-        foot_position=gait.foot_targets(walk.plan, memory, now, contact.grip_point),
+        foot_position=gait.foot_targets(walk.plan, now, contact.grip_point),
     )
     measurement = Measurement(
         state.base_position,
@@ -186,6 +184,6 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         ),
         gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
     )
-    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state)
+    after = Carry(integrate(state, acceleration, walk.time_step), contact, cycle_start, law_state)
     # what all environments share (a gait of one timing, say) has a batch axis of one until here
     return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry), sample

@@ -9,15 +9,15 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.dynamics import mjx_engine
+from mjx_climb.dynamics import limb_engine, mjx_engine
 from mjx_climb.robot import Robot, load_robot
 from mjx_climb.state import Acceleration, State, batch_last, joints_to_limbs, limbs_to_joints
 
 # state, joint torque (3, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
 
-ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.build}
-DEFAULT_ENGINE = "mjx"
+ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.build, "limb": limb_engine.build}
+DEFAULT_ENGINE = "limb"
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 
