@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import run, sweep
+from tuning.command_line import bench, run, sweep
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ app = typer.Typer(
 )
 app.command("run")(run.run)
 app.command("sweep")(sweep.sweep)
+app.command("bench")(bench.bench)
 
 
 def _version(wanted: bool) -> None:
