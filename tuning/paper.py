@@ -15,6 +15,7 @@ import numpy as np
 import mjx_climb as mc
 
 UNCHANGED = 0.005  # a smaller relative change is none
+SETTLED = 0.02  # s after a grip change: what it did to the joints' targets is over
 
 
 class Case(NamedTuple):
@@ -104,12 +105,19 @@ def torque_spikes(baseline: mc.Trajectory, proposed: mc.Trajectory, _: Case) -> 
     """Joint torque spikes are smaller: the peak and the variation over all joints both fall."""
     varied = [_variation(walk.joint_torque) for walk in (baseline, proposed)]
     peak = [float(np.abs(walk.joint_torque).max()) for walk in (baseline, proposed)]
-    holds = _falls(*peak) and _falls(*varied)
+    settled = [_peak_torque_away_from_grip_changes(walk) for walk in (baseline, proposed)]
+    falls = _falls(*peak), _falls(*varied)
+    words = {
+        (True, True): "The joint torques have smaller spikes",
+        (False, True): "The joint torques vary less, but their peak does not fall",
+        (True, False): "The peak of the joint torques falls, but they vary no less",
+        (False, False): "Neither the peak nor the variation of the joint torques falls",
+    }
+    jump = "" if settled == peak else f"; away from grip changes the peak goes {_went(settled, 'N m')}"
     return Verdict(
-        holds,
-        _measured(peak_joint_torque=peak, torque_variation=varied),
-        f"The joint torques {'have smaller spikes' if holds else 'do not have smaller spikes in both senses'}: "
-        f"peak {_went(peak, 'N m')}, variation over all joints {_went(varied, 'N m')}.",
+        all(falls),
+        _measured(peak_joint_torque=peak, torque_variation=varied, peak_away_from_grip_changes=settled),
+        f"{words[falls]}: peak {_went(peak, 'N m')}, variation over all joints {_went(varied, 'N m')}{jump}.",
     )
 
 
@@ -121,7 +129,7 @@ def detachment(baseline: mc.Trajectory, proposed: mc.Trajectory, published: Case
     measured = {
         "detached_at": _pair([None if loss is None else loss[0] for loss in lost]),
         "detached_limb": _pair([None if loss is None else loss[1] for loss in lost]),
-        **_measured(peak_pull_force=pull),
+        "peak_pull_force": _pair(pull),
         "holding_limit": limit,
     }
     names = [
@@ -228,13 +236,12 @@ def judge_all(walks: Mapping[str, Walk], published: Case) -> dict[str, dict[str,
 
     Where the paper's baseline fails, `detachment_actual` judges the baseline whose reference follows the actual base.
     """
-    verdicts = {}
-    for reading in READINGS:
-        verdicts[reading] = {n: judge(n, walks[BASELINE], walks[reading], published) for n in CLAIMS}
-        if published.baseline_fails:
-            verdicts[reading]["detachment_actual"] = judge(
-                "detachment", walks[BASELINE_ACTUAL], walks[reading], published
-            )
+    verdicts = {reading: {} for reading in READINGS}
+    for reading, found in verdicts.items():
+        for name in CLAIMS:
+            found[name] = judge(name, walks[BASELINE], walks[reading], published)
+            if name == "detachment" and published.baseline_fails:
+                found["detachment_actual"] = judge(name, walks[BASELINE_ACTUAL], walks[reading], published)
     return verdicts
 
 
@@ -262,6 +269,17 @@ def _peak_pull(walk: mc.Trajectory) -> float:
     """Return the largest force of a gripper that the ground pulls down, N."""
     pulling = walk.support & (walk.foot_force[..., 2] < 0)
     return float(np.where(pulling, np.linalg.norm(walk.foot_force, axis=-1), 0.0).max())
+
+
+def _peak_torque_away_from_grip_changes(walk: mc.Trajectory) -> float:
+    """Return the peak joint torque, N m, without the moments in which a gripper has just opened or shut.
+
+    A foot that lifts off is at once commanded along its planned swing, wherever it was: a jump of one or two steps.
+    """
+    kept = np.ones(walk.time.size, bool)
+    for row in np.flatnonzero((walk.support[1:] != walk.support[:-1]).any(1)) + 1:
+        kept[row : row + round(SETTLED / walk.scenario.time_step)] = False
+    return float(np.abs(walk.joint_torque[kept]).max(initial=0.0))
 
 
 def _push_shifts(walk: mc.Trajectory) -> list[float]:

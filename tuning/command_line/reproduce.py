@@ -183,7 +183,7 @@ def metrics_grid(found: Mapping[str, Reproduction]) -> Grid:
             stated = ["", ""]
             if metric == "cost_of_transport":
                 values = (case.published.baseline_cost, case.published.proposed_cost)
-                stated = ["" if value is None else report.number(value) for value in values]
+                stated = ["" if value is None else _short(value) for value in values]
             if metric == "detached_at":
                 stated = ["fails" if case.published.baseline_fails else "holds", "holds"]
             cells = [_cell(metric, metrics) for metrics in case.metrics.values()]
@@ -193,16 +193,20 @@ def metrics_grid(found: Mapping[str, Reproduction]) -> Grid:
 
 
 def _cell(metric: str, metrics: Mapping) -> str:
-    from tuning.command_line import report
-
     if metric == "detached_at" and metrics[metric] is None and not metrics["diverged"]:
         return "holds"
-    return report.number(metrics[metric])
+    return _short(metrics[metric])
+
+
+def _short(value) -> str:
+    from tuning.command_line import report
+
+    return report.number(value).replace("e+0", "e")
 
 
 def claims_grid(found: Mapping[str, Reproduction]) -> Grid:
     """Return for each claim whether it holds in each case and reading, with the change of its main quantity."""
-    columns = ["claim", *(f"{case}, {READS[reading]}" for case in found for reading in READS)]
+    columns = ["claim", *(f"{case} {READS[reading]}" for case in found for reading in READS)]
     names = list(dict.fromkeys(n for case in found.values() for verdicts in case.verdicts.values() for n in verdicts))
     rows = []
     for name in names:
@@ -220,11 +224,34 @@ def _word(verdict: "paper.Verdict") -> str:
     return f"{word}, x{change + 1:.3g}" if change > 2 else f"{word}, {100 * change:+.1f} %"
 
 
+def overall(found: Mapping[str, Reproduction]) -> list[str]:
+    """Return one line for each reading: which claims hold, and where."""
+    from tuning import paper
+
+    lines = []
+    for reading, title in READS.items():
+        parts: dict[str, list[str]] = {"yes": [], "in part": [], "no": []}
+        for name, claim in paper.CLAIMS.items():
+            judged = {case: what.verdicts[reading][name].holds for case, what in found.items()}
+            judged = {case: holds for case, holds in judged.items() if holds is not None}
+            where = [case for case, holds in judged.items() if holds]
+            if where:
+                everywhere = len(where) == len(judged)
+                only = "" if everywhere else f" (only in case{'s' * (len(where) > 1)} {' and '.join(where)})"
+                parts["yes" if everywhere else "in part"].append(claim.text + only)
+            elif judged:
+                parts["no"].append(claim.text)
+        lines.append(f"{title.capitalize()}: " + "; ".join(f"{k}: {', '.join(v)}" for k, v in parts.items() if v) + ".")
+    return lines
+
+
 def sentences(found: Mapping[str, Reproduction]) -> dict[str, list[str]]:
     """Return what is said of each claim, by case and reading."""
     return {
         f"case {case}, {READS[reading]}": [
-            f"{'With the base reference from the actual base: ' if name == 'detachment_actual' else ''}{v.sentence}"
+            f"With the base reference from the actual base: {v.sentence[0].lower()}{v.sentence[1:]}"
+            if name == "detachment_actual"
+            else v.sentence
             for name, v in verdicts.items()
         ]
         for case, what in found.items()
@@ -241,13 +268,19 @@ def show(found: Mapping[str, Reproduction], console) -> None:
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
         for number, name in enumerate(grid.columns):
             words = number == 0 or name == "unit"
-            table.add_column(name.replace(", ", "\n"), justify="left" if words else "right", no_wrap=number > 0)
+            name = name if number == 0 else name.replace(" ", "\n")
+            table.add_column(
+                name, justify="left" if words else "right", no_wrap=number > 0 or bool(grid.sections[0][0])
+            )
         for heading, rows in grid.sections:
             if heading:
                 table.add_row(heading.split(":")[0], end_section=False, style="bold")
             for row in rows:
                 table.add_row(*row, end_section=row is rows[-1])
         console.print(table)
+    for line in overall(found):
+        console.print(line)
+    console.print()
     for heading, said in sentences(found).items():
         console.print(heading.capitalize())
         for sentence in said:
@@ -262,6 +295,7 @@ def as_markdown(found: Mapping[str, Reproduction]) -> str:
         for heading, rows in grid.sections:
             lines += [f"**{heading.capitalize()}**", ""] if heading else []
             lines += [_row(grid.columns), _row(["---"] * len(grid.columns)), *map(_row, rows), ""]
+    lines += [*(f"- {line}" for line in overall(found)), ""]
     for heading, said in sentences(found).items():
         lines += [f"**{heading.capitalize()}**", "", *(f"- {sentence}" for sentence in said), ""]
     return "\n".join(lines)
