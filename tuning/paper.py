@@ -138,14 +138,19 @@ def detachment(baseline: mc.Trajectory, proposed: mc.Trajectory, published: Case
     ]
     pulls = f"the grippers pull at most {_number(pull[0])} and {_number(pull[1])} N"
     pulls += "" if limit is None else f" of the {limit:g} N that they bear"
-    in_paper = "in the paper the baseline fails" if published.baseline_fails else "as in the paper"
     if lost[0] is not None or lost[1] is not None:
         holds = lost[1] is None
         sentence = f"Detachment is {'avoided' if holds else 'not avoided'}: {names[0]}, {names[1]}"
     elif published.baseline_fails:
-        holds, sentence = False, f"There is no detachment to avoid: both hold all the way, while {in_paper}; {pulls}"
+        holds, sentence = (
+            False,
+            f"There is no detachment to avoid: both hold all the way, while in the paper the baseline fails; {pulls}",
+        )
     else:
-        holds, sentence = None, f"There is no detachment to avoid: both hold all the way, {in_paper}; {pulls}"
+        holds, sentence = (
+            None,
+            f"There is no detachment to avoid: both hold all the way, and the paper reports none; {pulls}",
+        )
     return Verdict(holds, measured, sentence + ".")
 
 
@@ -274,7 +279,8 @@ def _peak_pull(walk: mc.Trajectory) -> float:
 def _peak_torque_away_from_grip_changes(walk: mc.Trajectory) -> float:
     """Return the peak joint torque, N m, without the moments in which a gripper has just opened or shut.
 
-    A foot that lifts off is at once commanded along its planned swing, wherever it was: a jump of one or two steps.
+    A foot that lifts off is at once commanded along its planned swing, wherever it was, and one whose gripper shuts to
+    where it stands: a jump that dies away within a few steps.
     """
     kept = np.ones(walk.time.size, bool)
     for row in np.flatnonzero((walk.support[1:] != walk.support[:-1]).any(1)) + 1:

@@ -185,7 +185,7 @@ def metrics_grid(found: Mapping[str, Reproduction]) -> Grid:
                 values = (case.published.baseline_cost, case.published.proposed_cost)
                 stated = ["" if value is None else _short(value) for value in values]
             if metric == "detached_at":
-                stated = ["fails" if case.published.baseline_fails else "holds", "holds"]
+                stated = ["fails", "holds"] if case.published.baseline_fails else ["", ""]
             cells = [_cell(metric, metrics) for metrics in case.metrics.values()]
             rows.append([metric, report.unit(metric), *stated, *cells])
         sections.append((f"case {name}: {case.published.title}", rows))
@@ -293,11 +293,11 @@ def as_markdown(found: Mapping[str, Reproduction]) -> str:
     lines = []
     for grid in (metrics_grid(found), claims_grid(found)):
         for heading, rows in grid.sections:
-            lines += [f"**{heading.capitalize()}**", ""] if heading else []
+            lines += [f"**{heading[0].upper()}{heading[1:]}**", ""] if heading else []
             lines += [_row(grid.columns), _row(["---"] * len(grid.columns)), *map(_row, rows), ""]
     lines += [*(f"- {line}" for line in overall(found)), ""]
     for heading, said in sentences(found).items():
-        lines += [f"**{heading.capitalize()}**", "", *(f"- {sentence}" for sentence in said), ""]
+        lines += [f"**{heading[0].upper()}{heading[1:]}**", "", *(f"- {sentence}" for sentence in said), ""]
     return "\n".join(lines)
 
 
