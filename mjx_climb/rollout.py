@@ -61,8 +61,8 @@ def _compiled_samples() -> Callable:
 
 
 @functools.cache
-def _compiled_metrics(robots_per_device: int) -> Callable:
-    return jax.jit(_metrics_of, static_argnums=0, compiler_options=compiler_options(robots_per_device))
+def _compiled_metrics(batch: int) -> Callable:
+    return jax.jit(_metrics_of, static_argnums=0, compiler_options=compiler_options(batch))
 
 
 def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE) -> Callable[..., Metrics]:
@@ -198,17 +198,19 @@ def rollout_metrics(
     gains, numbers = _given(scenario, gains, numbers, dtype)
     shape = batch_shape(gains, numbers)
     count = math.prod(shape)
-    robots_per_device = -(-min(batch_size or count, count) // jax.device_count())
+    size = min(batch_size or count, count)
+    robots_per_device = -(-size // jax.device_count())
+    size_of_part = robots_per_device * jax.device_count()
     gains, numbers = _flattened(gains, numbers, shape)
     enable_cache()
-    compiled = functools.partial(_compiled_metrics(robots_per_device), structure(scenario, engine))
+    compiled = functools.partial(_compiled_metrics(size), structure(scenario, engine))
 
     def walk(rows, sharding):
         return compiled(*jax.device_put(_rows(gains, numbers, rows), sharding))
 
-    parts, size = [], robots_per_device * jax.device_count()
+    parts = []
     with jax.enable_x64(np.dtype(dtype) == np.float64):
-        for rows in np.split(np.arange(count), range(size, count, size)):
+        for rows in np.split(np.arange(count), range(size_of_part, count, size_of_part)):
             parts.append(devices.spread(walk, rows, robots_per_device))
             if progress is not None:
                 progress(int(rows[-1]) + 1, count)
