@@ -21,7 +21,7 @@ from jax._src import xla_bridge
 
 assert mc.rollout
 assert not xla_bridge._backends, "a JAX backend was started"
-written = [path for path in written if path != "/dev/null"]
+written = [path for path in written if isinstance(path, str) and path != "/dev/null"]  # a number is a pipe
 assert not written, written
 """
 
