@@ -51,7 +51,9 @@ def padded_numbers(scenario, **changes):
 def six_gains(scenario):
     """Return the scenario's gains on six axes each: one shape, so one program, for all."""
     control = scenario.control
-    return mc.Gains(*(np.broadcast_to(np.asarray(g, float), 6) for g in (control.inertia, control.damping, control.stiffness)))
+    return mc.Gains(
+        *(np.broadcast_to(np.asarray(g, float), 6) for g in (control.inertia, control.damping, control.stiffness))
+    )
 
 
 @pytest.fixture(scope="session")

@@ -174,7 +174,7 @@ def test_a_second_of_motion_is_that_of_mujoco(engine, open_loop):
         model = load_model("hubrobo_v3_2").__copy__()
         model.opt.gravity[:] = gravity[:, motion]
         mass, data = model.body_mass[1], mujoco.MjData(model)
-        flat = lambda a: a.T.ravel() if a.ndim == 2 else a  # noqa: B023, E731
+        flat = lambda a: a.T.ravel() if a.ndim == 2 else a  # noqa: E731
         set_state(data, *(flat(value[..., motion]) for value in vars(start).values()))
         for step in range(STEPS):
             model.body_mass[1] = mass + cargo[step, motion]

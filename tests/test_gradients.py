@@ -16,7 +16,8 @@ GAINS = ("inertia", "damping", "stiffness")
 # relative changes of gains (axes: gain, translations and rotations): all six axes at once, then each alone
 ISOTROPIC = np.repeat(np.eye(3)[:, :, None], 6, axis=2)
 DIRECTIONS = np.concatenate([ISOTROPIC, np.eye(18).reshape(18, 3, 6)])
-STEPS = np.array([1e-3, 1e-4, 1e-5, 1e-6])
+STEPS = np.array([1e-4, 1e-5, 1e-6])
+ROUNDING = 1e-12  # what is uncertain of a metric by the rounding of 8000 steps, relative
 
 
 class Walks:
@@ -29,7 +30,9 @@ class Walks:
             self.nominal = np.broadcast_to(np.array(nominal)[:, None], self.nominal.shape)
         self.numbers = jax.tree.map(lambda *values: np.stack(values), *map(numbers, scenarios))
         self.values = jax.jit(self._values)
-        self.slopes = jax.jit(lambda change, *rest: jax.jvp(lambda c: self._values(c, *rest[1:]), (change,), rest[:1])[1])
+        self.slopes = jax.jit(
+            lambda change, *rest: jax.jvp(lambda c: self._values(c, *rest[1:]), (change,), rest[:1])[1]
+        )
 
     def _values(self, change, nominal, numbers):
         gains = nominal * (1 + change)
@@ -58,21 +61,26 @@ class Walks:
 
 
 def assert_derivatives(walks, directions):
-    """Compare on the plateau, which the differences alone give: where two neighbouring steps agree best."""
+    """Compare each derivative with the central difference of the step that suits it best.
+
+    The metrics have kinks (maxima over time and limbs, sums of absolute values), so a difference is right while none of
+    them lies within its step; `force_variation` and `cost_of_transport` have the most of them. A small step loses to
+    rounding what a large one loses to kinks.
+    """
     forward = walks.forward(directions)
     differences, values = walks.differences(directions)
     assert np.isfinite(values).all() and np.isfinite(forward).all()
-    plateau = np.abs(np.diff(differences, axis=0)).argmin(0)
-    best = np.take_along_axis(differences, plateau[None], axis=0)[0]
-    # A difference of two walks over 1e-3 knows no more than 1e-8 of the metric: each walk is rounded to some 1e-11.
-    error = np.abs(forward - best) - 1e-8 * np.abs(values)
-    relative = error / np.maximum(np.abs(forward), 1e-300)
-    worst = dict(zip(SMOOTH, relative.max((1, 2)), strict=True))
-    sensible = (np.abs(forward) > 1e-5 * np.abs(values)).mean((1, 2))
-    print({name: f"{value:.1e}" for name, value in worst.items()}, sensible)
-    assert all(value <= 1e-3 for value in worst.values()), worst
-    # the comparison is of something: no metric is blind to all of the gains
-    assert (sensible > 0).all(), dict(zip(SMOOTH, sensible, strict=True))
+    noise = ROUNDING * np.abs(values) / STEPS[:, None, None, None]
+    error = np.abs(differences - forward)
+    relative = (np.maximum(error - noise, 0) / np.maximum(np.abs(forward), 1e-300)).min(0).max((1, 2))
+    # derivatives that a difference can tell without any allowance for rounding
+    clear = np.abs(forward) > 1e-4 * np.abs(values)
+    clearly = np.where(clear, (error / np.maximum(np.abs(forward), 1e-300)).min(0), 0).max((1, 2))
+    report = {name: f"{a:.0e} {b:.0e} ({n})" for name, a, b, n in zip(SMOOTH, relative, clearly, clear.sum((1, 2)))}  # noqa: B905
+    print(report)
+    assert relative.max() <= 1e-3, report
+    assert clearly.max() <= 1e-3, report
+    assert clear.sum() > 0.2 * clear.size, report
 
 
 def test_two_gains_in_case_2(case, gains, numbers):

@@ -1,6 +1,5 @@
 """What must hold whatever the numbers: momentum, energy, static equilibrium, and no preferred direction."""
 
-
 import math
 
 import jax
@@ -76,7 +75,9 @@ def energy(trajectory, step):
     """Return kinetic energy plus that of the joint and contact springs, J, without gravity."""
     tr, sc = trajectory, trajectory.scenario
     names = ("base_position", "base_orientation", "base_linear_velocity", "base_angular_velocity")
-    data = mujoco_data(*(getattr(tr, n)[step] for n in names), tr.joint_angles[step].ravel(), tr.joint_rates[step].ravel())
+    data = mujoco_data(
+        *(getattr(tr, n)[step] for n in names), tr.joint_angles[step].ravel(), tr.joint_rates[step].ravel()
+    )
     mujoco.mj_energyVel(MODEL, data)
     joints = sc.control.kp / 2 * np.sum((tr.joint_targets - tr.joint_angles)[step] ** 2)
     return data.energy[1] + joints + sc.contact.stiffness / 2 * np.sum((tr.foot_position - tr.grip_point)[step] ** 2)
@@ -117,11 +118,15 @@ def static_shift(gravity, stiffness=None):
     """
     robot, kp, k_s = load_robot("hubrobo_v3_2"), 50.0, 1e4
     still = np.zeros((3, 1))
-    state = State(robot.stance_position, robot.stance_orientation, still, still, robot.stance_joints, 0 * robot.stance_joints)
+    state = State(
+        robot.stance_position, robot.stance_orientation, still, still, robot.stance_joints, 0 * robot.stance_joints
+    )
     frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
     feet = jax.tree.map(np.asarray, foot_kinematics(frames, state))
     mass = robot.total_mass[0]
-    lever = np.asarray(center_of_mass(robot, frames, state.base_position, np.zeros(1)))[:, 0] - state.base_position[:, 0]
+    lever = (
+        np.asarray(center_of_mass(robot, frames, state.base_position, np.zeros(1)))[:, 0] - state.base_position[:, 0]
+    )
     weight = np.concatenate([mass * gravity, np.cross(lever, mass * gravity)])
     # MuJoCo's bias at rest is minus the generalised force of gravity
     model = MODEL.__copy__()
