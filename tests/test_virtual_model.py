@@ -55,7 +55,8 @@ def test_a_thousand_steps_follow_the_step_response(name):
 
     start = VirtualState(jnp.asarray(0.0), jnp.asarray(0.0))
     ours = jax.jit(functools.partial(jax.lax.scan, step, length=1000))(start, None)[1]
-    exact = np.array([expm(matrix(*GAINS[name]) * STEP * n)[:2, 2] * force for n in range(1, 1001)])
+    ours = jax.tree.map(lambda value: value[9::10], ours)
+    exact = np.array([expm(matrix(*GAINS[name]) * STEP * n)[:2, 2] * force for n in range(10, 1001, 10)])
     assert np.abs(ours.displacement - exact[:, 0]).max() < 1e-9 * np.abs(exact[:, 0]).max()
     assert np.abs(ours.rate - exact[:, 1]).max() < 1e-9 * np.abs(exact[:, 1]).max()
 
