@@ -45,6 +45,15 @@ def test_rollout_metrics_are_the_metrics_of_the_rollout(scenario, batched, walk)
     equal({name: value[0] for name, value in batched.items()}, mc.metrics(walk(scenario)), rtol=1e-9)
 
 
+def test_metrics_are_of_the_numbers_that_were_walked(case, gains, numbers):
+    """A rollout with parameters in place of the scenario's is judged by them: other gravity, other cost of transport."""
+    scenario = case("case_2", "pd")
+    lunar = numbers(scenario, gravity=(0.0, 0.0, -1.635))
+    ours = mc.metrics(mc.rollout(scenario, gains(scenario), lunar))
+    same = mc.metrics(mc.rollout(case("case_2", "pd", (("gravity", [0.0, 0.0, -1.635]),)), gains(scenario), lunar))
+    assert ours == same
+
+
 def test_simulator_under_vmap(simulate, scenario, numbers, batched):
     """vmap over single walks gives what a batch axis in the gains gives."""
     there = numbers(scenario)
