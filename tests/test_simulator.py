@@ -46,7 +46,7 @@ def test_rollout_metrics_are_the_metrics_of_the_rollout(scenario, batched, walk)
 
 
 def test_metrics_are_of_the_numbers_that_were_walked(case, gains, numbers):
-    """A rollout with parameters in place of the scenario's is judged by them: other gravity, other cost of transport."""
+    """A rollout with parameters in place of the scenario's is judged by them: other gravity, other cost."""
     scenario = case("case_2", "pd")
     lunar = numbers(scenario, gravity=(0.0, 0.0, -1.635))
     ours = mc.metrics(mc.rollout(scenario, gains(scenario), lunar))
