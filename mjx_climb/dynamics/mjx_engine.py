@@ -1,11 +1,15 @@
 """The equations of motion by MJX's smooth stages: kinematics, composite inertia, factorisation, Newton-Euler, solve."""
 
+import contextlib
 import functools
+import io
 
 import jax
 import jax.numpy as jnp
-from mujoco import mjx
-from mujoco.mjx._src import smooth
+
+with contextlib.redirect_stdout(io.StringIO()):  # mjx prints which optional backends are missing
+    from mujoco import mjx
+    from mujoco.mjx._src import smooth
 
 from mjx_climb.kinematics import (
     base_wrench_of_foot_force,

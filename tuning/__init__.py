@@ -1,0 +1,1 @@
+"""Searches for admittance gains, and the command line on top of them."""

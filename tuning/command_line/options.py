@@ -1,0 +1,62 @@
+"""Arguments and options that several commands share, and what becomes of them."""
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, TextIO
+
+import typer
+
+from tuning.command_line.ending import InputError
+
+if TYPE_CHECKING:
+    import mjx_climb as mc
+
+ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
+
+Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Scenario, a YAML file as in configs/.")]
+Controller = Annotated[
+    ControllerName | None,
+    typer.Option(help="Control law in place of the config's.", show_default="the config's"),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the config, SI units; may be given several times. Example: control.damping=2e3",
+    ),
+]
+GainsFile = Annotated[
+    Path | None,
+    typer.Option("--gains", metavar="FILE", help="Gains file in place of the config's gains."),
+]
+Engine = Annotated[str, typer.Option(metavar="NAME", help="Implementation of the robot's dynamics.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
+
+
+def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":
+    """Return the scenario of a config with the options applied, before any gains file."""
+    import mjx_climb as mc
+
+    scenario = mc.load_scenario(config, changes or ())
+    if controller is not None:
+        scenario = scenario.with_overrides({"control.controller": controller})
+    return scenario
+
+
+def check_engine(engine: str) -> None:
+    """Raise InputError for an engine that does not exist."""
+    from mjx_climb.dynamics import ENGINES
+
+    if engine not in ENGINES:
+        raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
+
+
+@contextlib.contextmanager
+def reserved_stdout() -> Iterator[TextIO]:
+    """Give standard output to one writer; what anything else prints goes to standard error."""
+    stdout = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr):
+        yield stdout

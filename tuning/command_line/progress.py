@@ -1,0 +1,128 @@
+"""What is going on, on standard error: a live bar on a terminal, plain lines in a file."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+FROM_CACHE = "/jax/compilation_cache/cache_hits"
+WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers
+
+
+class Compilation:
+    """Watches XLA's compiler from `with` on: when it last finished a program, and whether the cache had it."""
+
+    def __init__(self, finished: Callable[[], None] = lambda: None):
+        self.ended: float | None = None  # time.perf_counter(), s
+        self.from_cache = False
+        self._finished = finished
+
+    def __enter__(self) -> "Compilation":
+        from jax import monitoring
+
+        monitoring.register_event_listener(self._event)
+        monitoring.register_event_duration_secs_listener(self._duration)
+        return self
+
+    def __exit__(self, *_) -> None:
+        from jax import monitoring
+
+        monitoring.unregister_event_listener(self._event)
+        monitoring.unregister_event_duration_listener(self._duration)
+
+    def _event(self, event: str, **_) -> None:
+        self.from_cache |= event == FROM_CACHE
+
+    def _duration(self, event: str, seconds: float, **_) -> None:
+        if event == COMPILED and seconds > WORTH_A_WORD:
+            self.ended = time.perf_counter()
+            self._finished()
+
+
+class Estimate:
+    """How long the rest takes, from the work done since the compiler finished; None before that is known."""
+
+    def __init__(self, now: float):
+        self.since = now  # s
+        self.base: int | None = None  # what was there at the start
+
+    def update(self, done: int, total: int, now: float) -> float | None:
+        """Return the seconds left once `done` of `total` are done."""
+        if self.base is None:
+            self.base = done
+        if done == total:
+            return 0.0
+        worked = done - self.base
+        return None if worked <= 0 else (now - self.since) / worked * (total - done)
+
+    def compiled(self, now: float) -> None:
+        """Leave the time until `now` out: it went to the compiler."""
+        self.since = now
+
+
+class Meter:
+    """Stages of a command, one after the other."""
+
+    def __init__(self, console: Console):
+        self.console = console
+
+    @contextlib.contextmanager
+    def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
+        """Show one stage; the function that it gives takes (walks done, walks in all)."""
+        begin = time.perf_counter()
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
+        bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
+        task = bar.add_task(f"{name}: compiling", total=None)
+        estimate = Estimate(begin)
+
+        def compiled() -> None:
+            estimate.compiled(time.perf_counter())
+            bar.update(task, description=f"{name}: walking")
+
+        def walked(done: int, total: int) -> None:
+            left = estimate.update(done, total, time.perf_counter())
+            text = f"{name}: {done} of {total} walks" + (f", about {duration(left)} left" if left else "")
+            if done or left is not None:
+                bar.update(task, description=text, completed=done, total=total)
+            if done and not self.console.is_terminal:
+                self.console.print(text, highlight=False)
+
+        with Compilation(compiled) as compilation, bar:
+            yield walked
+        end = time.perf_counter()
+        text = f"{name}: {duration(end - begin)}"
+        if compilation.ended is not None:
+            source = "loading the compiled program from the cache" if compilation.from_cache else "compiling"
+            text += f", of which {duration(compilation.ended - begin)} {source}"
+        self.console.print(text, highlight=False)
+
+
+def duration(seconds: float) -> str:
+    """Return a length of time as a person would say it."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def cache_state() -> str:
+    """Return one line on XLA's compilation cache."""
+    import jax
+
+    from mjx_climb import compilation_cache
+
+    chosen = jax.config.jax_compilation_cache_dir
+    folder = compilation_cache.folder() if chosen is None else chosen
+    if folder is None:
+        return f"compilation cache: off ({compilation_cache.VARIABLE})"
+    with contextlib.suppress(OSError):
+        from pathlib import Path
+
+        count = len(list(Path(folder).glob("*-cache")))
+        return f"compilation cache: {folder}, {count or 'no'} programs"
+    return f"compilation cache: {folder}"

@@ -1,0 +1,118 @@
+"""Metrics in words, tables and JSON."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    import mjx_climb as mc
+
+WIDTH = 100  # of tables in a file
+
+
+def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
+    """Return where people read: plain text of a fixed width unless it is a terminal."""
+    made = Console(file=file, stderr=stderr, highlight=False, markup=False, emoji=False)
+    if not made.is_terminal:
+        made.width = WIDTH
+    return made
+
+
+def plain(value):
+    """Return a value as JSON has it: numbers of numpy's as Python's, None for what is not finite."""
+    if isinstance(value, Mapping):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def to_json(value) -> str:
+    """Return JSON text, strictly so: no NaN."""
+    return json.dumps(plain(value), indent=2, allow_nan=False)
+
+
+def verdict(trajectory: "mc.Trajectory", metrics: Mapping) -> str:
+    """Return in one line how the walk went."""
+    if metrics["diverged"]:
+        rows = [trajectory.base_position, trajectory.joint_rates, trajectory.foot_force, trajectory.joint_torque]
+        finite = np.all([np.isfinite(values).reshape(len(values), -1).all(1) for values in rows], axis=0)
+        at = trajectory.time[np.argmin(finite)] if not finite.all() else trajectory.time[-1]
+        return f"diverged at {at:.3f} s"
+    if metrics["detached_limb"] is not None:
+        return f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s"
+    return "held all the way"
+
+
+def number(value) -> str:
+    """Return a value of a metric for a table."""
+    if value is None:
+        return "-"
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
+def gain(value) -> str:
+    """Return a gain, one or six of them."""
+    values = np.unique(np.asarray(value, float))
+    return f"{values[0]:.4g}" if values.size == 1 else "six values"
+
+
+def unit(name: str) -> str:
+    """Return the unit of a metric, empty where it has none."""
+    from mjx_climb import METRICS
+
+    return "" if METRICS[name] == "1" else METRICS[name]
+
+
+def change(value, base) -> str:
+    """Return the change against a baseline in per cent."""
+    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (value, base))
+    return f"{100 * (value / base - 1):+.1f} %" if numbers and base else ""
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
+    for name in columns:
+        left = name in ("", "metric", "unit")
+        table.add_column(name, justify="left" if left else "right", no_wrap=True)
+    return table
+
+
+def walk_table(metrics: Mapping) -> Table:
+    """Return the table of one walk."""
+    table = _table("metric", "value", "unit")
+    for name, value in metrics.items():
+        table.add_row(name, number(value), unit(name))
+    return table
+
+
+def comparison_table(walks: Mapping[str, tuple[Mapping | None, Mapping]], baseline: str) -> Table:
+    """Return walks side by side, each with its change against the baseline.
+
+    Arguments:
+        walks: by name, gains (None for a controller without) and metrics; the baseline is one of them.
+    """
+    columns: Sequence[str] = [c for name in walks for c in ([name] if name == baseline else [name, f"vs {baseline}"])]
+    table = _table("metric", "unit", *columns)
+    for key, text in (("stiffness", "N/m, N m/rad"), ("damping", "N s/m, N m s/rad"), ("inertia", "kg, kg m^2")):
+        cells = []
+        for name, (gains, _) in walks.items():
+            cells += ["-" if gains is None else gain(gains[key])] + ([] if name == baseline else [""])
+        table.add_row(key, text, *cells, end_section=key == "inertia")
+    base = walks[baseline][1]
+    for key in base:
+        cells = []
+        for name, (_, metrics) in walks.items():
+            cells += [number(metrics[key])] + ([] if name == baseline else [change(metrics[key], base[key])])
+        table.add_row(key, unit(key), *cells)
+    return table

@@ -1,0 +1,65 @@
+"""`mjx-climb run`: one robot through one scenario."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tuning.command_line import options
+
+
+def run(
+    config: options.Config,
+    controller: options.Controller = None,
+    changes: options.Set = None,
+    gains: options.GainsFile = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-<controller>"),
+    ] = None,
+    json: options.Json = False,
+    engine: options.Engine = "mjx",
+) -> None:
+    """Walk one robot through a scenario, in double precision.
+
+    Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
+    (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json) and a picture
+    (walk.png, walk.svg).
+
+    \b
+    Examples:
+      mjx-climb run configs/case_2.yaml
+      mjx-climb run configs/case_1_2.yaml --controller pd --json
+      mjx-climb run configs/case_1_2.yaml --set control.damping=2e3 --set disturbance.cargo.mass=0.5
+    """
+    with options.reserved_stdout() as stdout:
+        import mjx_climb as mc
+        from mjx_climb import dataset, plots
+        from mjx_climb.robot import load_robot
+        from tuning import gains_file
+        from tuning.command_line import progress, report
+
+        scenario = options.scenario_from(config, controller, changes)
+        if gains is not None:
+            scenario = gains_file.applied(scenario, gains_file.load(gains))
+        options.check_engine(engine)
+        load_robot(scenario.robot)
+        out = out or Path("results") / f"{config.stem}-{scenario.control.controller}"
+        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+
+        console = report.console(stderr=True)
+        console.print(progress.cache_state(), soft_wrap=True)
+        with progress.Meter(console).stage(scenario.control.controller):
+            trajectory = mc.rollout(scenario, engine=engine)
+        metrics = mc.metrics(trajectory)
+        text = report.to_json(metrics)
+        dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
+        dataset.write_text_atomically(out / "metrics.json", text + "\n")
+        plots.save_figure(plots.plot_walk(trajectory), out / "walk")
+
+        tables = console if json else report.console(file=stdout)
+        tables.print(report.walk_table(metrics))
+        tables.print(report.verdict(trajectory, metrics))
+        console.print(f"written to {out}: trajectory.nc, config.yaml, metrics.json, walk.png, walk.svg", soft_wrap=True)
+        if json:
+            print(text, file=stdout)

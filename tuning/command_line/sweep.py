@@ -1,0 +1,240 @@
+"""`mjx-climb sweep`: a grid of stiffness and damping."""
+
+import math
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tuning.command_line import options
+from tuning.command_line.ending import InputError, Interrupted
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    import mjx_climb as mc
+
+LARGEST_AXIS = 100_000
+SMALLEST, LARGEST = 1e-30, 1e30  # what single precision holds, with room for squares of moderate gains
+# inertia, damping and stiffness of cases 1.1, 1.2 and 2
+PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
+RANGE = "LOW:HIGH:COUNT"
+
+
+def sweep(
+    config: options.Config,
+    stiffness: Annotated[
+        str,
+        typer.Option(metavar=RANGE, help="Virtual stiffness K, N/m and N m/rad: evenly spaced on a logarithmic scale."),
+    ],
+    damping: Annotated[
+        str,
+        typer.Option(metavar=RANGE, help="Virtual damping D, N s/m and N m s/rad, spaced likewise."),
+    ],
+    controller: options.Controller = None,
+    changes: options.Set = None,
+    gains: options.GainsFile = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-sweep"),
+    ] = None,
+    batch_size: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Robots that walk at a time.", show_default="parts of a few seconds"),
+    ] = None,
+    json: options.Json = False,
+    engine: options.Engine = "mjx",
+) -> None:
+    """Walk a grid of stiffness and damping, the same on all six axes, in single precision.
+
+    Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
+    side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a map of
+    each metric (maps/, and maps.png and .svg with the main ones), the three walks over time (walks.png, .svg), the
+    table (comparison.json) and the resolved scenario (config.yaml).
+
+    Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
+    gives the inertia and the joint gains of the grid, and a further walk to compare with.
+
+    \b
+    Examples:
+      mjx-climb sweep configs/case_1_2.yaml --stiffness 1e2:1e6:16 --damping 1e0:1e5:16
+      mjx-climb sweep configs/case_2.yaml --stiffness 1e3:1e5:8 --damping 1e1:1e4:8 --gains best.yaml
+    """
+    stiffness_axis, damping_axis = log_range("--stiffness", stiffness), log_range("--damping", damping)
+    with options.reserved_stdout() as stdout:
+        import mjx_climb as mc
+        from mjx_climb import dataset
+        from tuning import gains_file, grid, parts
+        from tuning.command_line import progress, report
+
+        begin = time.perf_counter()
+        own = options.scenario_from(config, controller, changes)
+        scenario = own if gains is None else gains_file.applied(own, gains_file.load(gains))
+        options.check_engine(engine)
+        if scenario.control.controller == "pd":
+            raise InputError("--controller: expected a law with gains to sweep, got pd")
+        out = out or Path("results") / f"{config.stem}-sweep"
+        axes = (stiffness_axis, damping_axis)
+        how = {"batch_size": batch_size, "engine": engine, "out": out}
+        kept, walks = grid.claim(scenario, *axes, **how), math.prod(map(len, axes))
+        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+
+        console = report.console(stderr=True)
+        console.print(_announcement(scenario, axes, kept), soft_wrap=True)
+        console.print(progress.cache_state(), soft_wrap=True)
+        meter = progress.Meter(console)
+
+        def walked(done: int, total: int) -> None:
+            nonlocal kept
+            kept = done
+            show(done, total)
+
+        try:
+            names = {"config": own if gains is None else scenario}
+            if gains is not None:
+                names = {"gains file": scenario, "config": own}
+            names["pd"] = own.with_overrides({"control.controller": "pd"})
+            trajectories = {}
+            for name in reversed(names):
+                with meter.stage(_label(name, own)):
+                    trajectories[name] = mc.rollout(names[name], engine=engine)
+            with meter.stage("grid") as show:
+                result = grid.sweep(scenario, *axes, progress=walked, **how)
+            best = grid.best_cell(result)
+            if best is not None:
+                values = {name: best[name].item() for name in ("stiffness", "damping")}
+                with meter.stage("best"):
+                    trajectories["best"] = mc.rollout(
+                        scenario.with_overrides({f"control.{name}": value for name, value in values.items()}),
+                        engine=engine,
+                    )
+            order = [name for name in ("best", *names) if name in trajectories]
+            trajectories = {name: trajectories[name] for name in order}
+            compared = {name: (_gains(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()}
+            edges = [] if best is None else at_edge(result, best)
+            summary = {
+                name: (None if found is None else {"gains": found[0], "metrics": found[1]})
+                for name in ("best", *names)
+                for found in [compared.get(name)]
+            }
+            failed = (result["detached_limb"] >= 0) | result["diverged"].astype(bool)
+            summary["grid"] = {"walks": walks, "failed": int(failed.sum()), "best_at_edge_of": edges}
+            text = report.to_json(summary)
+            dataset.save(result, out / "sweep.nc")
+            dataset.write_text_atomically(out / "comparison.json", text + "\n")
+            console.print("drawing the maps")
+            _draw(result, trajectories, compared, own, out)
+            parts.clear(out)
+        except KeyboardInterrupt:
+            raise Interrupted(
+                f"{kept} of {walks} walks are kept in {out}; the same command goes on from there"
+            ) from None
+
+        tables = console if json else report.console(file=stdout)
+        tables.print(report.comparison_table({_label(n, own): walk for n, walk in compared.items()}, "pd"))
+        if best is None:
+            tables.print(f"no walk of the grid held: all {walks} detached or diverged")
+        else:
+            tables.print(
+                f"best: stiffness {best['stiffness'].item():.4g}, damping {best['damping'].item():.4g} "
+                f"({int(failed.sum())} of {walks} walks detached or diverged)"
+            )
+        for name in edges:
+            tables.print(f"the best lies on the edge of the grid: widen --{name}")
+        console.print(
+            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: sweep.nc, maps.png and .svg, "
+            "maps/, walks.png and .svg, comparison.json, config.yaml",
+            soft_wrap=True,
+        )
+        if json:
+            print(text, file=stdout)
+
+
+def log_range(option: str, text: str) -> "np.ndarray":
+    """Return the values of low:high:count, evenly spaced on a logarithmic scale.
+
+    Raises:
+        InputError: anything but 0 < low < high and a count of 2 or more.
+    """
+
+    def refuse(why: str) -> InputError:
+        return InputError(f"{option}: expected {RANGE} with 0 < LOW < HIGH and COUNT 2 or more, got {text!r}: {why}")
+
+    fields = text.split(":")
+    if len(fields) != 3:
+        raise refuse(f"{len(fields)} part{'s' if len(fields) != 1 else ''} instead of 3")
+    ends = []
+    for name, field in zip(("LOW", "HIGH"), fields[:2], strict=True):
+        try:
+            ends.append(float(field))
+        except ValueError:
+            raise refuse(f"{name} is not a number") from None
+        if not SMALLEST <= ends[-1] <= LARGEST:
+            raise refuse(f"{name} is not between {SMALLEST:g} and {LARGEST:g}")
+    low, high = ends
+    if not low < high:
+        raise refuse("LOW is not below HIGH")
+    try:
+        count = int(fields[2])
+    except ValueError:
+        raise refuse("COUNT is not a whole number") from None
+    if not 2 <= count <= LARGEST_AXIS:
+        raise refuse(f"COUNT is not between 2 and {LARGEST_AXIS}")
+    import numpy as np
+
+    values = np.geomspace(low, high, count)
+    if not (np.diff(values.astype(np.float32)) > 0).all():
+        raise refuse("the values are too close to tell apart in single precision")
+    return values
+
+
+def at_edge(result, best) -> list[str]:
+    """Return the axes on whose end the best cell lies."""
+    return [name for name in ("stiffness", "damping") if best[name].item() in result[name].values[[0, -1]]]
+
+
+def _announcement(scenario: "mc.Scenario", axes, kept: int) -> str:
+    import jax
+
+    stiffness, damping = axes
+    walks = len(stiffness) * len(damping)
+    text = f"{walks} walks ({len(stiffness)} stiffness x {len(damping)} damping) of {scenario.steps} steps"
+    text += f" on {jax.devices()[0].device_kind}"
+    return text + (f"; {kept} are there already" if kept else "")
+
+
+def _gains(trajectory: "mc.Trajectory") -> dict | None:
+    """Return the gains of a walk, None where its controller has none."""
+    if trajectory.scenario.control.controller == "pd":
+        return None
+    control = trajectory.scenario.control
+    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")}
+
+
+def _label(name: str, own: "mc.Scenario") -> str:
+    """Return the name of a walk for people: the config's own gains are the paper's, or not."""
+    control = own.control
+    paper = (control.inertia, control.damping, control.stiffness) in PAPER
+    return "paper" if name == "config" and paper else name
+
+
+def _draw(result, trajectories: Mapping, compared: Mapping, own: "mc.Scenario", out: Path) -> None:
+    """Write the maps, one by one and on a sheet, and the walks over time."""
+    import numpy as np
+
+    from mjx_climb import plots
+
+    marks = {}
+    for name, (gains, _) in compared.items():
+        if gains is not None and all(np.unique(gains[key]).size == 1 for key in ("stiffness", "damping")):
+            marks[_label(name, own)] = tuple(float(np.ravel(gains[key])[0]) for key in ("stiffness", "damping"))
+    numbers = [name for name in result.data_vars if name not in ("detached_limb", "diverged")]
+    pd = {name: value for name, value in compared["pd"][1].items() if name in numbers and value is not None}
+    for name in numbers:
+        figure = plots.plot_map(result, name, marks, baseline=pd.get(name))
+        plots.save_figure(figure, out / "maps" / name)
+    plots.save_figure(plots.plot_maps(result, numbers, marks, baselines=pd, columns=3), out / "maps")
+    walks = {_label(name, own): trajectories[name] for name in reversed(trajectories)}
+    plots.save_figure(plots.plot_comparison(walks), out / "walks")

@@ -1,0 +1,156 @@
+"""Grid search: every pair of a stiffness and a damping, the same on all six axes, walked in batches of one program."""
+
+import hashlib
+import importlib.metadata
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.dataset import PACKAGES, sweep_dataset
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.robot import model_path
+from tuning.parts import Parts
+
+# robots per part and environment steps per part: some seconds on two cores, and on one accelerator
+_CPU = (16, 1024, 400_000)
+_ACCELERATOR = (1024, 16_384, 130_000_000)
+
+
+def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:
+    """Return how many robots walk at a time: equal parts of a few seconds each, so that progress is seen and kept.
+
+    Arguments:
+        walks: in all.
+        steps: of one walk.
+        platform: "cpu" or an accelerator's name; JAX's default where None.
+    """
+    least, most, budget = _CPU if (platform or jax.default_backend()) == "cpu" else _ACCELERATOR
+    size = min(max(budget // steps, least), most)
+    return math.ceil(walks / math.ceil(walks / size))
+
+
+def claim(
+    scenario: mc.Scenario,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    *,
+    out: Path,
+    batch_size: int | None = None,
+    dtype=np.float32,
+    engine: str = DEFAULT_ENGINE,
+) -> int:
+    """Prepare the folder of a sweep and return how many of its walks are there already; arguments as of `sweep`.
+
+    Raises:
+        OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
+        RobotError: no such robot.
+    """
+    walks = np.size(stiffness) * np.size(damping)
+    size = batch_size or default_batch_size(walks, scenario.steps)
+    found = Parts(out, _identity(scenario, stiffness, damping, size, dtype, engine)).count()
+    return min(found * size, walks)
+
+
+def sweep(
+    scenario: mc.Scenario,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    batch_size: int | None = None,
+    dtype=np.float32,
+    engine: str = DEFAULT_ENGINE,
+    out: Path | None = None,
+) -> xr.Dataset:
+    """Walk the whole grid and return the metrics over (stiffness, damping).
+
+    Arguments:
+        scenario: what walks where; its control section gives the inertia and the joint gains.
+        stiffness: (n,) N/m and N m/rad, the same on all axes of one walk.
+        damping: (m,) N s/m and N m s/rad.
+        progress: called with the number of walks done and the number in all: first with what `out` holds already,
+            then after each part.
+        batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
+        dtype: precision of the simulation.
+        engine: the dynamics, one of `mjx_climb.ENGINES`.
+        out: a folder that keeps each finished part, so that an interrupted sweep goes on from there with the same
+            result, bit by bit. The parts stay until `parts.clear(out)`.
+
+    Raises:
+        ValueError: axes that are no lists of positive numbers, or a controller without admittance gains.
+        OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
+    """
+    axes = {"stiffness": np.asarray(stiffness, float), "damping": np.asarray(damping, float)}
+    for name, values in axes.items():
+        if values.ndim != 1 or not values.size or not (np.isfinite(values).all() and (values > 0).all()):
+            raise ValueError(f"{name}: expected a list of finite numbers above 0")
+    if scenario.control.controller == "pd":
+        raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
+    shape = tuple(values.size for values in axes.values())
+    walks = math.prod(shape)
+    size = batch_size or default_batch_size(walks, scenario.steps)
+    kept = None if out is None else Parts(out, _identity(scenario, *axes.values(), size, dtype, engine))
+
+    k, d = (values.reshape(-1, 1) for values in np.meshgrid(*axes.values(), indexing="ij"))
+    inertia = np.asarray(scenario.control.inertia, float)
+    count = math.ceil(walks / size)
+    parts = [None if kept is None else kept.load(number) for number in range(count)]
+    done = sum(min(size, walks - number * size) for number, part in enumerate(parts) if part is not None)
+    if progress is not None:
+        progress(done, walks)
+    for number, part in enumerate(parts):
+        if part is not None:
+            continue
+        # the last part is filled up with its last robot: every part has the shape that was compiled
+        rows = np.minimum(np.arange(number * size, (number + 1) * size), walks - 1)
+        part = mc.rollout_metrics(scenario, mc.Gains(inertia, d[rows], k[rows]), dtype=dtype, engine=engine)
+        parts[number] = part
+        if kept is not None:
+            kept.save(number, part)
+        done += min(size, walks - number * size)
+        if progress is not None:
+            progress(done, walks)
+    metrics = {name: np.concatenate([part[name] for part in parts])[:walks].reshape(shape) for name in mc.METRICS}
+    dataset = sweep_dataset(metrics, axes, scenario)
+    return dataset.assign_attrs(engine=engine, dtype=np.dtype(dtype).name, batch_size=size)
+
+
+def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dataset | None:
+    """Return the cell with the least `objective` among those that neither let go nor diverge, None where all fail.
+
+    The result has no axes; its coordinates are the best gains. Margins and other metrics that should be large are
+    maximised (`mjx_climb.plots.LARGER_IS_BETTER`).
+    """
+    from mjx_climb.plots import LARGER_IS_BETTER
+
+    values = dataset[objective].where((dataset["detached_limb"] < 0) & ~dataset["diverged"].astype(bool))
+    if not np.isfinite(values).any():
+        return None
+    values = -values if objective in LARGER_IS_BETTER else values
+    return dataset.isel(values.argmin(dim=...))
+
+
+def _identity(scenario, stiffness, damping, size, dtype, engine) -> dict:
+    """Return all that determines the numbers of a sweep, bit by bit."""
+    versions = {}
+    for name, distribution in PACKAGES.items():
+        try:
+            versions[name] = importlib.metadata.version(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = None
+    return {
+        "scenario": scenario.to_yaml(),
+        "stiffness": np.asarray(stiffness, float).tolist(),
+        "damping": np.asarray(damping, float).tolist(),
+        "dtype": np.dtype(dtype).name,
+        "engine": engine,
+        "batch_size": size,
+        "platform": jax.default_backend(),
+        "robot_model": hashlib.sha256(model_path(scenario.robot).read_bytes()).hexdigest(),
+        "versions": versions,
+    }

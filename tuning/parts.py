@@ -1,0 +1,73 @@
+"""Finished parts of a long computation, kept in a folder: what is interrupted goes on where it stopped."""
+
+import io
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from mjx_climb.dataset import OutputError, write_bytes_atomically, write_text_atomically
+
+FOLDER = "parts"
+
+
+class Parts:
+    """The parts that belong to one computation; another one finds the folder taken."""
+
+    def __init__(self, out: Path, identity: Mapping):
+        """Claim `out`/parts for the computation that `identity` (plain JSON values) determines bit by bit.
+
+        Raises:
+            OutputError: the folder cannot be written, or holds parts of another computation.
+        """
+        self.folder = Path(out) / FOLDER
+        file = self.folder / "identity.json"
+        wanted = json.loads(json.dumps(identity))
+        stored = _read(file)
+        if stored is not None and stored != wanted:
+            differs = ", ".join(key for key in wanted if stored.get(key) != wanted[key]) or "its keys"
+            raise OutputError(
+                f"{out}: expected no unfinished sweep but this one, got another that differs in {differs} "
+                f"(repeat its command to finish it, remove {self.folder}, or choose another --out)"
+            )
+        if stored is None:
+            write_text_atomically(file, json.dumps(wanted, indent=1))
+
+    def _file(self, number: int) -> Path:
+        return self.folder / f"part-{number:06d}.npz"
+
+    def load(self, number: int) -> dict[str, np.ndarray] | None:
+        """Return a part, None where it is not there or cannot be read."""
+        try:
+            with np.load(self._file(number), allow_pickle=False) as arrays:
+                return dict(arrays)
+        except (OSError, ValueError, EOFError):
+            return None
+
+    def save(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep a part: it is there as a whole or not at all."""
+        buffer = io.BytesIO()
+        np.savez(buffer, **arrays)
+        write_bytes_atomically(self._file(number), buffer.getvalue())
+
+    def count(self) -> int:
+        """Return how many parts are there."""
+        return len(list(self.folder.glob("part-*.npz")))
+
+
+def clear(out: Path) -> None:
+    """Remove the parts of a computation whose result has been written."""
+    shutil.rmtree(Path(out) / FOLDER, ignore_errors=True)
+
+
+def _read(file: Path) -> dict | None:
+    """Return a stored identity: None where there is none, empty where it is damaged."""
+    try:
+        stored = json.loads(file.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        return {}
+    return stored if isinstance(stored, dict) else {}
