@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -41,9 +42,9 @@ class Parts:
     def load(self, number: int) -> dict[str, np.ndarray] | None:
         """Return a part, None where it is not there or cannot be read."""
         try:
-            with np.load(self._file(number), allow_pickle=False) as arrays:
+            with np.load(io.BytesIO(self._file(number).read_bytes()), allow_pickle=False) as arrays:
                 return dict(arrays)
-        except (OSError, ValueError, EOFError):
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             return None
 
     def save(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:

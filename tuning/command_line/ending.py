@@ -13,9 +13,7 @@ class Interrupted(Exception):
 
 def user_error(error: Exception) -> str | None:
     """Return one line for an error that is the user's to mend, None for one of ours."""
-    import typer
-
-    if isinstance(error, typer.TyperException):  # usage
+    if hasattr(error, "format_message"):  # usage, from typer
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
         return " ".join(error.format_message().split()) + hint

@@ -70,34 +70,34 @@ class Meter:
         self.console = console
 
     @contextlib.contextmanager
-    def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
-        """Show one stage; the function that it gives takes (walks done, walks in all)."""
+    def stage(self, name: str, *, compiles: bool = True) -> Iterator[Callable[[int, int], None]]:
+        """Show one stage; the function that it gives takes how many walks are done, and how many there are."""
         begin = time.perf_counter()
         columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
         bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
-        task = bar.add_task(f"{name}: compiling", total=None)
+        task = bar.add_task(f"{name}: compiling" if compiles else name, total=None)
         estimate = Estimate(begin)
 
         def compiled() -> None:
             estimate.compiled(time.perf_counter())
             bar.update(task, description=f"{name}: walking")
 
-        def walked(done: int, total: int) -> None:
+        def advanced(done: int, total: int) -> None:
             left = estimate.update(done, total, time.perf_counter())
             text = f"{name}: {done} of {total} walks" + (f", about {duration(left)} left" if left else "")
             if done or left is not None:
                 bar.update(task, description=text, completed=done, total=total)
             if done and not self.console.is_terminal:
-                self.console.print(text, highlight=False)
+                self.console.print(text)
 
         with Compilation(compiled) as compilation, bar:
-            yield walked
+            yield advanced
         end = time.perf_counter()
         text = f"{name}: {duration(end - begin)}"
         if compilation.ended is not None:
             source = "loading the compiled program from the cache" if compilation.from_cache else "compiling"
             text += f", of which {duration(compilation.ended - begin)} {source}"
-        self.console.print(text, highlight=False)
+        self.console.print(text)
 
 
 def duration(seconds: float) -> str:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
@@ -61,9 +61,11 @@ def number(value) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
-def gain(value) -> str:
-    """Return a gain, one or six of them."""
-    values = np.unique(np.asarray(value, float))
+def gain(gains: Mapping | None, key: str) -> str:
+    """Return a gain, one or six of them, for a table."""
+    if gains is None:
+        return "-"
+    values = np.unique(np.asarray(gains[key], float))
     return f"{values[0]:.4g}" if values.size == 1 else "six values"
 
 
@@ -75,13 +77,15 @@ def unit(name: str) -> str:
 
 
 def change(value, base) -> str:
-    """Return the change against a baseline in per cent."""
-    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (value, base))
-    return f"{100 * (value / base - 1):+.1f} %" if numbers and base else ""
+    """Return the change against a baseline, in per cent without the sign."""
+    if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (value, base)) or not base:
+        return ""
+    percent = 100 * (value / base - 1)
+    return f"{percent:+.1f}" if abs(percent) < 100 else f"{percent:+.0f}"
 
 
 def _table(*columns: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
     for name in columns:
         left = name in ("", "metric", "unit")
         table.add_column(name, justify="left" if left else "right", no_wrap=True)
@@ -96,23 +100,26 @@ def walk_table(metrics: Mapping) -> Table:
     return table
 
 
-def comparison_table(walks: Mapping[str, tuple[Mapping | None, Mapping]], baseline: str) -> Table:
-    """Return walks side by side, each with its change against the baseline.
+def comparison_table(walks: Mapping[str, tuple[Mapping | None, Mapping]], baseline: str, width: int) -> Table:
+    """Return walks side by side, each with its change against the baseline where `width` characters have room.
 
     Arguments:
         walks: by name, gains (None for a controller without) and metrics; the baseline is one of them.
+        width: of the terminal.
     """
-    columns: Sequence[str] = [c for name in walks for c in ([name] if name == baseline else [name, f"vs {baseline}"])]
-    table = _table("metric", "unit", *columns)
-    for key, text in (("stiffness", "N/m, N m/rad"), ("damping", "N s/m, N m s/rad"), ("inertia", "kg, kg m^2")):
-        cells = []
-        for name, (gains, _) in walks.items():
-            cells += ["-" if gains is None else gain(gains[key])] + ([] if name == baseline else [""])
-        table.add_row(key, text, *cells, end_section=key == "inertia")
-    base = walks[baseline][1]
-    for key in base:
-        cells = []
-        for name, (_, metrics) in walks.items():
-            cells += [number(metrics[key])] + ([] if name == baseline else [change(metrics[key], base[key])])
-        table.add_row(key, unit(key), *cells)
+    gains, metrics = ({name: walk[part] for name, walk in walks.items()} for part in (0, 1))
+    compared = [name for name in walks if name != baseline and width >= 38 + 19 * (len(walks) - 1)]
+    table = _table(
+        "metric", "unit", *(t for name in walks for t in [name, f"vs {baseline} %"][: 1 + (name in compared)])
+    )
+
+    def add(key: str, text: str, values: dict[str, str], changes: dict[str, str], *, last: bool = False) -> None:
+        cells = [t for name in walks for t in [values[name], changes.get(name, "")][: 1 + (name in compared)]]
+        table.add_row(key, text, *cells, end_section=last)
+
+    for key, text in (("stiffness", "N/m"), ("damping", "N s/m"), ("inertia", "kg")):
+        add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == "inertia")
+    for key, base in metrics[baseline].items():
+        changes = {name: change(metrics[name][key], base) for name in compared}
+        add(key, unit(key), {name: number(metrics[name][key]) for name in walks}, changes)
     return table

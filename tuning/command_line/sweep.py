@@ -99,33 +99,28 @@ def sweep(
             trajectories = {}
             for name in reversed(names):
                 with meter.stage(_label(name, own)):
-                    trajectories[name] = mc.rollout(names[name], engine=engine)
+                    trajectories[name] = mc.rollout(names[name], _on_six_axes(names[name]), engine=engine)
             with meter.stage("grid") as show:
                 result = grid.sweep(scenario, *axes, progress=walked, **how)
             best = grid.best_cell(result)
             if best is not None:
-                values = {name: best[name].item() for name in ("stiffness", "damping")}
+                found = {f"control.{name}": best[name].item() for name in ("stiffness", "damping")}
                 with meter.stage("best"):
-                    trajectories["best"] = mc.rollout(
-                        scenario.with_overrides({f"control.{name}": value for name, value in values.items()}),
-                        engine=engine,
-                    )
+                    winner = scenario.with_overrides(found)
+                    trajectories["best"] = mc.rollout(winner, _on_six_axes(winner), engine=engine)
             order = [name for name in ("best", *names) if name in trajectories]
             trajectories = {name: trajectories[name] for name in order}
             compared = {name: (_gains(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()}
             edges = [] if best is None else at_edge(result, best)
-            summary = {
-                name: (None if found is None else {"gains": found[0], "metrics": found[1]})
-                for name in ("best", *names)
-                for found in [compared.get(name)]
-            }
+            summary: dict[str, dict | None] = {"best": None}
+            summary |= {name: {"gains": values, "metrics": metrics} for name, (values, metrics) in compared.items()}
             failed = (result["detached_limb"] >= 0) | result["diverged"].astype(bool)
             summary["grid"] = {"walks": walks, "failed": int(failed.sum()), "best_at_edge_of": edges}
             text = report.to_json(summary)
             dataset.save(result, out / "sweep.nc")
             dataset.write_text_atomically(out / "comparison.json", text + "\n")
-            console.print("drawing the maps")
-            _draw(result, trajectories, compared, own, out)
+            with meter.stage("drawing", compiles=False):
+                _draw(result, trajectories, compared, own, out)
             parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(
@@ -133,7 +128,8 @@ def sweep(
             ) from None
 
         tables = console if json else report.console(file=stdout)
-        tables.print(report.comparison_table({_label(n, own): walk for n, walk in compared.items()}, "pd"))
+        columns = {_label(name, own): walk for name, walk in compared.items()}
+        tables.print(report.comparison_table(columns, "pd", tables.width))
         if best is None:
             tables.print(f"no walk of the grid held: all {walks} detached or diverged")
         else:
@@ -213,6 +209,18 @@ def _gains(trajectory: "mc.Trajectory") -> dict | None:
     return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")}
 
 
+def _on_six_axes(scenario: "mc.Scenario") -> "mc.Gains":
+    """Return the scenario's gains, (6,) each: one compiled program serves isotropic and other gains."""
+    import numpy as np
+
+    import mjx_climb as mc
+
+    control = scenario.control
+    return mc.Gains(
+        *(np.broadcast_to(np.asarray(g, float), 6) for g in (control.inertia, control.damping, control.stiffness))
+    )
+
+
 def _label(name: str, own: "mc.Scenario") -> str:
     """Return the name of a walk for people: the config's own gains are the paper's, or not."""
     control = own.control
@@ -221,7 +229,7 @@ def _label(name: str, own: "mc.Scenario") -> str:
 
 
 def _draw(result, trajectories: Mapping, compared: Mapping, own: "mc.Scenario", out: Path) -> None:
-    """Write the maps, one by one and on a sheet, and the walks over time."""
+    """Write the walks over time, and the maps on a sheet and one by one."""
     import numpy as np
 
     from mjx_climb import plots
@@ -230,11 +238,14 @@ def _draw(result, trajectories: Mapping, compared: Mapping, own: "mc.Scenario", 
     for name, (gains, _) in compared.items():
         if gains is not None and all(np.unique(gains[key]).size == 1 for key in ("stiffness", "damping")):
             marks[_label(name, own)] = tuple(float(np.ravel(gains[key])[0]) for key in ("stiffness", "damping"))
-    numbers = [name for name in result.data_vars if name not in ("detached_limb", "diverged")]
-    pd = {name: value for name, value in compared["pd"][1].items() if name in numbers and value is not None}
-    for name in numbers:
-        figure = plots.plot_map(result, name, marks, baseline=pd.get(name))
-        plots.save_figure(figure, out / "maps" / name)
-    plots.save_figure(plots.plot_maps(result, numbers, marks, baselines=pd, columns=3), out / "maps")
     walks = {_label(name, own): trajectories[name] for name in reversed(trajectories)}
+    metrics = [
+        name for name in result.data_vars if name not in ("detached_limb", "diverged")
+    ]  # the hatching shows these
+    pd = {name: value for name, value in compared["pd"][1].items() if name in metrics and value is not None}
+
     plots.save_figure(plots.plot_comparison(walks), out / "walks")
+    if known := [name for name in metrics if np.isfinite(result[name]).any()]:
+        plots.save_figure(plots.plot_maps(result, known, marks, baselines=pd, columns=3), out / "maps")
+    for name in metrics:
+        plots.save_figure(plots.plot_map(result, name, marks, baseline=pd.get(name)), out / "maps" / name)

@@ -1,0 +1,299 @@
+"""The program: what it prints, writes and returns, and how it refuses."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb import plots
+from tuning import gains_file, grid
+from tuning.command_line import main, progress, report
+from tuning.command_line.ending import InputError
+from tuning.command_line.sweep import log_range
+
+ROOT = Path(__file__).parents[1]
+CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
+SHORT = ["--set", "duration=0.2"]
+WEAK = ["--set", "contact.holding_limit=1e-6"]  # lets go at the first pull
+GRID = ["--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2", "--batch-size", "4"]
+
+
+@pytest.fixture
+def call(capsys):
+    """Run the program in this process: (exit code, stdout, stderr)."""
+
+    def call(*arguments):
+        before = signal.getsignal(signal.SIGTERM)
+        with pytest.raises(SystemExit) as ended:
+            main([str(argument) for argument in arguments])
+        signal.signal(signal.SIGTERM, before)
+        return ended.value.code, *capsys.readouterr()
+
+    return call
+
+
+def strict_json(text):
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "bad.yaml").write_text("gait: {strid: 0.05}")
+    (folder / "broken.yaml").write_text("gait: [")
+    (folder / "gains.yaml").write_text("damping: 1")
+    (folder / "file").write_text("")
+    return folder
+
+
+BAD = [
+    ("bogus", "No such command"),
+    ("run", "Missing argument 'CONFIG'"),
+    ("run {config} --frobnicate", "No such option"),
+    ("run {config} --controller pid", "'pid'"),
+    ("run nowhere.yaml", "nowhere.yaml: expected a readable file"),
+    ("run {files}", "expected a readable file"),
+    ("run {files}/bad.yaml", "did you mean stride?"),
+    ("run {files}/broken.yaml", "expected valid YAML"),
+    (
+        "run {config} --set control.damping=-1",
+        "control.damping: expected a finite number above 0, or a list of six, got -1",
+    ),
+    ("run {config} --set control.inertia=0", "control.inertia: expected"),
+    ("run {config} --set control.dampin=1", "control.dampin"),
+    ("run {config} --set damping", "dotted.key=value"),
+    ("run {config} --set robot=spot", "robot: expected one of"),
+    ("run {config} --set control.reading=measured_pose --controller end_effector_admittance", "control.reading"),
+    ("run {config} --engine bullet", "--engine: expected one of"),
+    ("run {config} --gains nowhere.yaml", "nowhere.yaml: expected a readable file"),
+    ("run {config} --gains {files}/gains.yaml", "inertia: expected a value, got none"),
+    ("run {config} --out {files}/file", "{files}/file"),
+    ("run {config} --out {files}/file/below", "expected a file that can be written"),
+    ("sweep {config} --stiffness 1:2:3", "Missing option '--damping'"),
+    ("sweep {config} --damping 1:2:3 --stiffness 1e6:1e2:3", "--stiffness: expected LOW:HIGH:COUNT"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1e3:1e2:3", "LOW is not below HIGH"),
+    ("sweep {config} --stiffness 1:2:3 --damping 0:1e2:3", "LOW is not between"),
+    ("sweep {config} --stiffness 1:2:3 --damping=-1:1e2:3", "LOW is not between"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:nan:3", "HIGH is not between"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:many:3", "HIGH is not a number"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:1", "COUNT is not between 2"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:2.5", "COUNT is not a whole number"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2", "2 parts instead of 3"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:1.00000001:9", "too close"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --controller pd", "--controller"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --batch-size 0", "--batch-size"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --set robot=spot", "robot: expected one of"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --out {files}/file", "{files}/file"),
+]
+
+
+@pytest.mark.parametrize(("line", "expected"), BAD, ids=[line for line, _ in BAD])
+def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in ("rollout", "rollout_metrics"):  # refused before anything is computed
+        monkeypatch.setattr(mc, name, lambda *_, **__: pytest.fail("computed"))
+    code, out, err = call(*(word.format(config=CONFIG, files=files) for word in line.split()))
+    assert (code, out) == (2, "")
+    assert err.startswith("mjx-climb: error: ")
+    assert len(err.splitlines()) == 1
+    assert expected.format(files=files) in err
+
+
+def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):
+    def bug(*_, **__):
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(mc, "rollout", bug)
+    with pytest.raises(ValueError, match="a bug"):
+        main(["run", CONFIG, "--out", str(tmp_path)])
+
+
+def test_run_writes_and_prints(call, tmp_path):
+    code, out, err = call("run", CONFIG, *SHORT, "--controller", "pd", "--out", tmp_path)
+    assert code == 0
+    assert "peak_foot_force" in out
+    assert "N m" in out
+    assert out.rstrip().endswith("held all the way")
+    assert "compil" in err
+    assert str(tmp_path) in err
+    written = {"trajectory.nc", "config.yaml", "metrics.json", "walk.png", "walk.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == written
+    scenario = mc.load_scenario(tmp_path / "config.yaml")
+    assert scenario == mc.load_scenario(CONFIG, ["duration=0.2", "control.controller=pd"])
+    metrics = strict_json((tmp_path / "metrics.json").read_text())
+    assert list(metrics) == list(mc.METRICS)
+    assert metrics["detached_at"] is None
+    with xr.open_dataset(tmp_path / "trajectory.nc", engine="h5netcdf") as walk:
+        assert walk.sizes["time"] == 200
+        assert np.linalg.norm(walk["foot_force"], axis=-1).max() == pytest.approx(metrics["peak_foot_force"])
+
+
+def test_run_says_who_let_go(call, tmp_path):
+    code, out, _ = call("run", CONFIG, *SHORT, *WEAK, "--controller", "pd", "--out", tmp_path, "--json")
+    metrics = strict_json(out)
+    assert code == 0
+    assert metrics["detached_limb"] in ("LF", "LH", "RH", "RF")
+    code, out, _ = call("run", CONFIG, *SHORT, *WEAK, "--controller", "pd", "--out", tmp_path)
+    assert out.rstrip().endswith(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
+
+
+def test_run_survives_divergence(call, tmp_path):
+    code, out, _ = call("run", CONFIG, *SHORT, "--set", "control.kd=1e4", "--controller", "pd", "--out", tmp_path)
+    assert code == 0
+    assert "diverged at 0." in out
+    metrics = strict_json((tmp_path / "metrics.json").read_text())
+    assert metrics["diverged"] is True
+    assert metrics["peak_foot_force"] is None
+
+
+def test_gains_file_takes_the_place_of_the_configs(call, tmp_path):
+    gains_file.save(mc.Gains(2.0, 30.0, 500.0, kp=45.0), tmp_path / "gains.yaml")
+    code, _, _ = call(
+        "run", CONFIG, *SHORT, "--controller", "pd", "--gains", tmp_path / "gains.yaml", "--out", tmp_path / "out"
+    )
+    control = mc.load_scenario(tmp_path / "out" / "config.yaml").control
+    assert code == 0
+    assert (control.inertia, control.damping, control.stiffness, control.kp) == (2.0, 30.0, 500.0, 45.0)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A sweep that ran through, by another process: (folder, finished process)."""
+    out = tmp_path_factory.mktemp("swept")
+    arguments = ["sweep", CONFIG, *SHORT, *GRID, "--out", str(out), "--json"]
+    command = [sys.executable, "-m", "tuning.command_line", *arguments]
+    return out, subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+def test_sweep_prints_json_alone_on_stdout(swept):
+    out, done = swept
+    assert done.returncode == 0, done.stderr
+    found = strict_json(done.stdout)
+    assert done.stdout.startswith("{")
+    assert list(found) == ["best", "config", "pd", "grid"]
+    assert found["grid"]["walks"] == 6
+    assert found["pd"]["gains"] is None
+    assert found["config"]["gains"] == {"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}
+    assert all(list(found[name]["metrics"]) == list(mc.METRICS) for name in ("best", "config", "pd"))
+    for word in ("compil", "cache", "6 of 6 walks", "paper", "force_variation", str(out)):
+        assert word in done.stderr
+
+
+def test_sweep_writes_grid_maps_and_config(swept):
+    out, done = swept
+    names = {path.name for path in out.iterdir()}
+    pictures = {f"{name}.{kind}" for name in ("maps", "walks") for kind in ("png", "svg")}
+    assert names == {"sweep.nc", "config.yaml", "comparison.json", "maps", *pictures}
+    maps = {path.stem for path in (out / "maps").iterdir()}
+    assert maps == set(mc.METRICS) - {"detached_limb", "diverged"}
+    with xr.open_dataset(out / "sweep.nc", engine="h5netcdf") as result:
+        np.testing.assert_allclose(result["stiffness"], [1e3, 1e4, 1e5])
+        best = grid.best_cell(result.load())
+        assert best["stiffness"].item() == strict_json(done.stdout)["best"]["gains"]["stiffness"]
+    assert mc.load_scenario(out / "config.yaml") == mc.load_scenario(CONFIG, ["duration=0.2"])
+
+
+def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch, tmp_path):
+    walk, calls = mc.rollout_metrics, []
+
+    def stopped(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            signal.raise_signal(signal.SIGTERM)
+        return walk(*arguments, **options)
+
+    command = ("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
+    monkeypatch.setattr(mc, "rollout_metrics", stopped)
+    code, out, err = call(*command)
+    assert (code, out) == (130, "")
+    last = err.splitlines()[-1]
+    assert last == (f"mjx-climb: interrupted: 4 of 6 walks are kept in {tmp_path}; the same command goes on from there")
+    code, _, err = call("sweep", CONFIG, *SHORT, *GRID[:2], "--damping", "1:9:2", "--out", tmp_path)
+    assert code == 2
+    assert str(tmp_path) in err
+
+    monkeypatch.setattr(plots, "save_figure", lambda *_: None)
+    code, out, err = call(*command)
+    assert code == 0
+    assert len(calls) == 3
+    assert "4 are there already" in err
+    assert "best: stiffness" in out
+    results = [xr.load_dataset(folder / "sweep.nc", engine="h5netcdf") for folder in (tmp_path, swept[0])]
+    xr.testing.assert_identical(*(result.drop_attrs() for result in results))
+
+
+def test_interrupted_run(call, monkeypatch, tmp_path):
+    monkeypatch.setattr(mc, "rollout", lambda *_, **__: signal.raise_signal(signal.SIGINT))
+    code, out, err = call("run", CONFIG, "--out", tmp_path)
+    assert (code, out) == (130, "")
+    assert err.splitlines()[-1].startswith("mjx-climb: interrupted: nothing was kept")
+
+
+def test_sweep_in_which_all_fail(call, tmp_path):
+    code, out, _ = call("sweep", CONFIG, *SHORT, *GRID, *WEAK, "--out", tmp_path, "--json")
+    found = strict_json(out)
+    assert code == 0
+    assert found["best"] is None
+    assert found["grid"]["failed"] == 6
+
+
+def test_help_is_quick_and_needs_nothing_heavy():
+    script = (
+        "import sys, tuning.command_line as c\n"
+        "try: c.main(['run', '--help'])\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "heavy = {'jax', 'numpy', 'matplotlib', 'xarray', 'mujoco', 'mjx_climb'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "mjx-climb run configs/case_2.yaml" in done.stdout
+
+
+def test_import_prints_nothing():
+    command = [sys.executable, "-c", "import mjx_climb"]
+    assert subprocess.run(command, cwd=ROOT, capture_output=True).stdout == b""
+
+
+def test_version_and_no_arguments(call):
+    code, out, _ = call("--version")
+    assert code == 0
+    assert "mjx-climb" in out
+    assert "jax" in out
+    code, out, _ = call()
+    assert code == 0
+    assert "sweep" in out
+
+
+def test_range_is_even_on_a_logarithmic_scale():
+    np.testing.assert_allclose(log_range("--x", "1e2:1e6:5"), [1e2, 1e3, 1e4, 1e5, 1e6])
+    with pytest.raises(InputError, match="--x"):
+        log_range("--x", "")
+
+
+def test_estimate_leaves_the_compiler_out():
+    estimate = progress.Estimate(now=0.0)
+    assert estimate.update(40, 100, now=1.0) is None  # found on disk
+    estimate.compiled(now=11.0)
+    assert estimate.update(60, 100, now=13.0) == pytest.approx(4.0)
+    assert estimate.update(100, 100, now=17.0) == 0
+
+
+def test_numbers_in_tables_and_json():
+    assert report.change(2.0, 1.0) == "+100"
+    assert report.change(0.5, 1.0) == "-50.0"
+    assert report.change(None, 1.0) == report.change("LF", 1.0) == report.change(1.0, 0.0) == ""
+    assert strict_json(report.to_json({"a": np.float32("nan"), "b": np.int32(3), "c": [np.inf, True]})) == {
+        "a": None,
+        "b": 3,
+        "c": [None, True],
+    }
