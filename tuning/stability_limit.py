@@ -24,7 +24,7 @@ _CHUNK = 64  # gain sets per compiled batch
 
 
 def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEFAULT_ENGINE) -> np.ndarray:
-    """Return the largest magnitude (B,) of an eigenvalue of one step, for gains (B, 6); above 1 the loop is unstable."""
+    """Return the largest magnitude (B,) of an eigenvalue of one step, for gains (B, 6); the loop is stable below 1."""
     flat = [np.broadcast_to(np.asarray(v, float), (*np.shape(gains.stiffness)[:-1], 6)) for v in _six(gains)]
     count = len(flat[0])
     kp, kd = (_joint(gains, name, scenario, count) for name in ("kp", "kd"))
@@ -59,9 +59,7 @@ def _calm(scenario: mc.Scenario) -> mc.Parameters:
     with jax.enable_x64(True):
         numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
     zero = {name: np.zeros_like(getattr(numbers, name)) for name in ("gravity", "cargo_mass")}
-    return dataclasses.replace(
-        numbers, **zero, push_force=numbers.push_force * 0, push_moment=numbers.push_moment * 0
-    )
+    return dataclasses.replace(numbers, **zero, push_force=numbers.push_force * 0, push_moment=numbers.push_moment * 0)
 
 
 def _jacobian(shape, swing_time: float, gains, numbers):
