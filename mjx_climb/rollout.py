@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb import devices
+from mjx_climb import devices, smooth_extremes
 from mjx_climb import metrics as metrics_module
 from mjx_climb.compilation import compiler_options, enable_cache
 from mjx_climb.config import Scenario
@@ -39,13 +39,18 @@ def _metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metr
     walk = prepare(structure, *batch_last(gains, numbers, shape, dtype))
 
     def step(carry, index):
-        walked, total = carry
+        walked, total, means = carry
         walked, sample = advance(walk, walked, index)
-        return (walked, metrics_module.accumulate(total, sample, walk.robot, walk.time_step)), None
+        total = metrics_module.accumulate(total, sample, walk.robot, walk.time_step)
+        means = smooth_extremes.accumulate(means, sample, walk.robot) if structure.smooth else means
+        return (walked, total, means), None
 
-    start = (begin(walk, batch), metrics_module.start(batch, dtype))
-    (_, total), _ = jax.lax.scan(step, start, jnp.arange(structure.steps))
+    means = smooth_extremes.start(batch, dtype) if structure.smooth else {}
+    start = (begin(walk, batch), metrics_module.start(batch, dtype), means)
+    (_, total, means), _ = jax.lax.scan(step, start, jnp.arange(structure.steps))
     result = metrics_module.finish(total, walk.numbers.gravity, walk.numbers.heading)
+    for name, value in smooth_extremes.finish(means).items():
+        result[name] = jnp.where(total.finite, value, jnp.nan)
     return {name: value.reshape(shape) for name, value in result.items()}
 
 
@@ -65,12 +70,14 @@ def _compiled_metrics(batch: int) -> Callable:
     return jax.jit(_metrics_of, static_argnums=0, compiler_options=compiler_options(batch))
 
 
-def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE) -> Callable[..., Metrics]:
+def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE, smooth: bool = False) -> Callable[..., Metrics]:
     """Return a pure function `f(gains, parameters=None) -> metrics` for `jit`, `vmap`, `jvp` and `jacfwd`.
 
     Arguments:
         scenario: what walks where; its control gains are not used, its other numbers are the default parameters.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
+        smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics have
+            smooth companions, see `mjx_climb.smooth_extremes`.
 
     Returns:
         A function of `Gains` (and `Parameters`) with any leading batch axes, in the precision of the gains. It gives a
@@ -79,7 +86,7 @@ def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE) -> Callable[.
         hold (`detached_limb` is then -1, else the index of the limb), and everything but `diverged` where the state
         stopped being finite.
     """
-    shape = structure(scenario, engine)
+    shape = structure(scenario, engine, smooth=smooth)
 
     def simulate(gains: Gains, numbers: Parameters | None = None) -> Metrics:
         dtype = _floating_dtype(gains)

@@ -1,5 +1,6 @@
 """One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -34,6 +35,7 @@ class Structure(NamedTuple):
     base_reference: str
     steps: int
     time_step: float
+    smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
 
 
 class Walk(NamedTuple):
@@ -42,6 +44,7 @@ class Walk(NamedTuple):
     robot: Robot
     geometry: LimbGeometry
     numbers: Parameters
+    grip_numbers: Parameters  # with an infinite holding limit where nothing is torn off
     plan: gait.Plan
     law: Law
     forward_dynamics: ForwardDynamics
@@ -58,7 +61,7 @@ class Carry(NamedTuple):
     law: Any
 
 
-def structure(scenario: Scenario, engine: str) -> Structure:
+def structure(scenario: Scenario, engine: str, *, smooth: bool = False) -> Structure:
     """Return what a compiled walk of the scenario depends on beside its numbers."""
     return Structure(
         robot=scenario.robot,
@@ -69,6 +72,7 @@ def structure(scenario: Scenario, engine: str) -> Structure:
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
+        smooth=smooth,
     )
 
 
@@ -79,10 +83,12 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
+    unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
     return Walk(
         robot=robot,
         geometry=geometry,
         numbers=numbers,
+        grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=gait.plan(robot, feet, numbers, structure.sequence, structure.time_step),
         law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
         forward_dynamics=ENGINES[structure.engine](robot),
@@ -118,7 +124,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     feet = foot_kinematics(frames, state)
 
     now = gait.schedule(walk.plan, step)
-    contact, held = grip(carry.contact, feet, now.closed, numbers)
+    contact, held = grip(carry.contact, feet, now.closed, walk.grip_numbers)
     wrench = base_wrench_of_foot_force(feet.lever, held.force)
 
     memory, cycle_start = walk.cycle_start(walk.plan, now, carry.gait, state.base_position)

@@ -1,0 +1,155 @@
+"""What a search minimises: weighted metrics relative to pd's, and smooth penalties for constraints.
+
+Three numbers per point. `value` is what is reported and ranked: the weighted mean of the metrics, each relative to
+its value under pd (1 for pd itself), with true extremes. `descent` is what gradients follow: the same with smooth
+extremes, plus the penalty. `feasible` says whether every constraint holds.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import mjx_climb as mc
+from mjx_climb.config import ConfigError
+from mjx_climb.plots import LARGER_IS_BETTER
+from mjx_climb.smooth_extremes import PREFIX
+from tuning.search import Search
+
+Metrics = Mapping[str, Array]
+
+_PENALTY = 100.0
+_BEND = 0.1
+_MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
+_PD_MARGIN = 0.005
+_SCALES = {"joint_limit_margin": 0.1, "min_tsm": 0.01, "min_gia_margin": 1.0}  # rad, m, m/s^2: for limits near zero
+
+
+class Score(NamedTuple):
+    """The judgement of points, (...) each."""
+
+    value: Array
+    descent: Array
+    penalty: Array  # with true extremes
+    feasible: Array  # bool
+
+
+class Term(NamedTuple):
+    """A metric to better, relative to its value under pd."""
+
+    metric: str
+    weight: float
+    baseline: float
+    smooth_baseline: float
+
+
+class Limit(NamedTuple):
+    """A metric that may not pass a value; a penalty begins `margin` (relative to `scale`) before it."""
+
+    metric: str
+    value: float
+    scale: float
+    margin: float
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Objective:
+    """Terms and limits, or the user's own function in place of the terms.
+
+    `function` maps a mapping of metrics (those of `mjx_climb.METRICS` and their smooth companions, arrays of any
+    shape) to an array of that shape, by operations of jax.numpy.
+    """
+
+    terms: tuple[Term, ...]
+    limits: tuple[Limit, ...]
+    function: Callable[[Metrics], Array] | None = None
+
+    def score(self, metrics: Metrics) -> Score:
+        """Judge points by their metrics; NaN and infeasible where the walk diverged."""
+        if self.function is not None:
+            value = smooth = self.function(metrics)
+        else:
+            value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
+        slacks = [violation(limit, metrics[limit.metric]) for limit in self.limits]
+        pairs = zip(self.limits, slacks, strict=True)
+        penalty = sum((_penalty(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
+        feasible = jnp.isfinite(value) & ~metrics["diverged"]
+        for slack in slacks:
+            feasible &= slack <= 0
+        return Score(value, smooth + penalty, penalty, feasible)
+
+    def _weighted(self, metrics: Metrics, *, smooth: bool) -> Array:
+        total, weights = 0.0, 0.0
+        for term in self.terms:
+            name = PREFIX + term.metric if smooth and PREFIX + term.metric in metrics else term.metric
+            ratio = metrics[name] / (term.baseline if name == term.metric else term.smooth_baseline)
+            total += term.weight * (2 - ratio if term.metric in LARGER_IS_BETTER else ratio)
+            weights += term.weight
+        return total / weights
+
+
+def _penalty(over: Array) -> Array:
+    """Return 0 inside, a parabola just outside, a straight line of slope 10 far outside."""
+    over = jnp.maximum(over, 0.0)
+    return _PENALTY * over**2 / (1 + over / _BEND)
+
+
+def violation(limit: Limit, value: Array) -> Array:
+    """Return by how much a limit is passed, relative to its scale; negative inside."""
+    over = limit.value - value if limit.metric in LARGER_IS_BETTER else value - limit.value
+    return over / limit.scale
+
+
+def objective(
+    scenario: mc.Scenario,
+    search: Search,
+    baseline: Mapping[str, float],
+    function: Callable[[Metrics], Array] | None = None,
+) -> Objective:
+    """Return the objective that the settings ask for.
+
+    Arguments:
+        scenario: gives the holding limit.
+        search: weights and limits.
+        baseline: metrics of pd with their smooth companions, see `tuning.evaluation.baseline`.
+        function: the user's own in place of the weighted terms.
+
+    Raises:
+        ConfigError: pd diverges, or has no value of a metric that is weighed.
+    """
+    terms = []
+    for metric, weight in search.weights.items():
+        if not weight or function is not None:
+            continue
+        smooth = baseline.get(PREFIX + metric, baseline[metric])
+        if not (np.isfinite([baseline[metric], smooth]).all() and baseline[metric] and smooth):
+            raise ConfigError(
+                f"weights.{metric}: expected a metric that pd has here, got {baseline[metric]:g} under pd"
+            )
+        terms.append(Term(metric, weight, baseline[metric], smooth))
+    limits = []
+
+    def limit(metric: str, value: float, margin: float, reason: str) -> None:
+        scale = _SCALES.get(metric) or abs(value) or 1.0
+        limits.append(Limit(metric, float(value), max(scale, abs(value)), margin, reason))
+
+    standard = {"joint_limit_margin": (0.0, "joint limits")}
+    if scenario.contact.holding_limit is not None:
+        standard["peak_pull_force"] = (scenario.contact.holding_limit, "holding limit of the grippers")
+    if np.isfinite(baseline["base_deviation"]):
+        factor = search.deviation_factor
+        standard["base_deviation"] = (factor * baseline["base_deviation"], f"{factor:g} times pd's")
+    for metric, (value, reason) in standard.items():
+        if metric not in search.limits:
+            limit(metric, value, _MARGIN, reason)
+    for metric, value in search.limits.items():
+        limit(metric, value, _MARGIN, "set by the user")
+    if search.no_worse_than_pd:
+        for term in terms:
+            if term.metric not in search.limits:
+                limit(term.metric, term.baseline, _PD_MARGIN, "no worse than pd")
+    return Objective(tuple(terms), tuple(limits), function)

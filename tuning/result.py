@@ -1,0 +1,117 @@
+"""The result of a search, the same for every method: the gains, how they were found, and what made them."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb import dataset
+from mjx_climb.config import ConfigError
+from mjx_climb.dataset import METRIC_NAMES
+from tuning import search as search_settings
+from tuning.search import Search
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a search found.
+
+    `history` holds every point that was judged, in order: dimensions `point` and `coordinate` (names of the space);
+    variables `theta` (natural logarithm), `value`, `descent`, `penalty`, `feasible`, `gradient_norm`, `round`, `row`
+    (place in its batch), `phase`, `env_steps` (spent so far) and the metrics.
+    """
+
+    scenario: mc.Scenario
+    search: Search
+    gains: mc.Gains  # the best found, in float64
+    theta: np.ndarray  # (n,)
+    value: float  # 1 for pd
+    feasible: bool
+    metrics: dict[str, float]  # of the best, as the search saw it: nothing torn off
+    env_steps: int  # a forward-mode step with n tangents counts 1 + n
+    best_at: int  # env-steps spent when the best was found
+    interrupted: bool
+    history: xr.Dataset
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the whole result as netCDF and return its path."""
+        return dataset.save(self.history, path)
+
+
+def from_history(scenario: mc.Scenario, search: Search, space, arrays: dict, *, interrupted: bool) -> Result:
+    """Return the result of the points judged so far.
+
+    The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
+
+    Raises:
+        ValueError: nothing was judged.
+    """
+    if not arrays or not len(arrays["value"]):
+        raise ValueError("expected a judged point, got none")
+    count = len(arrays["value"])
+    best = best_of(arrays)
+    data = {"theta": (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})}
+    for name, values in arrays.items():
+        if name == "theta":
+            continue
+        units = mc.METRICS.get(name, "1")
+        data[name] = ("point", values, {"units": units, "long_name": METRIC_NAMES.get(name, name.replace("_", " "))})
+    attrs = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
+    attrs["interrupted"] = int(interrupted)
+    history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
+    theta = np.asarray(arrays["theta"][best], float)
+    gains = to_gains64(space, theta)
+    history.attrs["gains"] = json.dumps(dataset._gains_to_plain(gains))
+    return _of(history, scenario, search, gains, best)
+
+
+def to_gains64(space, theta: np.ndarray) -> mc.Gains:
+    """Return the gains of one point in double precision, whatever JAX is set to."""
+    import jax
+
+    with jax.enable_x64(True):
+        return jax.tree.map(np.asarray, space.to_gains(np.asarray(theta, float)))
+
+
+def best_of(arrays) -> int:
+    """Return the index of the best point."""
+    value, penalty, feasible = (np.asarray(arrays[name]) for name in ("value", "penalty", "feasible"))
+    ranked = np.where(feasible, value, np.inf) if feasible.any() else value + penalty
+    ranked = np.where(np.isfinite(ranked), ranked, np.inf)
+    return int(np.argmin(ranked))
+
+
+def _of(history: xr.Dataset, scenario, search, gains, best: int) -> Result:
+    names = [name for name in mc.METRICS if name in history]
+    return Result(
+        scenario=scenario,
+        search=search,
+        gains=gains,
+        theta=history["theta"].values[best],
+        value=float(history["value"][best]),
+        feasible=bool(history["feasible"][best]),
+        metrics={name: float(history[name][best]) for name in names},
+        env_steps=int(history["env_steps"][-1]),
+        best_at=int(history["env_steps"][best]),
+        interrupted=bool(history.attrs["interrupted"]),
+        history=history,
+    )
+
+
+def load(path: str | os.PathLike[str]) -> Result:
+    """Read the result that `Result.save` wrote; its scenario and settings repeat the search.
+
+    Raises:
+        ConfigError: no such file, or another one.
+    """
+    history = dataset.load(path)
+    if "search" not in history.attrs:
+        raise ConfigError(f"{os.fspath(path)}: expected the result of a search, got another dataset")
+    gains = {name: None if v is None else np.asarray(v) for name, v in json.loads(history.attrs["gains"]).items()}
+    arrays = {name: history[name].values for name in ("value", "penalty", "feasible")}
+    settings = search_settings.parse(history.attrs["search"], os.fspath(path))
+    return _of(history, dataset.scenario_of(history), settings, mc.Gains(**gains), best_of(arrays))
