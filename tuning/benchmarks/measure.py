@@ -21,18 +21,19 @@ class Plan:
 
     rounds: int
     steps: int  # of the closed loop in a round
+    tangents: tuple[int, ...]  # of the gradients
     batches: tuple[int, ...]  # for growth with the batch
-    lengths: tuple[int, ...]  # steps, for growth with time
+    lengths: tuple[int, ...]  # steps, for growth with time; none: left out
 
     @staticmethod
     def full(batch: int) -> "Plan":
         """Return the plan whose figures are to be quoted."""
-        return Plan(5, 200, tuple(batch * k // 4 for k in (1, 2, 4, 8, 16)), (50, 100, 200, 400))
+        return Plan(5, 200, (2, 12), tuple(batch * k // 4 for k in (1, 2, 4, 8, 16)), (50, 100, 200, 400))
 
     @staticmethod
     def quick(batch: int) -> "Plan":
-        """Return a plan for a first look."""
-        return Plan(3, 100, (batch // 4, batch), (50, 100))
+        """Return a plan for a first look, which spares what takes long to compile: those figures are None."""
+        return Plan(3, 100, (2,), (batch // 4, batch), ())
 
 
 def threads() -> int:
@@ -52,8 +53,10 @@ def in_turns(rounds: int, work: Mapping[str, Timed]) -> dict[str, float]:
     return {name: float(np.median(values)) for name, values in seconds.items()}
 
 
-def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float:
-    """Return the exponent of growth: the slope of log time over log size by least squares."""
+def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float | None:
+    """Return the exponent of growth: the slope of log time over log size by least squares; None of nothing."""
+    if not sizes:
+        return None
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
@@ -89,7 +92,7 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
         "vs_mujoco_batch": rates["mujoco_batch"] / own,
         "vs_numpy_loop_single": single_rates["numpy_loop"] / single_rates["single"],
         "gradient_cost_2": rates["gradient_2"] / rates["value"],
-        "gradient_cost_12": rates["gradient_12"] / rates["value"],
+        "gradient_cost_12": rates["gradient_12"] / rates["value"] if 12 in plan.tangents else None,
         "single_steps_per_s": 1 / single_rates["single"],
         "peers_steps_per_s": {
             **{name: 1 / rates[name] for name in ("mujoco_c", "mjx", "mujoco_batch")},
@@ -115,9 +118,11 @@ def _work(engine: str, batch: int, plan: Plan):
         "closed_loop": (batch * steps, programs.walk(batch, steps, engine)),
         "mjx": (batch * few, programs.walk(batch, few, "mjx")),
         "value": (batch * few, jitted(*programs.value(batch, few, engine))),
-        "gradient_2": (batch * few, jitted(*programs.gradient(2, batch, few, engine))),
-        "gradient_12": (batch * fewer, jitted(*programs.gradient(12, batch, fewer, engine))),
     }
+    for tangents in plan.tangents:
+        length = few if tangents == 2 else fewer
+        work = jitted(*programs.gradient(tangents, batch, length, engine))
+        ours[f"gradient_{tangents}"] = (batch * length, work)
     single = {"single": (10 * steps, programs.walk(1, 10 * steps, engine))}
     case, gains = programs.scenario(steps), programs.gains(batch)
     bare = mujoco_rollout.Peer(case, batch, steps, threads())

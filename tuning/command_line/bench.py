@@ -35,11 +35,11 @@ ROWS = (
 
 def bench(
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer and shorter rounds: a first look, not to be quoted.")
+        bool, typer.Option("--quick", help="A first look, not to be quoted: fewer rounds, some figures left out.")
     ] = False,
     batch: Annotated[int, typer.Option(min=SMALLEST_BATCH, metavar="N", help="Robots that walk at a time.")] = BATCH,
     json: options.Json = False,
-    engine: options.Engine = "limb",
+    engine: options.Engine = None,
 ) -> None:
     """Measure speed on this machine, beside MuJoCo and MJX in the same run.
 
@@ -56,7 +56,7 @@ def bench(
     with options.reserved_stdout() as stdout:
         import time
 
-        options.check_engine(engine)
+        engine = options.engine_from(engine)
         if batch % 4:
             raise InputError(f"--batch: expected a multiple of 4, got {batch}")
         from tuning.benchmarks import measure
