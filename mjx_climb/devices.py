@@ -6,6 +6,7 @@ order, and the last bits of a robot's walk would then depend on the number of de
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -16,19 +17,22 @@ from jax.sharding import SingleDeviceSharding
 def spread(walk: Callable, rows: np.ndarray, robots_per_device: int) -> dict[str, np.ndarray]:
     """Return `walk` of the rows, up to `robots_per_device` of them on each device of each process.
 
-    `walk(rows, sharding)` gives a dict of arrays for some rows, on the device of the sharding, without waiting.
-    Every device walks as many robots: the last one again where there are fewer. With `jax.distributed` every process
-    makes the same call and gets the whole result.
+    `walk(rows, sharding)` gives a dict of arrays for some rows, on the device of the sharding. Every device walks as
+    many robots: the last one again where there are fewer. With `jax.distributed` every process makes the same call
+    and gets the whole result.
     """
     devices = jax.devices()
     filled = np.minimum(np.arange(robots_per_device * len(devices)), len(rows) - 1)
     shares = rows[filled].reshape(len(devices), robots_per_device)
-    pending = [
-        walk(share, SingleDeviceSharding(device))
-        for device, share in zip(devices, shares, strict=True)
-        if device.process_index == jax.process_index()
-    ]
-    result = {name: np.concatenate([np.asarray(part[name]) for part in pending]) for name in pending[0]}
+    mine = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
+
+    def walk_share(number: int) -> dict[str, np.ndarray]:
+        return jax.tree.map(np.asarray, walk(shares[number], SingleDeviceSharding(devices[number])))
+
+    # a thread each: the host launches every step of a loop, and would keep the other devices waiting
+    with ThreadPoolExecutor(len(mine)) as threads:
+        parts = list(threads.map(walk_share, mine))
+    result = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     if jax.process_count() > 1:
         result = multihost_utils.process_allgather(result, tiled=True)
     return {name: np.asarray(value)[: len(rows)] for name, value in result.items()}

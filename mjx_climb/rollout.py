@@ -213,14 +213,14 @@ def rollout_metrics(
     compiled = functools.partial(_compiled_metrics(size), structure(scenario, engine))
 
     def walk(rows, sharding):
-        return compiled(*jax.device_put(_rows(gains, numbers, rows), sharding))
+        with jax.enable_x64(np.dtype(dtype) == np.float64):  # holds for one thread
+            return compiled(*jax.device_put(_rows(gains, numbers, rows), sharding))
 
     parts = []
-    with jax.enable_x64(np.dtype(dtype) == np.float64):
-        for rows in np.split(np.arange(count), range(size_of_part, count, size_of_part)):
-            parts.append(devices.spread(walk, rows, robots_per_device))
-            if progress is not None:
-                progress(int(rows[-1]) + 1, count)
+    for rows in np.split(np.arange(count), range(size_of_part, count, size_of_part)):
+        parts.append(devices.spread(walk, rows, robots_per_device))
+        if progress is not None:
+            progress(int(rows[-1]) + 1, count)
     return {name: np.concatenate([part[name] for part in parts]).reshape(shape) for name in parts[0]}
 
 
