@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import reproduce, run, sweep, tune
+from tuning.command_line import bench, reproduce, run, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -27,6 +27,7 @@ app.command("run")(run.run)
 app.command("reproduce")(reproduce.reproduce)
 app.command("sweep")(sweep.sweep)
 app.command("tune")(tune.tune)
+app.command("bench")(bench.bench)
 
 
 def _version(wanted: bool) -> None:
