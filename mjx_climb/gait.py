@@ -57,13 +57,14 @@ def plan(robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[
 def schedule(plan: Plan, step: Array) -> Schedule:
     """Return the phases of the limbs at a step (scalar integer)."""
     step = step.astype(plan.cycle_steps.dtype)
-    cycle = jnp.floor(step / plan.cycle_steps)
+    # half a step in, so that rounding cannot put the first step of a cycle into the last
+    cycle = jnp.floor((step + 0.5) / plan.cycle_steps)
     in_cycle = step - cycle * plan.cycle_steps
     since_lift_off = jnp.mod(in_cycle - plan.swing_offset, plan.cycle_steps)
     return Schedule(
         cycle=cycle,
-        cycle_phase=in_cycle / plan.cycle_steps,
-        swing_phase=since_lift_off / plan.swing_steps,
+        cycle_phase=in_cycle * (1 / plan.cycle_steps),
+        swing_phase=since_lift_off * (1 / plan.swing_steps),
         closed=since_lift_off >= plan.swing_steps,
     )
 

@@ -62,7 +62,7 @@ def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo
             robot.link_mass, robot.link_center, frames.position, frames.rotation, strict=True
         )
     )
-    return base_position + moment / (robot.total_mass + cargo_mass)
+    return base_position + moment * (1 / (robot.total_mass + cargo_mass))
 
 
 def joint_torque_of_foot_force(feet: Feet, foot_force: Array) -> Array:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from mjx_climb import devices
 from mjx_climb import metrics as metrics_module
 from mjx_climb import smooth_extremes
 from mjx_climb.compilation import compiler_options, enable_cache
@@ -61,8 +62,13 @@ def _samples_of(structure: Structure, gains: Gains, numbers: Parameters) -> Samp
 
 
 @functools.cache
-def _compiled(function: Callable, batch: int) -> Callable:
-    return jax.jit(function, static_argnums=0, compiler_options=compiler_options(batch))
+def _compiled_samples() -> Callable:
+    return jax.jit(_samples_of, static_argnums=0, compiler_options=compiler_options(1))
+
+
+@functools.cache
+def _compiled_metrics(batch: int) -> Callable:
+    return jax.jit(_metrics_of, static_argnums=0, compiler_options=compiler_options(batch))
 
 
 def simulator(scenario: Scenario, *, engine: str = DEFAULT_ENGINE, smooth: bool = False) -> Callable[..., Metrics]:
@@ -120,9 +126,15 @@ def rollout(
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
     enable_cache()
     with jax.enable_x64(np.dtype(dtype) == np.float64):
-        samples = _compiled(_samples_of, 1)(structure(scenario, engine), gains, numbers)
+        samples = _compiled_samples()(structure(scenario, engine), gains, numbers)
         samples = jax.tree.map(np.asarray, samples)
     return from_samples(samples, scenario, gains, load_robot(scenario.robot).limbs)
+
+
+def _six(gain):
+    """Return a gain with its axis of six, so that scalar gains need no program of their own."""
+    gain = np.atleast_1d(gain)
+    return np.broadcast_to(gain, (*gain.shape[:-1], 6))
 
 
 def _given(scenario, gains, numbers, dtype) -> tuple[Gains, Parameters]:
@@ -130,7 +142,8 @@ def _given(scenario, gains, numbers, dtype) -> tuple[Gains, Parameters]:
     with jax.enable_x64(True):
         gains = gains_of(scenario) if gains is None else gains
         numbers = parameters(scenario) if numbers is None else numbers
-        return _cast(gains, dtype), _cast(numbers, dtype)
+        six = {name: _six(getattr(gains, name)) for name in Gains.AXES}
+        return _cast(dataclasses.replace(gains, **six), dtype), _cast(numbers, dtype)
 
 
 def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
@@ -175,7 +188,7 @@ def rollout_metrics(
     progress: Callable[[int, int], None] | None = None,
     engine: str = DEFAULT_ENGINE,
 ) -> dict[str, np.ndarray]:
-    """Walk a batch of robots and return their metrics; memory does not grow with time.
+    """Walk a batch of robots on all devices and return their metrics; memory does not grow with time.
 
     Arguments:
         scenario: what walks where.
@@ -194,17 +207,21 @@ def rollout_metrics(
     shape = batch_shape(gains, numbers)
     count = math.prod(shape)
     size = min(batch_size or count, count)
+    robots_per_device = -(-size // jax.device_count())
+    size_of_part = robots_per_device * jax.device_count()
     gains, numbers = _flattened(gains, numbers, shape)
     enable_cache()
+    compiled = functools.partial(_compiled_metrics(size), structure(scenario, engine))
+
+    def walk(rows, sharding):
+        return compiled(*jax.device_put(_rows(gains, numbers, rows), sharding))
+
     parts = []
     with jax.enable_x64(np.dtype(dtype) == np.float64):
-        for start in range(0, count, size):
-            # the last part is filled up with its last robot, so that every part has the shape that was compiled
-            rows = np.minimum(np.arange(start, start + size), count - 1)
-            part = _compiled(_metrics_of, size)(structure(scenario, engine), *_rows(gains, numbers, rows))
-            parts.append({name: np.asarray(value)[: count - start] for name, value in part.items()})
+        for rows in np.split(np.arange(count), range(size_of_part, count, size_of_part)):
+            parts.append(devices.spread(walk, rows, robots_per_device))
             if progress is not None:
-                progress(min(start + size, count), count)
+                progress(int(rows[-1]) + 1, count)
     return {name: np.concatenate([part[name] for part in parts]).reshape(shape) for name in parts[0]}
 
 
@@ -216,7 +233,6 @@ def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tup
         for name, value in vars(tree).items():
             if value is None:
                 continue
-            value = np.atleast_1d(value) if tree.AXES.get(name) else value
             split = value.ndim - tree.AXES.get(name, 0)
             tail = value.shape[split:]
             varies = math.prod(value.shape[:split]) > 1

@@ -57,7 +57,7 @@ def tumble_stability_margin(
     smallest = _smallest_over_axes(holding - tumbling / length, axes)
     weight = mass * gravity
     weightless = weight == 0.0
-    in_metres = smallest / jnp.where(weightless, 1.0, weight)
+    in_metres = smallest * (1 / jnp.where(weightless, 1.0, weight))
     return jnp.where(weightless & (smallest > 0.0), jnp.inf, in_metres)
 
 

@@ -12,6 +12,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
+from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning import gains_file, grid
 from tuning.command_line import main, progress, report
 from tuning.command_line.ending import InputError
@@ -272,6 +273,12 @@ def test_version_and_no_arguments(call):
     code, out, _ = call()
     assert code == 0
     assert "sweep" in out
+
+
+def test_help_names_the_default_engine(call):
+    _, out, _ = call("run", "--help")
+    assert f"[default: ({DEFAULT_ENGINE})]" in " ".join(out.split())
+    assert all(name in out for name in mc.ENGINES)
 
 
 def test_range_is_even_on_a_logarithmic_scale():

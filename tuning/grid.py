@@ -17,7 +17,7 @@ from mjx_climb.robot import model_path
 from tuning.parts import Parts
 
 # robots per part and environment steps per part: some seconds on two cores, and on one accelerator
-_CPU = (16, 1024, 400_000)
+_CPU = (16, 1024, 600_000)
 _ACCELERATOR = (1024, 16_384, 130_000_000)
 
 

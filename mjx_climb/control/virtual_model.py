@@ -42,7 +42,8 @@ def discretize(gains: Gains, time_step: float) -> Transition:
     with the increments (exponential minus identity) keeps the slow motion of a stiff damper to full precision.
     """
     h = time_step / 2**_DOUBLINGS
-    damping, stiffness = gains.damping / gains.inertia, gains.stiffness / gains.inertia
+    mobility = 1 / gains.inertia
+    damping, stiffness = gains.damping * mobility, gains.stiffness * mobility
     # A h and A h A h / 2 of A = [[0, 1], [-stiffness, -damping]], then (I - A h + (A h)^2 / 2)^-1 (A h - (A h)^2 / 2)
     bxx, bxv = stiffness * h * h / 2, h + damping * h * h / 2
     bvx, bvv = -stiffness * bxv, -damping * h - (damping**2 - stiffness) * h * h / 2
@@ -53,8 +54,8 @@ def discretize(gains: Gains, time_step: float) -> Transition:
         vx=bvx / determinant,
         vv=((1 - bxx) * bvv + bxv * bvx) / determinant,
         # the force enters like a spring's: xf = -xx / K, vf = -vx / K, written without the quotient
-        xf=h * h / 2 * (1 + damping * h) / determinant / gains.inertia,
-        vf=bxv / determinant / gains.inertia,
+        xf=h * h / 2 * (1 + damping * h) / determinant * mobility,
+        vf=bxv / determinant * mobility,
     )
 
     def double(_, t: Transition) -> Transition:

@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import run, sweep
+from tuning.command_line import reproduce, run, sweep
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -24,6 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("run")(run.run)
+app.command("reproduce")(reproduce.reproduce)
 app.command("sweep")(sweep.sweep)
 
 

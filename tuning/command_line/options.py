@@ -32,7 +32,10 @@ GainsFile = Annotated[
     Path | None,
     typer.Option("--gains", metavar="FILE", help="Gains file in place of the config's gains."),
 ]
-Engine = Annotated[str, typer.Option(metavar="NAME", help="Implementation of the robot's dynamics.")]
+Engine = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Dynamics: limb (fast) or mjx (MJX's own stages).", show_default="limb"),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
@@ -46,12 +49,17 @@ def scenario_from(config: Path, controller: str | None, changes: list[str] | Non
     return scenario
 
 
-def check_engine(engine: str) -> None:
-    """Raise InputError for an engine that does not exist."""
-    from mjx_climb.dynamics import ENGINES
+def engine_from(name: str | None) -> str:
+    """Return the engine of that name, the default where None.
 
-    if engine not in ENGINES:
-        raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
+    Raises:
+        InputError: no such engine.
+    """
+    from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES
+
+    if name is not None and name not in ENGINES:
+        raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {name!r}")
+    return name or DEFAULT_ENGINE
 
 
 @contextlib.contextmanager

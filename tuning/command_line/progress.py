@@ -114,12 +114,12 @@ def cache_state() -> str:
     """Return one line on XLA's compilation cache."""
     import jax
 
-    from mjx_climb import compilation_cache
+    from mjx_climb import compilation
 
     chosen = jax.config.jax_compilation_cache_dir
-    folder = compilation_cache.folder() if chosen is None else chosen
+    folder = compilation.cache_folder() if chosen is None else chosen
     if folder is None:
-        return f"compilation cache: off ({compilation_cache.VARIABLE})"
+        return f"compilation cache: off ({compilation.VARIABLE})"
     with contextlib.suppress(OSError):
         from pathlib import Path
 

@@ -18,7 +18,7 @@ def run(
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-<controller>"),
     ] = None,
     json: options.Json = False,
-    engine: options.Engine = "mjx",
+    engine: options.Engine = None,
 ) -> None:
     """Walk one robot through a scenario, in double precision.
 
@@ -42,7 +42,7 @@ def run(
         scenario = options.scenario_from(config, controller, changes)
         if gains is not None:
             scenario = gains_file.applied(scenario, gains_file.load(gains))
-        options.check_engine(engine)
+        engine = options.engine_from(engine)
         load_robot(scenario.robot)
         out = out or Path("results") / f"{config.stem}-{scenario.control.controller}"
         dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())

@@ -45,7 +45,7 @@ def sweep(
         typer.Option(min=1, metavar="N", help="Robots that walk at a time.", show_default="parts of a few seconds"),
     ] = None,
     json: options.Json = False,
-    engine: options.Engine = "mjx",
+    engine: options.Engine = None,
 ) -> None:
     """Walk a grid of stiffness and damping, the same on all six axes, in single precision.
 
@@ -72,7 +72,7 @@ def sweep(
         begin = time.perf_counter()
         own = options.scenario_from(config, controller, changes)
         scenario = own if gains is None else gains_file.applied(own, gains_file.load(gains))
-        options.check_engine(engine)
+        engine = options.engine_from(engine)
         if scenario.control.controller == "pd":
             raise InputError("--controller: expected a law with gains to sweep, got pd")
         out = out or Path("results") / f"{config.stem}-sweep"
