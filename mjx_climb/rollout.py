@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb import devices
+from mjx_climb import devices, smooth_extremes
 from mjx_climb import metrics as metrics_module
-from mjx_climb import smooth_extremes
 from mjx_climb.compilation import compiler_options, enable_cache
 from mjx_climb.config import Scenario
 from mjx_climb.dynamics import DEFAULT_ENGINE

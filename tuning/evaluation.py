@@ -25,7 +25,8 @@ class Evaluation(NamedTuple):
     descent: np.ndarray  # (B,)
     penalty: np.ndarray  # (B,)
     feasible: np.ndarray  # (B,) bool
-    gradient: np.ndarray  # (B, n) of `descent`; NaN where none was asked for
+    gradient: np.ndarray  # (B, k) slopes of `descent` along the k directions asked for
+    sharp: np.ndarray  # (B, k) slopes of value plus penalty with true extremes, which exist almost everywhere
     metrics: Mapping[str, np.ndarray]  # (B,) each
 
     @property
@@ -56,19 +57,22 @@ class Problem:
     dtype: type = np.float32
     engine: str = DEFAULT_ENGINE
 
-    def env_steps(self, points: int, *, gradient: bool) -> int:
-        """Return what judging so many points costs; a step with n tangents counts 1 + n."""
-        return points * self.members * self.scenario.steps * (1 + self.space.size * gradient)
+    def env_steps(self, points: int, tangents: int = 0) -> int:
+        """Return what judging so many points costs; a step with k tangents counts 1 + k."""
+        return points * self.members * self.scenario.steps * (1 + tangents)
 
-    def evaluate(self, theta: Float[np.ndarray, "B n"], *, gradient: bool) -> Evaluation:
-        """Walk with the gains of B points and judge them, with the gradients of `descent` on request."""
+    def evaluate(
+        self, theta: Float[np.ndarray, "B n"], directions: Float[np.ndarray, "k n"] | None = None
+    ) -> Evaluation:
+        """Walk with the gains of B points and judge them, with slopes along some directions."""
         enable_cache()
         double = np.dtype(self.dtype) == np.float64
         with jax.enable_x64(double):
             numbers = mc.parameters(self.scenario, self.dtype) if self.numbers is None else self.numbers
             numbers = jax.tree.map(lambda value: np.asarray(value, self.dtype), numbers)
-            run = _compiled(self.scenario, self.space, self.objective, self.engine, len(theta), gradient)
-            result = run(np.asarray(theta, self.dtype), numbers)
+            given = np.zeros((0, self.space.size)) if directions is None else directions
+            run = _compiled(self.scenario, self.space, self.objective, self.engine, len(theta), len(given))
+            result = run(np.asarray(theta, self.dtype), np.asarray(given, self.dtype), numbers)
             return jax.tree.map(np.asarray, Evaluation(*result))
 
 
@@ -93,8 +97,8 @@ def _key(part):
     return part
 
 
-def _compiled(scenario, space, objective, engine, batch, gradient):
-    return _program(_ById(scenario, space, objective), engine, batch, gradient)
+def _compiled(scenario, space, objective, engine, batch, tangents):
+    return _program(_ById(scenario, space, objective), engine, batch, tangents > 0)
 
 
 @functools.lru_cache(maxsize=32)
@@ -107,20 +111,23 @@ def _program(ingredients: _ById, engine: str, batch: int, gradient: bool):
         score = objective.score(metrics)
         members = score.value.ndim > 1
         mean = lambda value: value.mean(0) if members else value  # noqa: E731
-        worst = {name: mean(jnp.asarray(value, theta.dtype)) for name, value in metrics.items()}
+        averages = {name: mean(jnp.asarray(value, theta.dtype)) for name, value in metrics.items()}
         feasible = score.feasible.all(0) if members else score.feasible
-        return mean(score.descent), (mean(score.value), mean(score.penalty), feasible, worst)
+        descent, value, penalty = mean(score.descent), mean(score.value), mean(score.penalty)
+        return (descent, value + penalty), (value, penalty, feasible, averages)
 
-    def values(theta, numbers):
-        descent, (value, penalty, feasible, metrics) = judged(theta, numbers)
-        return value, descent, penalty, feasible, jnp.full_like(theta, jnp.nan), metrics
+    def values(theta, directions, numbers):
+        (descent, _), (value, penalty, feasible, metrics) = judged(theta, numbers)
+        none = jnp.zeros((theta.shape[0], 0), theta.dtype)
+        return value, descent, penalty, feasible, none, none, metrics
 
-    def gradients(theta, numbers):
-        n = theta.shape[1]
-        directions = jnp.broadcast_to(jnp.eye(n, dtype=theta.dtype)[:, None, :], (n, *theta.shape))
-        along = lambda v: jax.jvp(lambda t: judged(t, numbers), (theta,), (v,), has_aux=True)  # noqa: E731
-        descent, slopes, (value, penalty, feasible, metrics) = jax.vmap(along, out_axes=(None, 0, None))(directions)
-        return value, descent, penalty, feasible, slopes.T, metrics
+    def gradients(theta, directions, numbers):
+        along = jnp.broadcast_to(directions[:, None, :], (len(directions), *theta.shape))
+        push = lambda v: jax.jvp(lambda t: judged(t, numbers), (theta,), (v,), has_aux=True)  # noqa: E731
+        (descent, _), (smooth, sharp), (value, penalty, feasible, metrics) = jax.vmap(push, out_axes=(None, 0, None))(
+            along
+        )
+        return value, descent, penalty, feasible, smooth.T, sharp.T, metrics
 
     return jax.jit(gradients if gradient else values, compiler_options=mc.compiler_options(batch))
 

@@ -73,10 +73,22 @@ class Space:
         """Return the nearest points inside the bounds."""
         return np.clip(theta, self.lower, self.upper)
 
+    @property
+    def ties(self) -> np.ndarray:
+        """Which coordinates are the same gain of different axes: (k, n), one row of zeros and ones per gain."""
+        kinds = [name.split(".")[0] for name in self.names]
+        return np.array([[float(kind == own) for kind in kinds] for own in dict.fromkeys(kinds)])
+
+    def draw_tied(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return points (count, n) whose axes have the same gains, as far as the bounds let them: a hypercube too."""
+        ties = self.ties
+        low = np.array([self.lower[row > 0].max() for row in ties])
+        high = np.array([self.upper[row > 0].min() for row in ties])
+        return self.clip(_hypercube(rng, count, low, np.maximum(low, high)) @ ties)
+
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return points (count, n), a Latin hypercube."""
-        strata = np.argsort(rng.random((self.size, count)), axis=1).T
-        return self.lower + (self.upper - self.lower) * (strata + rng.random((count, self.size))) / count
+        return _hypercube(rng, count, self.lower, self.upper)
 
     def on_bound(self, theta: np.ndarray, tolerance: float = 1e-3) -> list[str]:
         """Return the names of the gains that lie on a bound."""
@@ -94,7 +106,7 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
     control = scenario.control
     if control.controller == "pd" and not search.joint_gains:
         raise ConfigError("control.controller: expected an admittance law, got pd, which has no gains to search")
-    own = gains_of(scenario)
+    own, defaults = gains_of(scenario), default_bounds(scenario)
     wanted = [*(("inertia",) if search.inertia else ()), "damping", "stiffness"]
     if control.controller == "pd":
         wanted = []
@@ -109,7 +121,7 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
         if pinned:
             fixed.append(np.log(pinned[-1]))
             return -len(fixed)
-        low, high = _bounds(keys, search)
+        low, high = _bounds(keys, search, defaults)
         names.append(name)
         lower.append(np.log(low))
         upper.append(np.log(high))
@@ -155,6 +167,28 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
     return Space(tuple(names), np.asarray(lower), np.asarray(upper), index, np.asarray(fixed, float))
 
 
-def _bounds(keys: list[str], search: Search) -> tuple[float, float]:
+def _hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    strata = np.argsort(rng.random((lower.size, count)), axis=1).T
+    return lower + (upper - lower) * (strata + rng.random((count, lower.size))) / count
+
+
+def _bounds(keys: list[str], search: Search, defaults: dict) -> tuple[float, float]:
     """Return the bounds of a gain: the user's before the defaults, each from the particular key to the general."""
-    return next(source[key] for source in (search.bounds, BOUNDS) for key in reversed(keys) if key in source)
+    return next(source[key] for source in (search.bounds, defaults) for key in reversed(keys) if key in source)
+
+
+def default_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
+    """Return the bounds by key: `BOUNDS`, and for the measured pose what its time step makes of the gains.
+
+    There one step takes the shares dt D / M of the rate and dt^2 K / M of the offset out of the target; the base is
+    held only by shares of the order of one.
+    """
+    if scenario.control.reading != "measured_pose":
+        return BOUNDS
+    mass = float(np.exp(np.log(scenario.control.inertia).mean()))
+    step = scenario.time_step
+    return {
+        **{key: BOUNDS[key] for key in ("inertia", "inertia.rotation", *JOINT)},
+        "damping": (mass / step, 1e2 * mass / step),
+        "stiffness": (1e-2 * mass / step**2, mass / step**2),
+    }

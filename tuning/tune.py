@@ -93,10 +93,10 @@ def tune(
             stored = None if kept is None else kept.load(number)
             found = None if stored is None else _restored(stored, request.theta, out)
             if found is None:
-                found = problem.evaluate(request.theta, gradient=request.gradient)
+                found = problem.evaluate(request.theta, request.directions)
                 if kept is not None:
                     kept.save(number, _stored(found, request.theta))
-            spent += problem.env_steps(len(request.theta), gradient=request.gradient)
+            spent += problem.env_steps(len(request.theta), request.tangents)
             _append(arrays, request, found, number, spent)
             number += 1
             if progress is not None:
@@ -146,7 +146,7 @@ def _append(arrays, request, found: Evaluation, number: int, spent: int) -> None
         "descent": found.descent,
         "penalty": found.penalty,
         "feasible": found.feasible,
-        "gradient_norm": np.sqrt((found.gradient.astype(float) ** 2).sum(1)),
+        "gradient_norm": np.linalg.norm(found.gradient, axis=1) if request.tangents else np.full(count, np.nan),
         "round": np.full(count, number),
         "row": np.arange(count),
         "phase": np.full(count, request.phase),

@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import reproduce, run, sweep
+from tuning.command_line import reproduce, run, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -26,6 +26,7 @@ app = typer.Typer(
 app.command("run")(run.run)
 app.command("reproduce")(reproduce.reproduce)
 app.command("sweep")(sweep.sweep)
+app.command("tune")(tune.tune)
 
 
 def _version(wanted: bool) -> None:

@@ -70,8 +70,8 @@ class Meter:
         self.console = console
 
     @contextlib.contextmanager
-    def stage(self, name: str, *, compiles: bool = True) -> Iterator[Callable[[int, int], None]]:
-        """Show one stage; the function that it gives takes how many walks are done, and how many there are."""
+    def stage(self, name: str, *, compiles: bool = True, unit: str = "walks") -> Iterator[Callable[..., None]]:
+        """Show one stage; the function that it gives takes how many walks are done, how many there are, and a text."""
         begin = time.perf_counter()
         columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
         bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
@@ -82,13 +82,14 @@ class Meter:
             estimate.compiled(time.perf_counter())
             bar.update(task, description=f"{name}: walking")
 
-        def advanced(done: int, total: int) -> None:
+        def advanced(done: int, total: int, text: str | None = None) -> None:
             left = estimate.update(done, total, time.perf_counter())
-            text = f"{name}: {done} of {total} walks" + (f", about {duration(left)} left" if left else "")
+            text = text or f"{name}: {done} of {total} {unit}"
+            text += f", about {duration(left)} left" if left else ""
             if done or left is not None:
                 bar.update(task, description=text, completed=done, total=total)
             if done and not self.console.is_terminal:
-                self.console.print(text)
+                self.console.print(text, soft_wrap=True)
 
         with Compilation(compiled) as compilation, bar:
             yield advanced

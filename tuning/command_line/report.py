@@ -123,3 +123,17 @@ def comparison_table(walks: Mapping[str, tuple[Mapping | None, Mapping]], baseli
         changes = {name: change(metrics[name][key], base) for name in compared}
         add(key, unit(key), {name: number(metrics[name][key]) for name in walks}, changes)
     return table
+
+
+def gains_table(walks: Mapping[str, tuple[Mapping | None, Mapping]]) -> Table:
+    """Return the gains of walks, axis by axis."""
+    table = _table("metric", *(name for name in walks if walks[name][0] is not None))
+    table.columns[0].header = "gain"
+    held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
+    for key in ("stiffness", "damping", "inertia"):
+        six = {name: np.broadcast_to(np.asarray(gains[key], float), 6) for name, gains in held.items()}
+        for axis, label in enumerate(("x", "y", "z", "rx", "ry", "rz")):
+            table.add_row(f"{key} {label}", *(f"{six[name][axis]:.4g}" for name in held), end_section=axis == 5)
+    for key in ("kp", "kd"):
+        table.add_row(key, *(f"{gains[key]:.4g}" for gains in held.values()))
+    return table

@@ -33,7 +33,7 @@ def run(task: Task) -> Points:
     )
     for _ in range(rounds(task)):
         unit = [optimizer.ask() for _ in range(size)]
-        found = yield Request(space.lower + width * np.array(unit), False, "population")
+        found = yield Request(space.lower + width * np.array(unit), None, "population")
         optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
         if optimizer.should_stop():
             return

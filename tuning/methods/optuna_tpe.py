@@ -38,6 +38,6 @@ def run(task: Task) -> Points:
     for _ in range(rounds(task)):
         trials = [study.ask(box) for _ in range(task.search.starts or BATCH)]
         theta = np.array([[trial.params[name] for name in space.names] for trial in trials])
-        found = yield Request(theta, False, "trials")
+        found = yield Request(theta, None, "trials")
         for trial, merit in zip(trials, found.merit.astype(float).tolist(), strict=True):
             study.tell(trial, merit)

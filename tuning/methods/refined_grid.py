@@ -57,7 +57,7 @@ def run(task: Task) -> Points:
         for begin in range(0, len(points), batch):
             # the last batch is filled up with its last point, so that one program walks them all
             rows = np.minimum(np.arange(begin, begin + batch), len(points) - 1)
-            found = yield Request(points[rows], False, phase)
+            found = yield Request(points[rows], None, phase)
             judged.append(points[rows])
             merits.append(np.where(found.feasible, found.value, 1e3 + found.merit))
         every, merit = np.concatenate(judged), np.concatenate(merits)

@@ -1,4 +1,4 @@
-"""Where gradient searches start: the scenario's own gains, and the best of random points, side by side."""
+"""Where descents start: the scenario's own gains, and the best of random points, side by side."""
 
 from collections.abc import Generator
 
@@ -10,16 +10,14 @@ from tuning.methods.task import Request, Task
 CANDIDATES = 12  # random points walked per start that they give
 
 
-def candidates(count: int) -> int:
-    """Return how many random points are walked, without gradients, to choose `count` starts with the own gains."""
-    return CANDIDATES * (count - 1)
-
-
 def choose(task: Task, count: int, rng: np.random.Generator) -> Generator[Request, Evaluation, np.ndarray]:
-    """Return (count, n) points: the scenario's own gains first, then the best of a Latin hypercube."""
+    """Return (count, n) points: the scenario's own gains first, then the best of a Latin hypercube.
+
+    Random points have the same gains on all axes: of points drawn in twelve dimensions hardly one is any good.
+    """
     if count == 1:
         return task.start[None]
-    drawn = task.problem.space.draw(rng, candidates(count))
-    found = yield Request(drawn, False, "random points")
+    drawn = task.problem.space.draw_tied(rng, CANDIDATES * (count - 1))
+    found = yield Request(drawn, None, "random points")
     best = np.argsort(found.merit, kind="stable")[: count - 1]
     return np.concatenate([task.start[None], drawn[best]])

@@ -21,8 +21,13 @@ class Request(NamedTuple):
     """Points that a method wants judged."""
 
     theta: np.ndarray  # (B, n)
-    gradient: bool
+    directions: np.ndarray | None  # (k, n) along which slopes are wanted
     phase: str
+
+    @property
+    def tangents(self) -> int:
+        """How many slopes are wanted."""
+        return 0 if self.directions is None else len(self.directions)
 
 
 Points = Generator[Request, Evaluation, None]

@@ -1,0 +1,290 @@
+"""Searches: spaces, objectives, gradients, methods, and results that survive a kill."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.config import ConfigError
+from mjx_climb.parameters import gains as gains_of
+from tuning import evaluation, objectives, result, search, spaces
+from tuning.evaluation import Evaluation, Problem
+from tuning.methods import METHODS, Task
+from tuning.tune import problem_of, start_of, tune
+
+SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.05}
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return mc.Scenario().with_overrides({"gravity": [0.0, 0.0, -1.635], **SHORT})
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Spaces
+
+
+@pytest.mark.parametrize("layout", search.LAYOUTS)
+@pytest.mark.parametrize("inertia", [False, True])
+def test_a_space_goes_to_gains_and_back(scenario, layout, inertia):
+    space = spaces.space(scenario, search.make({"space": layout, "inertia": inertia}))
+    theta = space.draw(np.random.default_rng(0), 5)
+    for point in theta:
+        gains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(point)))
+        assert gains.stiffness.shape == (6,)
+        np.testing.assert_allclose(space.from_gains(gains), point, rtol=1e-5)
+    assert space.size == (2 + inertia) * {"isotropic": 1, "split": 2, "diagonal": 6}[layout]
+    assert space.ties.sum() == space.size
+
+
+def test_pins_bounds_and_joint_gains(scenario):
+    wanted = {
+        "space": "diagonal",
+        "joint_gains": True,
+        "pins": {"damping.rotation": 7.0, "stiffness.x": 123.0},
+        "bounds": {"stiffness": [10.0, 20.0], "stiffness.rz": [30.0, 40.0]},
+    }
+    space = spaces.space(scenario, search.make(wanted))
+    assert "stiffness.x" not in space.names and "damping.rx" not in space.names and "kp" in space.names
+    gains = space.to_gains(jnp.asarray(space.lower))
+    np.testing.assert_allclose(gains.damping[3:], 7.0, rtol=1e-5)
+    np.testing.assert_allclose(gains.stiffness, [123.0, 10.0, 10.0, 10.0, 10.0, 30.0], rtol=1e-5)
+    assert space.on_bound(space.lower) == list(space.names)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"pins": {"damping.rx": 1.0}}, {"bounds": {"kp": [1, 2]}}, {"pins": {"damping": 1, "stiffness": 1}}]
+)
+def test_settings_that_fit_no_space_are_refused(scenario, settings):
+    with pytest.raises(ConfigError):
+        spaces.space(scenario, search.make(settings))
+
+
+@pytest.mark.parametrize("bad", [{"weights": {"speed": 1}}, {"method": "magic"}, {"bounds": {"damping": [2, 1]}}])
+def test_bad_settings_are_refused_in_one_line(bad):
+    with pytest.raises(ConfigError) as error:
+        search.make(bad)
+    assert "\n" not in str(error.value)
+
+
+def test_settings_survive_yaml():
+    settings = search.make({"space": "split", "limits": {"base_deviation": 0.01}, "pins": {"damping": 3.0}})
+    assert search.parse(settings.to_yaml()) == settings
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Objectives and gradients
+
+
+def test_pd_scores_one_and_keeps_its_own_limits(scenario):
+    baseline = evaluation.baseline(scenario)
+    target = objectives.objective(scenario, search.Search(), baseline)
+    score = target.score(
+        {name: jnp.asarray(value) for name, value in baseline.items()} | {"diverged": jnp.asarray(False)}
+    )
+    assert float(score.value) == pytest.approx(1, rel=1e-5)
+    assert float(score.descent - score.penalty) == pytest.approx(1, rel=1e-5)
+    assert bool(score.feasible)
+
+
+def test_a_limit_is_penalised_before_it_breaks_and_judged_where_it_breaks():
+    limit = objectives.Limit("base_deviation", 0.01, 0.01, 0.02, "")
+    target = objectives.Objective((objectives.Term("force_variation", 1.0, 1.0, 1.0),), (limit,))
+    deviation = jnp.array([0.0097, 0.0099, 0.0101, jnp.nan])
+    score = target.score(
+        {"base_deviation": deviation, "force_variation": jnp.ones(4), "diverged": jnp.isnan(deviation)}
+    )
+    assert score.feasible.tolist() == [True, True, False, False]
+    assert float(score.penalty[0]) == 0 and 0 < float(score.penalty[1]) < float(score.penalty[2])
+
+
+@pytest.mark.parametrize("layout", search.LAYOUTS)
+def test_gradients_agree_with_central_differences(scenario, layout):
+    """Each slope of the smooth objective, in float64, against differences of the same program's values."""
+    settings = search.make(
+        {
+            "space": layout,
+            "inertia": True,
+            "precision": "float64",
+            "weights": {name: 1.0 for name in ("force_variation", "peak_foot_force", "peak_joint_torque", "min_tsm")},
+            "limits": {"base_deviation": 5e-4},
+        }
+    )
+    problem = problem_of(scenario, settings)
+    n, point = problem.space.size, problem.space.from_gains(mc.Gains(1.0, 300.0, 4e3))
+    slopes = problem.evaluate(point[None], np.eye(n)).gradient[0]
+    step = 1e-4
+    moved = problem.evaluate(np.concatenate([point + step * np.eye(n), point - step * np.eye(n)])).descent
+    differences = (moved[:n] - moved[n:]) / (2 * step)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-3, atol=1e-6 * np.abs(slopes).max())
+
+
+def test_smooth_extremes_stay_below_the_true_ones(scenario):
+    baseline = evaluation.baseline(scenario)
+    for name in ("peak_foot_force", "peak_joint_torque", "base_deviation"):
+        assert 0.6 * baseline[name] < baseline[f"smooth_{name}"] <= baseline[name]
+
+
+def test_an_ensemble_scores_the_mean_of_its_members(scenario):
+    problem = problem_of(scenario, search.Search())
+    theta = problem.space.draw(np.random.default_rng(1), 3)
+    with jax.enable_x64(True):
+        numbers = mc.parameters(scenario)
+    masses = np.array([0.5, 1.5])[:, None]
+    together = Problem(problem.scenario, problem.space, problem.objective, _with(numbers, masses), 2).evaluate(theta)
+    alone = [
+        Problem(problem.scenario, problem.space, problem.objective, _with(numbers, mass[0])).evaluate(theta)
+        for mass in masses
+    ]
+    np.testing.assert_allclose(together.value, (alone[0].value + alone[1].value) / 2, rtol=1e-4)
+
+
+def _with(numbers, mass):
+    import dataclasses
+
+    return dataclasses.replace(numbers, cargo_mass=mass)
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Methods, on a landscape that costs nothing
+
+
+class Bowl(Problem):
+    """A problem whose landscape is a bowl in the log gains, with a dead corner."""
+
+    def evaluate(self, theta, directions=None):
+        ratio = (theta - self.space.lower) / (self.space.upper - self.space.lower)
+        value = 0.5 + ((ratio - 0.6) ** 2 * np.arange(1, 1 + theta.shape[1])).sum(1)
+        slope = 2 * (ratio - 0.6) * np.arange(1, 1 + theta.shape[1]) / (self.space.upper - self.space.lower)
+        value = np.where((ratio < 0.1).any(1), np.nan, value)
+        slopes = slope @ (np.zeros((0, theta.shape[1])) if directions is None else directions).T
+        slopes[np.isnan(value)] = np.nan
+        metrics = {name: np.zeros(len(theta)) for name in mc.METRICS}
+        zero = np.zeros(len(theta))
+        return Evaluation(value, value, zero, np.isfinite(value), slopes, slopes, metrics)
+
+
+@pytest.mark.parametrize("method", ["gradient", "lbfgs", "grid", "cmaes", "optuna"])
+@pytest.mark.parametrize("layout", ["isotropic", "diagonal"])
+def test_methods_find_the_bottom_of_a_bowl(scenario, method, layout):
+    if (method, layout) == ("grid", "diagonal"):
+        pytest.skip("twelve dimensions are no grid")
+    if method == "optuna":
+        pytest.importorskip("optuna")
+    settings = search.make({"space": layout, "method": method})
+    bowl = Bowl(scenario, spaces.space(scenario, settings), objectives.Objective((), ()))
+    points, found = METHODS[method].run(Task(bowl, settings, start_of(bowl))), []
+    rounds = 0
+    request = next(points)
+    try:
+        while True:
+            answer = bowl.evaluate(request.theta, request.directions)
+            found.append(np.nanmin(answer.value))
+            rounds += 1
+            request = points.send(answer)
+    except StopIteration:
+        pass
+    assert min(found) < 0.5 + {"optuna": 0.8}.get(method, 0.06)
+    assert rounds <= METHODS[method].rounds(Task(bowl, settings, start_of(bowl)))
+
+
+def test_a_dead_start_does_not_poison_the_others(scenario):
+    settings = search.make({"method": "gradient", "starts": 4})
+    bowl = Bowl(scenario, spaces.space(scenario, settings), objectives.Objective((), ()))
+    points = METHODS["gradient"].run(Task(bowl, settings, bowl.space.lower))  # the own gains are in the dead corner
+    request, alive = next(points), []
+    try:
+        while True:
+            answer = bowl.evaluate(request.theta, request.directions)
+            alive.append(answer.alive)
+            assert np.isfinite(request.theta).all()
+            request = points.send(answer)
+    except StopIteration:
+        pass
+    assert not alive[1][0] and alive[-1].all()
+
+
+def test_a_grid_of_twelve_gains_is_refused(scenario):
+    with pytest.raises(ConfigError, match="at most"):
+        tune(scenario, method="grid", space="diagonal")
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Results
+
+
+def test_a_search_betters_pd_and_can_be_repeated_from_its_file(scenario, tmp_path):
+    found = tune(scenario, iterations=3, limits={"base_deviation": 0.02})
+    assert found.value < 1
+    assert found.env_steps == scenario.steps * (24 + 3 * 3 * 3)
+    path = found.save(tmp_path / "search.nc")
+    read = result.load(path)
+    assert (read.scenario, read.search, read.value, read.env_steps) == (
+        found.scenario,
+        found.search,
+        found.value,
+        found.env_steps,
+    )
+    again = tune(read.scenario, read.search)
+    np.testing.assert_array_equal(again.history["value"], read.history["value"])
+
+
+def test_an_objective_of_the_users_own(scenario):
+    found = tune(scenario, objective=lambda m: m["peak_joint_torque"], iterations=2, limits={"base_deviation": 0.02})
+    assert found.value == pytest.approx(found.metrics["peak_joint_torque"])
+
+
+def test_ctrl_c_ends_with_the_best_so_far(scenario, tmp_path):
+    def stop(now):
+        if now.rounds == 3:
+            raise KeyboardInterrupt
+
+    cut = tune(scenario, iterations=3, out=tmp_path, progress=stop)
+    assert cut.interrupted and cut.history.sizes["point"] == 24 + 2 * 3
+    whole = tune(scenario, iterations=3, out=tmp_path)
+    undisturbed = tune(scenario, iterations=3)
+    np.testing.assert_array_equal(whole.history["theta"], undisturbed.history["theta"])
+    np.testing.assert_array_equal(whole.history["value"], undisturbed.history["value"])
+
+
+_KILLED = """
+import sys
+import mjx_climb as mc
+from tuning.tune import tune
+scenario = mc.load_scenario(sys.argv[1])
+print("begun", flush=True)
+tune(scenario, iterations=3, out=sys.argv[2], progress=lambda now: print(now.rounds, flush=True))
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_search_goes_on_bit_by_bit(scenario, tmp_path):
+    config = tmp_path / "scenario.yaml"
+    config.write_text(scenario.to_yaml())
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
+    rng = np.random.default_rng()
+    for delay in rng.uniform(0, 0.5, 3):
+        command = [sys.executable, "-c", _KILLED, str(config), str(tmp_path / "out")]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)
+        process.stdout.readline()
+        process.stdout.readline()
+        time.sleep(delay)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+    resumed, undisturbed = tune(scenario, iterations=3, out=tmp_path / "out"), tune(scenario, iterations=3)
+    np.testing.assert_array_equal(resumed.history["value"], undisturbed.history["value"])
+    np.testing.assert_array_equal(resumed.gains.stiffness, undisturbed.gains.stiffness)
+
+
+def test_own_gains_are_the_first_start(scenario):
+    problem = problem_of(scenario, search.Search())
+    gains = problem.space.to_gains(jnp.asarray(start_of(problem)))
+    np.testing.assert_allclose(gains.stiffness, np.broadcast_to(gains_of(scenario).stiffness, 6), rtol=1e-5)

@@ -1,0 +1,218 @@
+"""`mjx-climb tune`: a search for gains."""
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from tuning.command_line import options
+from tuning.command_line.ending import InputError, Interrupted
+
+MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+SpaceName = Literal["isotropic", "split", "diagonal"]
+
+
+def _pairs(metavar: str, text: str):
+    return typer.Option(metavar=metavar, help=text, show_default=False)
+
+
+def tune(
+    config: options.Config,
+    method: Annotated[MethodName | None, typer.Option(help="How to search.", show_default="gradient")] = None,
+    space: Annotated[
+        SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
+    ] = None,
+    with_inertia: Annotated[bool, typer.Option("--with-inertia", help="Search the virtual inertia as well.")] = False,
+    with_joint_gains: Annotated[bool, typer.Option("--with-joint-gains", help="Search kp and kd as well.")] = False,
+    starts: Annotated[
+        int | None, typer.Option(metavar="N", help="Starts or population; grid: points per gain.")
+    ] = None,
+    iterations: Annotated[int | None, typer.Option(metavar="N", help="Rounds of the search.")] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Of all random draws.", show_default="0")] = None,
+    weight: Annotated[list[str] | None, _pairs("METRIC=W", "Metric to better; replaces the default ones.")] = None,
+    limit: Annotated[list[str] | None, _pairs("METRIC=VALUE", "Limit of a metric, as base_deviation=5e-3.")] = None,
+    bound: Annotated[
+        list[str] | None, _pairs("GAIN=LOW:HIGH", "Bounds of a gain, as stiffness.rotation=1:1e3.")
+    ] = None,
+    pin: Annotated[list[str] | None, _pairs("GAIN=VALUE", "Gain that keeps a value, as damping.z=100.")] = None,
+    search: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML; options change them.")
+    ] = None,
+    controller: options.Controller = None,
+    changes: options.Set = None,
+    gains: options.GainsFile = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder for the results.", show_default="results/<config>-tune-<method>-<space>"
+        ),
+    ] = None,
+    json: options.Json = False,
+    engine: options.Engine = None,
+) -> None:
+    """Search the gains of the controller, from the config's own gains and from random ones side by side.
+
+    Minimises force variation, peak foot force and cost of transport, each relative to pd, while the grippers hold,
+    the joints keep their limits, the base stays within three times pd's deviation, and nothing gets worse than under
+    pd. Then walks the result in double precision, tests it, and compares it with the config's gains and pd.
+
+    Writes to DIR the gains (gains.yaml, for run and sweep), everything judged (search.nc), the settings (config.yaml,
+    search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks). Finished
+    rounds are kept: after Ctrl-C, which ends with the best so far, or worse, the same command goes on.
+
+    \b
+    Examples:
+      mjx-climb tune configs/case_1_2.yaml
+      mjx-climb tune configs/case_2.yaml --method gradient --space diagonal --limit base_deviation=0.015
+      mjx-climb tune configs/case_1_1.yaml --method cmaes --space split --pin damping.rotation=50
+    """
+    with options.reserved_stdout() as stdout:
+        import mjx_climb as mc
+        from mjx_climb import dataset, plots
+        from tuning import gains_file, parts, pictures, verification
+        from tuning import search as settings
+        from tuning import tune as tuning_tune
+        from tuning.command_line import progress, report
+
+        begin = time.perf_counter()
+        scenario = options.scenario_from(config, controller, changes)
+        if gains is not None:
+            scenario = gains_file.applied(scenario, gains_file.load(gains))
+        engine = options.engine_from(engine)
+        given = {
+            "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains or None,
+            "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
+            "limits": _mapping("--limit", limit), "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
+        }  # fmt: skip
+        own = settings.Search() if search is None else settings.load(search)
+        wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "options")
+        out = out or Path("results") / f"{config.stem}-tune-{wanted.method}-{wanted.space}"
+        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
+
+        console = report.console(stderr=True)
+        console.print(progress.cache_state(), soft_wrap=True)
+        meter = progress.Meter(console)
+        kept = 0
+
+        def round_done(now: tuning_tune.Progress) -> None:
+            nonlocal kept
+            kept = now.rounds
+            show(now.rounds, now.rounds_in_all, _line(now))
+
+        try:
+            with meter.stage("search", unit="rounds") as show:
+                found = tuning_tune.tune(scenario, wanted, engine=engine, out=out, progress=round_done)
+            comment = (
+                f"mjx-climb tune {config.name}: {wanted.method}, {wanted.space}, objective {found.value:.4f} (pd: 1)"
+            )
+            gains_file.save(found.gains, out / "gains.yaml", comment)
+            found.save(out / "search.nc")
+            if found.interrupted:
+                raise Interrupted(
+                    f"the best of {kept} rounds is in {out}: objective {found.value:.4f}, gains.yaml; "
+                    "the same command goes on from there"
+                )
+            walks = {}
+            names = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
+            names |= {"config": scenario, "tuned": verification.tuned(found)}
+            for name, walked in names.items():
+                with meter.stage(name):
+                    walks[name] = mc.rollout(walked, engine=engine)
+            metrics = {name: mc.metrics(trajectory) for name, trajectory in walks.items()}
+            with meter.stage("map") as show_map:
+                over = verification.map_of(found, progress=lambda done, total: show_map(done, total), engine=engine)
+            with meter.stage("verification"):
+                checked = verification.verify(found, metrics=metrics["tuned"], walks=over, engine=engine)
+            compared = {
+                name: (None if name == "pd" else _gains(walks[name].scenario), metrics[name])
+                for name in ("tuned", "config", "pd")
+            }
+            summary = {name: {"gains": g, "metrics": m} for name, (g, m) in compared.items()}
+            summary["search"] = {
+                **wanted.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
+                "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
+            }  # fmt: skip
+            summary["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
+            text = report.to_json(summary)
+            dataset.write_text_atomically(out / "summary.json", text + "\n")
+            with meter.stage("drawing", compiles=False):
+                plots.save_figure(pictures.plot_convergence(found), out / "convergence")
+                plots.save_figure(
+                    plots.plot_comparison({n: walks[n] for n in ("pd", "config", "tuned")}), out / "walks"
+                )
+                if over is not None:
+                    dataset.save(over, out / "map.nc")
+                    plots.save_figure(pictures.plot_path(found, over), out / "path")
+            parts.clear(out)
+        except KeyboardInterrupt:
+            raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
+
+        tables = console if json else report.console(file=stdout)
+        tables.print(report.comparison_table(compared, "pd", tables.width))
+        tables.print(report.gains_table(compared))
+        for line in _verdict(checked, found):
+            tables.print(line, soft_wrap=True)
+        console.print(
+            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: gains.yaml, search.nc, map.nc, "
+            "summary.json, convergence, path, walks (.png and .svg), config.yaml, search.yaml",
+            soft_wrap=True,
+        )
+        if json:
+            print(text, file=stdout)
+
+
+def _gains(scenario) -> dict:
+    return {name: getattr(scenario.control, name) for name in ("inertia", "damping", "stiffness", "kp", "kd")}
+
+
+def _line(now) -> str:
+    slope = f", gradient {now.gradient_norm:.2g}" if now.gradient_norm == now.gradient_norm else ""
+    best = f"{now.best:.4f}" if now.best == now.best else "none feasible yet"
+    return (
+        f"{now.phase} {now.rounds}/{now.rounds_in_all}: best {best}{slope}, {now.alive} of {now.batch} alive, "
+        f"{now.env_steps / 1e6:.2f} M env-steps"
+    )
+
+
+def _verdict(checked, found) -> list[str]:
+    """Return the outcome of the tests in a few lines."""
+    limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
+    lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]
+    kinds = {kind: [n for n, k in checked.shape.items() if k == kind] for kind in ("plateau", "slope", "cliff")}
+    lines.append("within 20 %: " + "; ".join(f"{kind} in {', '.join(n)}" for kind, n in kinds.items() if n))
+    steepest = max(checked.slopes, key=lambda name: abs(checked.slopes[name]))
+    lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
+    if checked.grid_value is not None:
+        lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
+    lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
+    return lines + [f"warning: {line}" for line in checked.warnings]
+
+
+def _mapping(option: str, pairs: list[str] | None) -> dict[str, float] | None:
+    if not pairs:
+        return None
+    result = {}
+    for pair in pairs:
+        key, _, value = pair.partition("=")
+        try:
+            result[key.strip()] = float(value)
+        except ValueError:
+            raise InputError(f"{option}: expected NAME=NUMBER, got {pair!r}") from None
+    return result
+
+
+def _ranges(pairs: list[str] | None) -> dict[str, tuple[float, float]] | None:
+    if not pairs:
+        return None
+    result = {}
+    for pair in pairs:
+        key, _, value = pair.partition("=")
+        try:
+            low, high = (float(end) for end in value.split(":"))
+        except ValueError:
+            raise InputError(f"--bound: expected NAME=LOW:HIGH, got {pair!r}") from None
+        result[key.strip()] = (low, high)
+    return result

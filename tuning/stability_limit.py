@@ -1,0 +1,93 @@
+"""The discrete stability limit of a control law: which gains let a small disturbance grow.
+
+The closed loop (robot, contacts, joint loop, law) is linearised over one time step about the stance in the middle of
+the first swing, without gravity; small disturbances grow where the largest eigenvalue of that step leaves the unit
+circle. This is the limit of the loop as it is simulated, not of the law by itself: the virtual model alone is stable
+for any positive gains.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import mjx_climb as mc
+from mjx_climb import gait
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.inverse_kinematics import inverse_kinematics
+from mjx_climb.parameters import batch_last
+from mjx_climb.spatial import quaternion_to_matrix, rotate_back
+from mjx_climb.walk import Carry, advance, begin, prepare, structure
+
+_CHUNK = 64  # gain sets per compiled batch
+
+
+def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEFAULT_ENGINE) -> np.ndarray:
+    """Return the largest magnitude (B,) of an eigenvalue of one step, for gains (B, 6); the loop is stable below 1."""
+    flat = [np.broadcast_to(np.asarray(v, float), (*np.shape(gains.stiffness)[:-1], 6)) for v in _six(gains)]
+    count = len(flat[0])
+    kp, kd = (_joint(gains, name, scenario, count) for name in ("kp", "kd"))
+    numbers = _calm(scenario)
+    shape = structure(scenario, engine, smooth=True)
+    radii = []
+    with jax.enable_x64(True):
+        swing = scenario.gait.cycle * (1 - scenario.gait.duty)
+        run = jax.jit(lambda g, n: _jacobian(shape, swing, g, n), compiler_options=mc.compiler_options(_CHUNK))
+        for start in range(0, count, _CHUNK):
+            rows = np.minimum(np.arange(start, start + _CHUNK), count - 1)
+            part = mc.Gains(*(value[rows] for value in flat), kp[rows], kd[rows])
+            matrices = np.asarray(run(part, numbers))
+            finite = np.isfinite(matrices).all((1, 2))
+            radius = np.full(len(rows), np.inf)
+            radius[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(1)
+            radii.append(radius[: count - start])
+    return np.concatenate(radii)
+
+
+def _six(gains: mc.Gains):
+    return gains.inertia, gains.damping, gains.stiffness
+
+
+def _joint(gains, name, scenario, count) -> np.ndarray:
+    value = getattr(gains, name)
+    return np.broadcast_to(np.asarray(getattr(scenario.control, name) if value is None else value, float), count)
+
+
+def _calm(scenario: mc.Scenario) -> mc.Parameters:
+    """Return the scenario's numbers without gravity, cargo and pushes."""
+    with jax.enable_x64(True):
+        numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
+    zero = {name: np.zeros_like(getattr(numbers, name)) for name in ("gravity", "cargo_mass")}
+    return dataclasses.replace(numbers, **zero, push_force=numbers.push_force * 0, push_moment=numbers.push_moment * 0)
+
+
+def _jacobian(shape, swing_time: float, gains, numbers):
+    """Return the matrices (B, s, s) that map a small change of state over one step."""
+    batch = gains.stiffness.shape[0]
+    walk = prepare(shape, *batch_last(gains, numbers, (batch,), jnp.result_type(float)))
+    carry = begin(walk, batch)
+    step = jnp.asarray(round(swing_time / 2 / shape.time_step))
+    now = gait.schedule(walk.plan, step)
+    base = jnp.broadcast_to(gait.base_reference(walk.plan, now, walk.plan.base_start), (3, batch))
+    rotation = quaternion_to_matrix(walk.plan.base_orientation)[:, :, None]
+    target = gait.foot_targets(walk.plan, now, carry.contact.grip_point)
+    joints = inverse_kinematics(walk.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
+    closed = jnp.broadcast_to(now.closed, carry.contact.closed.shape)
+    carry = carry._replace(
+        state=dataclasses.replace(carry.state, base_position=base, joint_angles=joints),
+        contact=carry.contact._replace(closed=closed, touching=closed),
+    )
+    leaves, tree = jax.tree.flatten((carry.state, carry.law))
+    sizes = [leaf.size // batch for leaf in leaves]
+
+    def stepped(values):  # (s, B)
+        parts = jnp.split(values, np.cumsum(sizes)[:-1])
+        state, law = tree.unflatten([part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)])
+        after, _ = advance(walk, Carry(state, carry.contact, carry.cycle_start, law), step)
+        return jnp.concatenate([leaf.reshape(-1, batch) for leaf in jax.tree.leaves((after.state, after.law))])
+
+    start = jnp.concatenate([leaf.reshape(-1, batch) for leaf in leaves])
+    directions = jnp.broadcast_to(jnp.eye(len(start))[:, :, None], (len(start), *start.shape))
+    columns = jax.vmap(lambda v: jax.jvp(stepped, (start,), (v,))[1])(directions)  # (column, row, B)
+    return jnp.transpose(columns, (2, 1, 0))
