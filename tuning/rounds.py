@@ -24,7 +24,9 @@ class Round(NamedTuple):
 class Rounds:
     """Judges batches; with a folder, those that it holds from an interrupted run of the same thing are not walked."""
 
-    def __init__(self, in_all: int, progress: Told | None = None, out: Path | None = None, identity: dict | None = None):
+    def __init__(
+        self, in_all: int, progress: Told | None = None, out: Path | None = None, identity: dict | None = None
+    ):
         self.done, self.in_all, self.env_steps = 0, in_all, 0
         self._progress, self._out = progress, out
         self._kept = None if out is None else Parts(out, identity or {})

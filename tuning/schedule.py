@@ -22,7 +22,6 @@ from mjx_climb.dataset import METRIC_NAMES, SIX
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.parameters import gains as gains_of
-from mjx_climb.smooth_extremes import PREFIX
 from tuning import objectives, tune
 from tuning.evaluation import Problem
 from tuning.methods import Task, gradient
