@@ -1,4 +1,4 @@
-"""The Pareto front: what is on it, and a search of a few rounds that goes on after an interrupt with the same result."""
+"""The Pareto front: what is on it, and a search that goes on after an interrupt with the same result."""
 
 import numpy as np
 import pytest

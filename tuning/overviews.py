@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from mjx_climb import plots
 from tuning import ensemble
 from tuning.pareto import knee
-from tuning.robust import JUDGED_SHARE
+from tuning.robust import JUDGED_SHARE, held_by_all
 
 SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 _COLORS = {"config": plots.VERMILLION, "pd": "0.6"}
@@ -24,8 +24,9 @@ def _scaled(variable: xr.DataArray) -> tuple[float, str]:
 def plot_judged(judged: xr.Dataset, metrics=("force_variation", "peak_pull_force")) -> Figure:
     """Draw which share of the unseen walks stays below a value, a curve for each set of gains.
 
-    A dot marks the mean, a diamond the mean of the worst 5 %.
+    A dot marks the mean, a diamond the mean of the worst 5 %. Members in which some gains fail are left out.
     """
+    judged = held_by_all(judged)
     with mpl.rc_context(plots._STYLE):
         figure = Figure(figsize=(plots.COLUMN, 0.35 + 1.75 * len(metrics)), layout="constrained")
         axes = figure.subplots(len(metrics), 1, squeeze=False)[:, 0]

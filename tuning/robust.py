@@ -229,19 +229,36 @@ def judge(
     return xr.Dataset(data, {"gains": [*gains, "pd"], "member": np.arange(members)}, attrs)
 
 
+def failed(judged: xr.Dataset) -> xr.DataArray:
+    """Return which walks lost a gripper or diverged, dimensions (`gains`, `member`)."""
+    return (judged["detached_limb"] >= 0) | judged["diverged"].astype(bool)
+
+
+def held_by_all(judged: xr.Dataset) -> xr.Dataset:
+    """Return the members in which no gains fail: a walk that has lost a gripper compares with nothing."""
+    return judged.isel(member=~failed(judged).any("gains").values)
+
+
 def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:
     """Return mean and worst of every metric, dimensions (`statistic`, `gains`), and the share of walks that failed.
 
-    The worst is the mean over the worst `share` of the members, for each metric by itself.
+    Both are over the members in which all gains hold; the worst is the mean over the worst `share` of them, for each
+    metric by itself. `failed` is the share of all members.
+
+    Raises:
+        ValueError: some gains fail in each member.
     """
+    held = held_by_all(judged)
+    if not held.sizes["member"]:
+        raise ValueError("expected a member of the draw in which all gains hold, got none")
     data = {}
     for name in mc.METRICS:
         if name in ("detached_at", "detached_limb", "diverged"):
             continue
-        values = judged[name].transpose("member", "gains").values.astype(float)
+        values = held[name].transpose("member", "gains").values.astype(float)
         worst = ensembles.worst_mean(values, share, larger_is_better=name in LARGER_IS_BETTER)
         data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), judged[name].attrs)
-    failed = (judged["detached_limb"] >= 0) | judged["diverged"].astype(bool)
-    data["failed"] = ("gains", failed.mean("member").values, {"units": "1", "long_name": "share that failed"})
-    attrs = {**judged.attrs, "worst_share": share}
+    about = {"units": "1", "long_name": "share of walks that lost a gripper or diverged"}
+    data["failed"] = ("gains", failed(judged).mean("member").values, about)
+    attrs = {**judged.attrs, "worst_share": share, "members_held_by_all": held.sizes["member"]}
     return xr.Dataset(data, {"statistic": ["mean", "worst"], "gains": judged["gains"].values}, attrs)

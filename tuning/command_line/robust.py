@@ -66,7 +66,11 @@ def tune_robustly(
     tables.print(robust_table(summed))
     names = summed["gains"].values.tolist()
     failed = ", ".join(f"{name} {share:.0%}" for name, share in zip(names, summed["failed"].values, strict=True))
-    tables.print(f"{judges} walks each that the search never saw; a gripper torn off, or diverged: {failed}")
+    tables.print(
+        f"{judges} walks each that the search never saw; a gripper torn off, or diverged: {failed}; "
+        f"the table is over the {summed.attrs['members_held_by_all']} in which all of them hold",
+        soft_wrap=True,
+    )
     if not found.feasible:
         tables.print("warning: no gains kept every limit in every member of the search")
     console.print(
