@@ -48,6 +48,14 @@ def test_no_operating_point_would_rather_have_the_gains_of_another(table):
     assert (own <= others + 1e-6).all()
 
 
+def test_one_for_all(table):
+    loss = table["transfer"].values - table["value"].values[:, :, None, None]
+    gravity, cargo, worst = schedule.one_for_all(table)
+    chosen = table["transfer"].sel(gravity_of=gravity, cargo_of=cargo).values - table["value"].values
+    if np.isfinite(worst):
+        assert worst == pytest.approx(chosen.max()) == pytest.approx(np.nanmin(np.max(loss, axis=(0, 1))))
+
+
 def test_value_is_relative_to_pd_there(table):
     terms = ("force_variation", "peak_foot_force", "cost_of_transport")
     tuned, pd = (np.mean([table[t].sel(walk="tuned") / table[t].sel(walk="pd") for t in terms], axis=0), 1.0)

@@ -42,7 +42,7 @@ class Pushes(_Section):
     """Pushes on the base in place of the scenario's own, each in a direction drawn evenly over the sphere."""
 
     count: Annotated[int, Field(ge=0, le=20)] = Field(default=2, description="pushes per walk")
-    force: Range = Field(default=(2.0, 10.0), description="size, N")
+    force: Range = Field(default=(1.0, 5.0), description="size, N")
     start: Range = Field(default=(0.5, 7.0), description="first instant, s")
     length: PositiveRange = Field(default=(0.2, 1.0), description="duration, s")
 

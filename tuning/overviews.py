@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from mjx_climb import plots
 from tuning import ensemble
 from tuning.pareto import knee
-from tuning.robust import JUDGED_SHARE, held_by_all
+from tuning.robust import JUDGED_SHARE
 
 SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 _COLORS = {"config": plots.VERMILLION, "pd": "0.6"}
@@ -24,9 +24,9 @@ def _scaled(variable: xr.DataArray) -> tuple[float, str]:
 def plot_judged(judged: xr.Dataset, metrics=("force_variation", "peak_pull_force")) -> Figure:
     """Draw which share of the unseen walks stays below a value, a curve for each set of gains.
 
-    A dot marks the mean, a diamond the mean of the worst 5 %. Members in which some gains fail are left out.
+    A dot marks the mean, a diamond the mean of the worst 5 %. A gripper lets go beyond the
+    vertical line.
     """
-    judged = held_by_all(judged)
     with mpl.rc_context(plots._STYLE):
         figure = Figure(figsize=(plots.COLUMN, 0.35 + 1.75 * len(metrics)), layout="constrained")
         axes = figure.subplots(len(metrics), 1, squeeze=False)[:, 0]
@@ -48,6 +48,9 @@ def plot_judged(judged: xr.Dataset, metrics=("force_variation", "peak_pull_force
             panel.set_xlabel(judged[metric].attrs["long_name"] + _scaled(judged[metric])[1])
             panel.set_ylabel("share of walks [%]")
             panel.set_ylim(0, 103)
+            limit = judged.attrs.get("holding_limit", np.inf)
+            if metric == "peak_pull_force" and limit < panel.get_xlim()[1]:
+                panel.axvline(limit, color=plots.RED, linewidth=0.8)
         handles.append(Line2D([], [], color="0.3", marker="o", ms=4, linestyle="", label="mean"))
         handles.append(Line2D([], [], color="0.3", marker="D", ms=4, linestyle="", label="worst 5 %"))
         plots._legend(figure, handles)

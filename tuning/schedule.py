@@ -224,6 +224,18 @@ def lookup(table: xr.Dataset, gravity: float, cargo: float) -> mc.Gains:
     return mc.Gains(*(between(table[name].values) for name in GAINS), **extra)
 
 
+def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
+    """Return the operating point, gravity G and cargo kg, whose gains serve all others best, and the most they lose.
+
+    The loss is the largest `transfer` less the tuned `value` over all operating points; infinite where every set of
+    gains breaks a constraint somewhere.
+    """
+    loss = table["transfer"].values - table["value"].values[:, :, None, None]
+    worst = np.where(np.isfinite(loss), loss, np.inf).max((0, 1))
+    g, c = np.unravel_index(np.argmin(worst), worst.shape)
+    return float(table["gravity"][g]), float(table["cargo"][c]), float(worst[g, c])
+
+
 def rows(table: xr.Dataset) -> list[dict]:
     """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd."""
     result = []

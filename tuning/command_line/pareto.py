@@ -10,6 +10,8 @@ from tuning.command_line import options
 from tuning.command_line.ending import Interrupted
 from tuning.command_line.tune import SpaceName
 
+ROWS = 20
+
 
 def pareto(
     config: options.Config,
@@ -96,16 +98,20 @@ def pareto(
 
 
 def front_table(front, chosen: int):
-    """Return the table of a front, with the config's gains and pd below."""
+    """Return the table of a front, some twenty points of it, with the config's gains and pd below."""
+    import numpy as np
+
     from tuning.command_line.report import _table, gain, number, unit
 
     better, against = front.attrs["better"], front.attrs["against"]
     table = _table("", *(f"{name} {unit(name)}".strip() for name in (against, better)), "stiffness", "damping")
-    for i in range(front.sizes["front"]):
+    count = front.sizes["front"]
+    shown = sorted({*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), chosen})
+    for i in shown:
         gains = {name: front[name].values[i] for name in ("stiffness", "damping")}
         table.add_row(
             "knee" if i == chosen else "", *(number(front[n].values[i]) for n in (against, better)),
-            *(gain(gains, name) for name in gains), end_section=i == front.sizes["front"] - 1,
+            *(gain(gains, name) for name in gains), end_section=i == count - 1,
         )  # fmt: skip
     for name in ("config", "pd"):
         row = [number(front[f"reference_{n}"].sel(reference=name).item()) for n in (against, better)]

@@ -67,8 +67,7 @@ def tune_robustly(
     names = summed["gains"].values.tolist()
     failed = ", ".join(f"{name} {share:.0%}" for name, share in zip(names, summed["failed"].values, strict=True))
     tables.print(
-        f"{judges} walks each that the search never saw; a gripper torn off, or diverged: {failed}; "
-        f"the table is over the {summed.attrs['members_held_by_all']} in which all of them hold",
+        f"{judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}",
         soft_wrap=True,
     )
     if not found.feasible:

@@ -84,6 +84,13 @@ def schedule(
 
         tables = console if json else report.console(file=stdout)
         tables.print(schedule_table(schedules.rows(table)))
+        level, load, loss = schedules.one_for_all(table)
+        if loss < float("inf"):
+            tables.print(
+                f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
+            )
+        else:
+            tables.print("one for all: every set of gains breaks a limit at some other operating point")
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(
             f"written to {out} in {seconds}: schedule.csv, schedule.yaml, schedule.nc, schedule.png, schedule.svg, "
