@@ -20,14 +20,14 @@ def run(task: Task) -> Points:
     return staged.run(task, descend)
 
 
-def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scale: float):
+def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray):
     """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
 
     A start whose walk diverges, or whose gradient is not finite, is dead: it goes on from a random point, with a
     fresh memory. The others do not notice.
     """
     space = task.problem.space
-    schedule = optax.cosine_decay_schedule(scale * RATE, iterations, alpha=LAST)
+    schedule = optax.cosine_decay_schedule(RATE, iterations, alpha=LAST)
     direction = optax.scale_by_adam(b1=0.8, b2=0.95)
     blank = jax.vmap(direction.init)(np.zeros((len(theta), len(ties)), np.float32))
     update = jax.jit(jax.vmap(direction.update))
@@ -41,7 +41,8 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scale: fl
         slope = np.where(dead[:, None], 0.0, gradient).astype(np.float32)
         slope = slope * np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12))
         steps, state = update(slope, state)
-        theta = space.clip(theta - float(schedule(iteration)) * np.asarray(steps, float) @ ties)
+        rates = float(schedule(iteration)) * scales[:, None]
+        theta = space.clip(theta - rates * np.asarray(steps, float) @ ties)
         if dead.any():
             theta = np.where(dead[:, None], space.draw_tied(rng, len(theta)), theta)
             state = choose(dead, blank, state)

@@ -23,7 +23,7 @@ def run(task: Task) -> Points:
     return staged.run(task, descend)
 
 
-def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scale: float):
+def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray):
     """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
 
     Each round judges one trial point per start. A trial that diverges is a step too long; a start that is dead from
@@ -58,7 +58,9 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scale: fl
         directions = np.where(outwards, 0.0, np.asarray(directions, float))
         directions = np.where(((directions * free).sum(1) > 0)[:, None], -directions, -free)
         norm = np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-        directions *= np.where(fresh[:, None], scale * FIRST_STEP / norm, np.minimum(1.0, LONGEST_STEP / norm))
+        directions *= np.where(
+            fresh[:, None], scales[:, None] * FIRST_STEP / norm, np.minimum(1.0, LONGEST_STEP / norm)
+        )
         fresh &= ~accepted
 
         length = np.where(accepted, 1.0, length * SHRINK)

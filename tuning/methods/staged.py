@@ -13,11 +13,12 @@ from tuning.methods import starts
 from tuning.methods.task import Points, Request, Task
 
 STARTS = 3
-KEPT = 2  # starts that go on to the second stage
+SCALES = np.array([1.0, 0.5])  # of the steps of the starts that go on to the second stage, the best first: a bold
+# one crosses to better valleys, a careful one gets further down its own
 ONE_STAGE = 20  # iterations
 TIED, FREE = 12, 40  # iterations of the two stages
 
-# (task, points (B, n), ties (k, n), iterations, rng, phase, scale of the first step) -> visited points and merits
+# (task, points (B, n), ties (k, n), iterations, rng, phase, scales of the steps (B,)) -> visited points and merits
 Descent = Callable[..., Generator[Request, Evaluation, tuple[np.ndarray, np.ndarray]]]
 
 
@@ -40,11 +41,12 @@ def run(task: Task, descend: Descent) -> Points:
     rng = np.random.default_rng(task.search.seed)
     first, second = iterations(task)
     theta = yield from starts.choose(task, task.search.starts or STARTS, rng)
-    visited, merit = yield from descend(task, theta, space.ties, first, rng, "axes tied" if second else "descent", 1.0)
+    phase = "axes tied" if second else "descent"
+    visited, merit = yield from descend(task, theta, space.ties, first, rng, phase, np.ones(len(theta)))
     if not second:
         return
     best = np.argmin(merit, axis=0)  # of each start
     rows = np.arange(len(theta))
-    order = np.argsort(merit[best, rows], kind="stable")[:KEPT]
+    order = np.argsort(merit[best, rows], kind="stable")[: len(SCALES)]
     theta = visited[best, rows][order]
-    yield from descend(task, theta, np.eye(space.size), second, rng, "axes free", 0.5)
+    yield from descend(task, theta, np.eye(space.size), second, rng, "axes free", SCALES[: len(theta)])
