@@ -14,7 +14,6 @@ class Contact(NamedTuple):
     """What the contacts remember between steps."""
 
     grip_point: Array  # (3, L, B) m, world
-    closed: Array  # (L, B) bool: gripper shut at the last step
     touching: Array  # (L, B) bool: the ground acted on the foot at the last step
     detached: Array  # (L, B) bool: the gripper was torn off, for good
 
@@ -49,5 +48,5 @@ def grip(contact: Contact, feet: Feet, closed: Array, numbers: Parameters) -> tu
     spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
     force = jnp.where(touching, spring_damper, 0.0)
     torn_off = support & (force[2] < 0) & (norm(force) > numbers.holding_limit)
-    after = Contact(grip_point, closed, touching, contact.detached | torn_off)
+    after = Contact(grip_point, touching, contact.detached | torn_off)
     return after, Grip(force, support, torn_off)

@@ -1,7 +1,6 @@
 """Results as labelled arrays with units, and files that are either whole or not there."""
 
 import contextlib
-import dataclasses
 import datetime
 import importlib.metadata
 import json
@@ -17,7 +16,7 @@ import xarray as xr
 from mjx_climb import config
 from mjx_climb.config import ConfigError, Scenario
 from mjx_climb.metrics import METRICS
-from mjx_climb.parameters import Gains
+from mjx_climb.parameters import Gains, Parameters
 from mjx_climb.robot import load_robot
 from mjx_climb.trajectory import Trajectory
 
@@ -128,7 +127,7 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     coords = {name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()}
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
     attrs = {"title": "walk of a limbed climbing robot", **_provenance(trajectory.scenario)}
-    attrs["gains"] = json.dumps(_gains_to_plain(trajectory.gains))
+    attrs |= {"gains": _to_json(trajectory.gains), "parameters": _to_json(trajectory.numbers)}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -211,11 +210,12 @@ def _git_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def _gains_to_plain(gains: Gains) -> dict[str, float | list[float] | None]:
-    return {
-        field.name: None if (value := getattr(gains, field.name)) is None else np.asarray(value).tolist()
-        for field in dataclasses.fields(gains)
-    }
+def _to_json(tree: Gains | Parameters) -> str:
+    return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in vars(tree).items()})
+
+
+def _from_json(text: str, dtype: np.dtype) -> dict[str, np.ndarray | None]:
+    return {n: None if v is None else np.asarray(v, dtype) for n, v in json.loads(text).items()}
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -261,12 +261,12 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         raise ConfigError(f"{os.fspath(path)}: expected a walk, got a dataset without {missing[0]}")
     arrays = {name: dataset[name].values for name in ("time", *VARIABLES)}
     dtype = dataset["base_position"].dtype
-    gains = {
-        name: None if value is None else np.asarray(value, dtype)
-        for name, value in json.loads(dataset.attrs["gains"]).items()
-    }
+    gains = Gains(**_from_json(dataset.attrs["gains"], dtype))
+    numbers = _from_json(dataset.attrs["parameters"], dtype)
+    # lists without pushes have lost their second axis
+    pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)
-    return Trajectory(scenario_of(dataset), Gains(**gains), limbs, **arrays)
+    return Trajectory(scenario_of(dataset), gains, Parameters(**numbers | pushes), limbs, **arrays)
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:

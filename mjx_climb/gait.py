@@ -74,15 +74,21 @@ def rest_to_rest(phase: Array) -> Array:
     return phase * phase * (3 - 2 * phase)
 
 
-def cycle_start(plan: Plan, now: Schedule, last: Array, base_position: Array, *, follow_base: bool) -> Array:
-    """Return where the cycle's base reference starts, (3, B) m in world axes.
+def nominal_start(plan: Plan, now: Schedule, memory: Array, base_position: Array) -> tuple[Array, Array]:
+    """Return the memory, unchanged, and where the cycle's base reference starts: where the last one ended."""
+    del base_position
+    return memory, plan.base_start + now.cycle * plan.advance
 
-    That is where the last cycle's ended or, with `follow_base`, where the base was when the cycle began; `last` is the
-    value at the last step.
-    """
-    if follow_base:
-        return jnp.where(now.cycle_phase == 0, base_position, last)
-    return plan.base_start + now.cycle * plan.advance
+
+def actual_start(plan: Plan, now: Schedule, memory: Array, base_position: Array) -> tuple[Array, Array]:
+    """Return, twice, where the cycle's base reference starts: where the base was when the cycle began."""
+    del plan
+    start = jnp.where(now.cycle_phase == 0, base_position, memory)
+    return start, start
+
+
+# memory and start of the cycle, both (3, B) m in world axes
+CYCLE_STARTS = {"nominal": nominal_start, "actual": actual_start}
 
 
 def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:

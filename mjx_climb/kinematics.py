@@ -36,7 +36,8 @@ def limb_frames(robot: Robot, base_rotation: Array, joint_angles: Array) -> Limb
         zero_rotation = compose(rotation, robot.frame_rotation[link])
         c, s = jnp.cos(joint_angles[link]), jnp.sin(joint_angles[link])
         x, y, z = zero_rotation[:, 0], zero_rotation[:, 1], zero_rotation[:, 2]
-        rotation = jnp.stack([c * x + s * y, c * y - s * x, jnp.broadcast_to(z, x.shape)], axis=1)
+        turned = c * x + s * y
+        rotation = jnp.stack([turned, c * y - s * x, jnp.broadcast_to(z, turned.shape)], axis=1)
         rotations.append(rotation)
         positions.append(position)
     return LimbFrames(tuple(rotations), tuple(positions), position + rotate(rotation, robot.foot_center))

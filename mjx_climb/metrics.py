@@ -83,10 +83,11 @@ def accumulate(total: Accumulator, sample: Sample, robot: Robot, time_step: floa
     pulling = sample.support & (sample.foot_force[2] < 0)
     power = jnp.abs(sample.joint_torque * sample.joint_rates).sum((0, 1))
     margin = jnp.minimum(sample.joint_angles - robot.joint_lower, robot.joint_upper - sample.joint_angles)
-    torn_off = sample.torn_off & ~sample.detached
-    limb = jnp.where(torn_off.any(0), jnp.argmax(torn_off, axis=0).astype(jnp.int32), -1)
-    newly = (total.detached_limb < 0) & (limb >= 0)
-    moving = jnp.stack([largest, power, *sample.base_position, *norm(sample.joint_rates)])
+    limbs = len(robot.limbs)
+    limb = jnp.where(sample.torn_off, jnp.arange(limbs, dtype=jnp.int32)[:, None], limbs).min(0)
+    newly = (total.detached_limb < 0) & (limb < limbs)
+    # one number that is not finite as soon as anything is not: cheaper than asking each
+    everything = largest + power + sample.base_position.sum(0) + sample.joint_angles.sum((0, 1))
     return Accumulator(
         steps=total.steps + 1,
         peak_foot_force=jnp.maximum(total.peak_foot_force, largest),
@@ -104,7 +105,7 @@ def accumulate(total: Accumulator, sample: Sample, robot: Robot, time_step: floa
         joint_limit_margin=jnp.minimum(total.joint_limit_margin, margin.min((0, 1))),
         detached_at=jnp.where(newly, sample.time, total.detached_at),
         detached_limb=jnp.where(newly, limb, total.detached_limb),
-        finite=total.finite & jnp.isfinite(moving).all(0),
+        finite=total.finite & jnp.isfinite(everything),
     )
 
 

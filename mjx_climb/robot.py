@@ -22,7 +22,7 @@ class RobotError(ValueError):
         "base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation",
         "foot_center", "joint_lower", "joint_upper", "stance_position", "stance_orientation", "stance_joints",
     ],
-    meta_fields=["name", "limbs"],
+    meta_fields=["name", "limbs", "model"],
 )  # fmt: skip
 @dataclasses.dataclass(frozen=True)
 class Robot:
@@ -35,6 +35,7 @@ class Robot:
 
     name: str
     limbs: tuple[str, ...]
+    model: mujoco.MjModel  # what the numbers were read off
     base_mass: np.ndarray  # (1,) kg
     base_inertia: np.ndarray  # (3, 3, 1) kg m^2, base frame
     link_mass: np.ndarray  # (3, L, 1) kg
@@ -161,6 +162,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
     return Robot(
         name=name,
         limbs=tuple(model.body(chain[0]).name.split("_")[0] for chain in limbs),
+        model=model,
         base_mass=model.body_mass[1:2].copy(),
         base_inertia=inertia(1, np.eye(3))[..., None],
         link_mass=stacked["mass"],

@@ -127,7 +127,7 @@ def rollout(
     with jax.enable_x64(np.dtype(dtype) == np.float64):
         samples = _compiled_samples()(structure(scenario, engine), gains, numbers)
         samples = jax.tree.map(np.asarray, samples)
-    return from_samples(samples, scenario, gains, load_robot(scenario.robot).limbs)
+    return from_samples(samples, scenario, gains, numbers, load_robot(scenario.robot).limbs)
 
 
 def _six(gain):
@@ -157,8 +157,8 @@ def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
     with jax.enable_x64(dtype == np.float64):
         robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
         total = _accumulated(samples, robot, trajectory.scenario.time_step)
-        gravity = jnp.asarray(trajectory.scenario.gravity, dtype)[:, None]
-        heading = jnp.asarray([trajectory.scenario.gait.heading], dtype)
+        gravity = jnp.asarray(trajectory.numbers.gravity, dtype)[:, None]
+        heading = jnp.asarray(trajectory.numbers.heading, dtype)[None]
         values = {name: value.item() for name, value in metrics_module.finish(total, gravity, heading).items()}
     return named(values, trajectory.limbs)
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mjx_climb.config import Scenario
-from mjx_climb.parameters import Gains
+from mjx_climb.parameters import Gains, Parameters
 from mjx_climb.sample import Sample
 
 
@@ -19,6 +19,7 @@ class Trajectory:
 
     scenario: Scenario
     gains: Gains
+    numbers: Parameters  # the scenario's, or what was given in their place
     limbs: tuple[str, ...]
     time: Float[np.ndarray, " time"]  # s
     base_position: Float[np.ndarray, "time 3"]  # m, of the base's centre of mass
@@ -52,7 +53,9 @@ class Trajectory:
     gia_margin: Float[np.ndarray, " time"]  # m/s^2
 
 
-def from_samples(samples: Sample, scenario: Scenario, gains: Gains, limbs: tuple[str, ...]) -> Trajectory:
+def from_samples(
+    samples: Sample, scenario: Scenario, gains: Gains, numbers: Parameters, limbs: tuple[str, ...]
+) -> Trajectory:
     """Return the trajectory of samples stacked over time, (T, ..., 1) in the layout of the hot path."""
 
     def public(value):
@@ -61,7 +64,8 @@ def from_samples(samples: Sample, scenario: Scenario, gains: Gains, limbs: tuple
             return value
         return np.swapaxes(value[..., 0], 1, 2) if value.ndim == 4 else value[..., 0]
 
-    return Trajectory(scenario, gains, limbs, **{name: public(value) for name, value in samples._asdict().items()})
+    histories = {name: public(value) for name, value in samples._asdict().items()}
+    return Trajectory(scenario, gains, numbers, limbs, **histories)
 
 
 def to_samples(trajectory: Trajectory) -> Sample:

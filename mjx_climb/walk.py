@@ -1,6 +1,7 @@
 """One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -31,7 +32,7 @@ class Structure(NamedTuple):
     controller: str
     reading: str
     sequence: tuple[str, ...]
-    follow_base: bool
+    base_reference: str
     steps: int
     time_step: float
     smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
@@ -47,8 +48,8 @@ class Walk(NamedTuple):
     plan: gait.Plan
     law: Law
     forward_dynamics: ForwardDynamics
+    cycle_start: Callable
     time_step: float
-    follow_base: bool
 
 
 class Carry(NamedTuple):
@@ -56,7 +57,7 @@ class Carry(NamedTuple):
 
     state: State
     contact: Contact
-    cycle_start: Array  # (3, B) m, base reference at the start of the gait cycle
+    gait: Array  # (3, B) m, what the gait remembers of the base
     law: Any
 
 
@@ -68,7 +69,7 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False) -> Struc
         controller=scenario.control.controller,
         reading=scenario.control.reading,
         sequence=scenario.gait.sequence,
-        follow_base=scenario.gait.base_reference == "actual",
+        base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
         smooth=smooth,
@@ -92,7 +93,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
         law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
         forward_dynamics=ENGINES[structure.engine](robot),
         time_step=structure.time_step,
-        follow_base=structure.follow_base,
+        cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
 
 
@@ -115,8 +116,8 @@ def begin(walk: Walk, batch: int) -> Carry:
     still = jnp.zeros_like(position)
     return Carry(
         state=State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints)),
-        contact=Contact(grip_point=feet, closed=shut, touching=shut, detached=~shut),
-        cycle_start=position,
+        contact=Contact(grip_point=feet, touching=shut, detached=~shut),
+        gait=position,
         law=jax.tree.map(each, walk.law.initial),
     )
 
@@ -132,7 +133,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     contact, held = grip(carry.contact, feet, now.closed, walk.grip_numbers)
     wrench = base_wrench_of_foot_force(feet.lever, held.force)
 
-    cycle_start = gait.cycle_start(walk.plan, now, carry.cycle_start, state.base_position, follow_base=walk.follow_base)
+    memory, cycle_start = walk.cycle_start(walk.plan, now, carry.gait, state.base_position)
     reference = Reference(
         base_position=gait.base_reference(walk.plan, now, cycle_start),
         base_orientation=walk.plan.base_orientation,
@@ -200,6 +201,6 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         ),
         gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
     )
-    after = Carry(integrate(state, acceleration, walk.time_step), contact, cycle_start, law_state)
+    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state)
     # what all environments share (a gait of one timing, say) has a batch axis of one until here
     return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry), sample

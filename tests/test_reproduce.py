@@ -38,7 +38,9 @@ def walk(**changes):
     arrays["base_reference"] = arrays["base_position"]
     arrays["foot_force"] = np.tile([0.0, 0.0, 5.0], (STEPS, 4, 1))
     scenario = mc.Scenario(duration=2.0)
-    return mc.Trajectory(scenario, mc.Gains(1.0, 1.0, 1.0), ("LF", "LH", "RH", "RF"), **{**arrays, **changes})
+    return mc.Trajectory(
+        scenario, mc.Gains(1.0, 1.0, 1.0), mc.parameters(scenario), ("LF", "LH", "RH", "RF"), **{**arrays, **changes}
+    )
 
 
 def rippling(amplitude):

@@ -189,3 +189,16 @@ def test_walks_that_fail_are_counted():
     assert summed["peak_pull_force"].sel(statistic="worst").values.tolist() == [2.0, 5.0]
     assert summed["travel"].sel(statistic="worst").values.tolist() == [1.0, 4.0]  # the least of it
     assert summed.attrs["members_compared"] == 2
+
+
+@pytest.mark.slow
+def test_robust_gains_beat_the_papers_on_a_draw_that_was_not_seen():
+    scenario = mc.load_scenario(config_path("case_1_2.yaml"))
+    ensemble = ensembles.load(config_path("ensemble.yaml"))
+    found = robust.search(scenario, ensemble, method="gradient", starts=3, iterations=10)
+    paper = mc.Gains(1.0, 5e3, 5e4)
+    summed = robust.summary(robust.judge(scenario, {"robust": found.gains, "paper": paper}, ensemble))
+    for metric, mean, worst in (("force_variation", 0.55, 0.55), ("peak_pull_force", 0.85, 0.95)):
+        ratio = (summed[metric].sel(gains="robust") / summed[metric].sel(gains="paper")).values
+        assert ratio[0] < mean and ratio[1] < worst, (metric, ratio)
+    assert summed["failed"].sel(gains="robust") == 0

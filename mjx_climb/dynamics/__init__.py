@@ -4,8 +4,10 @@ An engine is one module with `build(robot) -> ForwardDynamics`, in the layout of
 package knows which one runs.
 """
 
+import functools
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -48,6 +50,11 @@ def forward_dynamics(
         KeyError: no such engine.
     """
     robot = load_robot(robot) if isinstance(robot, str) else robot
+    return _forward_dynamics(state, tau, foot_force, base_wrench, cargo_mass, gravity, robot, engine)
+
+
+@functools.partial(jax.jit, static_argnames="engine")
+def _forward_dynamics(state, tau, foot_force, base_wrench, cargo_mass, gravity, robot, engine) -> Acceleration:
     dtype = jnp.result_type(state.base_position)
     shape = state.base_position.shape[:-1]
     limbs = len(robot.limbs)

@@ -6,6 +6,7 @@ import io
 
 import jax
 import jax.numpy as jnp
+import mujoco
 
 with contextlib.redirect_stdout(io.StringIO()):  # mjx prints which optional backends are missing
     from mujoco import mjx
@@ -17,7 +18,7 @@ from mjx_climb.kinematics import (
     joint_torque_of_foot_force,
     limb_frames,
 )
-from mjx_climb.robot import Robot, load_model
+from mjx_climb.robot import Robot
 from mjx_climb.spatial import quaternion_to_matrix, rotate, rotate_back
 from mjx_climb.state import Acceleration, State, joints_to_limbs, limbs_to_joints
 
@@ -25,9 +26,8 @@ _BASE = 1
 
 
 @functools.cache
-def _put_model(name: str, x64: bool) -> tuple[mjx.Model, mjx.Data]:
+def _put_model(model: mujoco.MjModel, x64: bool) -> tuple[mjx.Model, mjx.Data]:
     del x64  # a key of the cache alone: the arrays take the precision in force
-    model = load_model(name)
     with jax.ensure_compile_time_eval():
         return mjx.put_model(model), mjx.make_data(model)
 
@@ -53,7 +53,7 @@ def build(robot: Robot):
 
     def forward_dynamics(state: State, torque, foot_force, base_wrench, cargo_mass, gravity) -> Acceleration:
         dtype = state.base_position.dtype
-        model, data = _put_model(robot.name, bool(jax.config.jax_enable_x64))
+        model, data = _put_model(robot.model, bool(jax.config.jax_enable_x64))
         model, data = (
             jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
             for tree in (model, data)

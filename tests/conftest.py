@@ -1,0 +1,103 @@
+"""Double precision for the session, no compilation cache on disk, and compiled programs that the tests share."""
+
+import dataclasses
+import functools
+import os
+from pathlib import Path
+
+os.environ.setdefault("MJX_CLIMB_CACHE", "off")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.robot import load_robot
+from mjx_climb.state import State, integrate
+
+jax.config.update("jax_enable_x64", True)
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+LAWS = {
+    "pd": {"control.controller": "pd"},
+    "virtual_model": {"control.controller": "base_admittance", "control.reading": "virtual_model"},
+    "measured_pose": {"control.controller": "base_admittance", "control.reading": "measured_pose"},
+    "end_effector": {"control.controller": "end_effector_admittance", "control.reading": "virtual_model"},
+}
+PUSHES = 3
+
+
+@pytest.fixture(scope="session")
+def case():
+    """Return a paper's case, `case("case_2", "pd", **{"contact.holding_limit": None})`."""
+
+    def load(name, law, overrides=()):
+        return mc.load_scenario(CONFIGS / f"{name}.yaml", LAWS[law] | dict(overrides))
+
+    return load
+
+
+def padded_numbers(scenario, **changes):
+    """Return the scenario's parameters with three pushes, idle ones included: one shape, so one program, for all."""
+    numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
+    missing = PUSHES - len(numbers.push_start)
+    for name in ("push_force", "push_moment", "push_start", "push_stop"):
+        value = getattr(numbers, name)
+        changes.setdefault(name, np.concatenate([value, np.zeros((missing, *value.shape[1:]))]))
+    return dataclasses.replace(numbers, **{name: np.asarray(value, float) for name, value in changes.items()})
+
+
+def six_gains(scenario):
+    """Return the scenario's gains on six axes each: one shape, so one program, for all."""
+    control = scenario.control
+    return mc.Gains(
+        *(np.broadcast_to(np.asarray(g, float), 6) for g in (control.inertia, control.damping, control.stiffness))
+    )
+
+
+@pytest.fixture(scope="session")
+def numbers():
+    return padded_numbers
+
+
+@pytest.fixture(scope="session")
+def gains():
+    return six_gains
+
+
+@pytest.fixture(scope="session")
+def walk():
+    """Return the trajectory of a scenario in double precision, walked once a session."""
+
+    @functools.cache
+    def trajectory(scenario):
+        return mc.rollout(scenario, six_gains(scenario), padded_numbers(scenario))
+
+    return trajectory
+
+
+@pytest.fixture(scope="session", params=list(mc.ENGINES))
+def engine(request):
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def open_loop():
+    """Return states (T, ...) of a motion under given forces, in the layout of the hot path, by engine."""
+
+    @functools.cache
+    def program(engine, robot="hubrobo_v3_2"):
+        forward_dynamics = mc.ENGINES[engine](jax.tree.map(jnp.asarray, load_robot(robot)))
+
+        @jax.jit
+        def move(state: State, torque, foot_force, push, cargo, gravity, time_step):
+            def step(state, forces):
+                after = integrate(state, forward_dynamics(state, *forces, gravity), time_step)
+                return after, after
+
+            return jax.lax.scan(step, state, (torque, foot_force, push, cargo))[1]
+
+        return move
+
+    return program

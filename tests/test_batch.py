@@ -1,0 +1,80 @@
+"""Batches: each environment walks as if it were alone, whatever its neighbours do."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+
+COUNT = 64
+LOST, BLOWN_UP = 10, 40  # environments made to detach and to diverge
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    return case("case_2", "virtual_model", (("duration", 2.0),))
+
+
+@pytest.fixture(scope="module")
+def batch(scenario):
+    """Gains, and parameters of which four differ from one environment to the next."""
+    rng = np.random.default_rng(0)
+    scale = lambda *shape: 10.0 ** rng.uniform(-1, 1, shape)  # noqa: E731
+    gains = mc.Gains(scale(COUNT, 6), 1e3 * scale(COUNT, 6), 1e4 * scale(COUNT, 6))
+    numbers = dataclasses.replace(
+        jax.tree.map(np.asarray, mc.parameters(scenario)),
+        gravity=np.array([0, 0, -1.0]) * scale(COUNT, 1),
+        contact_stiffness=1e4 * rng.uniform(0.5, 1.5, COUNT),
+        holding_limit=np.full(COUNT, 100.0),
+        cargo_mass=rng.uniform(0, 1, COUNT),
+    )
+    return gains, numbers
+
+
+@pytest.fixture(scope="module")
+def together(scenario, batch):
+    return mc.rollout_metrics(scenario, *batch, dtype=np.float64)
+
+
+def test_a_batch_of_64_gives_each_what_it_has_alone(scenario, batch, together):
+    """Walked one at a time, every environment has the metrics that it had among 64 others."""
+    alone = mc.rollout_metrics(scenario, *batch, dtype=np.float64, batch_size=1)
+    assert not together["diverged"].any()
+    assert len(np.unique(together["peak_foot_force"])) == COUNT
+    for name, values in together.items():
+        np.testing.assert_allclose(alone[name], values, rtol=1e-12, err_msg=name)
+
+
+def test_bad_neighbours_change_nothing(scenario, batch, together):
+    """One environment tears off and one diverges: both say so, and the other 62 stay the same to the last bit."""
+    gains, numbers = batch
+    limit, stiffness = numbers.holding_limit.copy(), numbers.contact_stiffness.copy()
+    limit[LOST], stiffness[BLOWN_UP] = 1e-3, 1e9
+    worse = dataclasses.replace(numbers, holding_limit=limit, contact_stiffness=stiffness)
+    result = mc.rollout_metrics(scenario, gains, worse, dtype=np.float64)
+    others = np.delete(np.arange(COUNT), [LOST, BLOWN_UP])
+    for name, values in together.items():
+        np.testing.assert_array_equal(result[name][others], values[others], err_msg=name)
+    assert result["detached_limb"][LOST] >= 0 and 0 <= result["detached_at"][LOST] < 2.0
+    assert np.flatnonzero(result["diverged"]).tolist() == [BLOWN_UP]
+    assert result["detached_limb"][BLOWN_UP] == -1
+    for name, values in result.items():
+        if values.dtype == float:
+            assert np.isnan(values[BLOWN_UP]), name
+
+
+def test_parts_of_a_batch_have_its_shape(scenario, batch, together):
+    """Batch axes of any number come back, and a last part that is not full changes nothing."""
+    rows = np.arange(70) % COUNT
+    fold = lambda a: a[rows].reshape(2, 35, *a.shape[1:]) if a.shape[:1] == (COUNT,) else a  # noqa: E731
+    seen = []
+    progress = lambda *done_of_all: seen.append(done_of_all)  # noqa: E731
+    result = mc.rollout_metrics(
+        scenario, *jax.tree.map(fold, batch), dtype=np.float64, batch_size=COUNT, progress=progress
+    )
+    assert seen == [(64, 70), (70, 70)]
+    for name, values in result.items():
+        assert values.shape == (2, 35)
+        np.testing.assert_array_equal(values.ravel(), together[name][rows], err_msg=name)

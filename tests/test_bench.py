@@ -1,0 +1,42 @@
+"""The benchmark's arithmetic, and that its ratios are far from absurd: no absolute times, the machine may be busy."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tuning.benchmarks import measure, operations
+from tuning.command_line import bench
+
+
+def test_exponent_is_the_slope_of_the_logarithms():
+    sizes = (1, 2, 4, 8)
+    assert measure.exponent(sizes, [3.0 * n**1.25 for n in sizes]) == pytest.approx(1.25)
+    assert measure.exponent((), []) is None
+
+
+def test_work_takes_turns_and_the_first_turn_does_not_count():
+    order = []
+    work = {"a": (1, lambda: order.append("a")), "b": (2, lambda: order.append("b"))}
+    assert measure.in_turns(3, work).keys() == work.keys()
+    assert order == ["a", "b"] * 4
+
+
+@pytest.mark.slow
+def test_quick_bench_prints_every_figure_and_sane_ratios():
+    command = [sys.executable, "-m", "tuning.command_line", "bench", "--quick", "--json", "--batch", "256"]
+    output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    result = json.loads(output)
+    left_out = {"gradient_cost_12", "step_exponent"}
+    assert {name for name, *_ in bench.ROWS} <= result.keys()
+    assert left_out == {name for name, value in result.items() if value is None}
+    assert result["vs_mjx"] > 1.5
+    assert result["vs_mujoco_c"] > 0.2
+    assert result["vs_mujoco_batch"] > 0.5
+    assert result["vs_numpy_loop_single"] > 1
+    assert 1 < result["gradient_cost_2"] < 10
+    assert 0.3 < result["batch_exponent"] < 1.5
+    # nothing is worked out twice: XLA's count has selections and comparisons besides
+    assert np.isclose(result["flops_per_env_step"], operations.BY_HAND, rtol=0.15)

@@ -1,0 +1,193 @@
+"""What must hold whatever the numbers: momentum, energy, static equilibrium, and no preferred direction."""
+
+import math
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.kinematics import center_of_mass, foot_kinematics, limb_frames
+from mjx_climb.robot import load_model, load_robot
+from mjx_climb.spatial import quaternion_to_matrix
+from mjx_climb.state import State
+
+MODEL = load_model("hubrobo_v3_2")
+# all four grip from 0.4 s to 10 s, standing on the spot
+STANDING = (
+    ("gait.cycle", 40.0), ("gait.duty", 0.99), ("gait.stride", 0.0), ("gait.step_height", 1e-6),
+    ("disturbance.cargo.mass", 0.0), ("disturbance.pushes", []), ("contact.holding_limit", None),
+)  # fmt: skip
+
+
+def mujoco_data(position, orientation, linear, angular, angles, rates):
+    """Return MuJoCo's data of one state, for momentum and energy by other code than ours."""
+    data, rotation = mujoco.MjData(MODEL), np.empty(9)
+    mujoco.mju_quat2Mat(rotation, orientation)
+    data.qpos[:] = np.concatenate([position, orientation, angles])
+    data.qvel[:] = np.concatenate([linear, rotation.reshape(3, 3).T @ angular, rates])
+    mujoco.mj_fwdPosition(MODEL, data)
+    return data
+
+
+def momentum(*state):
+    """Return linear and angular momentum about the centre of mass, (6,)."""
+    data = mujoco_data(*state)
+    mujoco.mj_fwdVelocity(MODEL, data)
+    mujoco.mj_subtreeVel(MODEL, data)
+    return np.concatenate([MODEL.body_mass.sum() * data.subtree_linvel[1], data.subtree_angmom[1]])
+
+
+def test_momentum_in_free_flight(engine, open_loop):
+    """Without gravity and contact, joint torques change no momentum but for Euler's error, which halves with dt."""
+    rng, steps, flights = np.random.default_rng(0), 1000, 4
+    robot = load_robot("hubrobo_v3_2")
+    same = lambda value: np.repeat(value[..., None], flights, axis=-1)  # noqa: E731
+    start = State(
+        base_position=same(np.zeros(3)),
+        base_orientation=same(np.array([1.0, 0, 0, 0])),
+        base_linear_velocity=same(rng.normal(scale=0.1, size=3)),
+        base_angular_velocity=same(rng.normal(scale=0.5, size=3)),
+        joint_angles=same(robot.stance_joints[..., 0]),
+        joint_rates=same(rng.normal(scale=0.5, size=(3, 4))),
+    )
+    torque = np.repeat(same(rng.normal(scale=0.005, size=(3, 4)))[None], steps, axis=0)
+    none = [np.zeros((steps, *shape, flights)) for shape in ((3, 4), (6,), ())]
+    time_step = 1e-3 / 2 ** np.arange(flights)
+    states = open_loop(engine)(start, torque, *none, np.zeros((3, flights)), time_step)
+
+    def state(step, flight):
+        flat = lambda a: a.T.ravel() if a.ndim == 2 else a  # noqa: E731
+        return [flat(np.asarray(value[step, ..., flight])) for value in vars(states).values()]
+
+    begin = [a[..., 0].T.ravel() if a.ndim == 3 else a[..., 0] for a in vars(start).values()]
+    # the same 0.125 s with ever smaller steps
+    drift = [np.abs(momentum(*state(125 * 2**n - 1, n)) - momentum(*begin)) for n in range(flights)]
+    linear, angular = np.array(drift)[:, :3].max(1), np.array(drift)[:, 3:].max(1)
+    assert linear[0] < 5e-3 * np.linalg.norm(momentum(*begin)[:3])
+    assert angular[0] < 5e-2 * np.linalg.norm(momentum(*begin)[3:])
+    for error in (linear, angular):
+        np.testing.assert_allclose(error[:-1] / error[1:], 2.0, rtol=0.1)
+
+
+def energy(trajectory, step):
+    """Return kinetic energy plus that of the joint and contact springs, J, without gravity."""
+    tr, sc = trajectory, trajectory.scenario
+    names = ("base_position", "base_orientation", "base_linear_velocity", "base_angular_velocity")
+    data = mujoco_data(
+        *(getattr(tr, n)[step] for n in names), tr.joint_angles[step].ravel(), tr.joint_rates[step].ravel()
+    )
+    mujoco.mj_energyVel(MODEL, data)
+    joints = sc.control.kp / 2 * np.sum((tr.joint_targets - tr.joint_angles)[step] ** 2)
+    return data.energy[1] + joints + sc.contact.stiffness / 2 * np.sum((tr.foot_position - tr.grip_point)[step] ** 2)
+
+
+@pytest.fixture(scope="module")
+def standing(case):
+    """Return a scenario of a robot that stands still on four grips, by law."""
+
+    def scenario(law, **changes):
+        return case("case_2", law, (*STANDING, *((key.replace("__", "."), value) for key, value in changes.items())))
+
+    return scenario
+
+
+def test_energy_of_an_undamped_grip(standing, walk):
+    """Springs alone: the energy of a pushed robot stays for 6 s, in a band that narrows with the time step."""
+    push = [{"force": [2.0, 4.0, -6.0], "moment": [0.1, 0.04, 0.06], "start": 0.6, "stop": 0.7}]
+    undamped = {"contact__damping": 0.0, "control__kd": 0.0, "gravity": [0.0, 0.0, 0.0], "disturbance__pushes": push}
+    band = []
+    for time_step in (1e-3, 5e-4):
+        trajectory = walk(standing("pd", **undamped, time_step=time_step))
+        late = np.arange(round(0.7 / time_step), len(trajectory.time), round(0.01 / time_step))
+        course = np.array([energy(trajectory, step) for step in late])
+        assert course.mean() > 1e-3
+        first, last = course[: len(course) // 2], course[len(course) // 2 :]
+        assert abs(last.mean() / first.mean() - 1) < 2e-3
+        band.append(np.std(course) / np.mean(course))
+    assert band[0] < 0.05
+    assert 1.8 < band[0] / band[1] < 2.2
+
+
+def static_shift(gravity, stiffness=None):
+    """Return the shift (6,) of a base standing at its reference on four grips, by linear statics.
+
+    Each limb is its joint springs and its contact spring in series: the foot gives way by J kp^-1 J^T + 1 / k_s. The
+    weight of the limbs bends their joints too. An admittance law with `stiffness` yields to the wrench -w / K on top.
+    """
+    robot, kp, k_s = load_robot("hubrobo_v3_2"), 50.0, 1e4
+    still = np.zeros((3, 1))
+    state = State(
+        robot.stance_position, robot.stance_orientation, still, still, robot.stance_joints, 0 * robot.stance_joints
+    )
+    frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
+    feet = jax.tree.map(np.asarray, foot_kinematics(frames, state))
+    mass = robot.total_mass[0]
+    lever = (
+        np.asarray(center_of_mass(robot, frames, state.base_position, np.zeros(1)))[:, 0] - state.base_position[:, 0]
+    )
+    weight = np.concatenate([mass * gravity, np.cross(lever, mass * gravity)])
+    # MuJoCo's bias at rest is minus the generalised force of gravity
+    model = MODEL.__copy__()
+    model.opt.gravity[:] = gravity
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[0]
+    mujoco.mj_forward(model, data)
+    joint_weight = -data.qfrc_bias[6:].reshape(4, 3)
+    matrix, load = np.zeros((6, 6)), weight.copy()
+    for limb in range(4):
+        jacobian = np.array([column[:, limb, 0] for column in feet.jacobian]).T
+        grip_stiffness = np.linalg.inv(jacobian @ jacobian.T / kp + np.eye(3) / k_s)
+        r = feet.lever[:, limb, 0]
+        rigid = np.hstack([np.eye(3), -np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])])
+        matrix += rigid.T @ grip_stiffness @ rigid
+        load -= rigid.T @ grip_stiffness @ jacobian @ joint_weight[limb] / kp
+    shift = np.linalg.solve(matrix, load)
+    return shift if stiffness is None else shift + weight / stiffness
+
+
+GRAVITY = np.array([0.02, -0.01, -0.1])
+
+
+@pytest.mark.parametrize(("law", "stiffness"), [("pd", None), ("virtual_model", 500.0)])
+def test_sag_is_that_of_the_springs_in_series(standing, walk, law, stiffness):
+    """The settled sag and tilt on a slope are those of joints, contacts (and admittance) in series, to 1 %."""
+    changes = {"gravity": list(GRAVITY), "control__damping": 50.0, "control__stiffness": stiffness or 1.0}
+    trajectory = walk(standing(law, **changes))
+    assert np.abs(trajectory.base_linear_velocity[-1]).max() < 1e-8
+    expected = static_shift(GRAVITY, stiffness)
+    moved = trajectory.base_position[-1] - trajectory.base_reference[-1]
+    turned = 2 * trajectory.base_orientation[-1, 1:]
+    assert np.linalg.norm(moved - expected[:3]) < 0.01 * np.linalg.norm(expected[:3])
+    assert np.linalg.norm(turned - expected[3:]) < 0.01 * np.linalg.norm(expected[3:])
+
+
+def turned(vector, angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return [c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]]
+
+
+@pytest.mark.parametrize("law", ["pd", "virtual_model", "measured_pose", "end_effector"])
+def test_no_direction_is_preferred(case, walk, law):
+    """Case 2 on a slope, turned about z as a whole, gives the same metrics, unequal gains per axis included."""
+    pushes = [push.model_dump() for push in case("case_2", law).disturbance.pushes]
+    gravity = [0.1, -0.05, -0.3]
+    gains = {  # unlike in x, y and z
+        "control.inertia": [1.0, 2.0, 0.5, 0.01, 0.02, 0.03],
+        "control.damping": [2e2, 5e2, 1e3, 5.0, 3.0, 8.0] if law != "measured_pose" else 5e3,
+        "control.stiffness": [2e3, 9e3, 5e3, 40.0, 80.0, 60.0] if law != "measured_pose" else 2e4,
+    }
+    if law == "measured_pose":
+        gains = {"control.inertia": [1.0, 1.2, 0.9, 1.1, 1.0, 0.8]} | {
+            "control.damping": [5e3, 4e3, 6e3, 5e3, 3e3, 4e3], "control.stiffness": [2e4, 3e4, 1e4, 2e4, 1e4, 3e4]
+        }  # fmt: skip
+    results = []
+    for angle in (0.0, 0.7):
+        there = [{**p, "force": turned(p["force"], angle), "moment": turned(p["moment"], angle)} for p in pushes]
+        changes = gains | {"gravity": turned(gravity, angle), "disturbance.pushes": there, "gait.heading": angle}
+        results.append(mc.metrics(walk(case("case_2", law, changes))))
+    straight, rotated = results
+    assert not straight["diverged"]
+    for name, value in straight.items():
+        assert rotated[name] == (pytest.approx(value, rel=1e-9) if isinstance(value, float) else value), name

@@ -1,0 +1,83 @@
+"""The three ways to run a walk agree, and transform as JAX functions do."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+
+
+def equal(ours, named, **tolerance):
+    """Tell whether metrics as arrays are those as plain numbers, NaN for None."""
+    for name, value in named.items():
+        if name == "detached_limb":
+            limbs = ("LF", "LH", "RH", "RF")
+            assert int(ours[name]) == (-1 if value is None else limbs.index(value))
+        else:
+            value = np.nan if value is None else value
+            np.testing.assert_allclose(ours[name], value, err_msg=name, **tolerance)
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    return case("case_1_1", "virtual_model")
+
+
+@pytest.fixture(scope="module")
+def simulate(scenario):
+    return mc.simulator(scenario)
+
+
+@pytest.fixture(scope="module")
+def batched(simulate, scenario, numbers):
+    """Metrics of a batch of two gains, by jit alone: stiffness times the argument."""
+    there = numbers(scenario)
+
+    def run(factor):
+        return simulate(mc.Gains(jnp.ones((2, 6)), jnp.full((2, 6), 1e4), 4e5 * factor[:, None] * jnp.ones(6)), there)
+
+    return jax.jit(run)(jnp.array([1.0, 0.01]))
+
+
+def test_rollout_metrics_are_the_metrics_of_the_rollout(scenario, batched, walk):
+    """What accumulates step by step is what the stored histories give, a walk that tears off a gripper included."""
+    equal({name: value[0] for name, value in batched.items()}, mc.metrics(walk(scenario)), rtol=1e-9)
+
+
+def test_metrics_are_of_the_numbers_that_were_walked(case, gains, numbers):
+    """A rollout with parameters in place of the scenario's is judged by them: other gravity, other cost."""
+    scenario = case("case_2", "pd")
+    lunar = numbers(scenario, gravity=(0.0, 0.0, -1.635))
+    ours = mc.metrics(mc.rollout(scenario, gains(scenario), lunar))
+    same = mc.metrics(mc.rollout(case("case_2", "pd", (("gravity", [0.0, 0.0, -1.635]),)), gains(scenario), lunar))
+    assert ours == same
+
+
+def test_simulator_under_vmap(simulate, scenario, numbers, batched):
+    """vmap over single walks gives what a batch axis in the gains gives."""
+    there = numbers(scenario)
+
+    def run(factor):
+        return simulate(mc.Gains(jnp.ones(6), jnp.full(6, 1e4), 4e5 * factor * jnp.ones(6)), there)
+
+    mapped = jax.jit(jax.vmap(run))(jnp.array([1.0, 0.01]))
+    for name, values in batched.items():
+        np.testing.assert_allclose(mapped[name], values, rtol=1e-9, err_msg=name)
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_time(case):
+    """The compiled walk of 8 s needs the memory of the one of 1 s."""
+    short, long = (case("case_1_1", "virtual_model", (("duration", span),)) for span in (1.0, 8.0))
+    gains = mc.Gains(1.0, 1e4, np.full((8, 6), 4e5))
+    need = lambda sc: jax.jit(mc.simulator(sc)).lower(gains).compile().memory_analysis().temp_size_in_bytes  # noqa: E731
+    # the list of steps is the one thing that is longer
+    assert need(long) - need(short) <= 8 * 8000
+
+
+def test_no_array_over_time(scenario, simulate):
+    """In the program of a batch no array but the list of steps has an entry for each time step."""
+    text = str(jax.make_jaxpr(simulate)(mc.Gains(1.0, 1e4, np.full((3, 6), 4e5))))
+    assert f"[{scenario.steps}]" in text  # the list
+    assert f"[{scenario.steps}," not in text

@@ -1,0 +1,231 @@
+"""The measurements of `mjx-climb bench`: every ratio from runs that take turns, medians of several rounds."""
+
+import contextlib
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from tuning.benchmarks import fresh, operations
+
+Timed = tuple[int, Callable[[], object]]  # env-steps, and what does them
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is run."""
+
+    rounds: int
+    steps: int  # of the closed loop in a round
+    tangents: tuple[int, ...]  # of the gradients
+    batches: tuple[int, ...]  # for growth with the batch
+    lengths: tuple[int, ...]  # steps, for growth with time; none: left out
+
+    @staticmethod
+    def full(batch: int) -> "Plan":
+        """Return the plan whose figures are to be quoted."""
+        return Plan(5, 200, (2, 12), tuple(batch * k // 4 for k in (1, 2, 4, 8, 16)), (50, 100, 200, 400))
+
+    @staticmethod
+    def quick(batch: int) -> "Plan":
+        """Return a plan for a first look, which spares what takes long to compile: those figures are None."""
+        return Plan(3, 100, (2,), (batch // 4, batch), ())
+
+
+def threads() -> int:
+    """Return how many CPU cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_turns(rounds: int, work: Mapping[str, Timed]) -> dict[str, float]:
+    """Return the median seconds per env-step of each: all of them in each round, after one that does not count."""
+    seconds: dict[str, list[float]] = {name: [] for name in work}
+    for turn in range(rounds + 1):
+        for name, (env_steps, run) in work.items():
+            begin = time.perf_counter()
+            run()
+            if turn:
+                seconds[name].append((time.perf_counter() - begin) / env_steps)
+    return {name: float(np.median(values)) for name, values in seconds.items()}
+
+
+def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float | None:
+    """Return the exponent of growth: the slope of log time over log size by least squares; None of nothing."""
+    if not sizes:
+        return None
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+
+
+def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -> dict[str, object]:
+    """Return every figure of the benchmark by name; `say` is told what goes on.
+
+    Times are in s; ratios say how many times faster this program is than the peer, or what a gradient costs in values.
+    """
+    result: dict[str, object] = {"engine": engine, "batch": batch, "steps": plan.steps, "rounds": plan.rounds}
+    with _cache() as cache:
+        say("compiling in fresh processes")
+        value = fresh.measure("value", batch, plan.steps, engine, cache)
+        warm = fresh.measure("value", batch, plan.steps, engine, cache)
+        gradient = fresh.measure("gradient", batch, plan.steps // 2, engine, cache)
+        result |= _compiled(value, warm, gradient)
+        say("compiling the rest")
+        ours, single, peers = _work(engine, batch, plan)
+        with ThreadPoolExecutor(threads()) as pool:
+            list(pool.map(lambda timed: timed[1](), [*ours.values(), *single.values()]))
+        with contextlib.ExitStack() as stack:
+            stack.callback(peers.pop("close"))
+            say("closed loops and their peers, in turns")
+            rates = in_turns(plan.rounds, {**ours, **peers})
+            single_rates = in_turns(plan.rounds, {**single, "numpy_loop": _numpy_loop(plan.steps)})
+        say("growth")
+        result |= _growth(engine, batch, plan)
+        result |= _operations(engine, batch, plan.steps)
+    own = rates["closed_loop"]
+    result |= {
+        "closed_loop_steps_per_s": 1 / own,
+        "vs_mujoco_c": rates["mujoco_c"] / own,
+        "vs_mjx": rates["mjx"] / own,
+        "vs_mujoco_batch": rates["mujoco_batch"] / own,
+        "vs_numpy_loop_single": single_rates["numpy_loop"] / single_rates["single"],
+        "gradient_cost_2": rates["gradient_2"] / rates["value"],
+        "gradient_cost_12": rates["gradient_12"] / rates["value"] if 12 in plan.tangents else None,
+        "single_steps_per_s": 1 / single_rates["single"],
+        "peers_steps_per_s": {
+            **{name: 1 / rates[name] for name in ("mujoco_c", "mjx", "mujoco_batch")},
+            "numpy_loop": 1 / single_rates["numpy_loop"],
+        },
+    }
+    return result | _machine()
+
+
+def _work(engine: str, batch: int, plan: Plan):
+    """Return what this program runs in turns, with a batch and with one robot, and the peers of the former."""
+    import jax
+
+    from tuning.benchmarks import mujoco_batch, mujoco_rollout, programs
+
+    steps = plan.steps
+
+    def jitted(function, shift):
+        return lambda: jax.block_until_ready(function(shift))
+
+    few, fewer = steps // 2, steps // 4  # a gradient's cost per step does not depend on their number
+    ours = {
+        "closed_loop": (batch * steps, programs.walk(batch, steps, engine)),
+        "mjx": (batch * few, programs.walk(batch, few, "mjx")),
+        "value": (batch * few, jitted(*programs.value(batch, few, engine))),
+    }
+    for tangents in plan.tangents:
+        length = few if tangents == 2 else fewer
+        work = jitted(*programs.gradient(tangents, batch, length, engine))
+        ours[f"gradient_{tangents}"] = (batch * length, work)
+    single = {"single": (10 * steps, programs.walk(1, 10 * steps, engine))}
+    case, gains = programs.scenario(steps), programs.gains(batch)
+    bare = mujoco_rollout.Peer(case, batch, steps, threads())
+    steered = mujoco_batch.Peer(case, gains, threads())
+    peers = {
+        "mujoco_c": (batch * steps, bare.run),
+        "mujoco_batch": (batch * few, lambda: steered.run(few)),
+        "close": bare.close,
+    }
+    return ours, single, peers
+
+
+def _numpy_loop(steps: int) -> Timed:
+    from tuning.benchmarks import mujoco_loop, programs
+
+    peer = mujoco_loop.Peer(programs.scenario(steps), programs.gains(1))
+    return steps, lambda: peer.run(steps)
+
+
+def _compiled(value, warm, gradient) -> dict[str, float]:
+    """Return compile times, tracing included: what a first call takes longer than the next."""
+    return {
+        "compile_value_s": value["first"] - value["again"],
+        "compile_gradient_s": gradient["first"] - gradient["again"],
+        # the run is left out but for one step of it
+        "warm_start_s": warm["from_start"] - warm["again"],
+    }
+
+
+def _growth(engine: str, batch: int, plan: Plan) -> dict[str, object]:
+    from tuning.benchmarks import programs
+
+    by_batch = {str(b): (b * plan.steps, programs.walk(b, plan.steps, engine)) for b in plan.batches}
+    by_length = {str(n): (batch * n, programs.walk(batch, n, engine)) for n in plan.lengths}
+    with ThreadPoolExecutor(threads()) as pool:
+        list(pool.map(lambda timed: timed[1](), [*by_batch.values(), *by_length.values()]))
+    rounds = max(plan.rounds // 2, 2)
+    rates = in_turns(rounds, by_batch), in_turns(rounds, by_length)
+    seconds = [
+        [rate[name] * work[name][0] for name in work] for rate, work in zip(rates, (by_batch, by_length), strict=True)
+    ]
+    return {
+        "batch_exponent": exponent(plan.batches, seconds[0]),
+        "step_exponent": exponent(plan.lengths, seconds[1]),
+        "seconds_by_batch": dict(zip(by_batch, seconds[0], strict=True)),
+        "seconds_by_steps": dict(zip(by_length, seconds[1], strict=True)),
+    }
+
+
+def _operations(engine: str, batch: int, steps: int) -> dict[str, float]:
+    """Return the operations of a step by XLA's count of the compiled program, which takes a loop's body once."""
+    from tuning.benchmarks import programs
+
+    function, shift = programs.value(batch, steps // 2, engine)
+    compiled = function.lower(shift).compile()
+    cost, memory = compiled.cost_analysis(), compiled.memory_analysis()
+    return {
+        "flops_per_env_step": cost.get("flops", 0.0) / batch,
+        "flops_per_env_step_by_hand": operations.BY_HAND,
+        "transcendentals_per_env_step": cost.get("transcendentals", 0.0) / batch,
+        "transcendentals_per_env_step_by_hand": operations.TRANSCENDENTAL_BY_HAND,
+        "temporary_bytes_per_env": memory.temp_size_in_bytes / batch,
+    }
+
+
+def _machine() -> dict[str, object]:
+    import importlib.metadata
+    import platform
+
+    import jax
+
+    names = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
+    return {
+        "devices": [device.device_kind for device in jax.devices()],
+        "threads": threads(),
+        "processor": _processor(),
+        "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "versions": {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in names},
+    }
+
+
+def _processor() -> str:
+    import platform
+
+    with contextlib.suppress(OSError), open("/proc/cpuinfo") as file:
+        for line in file:
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+@contextlib.contextmanager
+def _cache() -> Iterator[str]:
+    """Use a new folder as XLA's cache, in this process and for its children, so that every run compiles alike."""
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    before = jax.config.jax_compilation_cache_dir
+    with tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True) as folder:
+        jax.config.update("jax_compilation_cache_dir", folder)
+        compilation_cache.reset_cache()
+        try:
+            yield folder
+        finally:
+            jax.config.update("jax_compilation_cache_dir", before)
+            compilation_cache.reset_cache()

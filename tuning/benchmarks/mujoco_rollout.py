@@ -1,0 +1,37 @@
+"""Peer: `mujoco.rollout` of the bare dynamics on threads, from the rest stance, without any controller or grip."""
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+import mjx_climb as mc
+from mjx_climb.robot import model_path
+
+
+class Peer:
+    """Robots that fall freely from the rest stance."""
+
+    def __init__(self, scenario: mc.Scenario, count: int, steps: int, threads: int):
+        self.model = mujoco.MjModel.from_xml_path(str(model_path(scenario.robot)))
+        self.model.opt.gravity[:] = scenario.gravity
+        self.model.opt.timestep = scenario.time_step
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        self.data = [mujoco.MjData(self.model) for _ in range(threads)]
+        mujoco.mj_resetDataKeyframe(self.model, self.data[0], 0)
+        every = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        start = np.empty(mujoco.mj_stateSize(self.model, every))
+        mujoco.mj_getState(self.model, self.data[0], start, every)
+        self.start = np.tile(start, (count, 1))
+        self.states = np.empty((count, steps, len(start)))  # allocated once, so that the pages are warm
+        self.sensed = np.empty((count, steps, 0))
+        self.pool = rollout.Rollout(nthread=threads)
+
+    def run(self) -> None:
+        """Run all of the steps once."""
+        self.pool.rollout(
+            self.model, self.data, self.start, nstep=self.states.shape[1], state=self.states, sensordata=self.sensed
+        )
+
+    def close(self) -> None:
+        """End the threads."""
+        self.pool.close()

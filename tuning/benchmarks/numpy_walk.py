@@ -1,0 +1,217 @@
+"""The walk under base admittance as a MuJoCo user would write it in NumPy, for the peers of the benchmark.
+
+A second implementation: gait, grip, Eq. 3 of the paper and inverse kinematics share no code with `mjx_climb`, whose
+scenario and MJCF alone they read. Arrays are components first, limbs second, robots last, all contiguous.
+"""
+
+import math
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from scipy.linalg import expm
+
+import mjx_climb as mc
+from mjx_climb.robot import model_path
+
+FEET = ("LF_foot", "LH_foot", "RH_foot", "RF_foot")
+BASE = 1  # body
+
+
+def load(scenario: mc.Scenario) -> mujoco.MjModel:
+    """Return the scenario's robot under its gravity, with a sensor for the velocity of each foot."""
+    spec = mujoco.MjSpec.from_file(str(model_path(scenario.robot)))
+    for foot in FEET:
+        spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot)
+    model = spec.compile()
+    model.opt.gravity[:] = scenario.gravity
+    model.opt.timestep = scenario.time_step
+    return model
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the vector product over the leading axis; numpy's own is several times slower."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+    return out
+
+
+def _cubic(s: float) -> float:
+    return s * s * (3.0 - 2.0 * s)
+
+
+class Disturbance:
+    """Cargo and pushes over time, the same for all robots."""
+
+    def __init__(self, scenario: mc.Scenario):
+        def window(part) -> tuple[float, float]:
+            stop = math.inf if part.stop is None else round(part.stop / scenario.time_step)
+            return round(part.start / scenario.time_step), stop
+
+        self._cargo = (scenario.disturbance.cargo.mass, *window(scenario.disturbance.cargo))
+        self._pushes = [(np.concatenate([p.force, p.moment]), *window(p)) for p in scenario.disturbance.pushes]
+
+    def cargo(self, step: int) -> float:
+        """Return the cargo in kg."""
+        mass, start, stop = self._cargo
+        return mass if start <= step < stop else 0.0
+
+    def push(self, step: int) -> np.ndarray:
+        """Return force and moment on the base (6,) N, N m."""
+        return sum((wrench for wrench, start, stop in self._pushes if start <= step < stop), np.zeros(6))
+
+
+class Walker:
+    """Grip and controller of N robots; `foot_force` (3, 4, N) and `torque` (3, 4, N) are what the last call gave."""
+
+    def __init__(self, model: mujoco.MjModel, scenario: mc.Scenario, gains: Mapping[str, np.ndarray]):
+        """Begin a walk in the rest stance with gains (N, 6) `inertia`, `damping` and `stiffness`.
+
+        Raises:
+            ValueError: a scenario with another law or gait than these peers know.
+        """
+        control, gait, contact = scenario.control, scenario.gait, scenario.contact
+        if (control.controller, control.reading) != ("base_admittance", "virtual_model"):
+            raise ValueError("the NumPy peers know base admittance with its virtual model alone")
+        if gait.base_reference != "nominal" or gait.heading:
+            raise ValueError("the NumPy peers walk along x from the nominal base position alone")
+        self.stiffness, self.damping = contact.stiffness, contact.damping
+        self.limit = math.inf if contact.holding_limit is None else contact.holding_limit
+        self.kp, self.kd = control.kp, control.kd
+        self.transition = _zero_order_hold(gains, scenario.time_step)
+
+        limbs = [foot.split("_")[0] for foot in FEET]
+        self.cycle = round(gait.cycle / scenario.time_step)
+        self.swing = round((1 - gait.duty) * gait.cycle / scenario.time_step)
+        self.lift_off = np.array([round(gait.sequence.index(limb) / len(limbs) * self.cycle) for limb in limbs])
+        self.stride, self.step_height = gait.stride, gait.step_height
+
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_kinematics(model, data)
+        count = len(gains["stiffness"])
+        self.base = data.xpos[BASE].copy()
+        self.footholds = np.stack([data.site(foot).xpos for foot in FEET], axis=1)  # (3, 4)
+        self.limb_geometry = _limb_geometry(model, limbs)
+        self.anchor = np.repeat(self.footholds[:, :, None], count, axis=2)
+        self.touching = np.ones((len(limbs), count), bool)
+        self.lost = np.zeros_like(self.touching)
+        self.shift, self.rate = np.zeros((6, count)), np.zeros((6, count))
+        self.foot_force = np.zeros_like(self.anchor)
+        self.torque = np.zeros_like(self.anchor)
+
+    def __call__(self, step: int, base, foot, foot_velocity, angles, rates) -> None:
+        """Work out the foot forces and joint torques of a step.
+
+        Takes base position (3, N) m, feet (3, 4, N) m and their velocities, joint angles (3, 4, N) rad and rates.
+        """
+        cycle, in_cycle = divmod(step, self.cycle)
+        since = (in_cycle - self.lift_off) % self.cycle
+        swinging = since < self.swing
+
+        # grip: a spring and a damper to where the foot met the ground
+        holds = ~(swinging[:, None] | self.lost)
+        touching = holds | (foot[2] <= 0)
+        landed = touching & ~self.touching
+        if landed.any():
+            self.anchor[:2, landed] = foot[:2, landed]
+            self.anchor[2, landed] = 0.0
+        self.touching = touching
+        force = (-self.stiffness * (foot - self.anchor) - self.damping * foot_velocity) * touching
+        if self.limit < math.inf:
+            pulled = holds & (force[2] < 0)
+            if pulled.any():
+                self.lost |= pulled & ((force * force).sum(0) > self.limit**2)
+
+        # Eq. 3, driven by -w so that the base yields
+        wrench = np.concatenate([force.sum(1), cross(foot - base[:, None], force).sum(1)])
+        t = self.transition
+        self.shift, self.rate = (
+            t[0, 0] * self.shift + t[0, 1] * self.rate - t[0, 2] * wrench,
+            t[1, 0] * self.shift + t[1, 1] * self.rate - t[1, 2] * wrench,
+        )
+
+        # where base and feet should be, then the joints
+        target = self.anchor.copy()
+        for limb in np.flatnonzero(swinging):
+            phase = since[limb] / self.swing
+            curve = self.footholds[:, limb].copy()
+            curve[0] += self.stride * (cycle + _cubic(phase))
+            curve[2] += self.step_height * _cubic(2 * phase if phase < 0.5 else 2 - 2 * phase)
+            target[:, limb] = curve[:, None]
+        reference = self.base.copy()
+        reference[0] += self.stride * (cycle + _cubic(in_cycle / self.cycle))
+        relative = target - (reference[:, None] + self.shift[:3])[:, None]
+        joints = self.inverse_kinematics(_turned_back(self.shift[3:], relative))
+        self.foot_force, self.torque = force, self.kp * (joints - angles) - self.kd * rates
+
+    def inverse_kinematics(self, foot: np.ndarray) -> np.ndarray:
+        """Return the joint angles (3, 4, N) rad for feet in the base frame; nearest reach where there is none."""
+        g = self.limb_geometry
+        c, s = g["cosine"], g["sine"]
+        dx, dy, z = foot - g["hip"]
+        x, y, z = c * dx + s * dy, c * dy - s * dx, z - g["femur_up"]
+        reach = np.hypot(x, y)
+        angles = np.empty_like(foot)
+        angles[0] = np.arctan2(y, x) - np.arcsin(g["lateral"] / reach)
+        x = np.sqrt(reach**2 - g["lateral"] ** 2) - g["femur_out"]
+        a, b = g["femur_length"], g["tibia_length"]
+        square = x * x + z * z
+        # law of cosines for the bend at the knee, which points down, and for the angle at the femur's joint
+        bend = np.arccos(np.clip((square - a * a - b * b) / (2 * a * b), -1, 1))
+        inner = np.arccos(np.clip((square + a * a - b * b) / (2 * a * np.sqrt(square)), -1, 1))
+        angles[1] = np.arctan2(z, x) + inner
+        angles[2] = -bend - g["tibia_angle"]
+        return angles
+
+
+def _turned_back(rotation_vector: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Turn vectors (3, 4, N) by the inverse of rotation vectors (3, N), after Rodrigues."""
+    angle = np.sqrt((rotation_vector * rotation_vector).sum(0))
+    small = angle < 1e-5
+    divisor = np.where(small, 1.0, angle)
+    sine = np.where(small, 1.0, np.sin(angle) / divisor)
+    versine = np.where(small, 0.5, (1 - np.cos(angle)) / divisor**2)
+    axis = np.broadcast_to(rotation_vector[:, None], vectors.shape)
+    turned = cross(axis, vectors)
+    return vectors - sine * turned + versine * cross(axis, turned)
+
+
+def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.ndarray:
+    """Return rows of the exact step of `M xdd + D xd + K x = f` over (x, xd, f), (2, 3, 6, N)."""
+    inertia, damping, stiffness = (np.asarray(gains[k], float) for k in ("inertia", "damping", "stiffness"))
+    unique, back = np.unique(np.stack([inertia, damping, stiffness], -1).reshape(-1, 3), axis=0, return_inverse=True)
+    m, d, k = unique.T
+    system = np.zeros((len(unique), 3, 3))
+    system[:, 0, 1] = 1.0
+    system[:, 1] = np.stack([-k / m, -d / m, 1 / m], axis=-1)
+    rows = expm(system * time_step)[back.ravel(), :2].reshape(*stiffness.shape, 2, 3)
+    return np.ascontiguousarray(np.moveaxis(rows, (0, 1, 2, 3), (3, 2, 0, 1)))
+
+
+def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndarray]:
+    """Return what the inverse kinematics needs, read off a model whose femur and tibia turn about the coxa's -y."""
+    geometry = {}
+    rows = []
+    for limb in limbs:
+        coxa, femur, tibia = (model.body(f"{limb}_{part}") for part in ("coxa", "femur", "tibia"))
+        foot = model.site(f"{limb}_foot").pos
+        rows.append(
+            {
+                "hip": coxa.pos,
+                "cosine": coxa.quat[0] ** 2 - coxa.quat[3] ** 2,
+                "sine": 2 * coxa.quat[0] * coxa.quat[3],
+                # the femur's frame is the coxa's turned by 90 degrees about x
+                "lateral": femur.pos[1] - tibia.pos[2] - foot[2],
+                "femur_out": femur.pos[0],
+                "femur_up": femur.pos[2],
+                "femur_length": tibia.pos[0],
+                "tibia_length": np.hypot(foot[0], foot[1]),
+                "tibia_angle": np.arctan2(foot[1], foot[0]),
+            }
+        )
+    for name in rows[0]:
+        geometry[name] = np.stack([row[name] for row in rows], axis=-1)[..., None]
+    return geometry
