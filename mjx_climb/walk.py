@@ -85,7 +85,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     feet = robot.stance_position[:, None] + stance.foot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
     return Walk(
-        robot=_weighing(robot, numbers.mass_scale),
+        robot=weighing(robot, numbers.mass_scale),
         geometry=geometry,
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
@@ -97,7 +97,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     )
 
 
-def _weighing(robot: Robot, scale: Array) -> Robot:
+def weighing(robot: Robot, scale: Array) -> Robot:
     """Return the robot with all masses and inertias times `scale` (B,)."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     return dataclasses.replace(robot, **{name: getattr(robot, name) * scale for name in names})

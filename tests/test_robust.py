@@ -96,6 +96,8 @@ def test_mass_scale_is_a_robot_of_other_mass(scenario):
     factors = {"peak_foot_force": 2, "force_variation": 2, "base_deviation": 1, "cost_of_transport": 1, "travel": 1}
     for name, factor in factors.items():
         assert big[name] == pytest.approx(factor * light[name], rel=1e-6), name
+    alone = mc.metrics(mc.rollout(scenario, doubled, heavy))
+    assert alone["cost_of_transport"] == pytest.approx(float(big["cost_of_transport"]), rel=1e-6)
 
 
 def test_worst_mean():

@@ -91,7 +91,9 @@ def front(
     for number, ties in enumerate(stages):
         theta = _best_within(archive, limits, better, against)
         phase = f"descent {number + 1} of {STAGES}"
-        visited = rounds.descend(rows, gradient.descend(task, theta, ties, ITERATIONS, rng, phase, 0.5 * 0.6**number))
+        visited = rounds.descend(
+            rows, gradient.descend(task, theta, ties, ITERATIONS, rng, phase, np.full(len(theta), 0.5 * 0.6**number))
+        )
         for step in visited:
             keep(step.theta, step.found)
     return _dataset(scenario, settings, problem, archive, limits, better, against, rounds.env_steps, engine)

@@ -111,7 +111,7 @@ def schedule(
         ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
         walks, phase = at(here), f"descent {number + 1} of {len(ITERATIONS)}"
         task = Task(walks, settings, own)
-        moves = gradient.descend(task, best.copy(), ties, iterations, rng, phase, 0.5 * 0.6**number)
+        moves = gradient.descend(task, best.copy(), ties, iterations, rng, phase, np.full(points, 0.5 * 0.6**number))
         for step in rounds.descend(walks, moves):
             take(step.theta, step.found, here)
         theta = best[pairs[1]]
