@@ -95,6 +95,7 @@ COORDINATES: dict[str, tuple[str, str]] = {
     "duty": ("1", "duty"),
     "heading": ("rad", "heading"),
     "cargo_mass": ("kg", "mass of the cargo"),
+    "mass_scale": ("1", "scale of the robot's masses and inertias"),
 }
 
 

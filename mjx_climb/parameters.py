@@ -62,6 +62,7 @@ class Parameters:
     push_moment: Array  # (pushes, 3) N m
     push_start: Array  # (pushes,) s
     push_stop: Array  # (pushes,) s
+    mass_scale: Array  # 1, of all masses and inertias of the robot; the cargo's not
 
 
 def _or_infinite(value: float | None) -> float:
@@ -91,6 +92,7 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         push_moment=[push.moment for push in pushes],
         push_start=[push.start for push in pushes],
         push_stop=[_or_infinite(push.stop) for push in pushes],
+        mass_scale=1.0,
     )
     arrays = {}
     for field in dataclasses.fields(values):

@@ -20,7 +20,7 @@ from mjx_climb.parameters import gains as gains_of
 from mjx_climb.robot import load_robot
 from mjx_climb.sample import Sample
 from mjx_climb.trajectory import Trajectory, from_samples, to_samples
-from mjx_climb.walk import Structure, advance, begin, prepare, structure
+from mjx_climb.walk import Structure, advance, begin, prepare, structure, weighing
 
 Metrics = dict[str, Array]
 
@@ -156,6 +156,7 @@ def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
     dtype = samples.base_position.dtype
     with jax.enable_x64(dtype == np.float64):
         robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
+        robot = weighing(robot, jnp.asarray(trajectory.numbers.mass_scale, dtype)[None])
         total = _accumulated(samples, robot, trajectory.scenario.time_step)
         gravity = jnp.asarray(trajectory.numbers.gravity, dtype)[:, None]
         heading = jnp.asarray(trajectory.numbers.heading, dtype)[None]

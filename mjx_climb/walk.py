@@ -85,7 +85,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     feet = robot.stance_position[:, None] + stance.foot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
     return Walk(
-        robot=robot,
+        robot=weighing(robot, numbers.mass_scale),
         geometry=geometry,
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
@@ -95,6 +95,12 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
+
+
+def weighing(robot: Robot, scale: Array) -> Robot:
+    """Return the robot with all masses and inertias times `scale` (B,)."""
+    names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
+    return dataclasses.replace(robot, **{name: getattr(robot, name) * scale for name in names})
 
 
 def begin(walk: Walk, batch: int) -> Carry:
@@ -150,7 +156,11 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
     push = disturbance.push(numbers, step, walk.time_step)
-    acceleration = walk.forward_dynamics(state, torque, held.force, push, cargo, numbers.gravity)
+    # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
+    share = 1 / numbers.mass_scale
+    acceleration = walk.forward_dynamics(
+        state, torque * share, held.force * share, push * share, cargo * share, numbers.gravity
+    )
 
     mass = robot.total_mass + cargo
     com = center_of_mass(robot, frames, state.base_position, cargo)

@@ -109,10 +109,10 @@ def _program(ingredients: _ById, engine: str, batch: int, gradient: bool):
     def judged(theta: Array, numbers: mc.Parameters):
         metrics = simulate(space.to_gains(theta), numbers)
         score = objective.score(metrics)
-        members = score.value.ndim > 1
-        mean = lambda value: value.mean(0) if members else value  # noqa: E731
+        # an objective may have judged the members together: its scores have lost their axis then
+        mean = lambda value: value.mean(0) if value.ndim > 1 else value  # noqa: E731
         averages = {name: mean(jnp.asarray(value, theta.dtype)) for name, value in metrics.items()}
-        feasible = score.feasible.all(0) if members else score.feasible
+        feasible = score.feasible.all(0) if score.feasible.ndim > 1 else score.feasible
         descent, value, penalty = mean(score.descent), mean(score.value), mean(score.penalty)
         return (descent, value + penalty), (value, penalty, feasible, averages)
 

@@ -38,20 +38,20 @@ class Score(NamedTuple):
 
 
 class Term(NamedTuple):
-    """A metric to better, relative to its value under pd."""
+    """A metric to better, relative to its value under pd: one for all points, or one for each row of a batch."""
 
     metric: str
     weight: float
-    baseline: float
-    smooth_baseline: float
+    baseline: float | tuple[float, ...]
+    smooth_baseline: float | tuple[float, ...]
 
 
 class Limit(NamedTuple):
-    """A metric that may not pass a value; a penalty begins `margin` (relative to `scale`) before it."""
+    """A metric that may not pass a value, or one for each row; a penalty begins `margin` (of `scale`) before it."""
 
     metric: str
-    value: float
-    scale: float
+    value: float | tuple[float, ...]
+    scale: float | tuple[float, ...]
     margin: float
     reason: str
 
@@ -86,7 +86,8 @@ class Objective:
         total, weights = 0.0, 0.0
         for term in self.terms:
             name = PREFIX + term.metric if smooth and PREFIX + term.metric in metrics else term.metric
-            ratio = metrics[name] / (term.baseline if name == term.metric else term.smooth_baseline)
+            baseline = term.baseline if name == term.metric else term.smooth_baseline
+            ratio = metrics[name] / _by_row(baseline)
             total += term.weight * (2 - ratio if term.metric in LARGER_IS_BETTER else ratio)
             weights += term.weight
         return total / weights
@@ -100,8 +101,13 @@ def _penalty(over: Array) -> Array:
 
 def violation(limit: Limit, value: Array) -> Array:
     """Return by how much a limit is passed, relative to its scale; negative inside."""
-    over = limit.value - value if limit.metric in LARGER_IS_BETTER else value - limit.value
-    return over / limit.scale
+    bound = _by_row(limit.value)
+    over = bound - value if limit.metric in LARGER_IS_BETTER else value - bound
+    return over / _by_row(limit.scale)
+
+
+def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:
+    return np.asarray(value) if isinstance(value, tuple) else value
 
 
 def objective(

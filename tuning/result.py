@@ -65,7 +65,7 @@ def from_history(scenario: mc.Scenario, search: Search, space, arrays: dict, *, 
     history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
     theta = np.asarray(arrays["theta"][best], float)
     gains = to_gains64(space, theta)
-    history.attrs["gains"] = json.dumps(dataset._gains_to_plain(gains))
+    history.attrs["gains"] = dataset._to_json(gains)
     return _of(history, scenario, search, gains, best)
 
 

@@ -125,7 +125,10 @@ def changed(search: Search | None, settings: Mapping) -> Search:
 def problem_of(scenario, search, function=None, numbers=None, engine=DEFAULT_ENGINE) -> Problem:
     """Return what the settings ask to search: space, objective relative to pd, and walks."""
     space = spaces.space(scenario, search)
-    target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine), function)
+    if hasattr(function, "score"):
+        target = function
+    else:
+        target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine), function)
     members = 1 if numbers is None else math.prod(batch_shape(mc.Gains(1.0, 1.0, 1.0), numbers))
     dtype = np.dtype(search.precision).type
     return Problem(scenario, space, target, numbers, members, dtype, engine)
@@ -204,6 +207,8 @@ def _identity(problem: Problem, search: Search, function) -> dict:
 
 
 def _source(function: Callable) -> str:
+    if hasattr(function, "score"):
+        return repr(function)
     try:
         return inspect.getsource(function)
     except (OSError, TypeError):

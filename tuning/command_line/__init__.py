@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import bench, reproduce, run, sweep, tune
+from tuning.command_line import bench, pareto, reproduce, run, schedule, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -27,6 +27,8 @@ app.command("run")(run.run)
 app.command("reproduce")(reproduce.reproduce)
 app.command("sweep")(sweep.sweep)
 app.command("tune")(tune.tune)
+app.command("pareto")(pareto.pareto)
+app.command("schedule")(schedule.schedule)
 app.command("bench")(bench.bench)
 
 

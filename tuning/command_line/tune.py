@@ -9,9 +9,12 @@ import typer
 
 from tuning.command_line import options
 from tuning.command_line.ending import InputError, Interrupted
+from tuning.command_line.robust import tune_robustly
 
 MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 SpaceName = Literal["isotropic", "split", "diagonal"]
+
+JUDGES = 128  # walks of each set of gains in the fresh draw
 
 
 def _pairs(metavar: str, text: str):
@@ -40,6 +43,12 @@ def tune(
     search: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML; options change them.")
     ] = None,
+    ensemble: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Tune for an ensemble of walks, YAML as configs/ensemble.yaml.")
+    ] = None,
+    members: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Walks of the ensemble.", show_default="the file's")
+    ] = None,
     controller: options.Controller = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
@@ -62,16 +71,22 @@ def tune(
     search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks). Finished
     rounds are kept: after Ctrl-C, which ends with the best so far, or worse, the same command goes on.
 
+    With --ensemble every set of gains walks through all members (pushes, cargo, slope, grip stiffness, robot mass drawn
+    from a seed), mean and worst count, the peak pulling force with them, and a fresh draw judges the result.
+
     \b
     Examples:
       mjx-climb tune configs/case_1_2.yaml
       mjx-climb tune configs/case_2.yaml --method gradient --space diagonal --limit base_deviation=0.015
       mjx-climb tune configs/case_1_1.yaml --method cmaes --space split --pin damping.rotation=50
+      mjx-climb tune configs/case_2.yaml --ensemble configs/ensemble.yaml --members 16
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
         from mjx_climb import dataset, plots
+        from tuning import ensemble as ensembles
         from tuning import gains_file, parts, pictures, verification
+        from tuning import robust as robust_search
         from tuning import search as settings
         from tuning import tune as tuning_tune
         from tuning.command_line import progress, report
@@ -81,16 +96,25 @@ def tune(
         if gains is not None:
             scenario = gains_file.applied(scenario, gains_file.load(gains))
         engine = options.engine_from(engine)
+        if members is not None and ensemble is None:
+            raise InputError("--members: expected --ensemble with it")
+        changed = {} if members is None else {"members": members}
+        drawn = None if ensemble is None else ensembles.load(ensemble, **changed)
         given = {
             "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains or None,
             "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
             "limits": _mapping("--limit", limit), "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
         }  # fmt: skip
+        if ensemble is not None and weight is None and search is None:
+            given["weights"] = robust_search.ROBUST_WEIGHTS
         own = settings.Search() if search is None else settings.load(search)
         wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "options")
-        out = out or Path("results") / f"{config.stem}-tune-{wanted.method}-{wanted.space}"
+        kind = "tune" if ensemble is None else "robust"
+        out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
         dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
         dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
+        if drawn is not None:
+            return tune_robustly(scenario, wanted, drawn, JUDGES, out, engine, _line, stdout, json=json)
 
         console = report.console(stderr=True)
         console.print(progress.cache_state(), soft_wrap=True)

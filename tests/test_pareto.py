@@ -1,0 +1,60 @@
+"""The Pareto front: what is on it, and a search that goes on after an interrupt with the same result."""
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb import dataset
+from mjx_climb.config import ConfigError
+from tuning import overviews, pareto
+from tuning.shipped import config_path
+
+
+@pytest.fixture
+def few(monkeypatch):
+    monkeypatch.setattr(pareto, "CANDIDATES", 6)
+    monkeypatch.setattr(pareto, "STAGES", 2)
+    monkeypatch.setattr(pareto, "ITERATIONS", 2)
+
+
+def test_nondominated():
+    x, y = np.array([3.0, 1.0, 2.0, 2.0, 4.0, 1.0]), np.array([1.0, 5.0, 3.0, 4.0, 1.0, 6.0])
+    assert pareto.nondominated(x, y).tolist() == [1, 2, 0]
+    assert pareto.nondominated(x, np.full(6, np.inf)).size == 0
+
+
+def test_knee_is_furthest_from_the_line_between_the_ends():
+    assert pareto.knee(np.array([0.0, 1.0, 5.0, 10.0]), np.array([10.0, 2.0, 1.0, 0.0])) == 1
+    assert pareto.knee(np.array([1.0]), np.array([1.0])) == 0
+
+
+def test_one_metric_twice_is_refused():
+    with pytest.raises(ConfigError, match="against"):
+        pareto.front(mc.Scenario(), better="travel", against="travel")
+
+
+def test_front_and_resume(few, tmp_path):
+    scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3", "disturbance.cargo.start=0.1"])
+    whole = pareto.front(scenario, points=3)
+    x, y = whole["base_deviation"].values, whole["force_variation"].values
+    assert (np.diff(x) > 0).all() and (np.diff(y) < 0).all()
+    for i in range(whole.sizes["front"]):  # nothing that was walked beats the front, up to the walks' precision
+        beaten = (whole["walked_base_deviation"] < 0.99 * x[i]) & (whole["walked_force_variation"] < 0.99 * y[i])
+        assert not (beaten & whole["held"].astype(bool)).any()
+    alone = mc.metrics(mc.rollout(scenario, pareto.gains_of(whole, 0)))
+    assert alone["force_variation"] == pytest.approx(y[0], rel=1e-6)
+
+    class Stop(Exception):
+        pass
+
+    def stop(done, total, phase):
+        if done == 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        pareto.front(scenario, points=3, out=tmp_path, progress=stop)
+    resumed = pareto.front(scenario, points=3, out=tmp_path)
+    for name in ("theta", "walked_force_variation", "force_variation", "stiffness"):
+        np.testing.assert_array_equal(resumed[name], whole[name])
+    dataset.save(whole, tmp_path / "front.nc")
+    assert overviews.plot_front(dataset.load(tmp_path / "front.nc")).axes

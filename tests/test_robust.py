@@ -1,0 +1,206 @@
+"""Ensembles: what is drawn, how mean and worst count, and that a draw that was not seen judges."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.config import ConfigError
+from mjx_climb.smooth_extremes import PREFIX
+from tuning import ensemble as ensembles
+from tuning import robust, search, tune
+from tuning.ensemble import Ensemble
+from tuning.shipped import config_path
+
+FAST = ["duration=0.3"]
+SHORT_PUSHES = {"start": (0.05, 0.1), "length": (0.05, 0.1)}
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return mc.load_scenario(config_path("case_2.yaml"), FAST)
+
+
+@pytest.fixture(scope="module")
+def ensemble():
+    return ensembles.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}})
+
+
+def test_the_shipped_ensemble_is_the_default_one():
+    assert ensembles.load(config_path("ensemble.yaml")) == Ensemble()
+
+
+def test_yaml_round_trip(tmp_path, ensemble):
+    (tmp_path / "e.yaml").write_text(ensemble.to_yaml())
+    assert ensembles.load(tmp_path / "e.yaml") == ensemble
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("cargo: {mass: [2, 1]}", "cargo: mass: expected low <= high"),
+        ("slope: 3", "slope"),
+        ("members: 0", "members"),
+        ("robot_mass: [0, 1]", "robot_mass"),
+        ("[1]", "expected a mapping"),
+    ],
+)
+def test_errors_name_file_and_key(tmp_path, text, where):
+    (tmp_path / "e.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=r"e\.yaml") as error:
+        ensembles.load(tmp_path / "e.yaml")
+    assert where in str(error.value)
+
+
+def test_a_seed_gives_one_draw_and_another_seed_another(scenario):
+    first, again, other = (ensembles.draw(scenario, Ensemble(members=5, seed=s)) for s in (1, 1, 2))
+    assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (first, again)), strict=True))
+    assert not np.array_equal(first.cargo_mass, other.cargo_mass)
+
+
+def test_draws_fill_their_ranges(scenario):
+    drawn = ensembles.draw(mc.load_scenario(config_path("case_1_1.yaml")), Ensemble(members=200))
+    assert drawn.gravity.shape == (200, 1, 3) and drawn.push_force.shape == (200, 1, 2, 3)
+    size = np.linalg.norm(drawn.gravity, axis=-1) / 9.81
+    slope = np.degrees(np.arccos(-drawn.gravity[..., 2] / (9.81 * size)))
+    force = np.linalg.norm(drawn.push_force, axis=-1)
+    for values, low, high in (
+        (drawn.cargo_mass, 0.0, 1.5), (size, 0.9, 1.1), (slope, 0.0, 10.0), (force, 1.0, 5.0),
+        (drawn.contact_stiffness / 1e4, 0.5, 2.0), (drawn.mass_scale, 0.9, 1.1), (drawn.push_start, 0.5, 7.0),
+        (drawn.push_stop - drawn.push_start, 0.2, 1.0),
+    ):  # fmt: skip
+        reach = high - low
+        assert low - 1e-9 <= values.min() < low + 0.02 * reach and high - 0.02 * reach < values.max() <= high + 1e-9
+    directions = (drawn.push_force / force[..., None]).reshape(-1, 3)
+    assert np.abs(directions.mean(0)).max() < 0.1 and np.abs((directions**2).mean(0) - 1 / 3).max() < 0.1
+
+
+def test_sections_that_are_null_leave_the_scenario(scenario):
+    drawn = ensembles.draw(scenario, Ensemble(members=3, pushes=None, cargo=None, gravity=None))
+    own = mc.parameters(scenario)
+    for name in ("push_force", "push_start", "cargo_mass", "gravity"):
+        np.testing.assert_allclose(getattr(drawn, name), getattr(own, name), rtol=1e-6)
+
+
+def test_mass_scale_is_a_robot_of_other_mass(scenario):
+    """With all forces, masses and inertias twice as large the motion is the same."""
+    numbers = jax.tree.map(np.asarray, mc.parameters(scenario.with_overrides({"gravity": [0, 0, -1.635]})))
+    twice = {n: 2 * getattr(numbers, n) for n in ("contact_stiffness", "contact_damping", "kp", "kd", "push_force")}
+    heavy = dataclasses.replace(numbers, mass_scale=np.asarray(2.0), **twice)
+    gains = mc.Gains(np.ones(6), np.full(6, 1e3), np.full(6, 1e4))
+    doubled = mc.Gains(2 * gains.inertia, 2 * gains.damping, 2 * gains.stiffness)
+    light, big = (mc.rollout_metrics(scenario, g, n, dtype=np.float64) for g, n in ((gains, numbers), (doubled, heavy)))
+    factors = {"peak_foot_force": 2, "force_variation": 2, "base_deviation": 1, "cost_of_transport": 1, "travel": 1}
+    for name, factor in factors.items():
+        assert big[name] == pytest.approx(factor * light[name], rel=1e-6), name
+    alone = mc.metrics(mc.rollout(scenario, doubled, heavy))
+    assert alone["cost_of_transport"] == pytest.approx(float(big["cost_of_transport"]), rel=1e-6)
+
+
+def test_worst_mean():
+    values = np.arange(20.0)[::-1]
+    assert ensembles.worst_mean(values, 0.05) == 19.0
+    assert ensembles.worst_mean(values, 0.2) == 17.5
+    assert ensembles.worst_mean(values, 0.1, larger_is_better=True) == 0.5
+    assert ensembles.worst_mean(values, 1.0) == values.mean()
+
+
+def test_pd_scores_one(scenario, ensemble):
+    numbers = ensembles.draw(scenario, ensemble)
+    pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
+    settings = search.make({"weights": robust.ROBUST_WEIGHTS})
+    goal = robust.objective(scenario, settings, ensemble, pd)
+    score = goal.score({name: value[:, None] for name, value in pd.items()})
+    assert float(score.value[0]) == pytest.approx(1.0, rel=1e-5)
+    smooth = float(score.descent[0] - score.penalty[0])
+    assert smooth == pytest.approx(1.0, rel=1e-5)
+    # halved in one of four members: the mean falls, the worst fifth (one member) does not
+    better = {name: value.copy() for name, value in pd.items()}
+    least = int(np.argmin(pd["force_variation"]))
+    better["force_variation"][least] *= 0.5
+    one = dataclasses.replace(goal, terms=tuple(t for t in goal.terms if t.metric == "force_variation"))
+    value = one.score({name: v[:, None] for name, v in better.items()}).value[0]
+    variation = pd["force_variation"]
+    assert float(value) == pytest.approx(1 - 0.5 * 0.5 * variation[least] / variation.sum(), rel=1e-5)
+
+
+def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
+    numbers = ensembles.draw(scenario, ensemble)
+    pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
+    goal = robust.objective(scenario, search.make({"no_worse_than_pd": False}), ensemble, pd)
+    rows = {name: np.stack([value, value], axis=1) for name, value in pd.items()}
+    rows["peak_pull_force"][2, 1] = 16.0
+    score = goal.score(rows)
+    assert score.feasible.tolist() == [True, False]
+    assert float(score.penalty[1]) > float(score.penalty[0])
+
+
+def test_search_and_judgement(scenario, ensemble):
+    found = robust.search(scenario, ensemble, method="cmaes", starts=4, iterations=2)
+    assert found.history.sizes["point"] == 8
+    assert found.env_steps == 8 * ensemble.members * scenario.steps
+    paper = mc.Gains(1.0, 5e3, 2e4)
+    judged = robust.judge(scenario, {"robust": found.gains, "config": paper}, ensemble, members=6)
+    assert judged["force_variation"].dims == ("gains", "member")
+    assert judged["gains"].values.tolist() == ["robust", "config", "pd"]
+    unseen = dataclasses.replace(jax.tree.map(np.asarray, mc.parameters(scenario)))
+    assert unseen.gravity.shape == (3,)
+    drawn = ensembles.draw(scenario, ensemble.model_copy(update={"members": 6, "seed": robust.FRESH_SEED}))
+    alone = jax.tree.map(lambda v, own: v[3, 0] if v.ndim > own.ndim else v, drawn, unseen)
+    metrics = mc.rollout_metrics(scenario, paper, alone)
+    assert judged["force_variation"].sel(gains="config", member=3).item() == pytest.approx(
+        metrics["force_variation"].item(), rel=1e-3
+    )
+    summed = robust.summary(judged)
+    assert summed["force_variation"].dims == ("statistic", "gains")
+    variation = judged["force_variation"].sel(gains="pd").values
+    assert summed["force_variation"].sel(gains="pd", statistic="worst").item() == pytest.approx(variation.max())
+    assert summed["failed"].values.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_slopes_of_the_robust_objective(scenario, ensemble):
+    """Forward derivatives through all members and the worst of them agree with central differences."""
+    settings = search.make({"weights": {"force_variation": 1.0, "peak_pull_force": 1.0}, "precision": "float64"})
+    numbers = ensembles.draw(scenario, ensemble)
+    pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
+    assert PREFIX + "peak_pull_force" in pd
+    goal = robust.objective(scenario, settings, ensemble, pd)
+    problem = tune.problem_of(scenario, settings, goal, numbers)
+    theta = np.log([[1e3, 2e4]])
+    step = 1e-4
+    around = np.concatenate([theta, *(theta + sign * step * np.eye(2) for sign in (1, -1))])
+    found = problem.evaluate(np.tile(theta, (5, 1)), np.eye(2))
+    values = problem.evaluate(around).descent
+    np.testing.assert_allclose(found.gradient[0], (values[1:3] - values[3:5]) / (2 * step), rtol=1e-3, atol=1e-7)
+
+
+def test_walks_that_fail_are_counted():
+    names = [n for n in mc.METRICS if n not in ("detached_limb", "diverged")]
+    data = {n: (("gains", "member"), np.array([[1.0, 2.0, 16.0], [4.0, 5.0, np.nan]])) for n in names}
+    data["diverged"] = (("gains", "member"), np.array([[False] * 3, [False, False, True]]))
+    judged = xr.Dataset(data, {"gains": ["robust", "pd"]}, {"holding_limit": 15.0})
+    summed = robust.summary(judged)
+    assert summed["failed"].values.tolist() == pytest.approx([1 / 3, 1 / 3])
+    assert summed["peak_pull_force"].sel(statistic="mean").values.tolist() == [
+        1.5,
+        4.5,
+    ]  # without the one that diverged
+    assert summed["peak_pull_force"].sel(statistic="worst").values.tolist() == [2.0, 5.0]
+    assert summed["travel"].sel(statistic="worst").values.tolist() == [1.0, 4.0]  # the least of it
+    assert summed.attrs["members_compared"] == 2
+
+
+@pytest.mark.slow
+def test_robust_gains_beat_the_papers_on_a_draw_that_was_not_seen():
+    scenario = mc.load_scenario(config_path("case_1_2.yaml"))
+    ensemble = ensembles.load(config_path("ensemble.yaml"))
+    found = robust.search(scenario, ensemble, method="gradient", starts=3, iterations=10)
+    paper = mc.Gains(1.0, 5e3, 5e4)
+    summed = robust.summary(robust.judge(scenario, {"robust": found.gains, "paper": paper}, ensemble))
+    for metric, mean, worst in (("force_variation", 0.55, 0.55), ("peak_pull_force", 0.85, 0.95)):
+        ratio = (summed[metric].sel(gains="robust") / summed[metric].sel(gains="paper")).values
+        assert ratio[0] < mean and ratio[1] < worst, (metric, ratio)
+    assert summed["failed"].sel(gains="robust") == 0

@@ -1,0 +1,89 @@
+"""The gain schedule: each operating point is its own, and between them the gains go from one to the other."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+import yaml
+
+import mjx_climb as mc
+from mjx_climb import dataset
+from mjx_climb.config import ConfigError
+from tuning import overviews, schedule
+from tuning.shipped import config_path
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3", "disturbance.cargo.start=0.1"])
+
+
+@pytest.fixture(scope="module")
+def table(scenario):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schedule, "CANDIDATES", 3)
+        patch.setattr(schedule, "ITERATIONS", (1, 1))
+        return schedule.schedule(scenario, gravity=(1e-2, 1.0), cargo=(0.0, 1.0), no_worse_than_pd=False)
+
+
+def test_metrics_are_those_of_the_operating_point(scenario, table):
+    point = table.isel(gravity=1, cargo=1)
+    there = scenario.with_overrides({"gravity": [0, 0, -9.81], "disturbance.cargo.mass": 1.0})
+    gains = mc.Gains(*(point[name].values for name in ("inertia", "damping", "stiffness")))
+    for walk, alone in (
+        ("tuned", mc.rollout(there, gains)),
+        ("config", mc.rollout(there)),
+        ("pd", mc.rollout(there.with_overrides({"control.controller": "pd"}))),
+    ):
+        metrics = mc.metrics(alone)
+        for name in ("force_variation", "peak_foot_force", "base_deviation"):
+            assert point[name].sel(walk=walk).item() == pytest.approx(metrics[name], rel=1e-6), (walk, name)
+
+
+def test_no_operating_point_would_rather_have_the_gains_of_another(table):
+    own = table["value"].values
+    others = np.nanmin(table["transfer"].values, axis=(2, 3))
+    assert table["feasible"].values.all()
+    assert (own <= others + 1e-6).all()
+
+
+def test_one_for_all(table):
+    loss = table["transfer"].values - table["value"].values[:, :, None, None]
+    gravity, cargo, worst = schedule.one_for_all(table)
+    chosen = table["transfer"].sel(gravity_of=gravity, cargo_of=cargo).values - table["value"].values
+    if np.isfinite(worst):
+        assert worst == pytest.approx(chosen.max()) == pytest.approx(np.nanmin(np.max(loss, axis=(0, 1))))
+
+
+def test_value_is_relative_to_pd_there(table):
+    terms = ("force_variation", "peak_foot_force", "cost_of_transport")
+    tuned, pd = (np.mean([table[t].sel(walk="tuned") / table[t].sel(walk="pd") for t in terms], axis=0), 1.0)
+    np.testing.assert_allclose(table["value"].values, tuned / pd, rtol=2e-3)
+
+
+def test_lookup(table):
+    for g, level in enumerate(table["gravity"].values):
+        at = schedule.lookup(table, level, 1.0)
+        np.testing.assert_allclose(at.stiffness, table["stiffness"].values[g, 1], rtol=1e-9)
+    ends = table["damping"].values[:, 0]
+    np.testing.assert_allclose(schedule.lookup(table, 0.1, 0.0).damping, np.sqrt(ends[0] * ends[1]), rtol=1e-9)
+    np.testing.assert_allclose(schedule.lookup(table, 50.0, 0.0).damping, ends[1], rtol=1e-9)
+
+
+def test_tables(table, tmp_path):
+    lines = list(csv.DictReader(io.StringIO(schedule.to_csv(table))))
+    assert [(float(row["gravity_G"]), float(row["cargo_kg"])) for row in lines] == [
+        (0.01, 0.0), (0.01, 1.0), (1.0, 0.0), (1.0, 1.0),
+    ]  # fmt: skip
+    assert float(lines[3]["stiffness_rz"]) == pytest.approx(table["stiffness"].values[1, 1, 5], rel=1e-5)
+    read = yaml.safe_load(schedule.to_yaml(table))["operating_points"]
+    assert read[0]["force_variation"].keys() == {"tuned", "config", "pd"}
+    dataset.save(table, tmp_path / "schedule.nc")
+    assert overviews.plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes
+
+
+@pytest.mark.parametrize("bad", [{"gravity": (1.0, 0.1)}, {"gravity": (0.0, 1.0)}, {"cargo": ()}, {"cargo": (-1.0,)}])
+def test_operating_points_out_of_order_are_refused(scenario, bad):
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        schedule.schedule(scenario, **bad)

@@ -1,0 +1,119 @@
+"""`mjx-climb pareto`: what one metric costs in terms of another."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tuning.command_line import options
+from tuning.command_line.ending import Interrupted
+from tuning.command_line.tune import SpaceName
+
+ROWS = 20
+
+
+def pareto(
+    config: options.Config,
+    better: Annotated[str, typer.Option(metavar="METRIC", help="Metric to better.")] = "force_variation",
+    against: Annotated[str, typer.Option(metavar="METRIC", help="Metric that it is traded against.")] = (
+        "base_deviation"
+    ),
+    points: Annotated[int, typer.Option(min=2, max=200, metavar="N", help="Limits along the front.")] = 12,
+    space: Annotated[
+        SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
+    ] = None,
+    search: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML: bounds, pins, limits, seed.")
+    ] = None,
+    controller: options.Controller = None,
+    changes: options.Set = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-pareto")
+    ] = None,
+    json: options.Json = False,
+    engine: options.Engine = None,
+) -> None:
+    """Search the Pareto front of two metrics, by gradients under a row of limits, all in one batch.
+
+    Prints the front and its knee, the point furthest from the line between the front's ends, and writes to DIR the
+    front with its gains and everything that was walked (front.nc), a picture (front.png, .svg) and the gains at the
+    knee (gains.yaml). Finished rounds are kept: after Ctrl-C the same command goes on.
+
+    \b
+    Examples:
+      mjx-climb pareto configs/case_1_2.yaml
+      mjx-climb pareto configs/case_2.yaml --against cost_of_transport --space split
+    """
+    with options.reserved_stdout() as stdout:
+        from mjx_climb import dataset, plots
+        from tuning import gains_file, overviews, parts
+        from tuning import pareto as fronts
+        from tuning import search as settings
+        from tuning.command_line import progress, report
+
+        begin, kept = time.perf_counter(), 0
+        scenario = options.scenario_from(config, controller, changes)
+        engine = options.engine_from(engine)
+        own = settings.Search() if search is None else settings.load(search)
+        wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
+        settings.make({"weights": {better: 1.0}, "limits": {against: 1.0}}, "options")  # known metrics
+        out = out or Path("results") / f"{config.stem}-pareto"
+        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        console = report.console(stderr=True)
+        meter = progress.Meter(console)
+
+        def told(done: int, total: int, phase: str) -> None:
+            nonlocal kept
+            kept = done
+            show(done, total, f"{phase} {done}/{total}")
+
+        try:
+            with meter.stage("front", unit="rounds") as show:
+                how = {"better": better, "against": against, "points": points}
+                front = fronts.front(scenario, wanted, **how, engine=engine, out=out, progress=told)
+            chosen = fronts.knee(front[against].values, front[better].values)
+            dataset.save(front, out / "front.nc")
+            comment = f"mjx-climb pareto {config.name}: {better} against {against}, the knee of the front"
+            gains_file.save(fronts.gains_of(front, chosen), out / "gains.yaml", comment)
+            plots.save_figure(overviews.plot_front(front), out / "front")
+            parts.clear(out)
+        except KeyboardInterrupt:
+            raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
+
+        tables = console if json else report.console(file=stdout)
+        tables.print(front_table(front, chosen))
+        seconds = progress.duration(time.perf_counter() - begin)
+        console.print(
+            f"written to {out} in {seconds}: front.nc, front.png, front.svg, gains.yaml, config.yaml", soft_wrap=True
+        )
+        if json:
+            names = (against, better, "stiffness", "damping", "inertia")
+            rows = [{n: front[n].values[i] for n in names} for i in range(front.sizes["front"])]
+            reference = {
+                name: {n: front[f"reference_{n}"].sel(reference=name).item() for n in (against, better)}
+                for name in ("config", "pd")
+            }
+            print(report.to_json({"front": rows, "knee": chosen, **reference}), file=stdout)
+
+
+def front_table(front, chosen: int):
+    """Return the table of a front, some twenty points of it, with the config's gains and pd below."""
+    import numpy as np
+
+    from tuning.command_line.report import _table, gain, number, unit
+
+    better, against = front.attrs["better"], front.attrs["against"]
+    table = _table("", *(f"{name} {unit(name)}".strip() for name in (against, better)), "stiffness", "damping")
+    count = front.sizes["front"]
+    shown = sorted({*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), chosen})
+    for i in shown:
+        gains = {name: front[name].values[i] for name in ("stiffness", "damping")}
+        table.add_row(
+            "knee" if i == chosen else "", *(number(front[n].values[i]) for n in (against, better)),
+            *(gain(gains, name) for name in gains), end_section=i == count - 1,
+        )  # fmt: skip
+    for name in ("config", "pd"):
+        row = [number(front[f"reference_{n}"].sel(reference=name).item()) for n in (against, better)]
+        table.add_row(name, *row, "", "")
+    return table

@@ -1,0 +1,111 @@
+"""`mjx-climb tune --ensemble`: a search over an ensemble of walks, judged on a fresh draw."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tuning.command_line.ending import Interrupted
+
+if TYPE_CHECKING:
+    import mjx_climb as mc
+    from tuning.ensemble import Ensemble
+    from tuning.search import Search
+
+SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
+         "base_deviation", "joint_limit_margin")  # fmt: skip
+
+
+def tune_robustly(
+    scenario: "mc.Scenario", wanted: "Search", ensemble: "Ensemble", judges: int, out: Path, engine: str,
+    line: Callable, stdout, *, json: bool,
+) -> None:  # fmt: skip
+    """Search, judge the result beside the config's gains and pd, and write both."""
+    from mjx_climb import dataset, plots
+    from mjx_climb.parameters import gains as gains_of
+    from tuning import gains_file, overviews, parts, pictures, robust
+    from tuning.command_line import progress, report
+
+    begin, kept = time.perf_counter(), 0
+    dataset.write_text_atomically(out / "ensemble.yaml", ensemble.to_yaml())
+    console = report.console(stderr=True)
+    console.print(progress.cache_state(), soft_wrap=True)
+    meter = progress.Meter(console)
+
+    def round_done(now) -> None:
+        nonlocal kept
+        kept = now.rounds
+        show(now.rounds, now.rounds_in_all, line(now))
+
+    try:
+        with meter.stage("search", unit="rounds") as show:
+            found = robust.search(scenario, ensemble, wanted, engine=engine, out=out, progress=round_done)
+        comment = f"{wanted.method}, {wanted.space}, {ensemble.members} members, objective {found.value:.4f} (pd: 1)"
+        gains_file.save(found.gains, out / "gains.yaml", f"mjx-climb tune --ensemble: {comment}")
+        found.save(out / "search.nc")
+        if found.interrupted:
+            raise Interrupted(
+                f"the best of {kept} rounds is in {out}: objective {found.value:.4f}, gains.yaml; "
+                "the same command goes on from there"
+            )
+        with meter.stage("fresh draw") as told:
+            rivals = {"robust": found.gains, "config": gains_of(scenario)}
+            judged = robust.judge(scenario, rivals, ensemble, members=judges, engine=engine, progress=told)
+        summed = robust.summary(judged)
+        dataset.save(judged, out / "judged.nc")
+        text = report.to_json(_plain(summed, found))
+        dataset.write_text_atomically(out / "summary.json", text + "\n")
+        with meter.stage("drawing", compiles=False):
+            plots.save_figure(pictures.plot_convergence(found), out / "convergence")
+            plots.save_figure(overviews.plot_judged(judged), out / "judged")
+        parts.clear(out)
+    except KeyboardInterrupt:
+        raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
+
+    tables = console if json else report.console(file=stdout)
+    tables.print(robust_table(summed))
+    names = summed["gains"].values.tolist()
+    failed = ", ".join(f"{name} {share:.0%}" for name, share in zip(names, summed["failed"].values, strict=True))
+    tables.print(
+        f"{judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}",
+        soft_wrap=True,
+    )
+    if not found.feasible:
+        tables.print("warning: no gains kept every limit in every member of the search")
+    console.print(
+        f"written to {out} in {progress.duration(time.perf_counter() - begin)}: gains.yaml, search.nc, judged.nc, "
+        "summary.json, convergence and judged (.png and .svg), config.yaml, search.yaml, ensemble.yaml",
+        soft_wrap=True,
+    )
+    if json:
+        print(text, file=stdout)
+
+
+def robust_table(summed):
+    """Return mean and worst of the main metrics, each with its change against the config's gains."""
+    from tuning.command_line.report import _table, change, number, unit
+
+    names = summed["gains"].values.tolist()
+    table = _table("metric", "unit", "", *(t for n in names for t in ([n, "vs config %"] if n == names[0] else [n])))
+    table.columns[2].header = "of the members"
+    for metric in SHOWN:
+        for statistic, label in (("mean", "mean"), ("worst", f"worst {summed.attrs['worst_share']:.0%}")):
+            values = {n: float(summed[metric].sel(gains=n, statistic=statistic)) for n in names}
+            cells = [number(v) for v in values.values()]
+            cells.insert(1, change(values[names[0]], values["config"]))
+            table.add_row(metric, unit(metric), label, *cells, end_section=statistic == "worst")
+    return table
+
+
+def _plain(summed, found) -> dict:
+    names = summed["gains"].values.tolist()
+    result = {
+        name: {
+            "failed": float(summed["failed"].sel(gains=name)),
+            **{s: {m: float(summed[m].sel(gains=name, statistic=s)) for m in SHOWN} for s in ("mean", "worst")},
+        }
+        for name in names
+    }
+    gains = {name: value for name, value in vars(found.gains).items() if value is not None}
+    search = {"objective": found.value, "feasible": found.feasible, "env_steps": found.env_steps, "gains": gains}
+    return {**result, "search": search}

@@ -1,0 +1,124 @@
+"""`mjx-climb schedule`: which gains to load when."""
+
+import itertools
+import time
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tuning.command_line import options
+from tuning.command_line.ending import InputError, Interrupted
+from tuning.command_line.tune import SpaceName
+
+
+def schedule(
+    config: options.Config,
+    gravity: Annotated[
+        str | None, typer.Option(metavar="G,G,..", help="Gravities, G.", show_default="1e-6,1e-2,1/6,0.38,1")
+    ] = None,
+    cargo: Annotated[str | None, typer.Option(metavar="KG,..", help="Cargo, kg.", show_default="0,0.5,1")] = None,
+    space: Annotated[
+        SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
+    ] = None,
+    search: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML: weights, limits, bounds, seed.")
+    ] = None,
+    controller: options.Controller = None,
+    changes: options.Set = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-schedule"),
+    ] = None,
+    json: options.Json = False,
+    engine: options.Engine = None,
+) -> None:
+    """Tune gains for every pair of gravity and cargo, all side by side in one batch.
+
+    The config's gravity gives the direction, its cargo the time of loading. Prints the gains and what they change
+    against pd, and writes to DIR the table (schedule.csv, schedule.yaml), all metrics and what the gains of one
+    operating point are worth at another (schedule.nc), and a picture (schedule.png, .svg). Finished rounds are kept:
+    after Ctrl-C the same command goes on.
+
+    \b
+    Examples:
+      mjx-climb schedule configs/case_1_2.yaml
+      mjx-climb schedule configs/case_2.yaml --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
+    """
+    with options.reserved_stdout() as stdout:
+        from mjx_climb import dataset, plots
+        from tuning import overviews, parts
+        from tuning import schedule as schedules
+        from tuning import search as settings
+        from tuning.command_line import progress, report
+
+        begin, kept = time.perf_counter(), 0
+        scenario = options.scenario_from(config, controller, changes)
+        engine = options.engine_from(engine)
+        own = settings.Search() if search is None else settings.load(search)
+        wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
+        levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity)
+        loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo)
+        out = out or Path("results") / f"{config.stem}-schedule"
+        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        console = report.console(stderr=True)
+        meter = progress.Meter(console)
+
+        def told(done: int, total: int, phase: str) -> None:
+            nonlocal kept
+            kept = done
+            show(done, total, f"{phase} {done}/{total}")
+
+        try:
+            with meter.stage("schedule", unit="rounds") as show:
+                how = {"gravity": levels, "cargo": loads, "engine": engine, "out": out, "progress": told}
+                table = schedules.schedule(scenario, wanted, **how)
+            dataset.save(table, out / "schedule.nc")
+            dataset.write_text_atomically(out / "schedule.csv", schedules.to_csv(table))
+            dataset.write_text_atomically(out / "schedule.yaml", schedules.to_yaml(table))
+            plots.save_figure(overviews.plot_schedule(table), out / "schedule")
+            parts.clear(out)
+        except KeyboardInterrupt:
+            raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
+
+        tables = console if json else report.console(file=stdout)
+        tables.print(schedule_table(schedules.rows(table)))
+        level, load, loss = schedules.one_for_all(table)
+        if loss < float("inf"):
+            tables.print(
+                f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
+            )
+        else:
+            tables.print("one for all: every set of gains breaks a limit at some other operating point")
+        seconds = progress.duration(time.perf_counter() - begin)
+        console.print(
+            f"written to {out} in {seconds}: schedule.csv, schedule.yaml, schedule.nc, schedule.png, schedule.svg, "
+            "config.yaml",
+            soft_wrap=True,
+        )
+        if json:
+            print(report.to_json(schedules.rows(table)), file=stdout)
+
+
+def schedule_table(rows):
+    """Return the table of a schedule: gains, and force variation against pd."""
+    from tuning.command_line.report import _table, change, gain, number
+
+    table = _table("gravity G", "cargo kg", "stiffness", "damping", "force variation N", "vs config %", "vs pd %", "")
+    for row in rows:
+        tuned, config, pd = (row["force_variation"][walk] for walk in ("tuned", "config", "pd"))
+        cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", gain(row, "stiffness"), gain(row, "damping")]
+        verdict = "" if row["feasible"] else "breaks limits"
+        table.add_row(*cells, number(tuned), change(tuned, config), change(tuned, pd), verdict)
+    return table
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        values = [float(Fraction(part.strip())) for part in text.split(",")]
+    except (ValueError, ZeroDivisionError):
+        raise InputError(f"{option}: expected numbers with commas between them, got {text!r}") from None
+    if any(not low < high for low, high in itertools.pairwise(values)):
+        raise InputError(f"{option}: expected ascending numbers, got {text!r}")
+    return values

@@ -1,0 +1,58 @@
+"""Batches of points judged one after the other outside of `tuning.tune.tune`: kept on disk, counted, reported."""
+
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning import tune
+from tuning.evaluation import Evaluation, Problem
+from tuning.methods.task import Request
+from tuning.parts import Parts
+
+Told = Callable[[int, int, str], None]  # rounds done, rounds in all, phase
+
+
+class Round(NamedTuple):
+    """What was judged in one batch."""
+
+    theta: np.ndarray  # (B, n)
+    found: Evaluation
+
+
+class Rounds:
+    """Judges batches; with a folder, those that it holds from an interrupted run of the same thing are not walked."""
+
+    def __init__(
+        self, in_all: int, progress: Told | None = None, out: Path | None = None, identity: dict | None = None
+    ):
+        self.done, self.in_all, self.env_steps = 0, in_all, 0
+        self._progress, self._out = progress, out
+        self._kept = None if out is None else Parts(out, identity or {})
+
+    def evaluate(self, problem: Problem, theta: np.ndarray, phase: str, directions=None) -> Evaluation:
+        """Return what some points are worth."""
+        stored = None if self._kept is None else self._kept.load(self.done)
+        found = None if stored is None else tune._restored(stored, theta, self._out)
+        if found is None:
+            found = problem.evaluate(theta, directions)
+            if self._kept is not None:
+                self._kept.save(self.done, tune._stored(found, theta))
+        self.done += 1
+        self.env_steps += problem.env_steps(len(theta), 0 if directions is None else len(directions))
+        if self._progress is not None:
+            self._progress(self.done, self.in_all, phase)
+        return found
+
+    def descend(self, problem: Problem, points: Generator) -> list[Round]:
+        """Follow a descent (see `tuning.methods.gradient.descend`) to its end and return all that it visited."""
+        visited = []
+        try:
+            request: Request = next(points)
+            while True:
+                found = self.evaluate(problem, request.theta, request.phase, request.directions)
+                visited.append(Round(request.theta, found))
+                request = points.send(found)
+        except StopIteration:
+            return visited
