@@ -1,6 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
-PYTEST := $(BIN)/python -m pytest
+# two files of tests at a time: most of the time goes into compiling
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
 .PHONY: sweep test test-slow lint clean .venv
 
