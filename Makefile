@@ -1,7 +1,6 @@
 PYTHON ?= python3
 BIN := .venv/bin
-# two files of tests at a time: most of the time goes into compiling
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
+PYTEST := $(BIN)/python -m pytest
 
 .PHONY: sweep test test-slow lint clean .venv
 
@@ -10,8 +9,9 @@ sweep: .venv/.installed
 	$(BIN)/mjx-climb sweep configs/case_1_2.yaml --stiffness 1e2:1e6:12 --damping 1e0:1e5:12 --out results/case_1_2
 
 test: .venv/.installed-test
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -n 2 --dist loadfile -m "not slow"
 
+# One at a time: some of them compare speeds.
 test-slow: .venv/.installed-test
 	$(PYTEST) -m slow
 
