@@ -29,7 +29,7 @@ def test_quick_bench_prints_every_figure_and_sane_ratios():
     command = [sys.executable, "-m", "tuning.command_line", "bench", "--quick", "--json", "--batch", "256"]
     output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     result = json.loads(output)
-    left_out = {"gradient_cost_12", "step_exponent"}
+    left_out = {"gradient_cost_12", "batch_exponent", "step_exponent"}
     assert {name for name, *_ in bench.ROWS} <= result.keys()
     assert left_out == {name for name, value in result.items() if value is None}
     assert result["vs_mjx"] > 1.5
@@ -37,6 +37,5 @@ def test_quick_bench_prints_every_figure_and_sane_ratios():
     assert result["vs_mujoco_batch"] > 0.5
     assert result["vs_numpy_loop_single"] > 1
     assert 1 < result["gradient_cost_2"] < 10
-    assert 0.3 < result["batch_exponent"] < 1.5
     # nothing is worked out twice: XLA's count has selections and comparisons besides
     assert np.isclose(result["flops_per_env_step"], operations.BY_HAND, rtol=0.15)

@@ -22,7 +22,7 @@ class Plan:
     rounds: int
     steps: int  # of the closed loop in a round
     tangents: tuple[int, ...]  # of the gradients
-    batches: tuple[int, ...]  # for growth with the batch
+    batches: tuple[int, ...]  # for growth with the batch; none: left out
     lengths: tuple[int, ...]  # steps, for growth with time; none: left out
 
     @staticmethod
@@ -33,7 +33,7 @@ class Plan:
     @staticmethod
     def quick(batch: int) -> "Plan":
         """Return a plan for a first look, which spares what takes long to compile: those figures are None."""
-        return Plan(3, 100, (2,), (batch // 4, batch), ())
+        return Plan(3, 100, (2,), (), ())
 
 
 def threads() -> int:
