@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import bench, pareto, reproduce, run, schedule, sweep, tune
+from tuning.command_line import bench, export, pareto, reproduce, run, schedule, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -29,6 +29,7 @@ app.command("sweep")(sweep.sweep)
 app.command("tune")(tune.tune)
 app.command("pareto")(pareto.pareto)
 app.command("schedule")(schedule.schedule)
+app.command("export")(export.export)
 app.command("bench")(bench.bench)
 
 

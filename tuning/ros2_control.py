@@ -1,0 +1,132 @@
+"""Gains for the `admittance_controller` of ros2_control: its parameters, and whether its integration is stable.
+
+That controller integrates Eq. 3 with explicit damping, one semi-implicit Euler step a period h (ros2_controllers,
+admittance_rule_impl.hpp): `v += h (f - D v - K x) / M`, then `x += h v`, with `D = damping_ratio 2 sqrt(M K)`. Here
+Eq. 3 is integrated exactly and is stable for any positive gains; there it is stable below a limit of h alone.
+"""
+
+import math
+
+import numpy as np
+import yaml
+
+import mjx_climb as mc
+from mjx_climb.config import ConfigError
+from mjx_climb.dataset import SIX
+
+MASS_BOUNDS = (1e-4, 1e6)  # what the controller takes, kg and kg m^2
+MAX_STIFFNESS = 1e8  # N/m, N m/rad
+MAX_RATE = 1_000_000  # Hz, beyond any robot
+_ROOM = 1.05  # a suggestion lies so far inside the limit
+
+_HEADER = """\
+Parameters of the ros2_control admittance_controller, written by mjx-climb export.
+Stable at update rates of {lowest} Hz and above; the largest discrete pole at {rate} Hz is {pole:.6g}.
+The controller yields along the wrench that it is given: give it -w, w the foot forces summed at the base.
+joint_damping 0 and filter_coefficient 1 leave Eq. 3 as it is. Leave a sensor_filter_chain empty."""
+
+
+def six(gains: mc.Gains) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return inertia, damping and stiffness of one set of gains, each (6,)."""
+    return tuple(np.broadcast_to(np.asarray(getattr(gains, name), float), 6) for name in mc.Gains.AXES)
+
+
+def poles(gains: mc.Gains, rate: float) -> np.ndarray:
+    """Return the two discrete poles of each axis, (6, 2) complex, at an update rate in Hz."""
+    inertia, damping, stiffness = six(gains)
+    h = 1 / rate
+    d, k = h * damping / inertia, h * h * stiffness / inertia
+    # z^2 - (2 - d - k) z + (1 - d) in s = 1 - z: s^2 - (d + k) s + k, whose small root loses no digits so
+    root = np.sqrt(((d + k) ** 2 - 4 * k).astype(complex))
+    large = (d + k + root) / 2
+    return 1 - np.stack([k / large, large], axis=-1)
+
+
+def stable(gains: mc.Gains, rate: float) -> np.ndarray:
+    """Return for each axis (6,) whether both poles lie inside the unit circle: `h^2 K / M + 2 h D / M < 4` (Jury)."""
+    inertia, damping, stiffness = six(gains)
+    return (stiffness / rate + 2 * damping) / (rate * inertia) < 4
+
+
+def lowest_rate(gains: mc.Gains) -> np.ndarray:
+    """Return for each axis (6,) the update rate in Hz above which it is stable."""
+    inertia, damping, stiffness = six(gains)
+    d, k = damping / inertia, stiffness / inertia
+    return (d + np.sqrt(d * d + 4 * k)) / 4
+
+
+def smallest_inertia(gains: mc.Gains, rate: float) -> np.ndarray:
+    """Return for each axis (6,) the virtual inertia above which it is stable at a rate, damping and stiffness kept."""
+    _, damping, stiffness = six(gains)
+    return (stiffness / rate + 2 * damping) / (4 * rate)
+
+
+def check(gains: mc.Gains, rate: float, source: str) -> None:
+    """Refuse gains that the controller cannot take or that grow in it.
+
+    Raises:
+        ConfigError: in one line, the axis, and the update rate or virtual inertia that would do.
+    """
+    inertia, _, stiffness = six(gains)
+    low, high = MASS_BOUNDS
+    for name, values, bounds in (("inertia", inertia, MASS_BOUNDS), ("stiffness", stiffness, (0, MAX_STIFFNESS))):
+        for axis, value in zip(SIX, values, strict=True):
+            if not bounds[0] <= value <= bounds[1]:
+                raise ConfigError(
+                    f"{source}: {name}: expected {bounds[0]:g} to {bounds[1]:g}, which admittance_controller takes, "
+                    f"got {value:g} ({axis})"
+                )
+    holds = stable(gains, rate)
+    if holds.all():
+        return
+    worst = int(np.argmax(np.where(holds, 0, np.abs(poles(gains, rate)).max(1))))
+    pole = poles(gains, rate)[worst]
+    largest = pole[np.argmax(np.abs(pole))]
+    cures = []
+    if (faster := _rounded_up(_ROOM * lowest_rate(gains).max())) <= MAX_RATE:
+        cures.append(f"--update-rate {faster:.0f}")
+    if low <= (heavier := _rounded_up(_ROOM * smallest_inertia(gains, rate)[~holds].max())) <= high:
+        axes = "" if not holds.any() else f" ({', '.join(np.array(SIX)[~holds])})"
+        cures.append(f"a virtual inertia of {heavier:g}{axes}")
+    cure = f"{' or '.join(cures)} would do" if cures else "no update rate or virtual inertia within bounds would do"
+    raise ConfigError(
+        f"{source}: expected gains that are stable in admittance_controller at {rate:g} Hz, "
+        f"got a discrete pole of magnitude {abs(largest):.4g} ({SIX[worst]}): {cure}"
+    )
+
+
+def write(gains: mc.Gains, rate: int, name: str = "admittance_controller") -> str:
+    """Return the parameter file of a controller called `name` that updates at `rate` Hz."""
+    inertia, damping, stiffness = six(gains)
+    parameters = {
+        "update_rate": rate,
+        "ft_sensor": {"filter_coefficient": 1.0},
+        "admittance": {
+            "selected_axes": [True] * 6,
+            "mass": inertia.tolist(),
+            "damping_ratio": (damping / (2 * np.sqrt(inertia * stiffness))).tolist(),
+            "stiffness": stiffness.tolist(),
+            "joint_damping": 0.0,
+        },
+    }
+    lowest = math.ceil(lowest_rate(gains).max())
+    header = _HEADER.format(lowest=lowest, rate=rate, pole=np.abs(poles(gains, rate)).max())
+    joint = {key: float(value) for key in ("kp", "kd") if (value := getattr(gains, key)) is not None}
+    if joint:
+        header += "\nThe joint loop is the hardware's: " + ", ".join(f"{key} {value:g}" for key, value in joint.items())
+    comments = "".join(f"# {line}\n" for line in header.splitlines())
+    return comments + yaml.safe_dump({name: {"ros__parameters": parameters}}, sort_keys=False, default_flow_style=None)
+
+
+def read(text: str) -> mc.Gains:
+    """Return the gains in a parameter file of one controller, as the controller would take them."""
+    (controller,) = yaml.safe_load(text).values()
+    admittance = controller["ros__parameters"]["admittance"]
+    mass, ratio, stiffness = (np.asarray(admittance[key]) for key in ("mass", "damping_ratio", "stiffness"))
+    return mc.Gains(mass, ratio * 2 * np.sqrt(mass * stiffness), stiffness)
+
+
+def _rounded_up(value: float) -> float:
+    """Return the value rounded up to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / unit) * unit:.6g}")
