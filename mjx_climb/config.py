@@ -16,8 +16,10 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
     Strict,
+    Tag,
     ValidationError,
     WrapValidator,
     model_validator,
@@ -27,6 +29,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 MAX_FILE_BYTES = 1_000_000
 MAX_NESTING = 20
 MAX_STEPS = 10_000_000
+_PATHS = (("robot", "file"), ("ground", "map", "file"))  # keys whose values are paths
 
 
 class ConfigError(ValueError):
@@ -83,7 +86,14 @@ Sequence4 = Annotated[
     AfterValidator(_is_permutation),
     _expects("the four limbs LF, LH, RH, RF, each once, in any order"),
 ]
+Pair = Annotated[tuple[_Finite, _Finite], _expects("a list of two finite numbers")]
 Name = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the name of a robot")]
+Word = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name in the robot's file")]
+FileName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the path of a file")]
+Heights = Annotated[
+    tuple[_Finite, ...], Field(min_length=1), _expects("a list of one finite number or more, foothold after foothold")
+]
+ThreeWords = Annotated[tuple[Word, Word, Word], _expects("a list of three joint names, from the base outwards")]
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -107,6 +117,37 @@ class Gait(_Section):
         description="where each cycle's base reference starts: where planned, or where the base is",
     )
     heading: Angle = Field(default=0.0, description="direction of walking and initial yaw about world z, rad")
+
+
+class Footholds(_Section):
+    """Heights of each limb's footholds in the order in which it uses them, the first included; the last one stays."""
+
+    LF: Heights = Field(default=(0.0,), description="left front, m")
+    LH: Heights = Field(default=(0.0,), description="left hind, m")
+    RH: Heights = Field(default=(0.0,), description="right hind, m")
+    RF: Heights = Field(default=(0.0,), description="right front, m")
+
+
+class HeightMap(_Section):
+    """Heights on a grid: rows along y, columns along x; a PNG's top row is its far side, the largest y."""
+
+    file: FileName = Field(description="grid, .csv, .npy or .png (grey, 0 to 1); beside the config, if relative")
+    resolution: Positive = Field(description="distance between neighbouring samples, m")
+    origin: Pair = Field(default=(-0.5, -0.5), description="x and y of the sample with the smallest x and y, m")
+    scale: Number = Field(default=1.0, description="height of one unit of the file, m")
+
+
+class Ground(_Section):
+    """Uneven ground; flat at height zero unless one of these is given."""
+
+    footholds: Footholds | None = Field(default=None, description="a height for each foothold")
+    map: HeightMap | None = Field(default=None, description="a height map, read at the planned footholds")
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Ground:
+        if self.footholds is not None and self.map is not None:
+            raise _failure("footholds or map, not both", key="map", got=self.map.file)
+        return self
 
 
 class Contact(_Section):
@@ -179,14 +220,52 @@ class Disturbance(_Section):
     pushes: tuple[Push, ...] = Field(default=(), description="pushes on the base; they add up where they overlap")
 
 
+class Limb(_Section):
+    """One limb of a robot from a file."""
+
+    joints: ThreeWords = Field(description="names of its three revolute joints, from the base outwards")
+    foot: Word = Field(description="name of the site, body or link that is the foot")
+    foothold: Pair = Field(
+        description="where the foot stands in the rest stance: x ahead, y left, base link's frame, m"
+    )
+
+
+class Limbs(_Section):
+    """The four limbs of a robot from a file."""
+
+    LF: Limb = Field(description="left front")
+    LH: Limb = Field(description="left hind")
+    RH: Limb = Field(description="right hind")
+    RF: Limb = Field(description="right front")
+
+
+class RobotFile(_Section):
+    """A robot of one's own; its base link's axes are x ahead, y left, z up."""
+
+    file: FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
+    height: Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
+    limbs: Limbs = Field(description="joints and feet")
+
+
+def _kind_of_robot(value: Any) -> str:
+    return "name" if isinstance(value, str) or not isinstance(value, (Mapping, RobotFile)) else "file"
+
+
+AnyRobot = Annotated[
+    Annotated[Name, Tag("name")] | Annotated[RobotFile, Tag("file")],
+    Discriminator(_kind_of_robot),
+]
+
+
 class Scenario(_Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
-    robot: Name = Field(default="hubrobo_v3_2", description="name of the robot")
+    robot: AnyRobot = Field(default="hubrobo_v3_2", description="name of the robot, or one's own from a file")
     gravity: Vector = Field(default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it")
     duration: Positive = Field(default=8.0, description="length of the walk, s; a whole number of time steps")
     time_step: Positive = Field(default=0.001, description="time step of the simulation, s")
     gait: Gait = Field(default=Gait(), description="how the limbs move")
+    ground: Ground = Field(default=Ground(), description="heights of the footholds")
     contact: Contact = Field(default=Contact(), description="how the grippers hold the ground")
     control: Control = Field(default=Control(), description="controller and gains")
     disturbance: Disturbance = Field(default=Disturbance(), description="cargo and pushes")
@@ -199,6 +278,9 @@ class Scenario(_Section):
                 raise _failure(f"at most {MAX_STEPS} time steps of {self.time_step:g} s", key=key, got=span)
             if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
                 raise _failure(f"a whole number of time steps of {self.time_step:g} s", key=key, got=span)
+        if round((1 - self.gait.duty) * self.gait.cycle / self.time_step) < 2:
+            expected = f"a swing, (1 - duty) cycle, of two time steps of {self.time_step:g} s or more"
+            raise _failure(expected, key="gait.duty", got=self.gait.duty)
         return self
 
     @property
@@ -210,6 +292,11 @@ class Scenario(_Section):
         """The resolved scenario as YAML; loading it gives an equal scenario."""
         data = self.model_dump(mode="json")
         return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
+
+    @classmethod
+    def from_yaml(cls, text: str, source: str = "scenario") -> Scenario:
+        """The scenario in a YAML text, as `to_yaml` writes it; `source` names it in the `ConfigError` of a bad one."""
+        return _validated(_parse(text, source), source)
 
     def with_overrides(self, overrides: Sequence[str] | Mapping[str, Any]) -> Scenario:
         """A revalidated copy with some keys changed; `overrides` as in `load_scenario`."""
@@ -231,7 +318,7 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] | Mappi
     **Raises:** `ConfigError`, also for overrides. The file must be valid before the overrides apply.
     """
     source = os.fsdecode(path)
-    return _overridden(_validated(_parse(_read(source), source), source), overrides, source)
+    return _overridden(_validated(_beside(_parse(_read(source), source), source), source), overrides, source)
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -286,6 +373,17 @@ for _tag, _pattern, _first in (
 
 class _Dumper(yaml.SafeDumper):
     yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers  # quotes what would load as a number
+
+
+def _beside(data: Any, source: str) -> Any:
+    """The data of a file with the relative paths in it as seen from here: they start at the file's folder."""
+    for *sections, key in _PATHS:
+        values = data
+        for section in sections:
+            values = values.get(section) if isinstance(values, dict) else None
+        if isinstance(values, dict) and isinstance(values.get(key), str) and "\0" not in values[key]:
+            values[key] = str(Path(source).parent.absolute() / values[key])
+    return data
 
 
 def _read(source: str) -> str:
@@ -363,6 +461,8 @@ def _assign(data: dict[str, Any], key: Any, value: Any, source: str) -> None:
             index = part
             if not last:
                 target.setdefault(part, {})
+                if target[part] is None or (place == "" and part == "robot" and isinstance(target[part], str)):
+                    target[part] = {}  # a section takes the place of none, a robot's file that of a name
         else:
             raise _error(source, place, "no further keys below this one", _show(part))
         if last:
@@ -393,6 +493,8 @@ def _validated(data: Any, source: str) -> Scenario:
 def _explained(error: ErrorDetails, source: str, more: int) -> ConfigError:
     """The pydantic error in the words of `ConfigError`."""
     where, context, got = error["loc"], error.get("ctx", {}), _show(error["input"])
+    if len(where) > 1 and where[0] == "robot":
+        where = where[:1] + where[2:]  # without the tag of the kind
     match error["type"]:
         case "expected":
             where += tuple(context["key"].split(".")) if "key" in context else ()
@@ -416,9 +518,16 @@ def _section(where: Sequence[str | int]) -> type[BaseModel]:
     model: type[BaseModel] = Scenario
     for part in where:
         if isinstance(part, str):
-            kind = model.model_fields[part].annotation
-            model = get_args(kind)[0] if get_args(kind) else kind  # pyright: ignore[reportAssignmentType]
+            model = _model_in(model.model_fields[part].annotation)
     return model
+
+
+def _model_in(annotation: Any) -> Any:
+    """The model in an annotation: itself, an item of a list, or one of several kinds."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    found = (_model_in(part) for part in get_args(annotation))
+    return next((model for model in found if model is not None), None)
 
 
 def _suggestion(where: Sequence[str | int]) -> str:

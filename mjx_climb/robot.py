@@ -9,11 +9,12 @@ import jax
 import mujoco
 import numpy as np
 
+from mjx_climb.config import RobotFile
+from mjx_climb.robot_file import RobotError, model_of
+
+__all__ = ["JOINTS_PER_LIMB", "Robot", "RobotError", "load_model", "load_robot", "model_path", "robot_from_model"]
+
 JOINTS_PER_LIMB = 3
-
-
-class RobotError(ValueError):
-    """A model that mjx_climb cannot use: the message names the model and what was expected."""
 
 
 @functools.partial(
@@ -56,12 +57,14 @@ class Robot:
         return self.base_mass + self.link_mass.sum((0, 1))
 
 
-def model_path(name: str) -> Path:
-    """Return the MJCF file of a robot that comes with mjx_climb.
+def model_path(name: str | RobotFile) -> Path:
+    """Return the file of a robot: a user's own, or the MJCF of one that comes with mjx_climb.
 
     Raises:
         RobotError: no such robot.
     """
+    if isinstance(name, RobotFile):
+        return Path(name.file)
     folder = Path(str(resources.files("mjx_climb"))) / "robots"
     path = folder / f"{name}.xml"
     if not path.is_file():
@@ -71,19 +74,21 @@ def model_path(name: str) -> Path:
 
 
 @functools.cache
-def load_model(name: str) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a robot."""
+def load_model(name: str | RobotFile) -> mujoco.MjModel:
+    """Return the compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
+    if isinstance(name, RobotFile):
+        return model_of(name)
     return mujoco.MjModel.from_xml_path(str(model_path(name)))
 
 
 @functools.cache
-def load_robot(name: str) -> Robot:
+def load_robot(name: str | RobotFile) -> Robot:
     """Return the constants of a robot, read off its MuJoCo model with the joints at zero.
 
     Raises:
         RobotError: no such robot, or a model other than a floating base with limbs of three hinges and a foot site.
     """
-    return robot_from_model(load_model(name), name)
+    return robot_from_model(load_model(name), name if isinstance(name, str) else Path(name.file).stem)
 
 
 def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:

@@ -74,6 +74,9 @@ BAD = [
     ("run {config} --set damping", "dotted.key=value"),
     ("run {config} --set robot=spot", "robot: expected one of"),
     ("run {config} --set control.reading=measured_pose --controller end_effector_admittance", "control.reading"),
+    ("run {config} --set time_step=0.01", "time_step: expected one short enough for hubrobo_v3_2"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --set robot=hubrobo_v2_2", "0.0001 would do"),
+    ("run {config} --set robot.height=0.1", "robot.file: expected a value, got none"),
     ("run {config} --engine bullet", "--engine: expected one of"),
     ("run {config} --gains nowhere.yaml", "nowhere.yaml: expected a readable file"),
     ("run {config} --gains {files}/gains.yaml", "inertia: expected a value, got none"),
@@ -148,7 +151,8 @@ def test_run_says_who_let_go(call, tmp_path):
 
 
 def test_run_survives_divergence(call, tmp_path):
-    code, out, _ = call("run", CONFIG, *SHORT, "--set", "control.kd=1e4", "--controller", "pd", "--out", tmp_path)
+    law = ["--set", "control.reading=measured_pose", "--set", "control.damping=1e7"]
+    code, out, _ = call("run", CONFIG, *SHORT, *law, "--out", tmp_path)
     assert code == 0
     assert "diverged at 0." in out
     metrics = strict_json((tmp_path / "metrics.json").read_text())

@@ -1,0 +1,59 @@
+"""Postures of a model of base and limbs, found with MuJoCo's own kinematics, before anything is compiled."""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+_ITERATIONS = 60
+_STARTS = 5  # of femur and tibia each, spread over their limits
+
+
+class LimbJoints(NamedTuple):
+    """Joint angles of every limb, and by how much its foot misses the target."""
+
+    angles: np.ndarray  # (L, 3) rad
+    errors: np.ndarray  # (L,) m
+
+
+def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
+    """Return joint angles within the limits that put the feet at `feet` (L, 3) m, in the frame of the base.
+
+    Of several postures the one whose knee is nearest the middle of its range, as in the closed form.
+    """
+    data = mujoco.MjData(model)
+    lower, upper = model.jnt_range[1:].reshape(-1, 3, 2).transpose(2, 0, 1)
+    fractions = (np.arange(_STARTS) + 0.5) / _STARTS
+    best, errors = (lower + upper) / 2, np.full(len(feet), np.inf)
+    bend = np.full(len(feet), np.inf)
+    for femur in fractions:
+        for tibia in fractions:
+            start = lower + (upper - lower) * np.array([0.5, femur, tibia])
+            angles, missed = _newton(model, data, start, feet)
+            missed = np.where(((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all(1), missed, np.inf)
+            bent = np.abs(angles - (lower + upper) / 2)[:, 2]
+            reached = missed < 1e-9
+            better = np.where(reached, (errors >= 1e-9) | (bent < bend - 1e-9), missed < errors)
+            best[better], errors[better], bend[better] = angles[better], missed[better], bent[better]
+    return LimbJoints(best, errors)
+
+
+def _newton(model, data, angles: np.ndarray, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint angles (L, 3) from a start, and the distances (L,) m that are left; all limbs at once."""
+    jacobian, columns = np.empty((3, model.nv)), 6 + np.arange(angles.size).reshape(angles.shape)
+    angles = angles.copy()
+    for _ in range(_ITERATIONS):
+        data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+        data.qpos[7:] = angles.ravel()
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        left = feet - data.site_xpos
+        for limb in range(len(feet)):
+            mujoco.mj_jacSite(model, data, jacobian, None, limb)
+            j = jacobian[:, columns[limb]]
+            step = np.linalg.solve(j.T @ j + 1e-12 * np.eye(3), j.T @ left[limb])
+            angles[limb] += step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
+        angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+        if np.abs(left).max() < 1e-13:
+            break
+    return angles, np.linalg.norm(left, axis=1)

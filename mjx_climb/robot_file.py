@@ -1,0 +1,311 @@
+"""A user's own robot: from her MJCF or URDF and the joints and feet that she names, to the model simulated here."""
+
+import itertools
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from mjx_climb.config import RobotFile
+from mjx_climb.posture import limb_joints
+
+LIMBS = ("LF", "LH", "RH", "RF")
+LINKS = ("coxa", "femur", "tibia")
+SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
+_TINY = 1e-9  # kg
+
+
+class RobotError(ValueError):
+    """A model that mjx_climb cannot use: the message names the model and what was expected."""
+
+
+class _Link(NamedTuple):
+    """A rigid part: its bodies are those between one joint and the next. World axes, joints at zero."""
+
+    mass: float  # kg
+    center: np.ndarray  # (3,) m
+    inertia: np.ndarray  # (3, 3) kg m^2 about the centre
+
+
+def model_of(source: RobotFile) -> mujoco.MjModel:
+    """Return the model of a robot file: floating base, limbs LF, LH, RH, RF of three hinges, foot sites, rest stance.
+
+    The base frame has the axes of the file's base link and sits at the base's centre of mass. Only masses, joints and
+    feet are taken over; the bodies are drawn as plain shapes.
+
+    Raises:
+        RobotError: in one line, the key of the config, what was expected and what the file has.
+    """
+    file = _compiled(source)
+    data = mujoco.MjData(file)
+    data.qpos[file.jnt_qposadr[file.jnt_type == mujoco.mjtJoint.mjJNT_HINGE]] = 0
+    mujoco.mj_kinematics(file, data)
+    part = _parts(file)
+    chains = {limb: _chain(source, file, part, limb) for limb in LIMBS}
+    base = _base(source, file, part, chains)
+    _no_more(source, file, part, base, chains)
+    axes = data.xmat[base].reshape(3, 3)
+    body = _link(file, data, np.flatnonzero(part == base))
+    if body.mass <= _TINY:
+        raise _error(source, "file", f"a mass of the base link {file.body(base).name!r}", "none")
+
+    spec = _scene()
+    trunk = spec.worldbody.add_body(name="base")
+    trunk.add_freejoint(name="base")
+    _weigh(trunk, body._replace(center=np.zeros(3), inertia=axes.T @ body.inertia @ axes))
+    _box(trunk, np.array([_base_anchor(file, data, chain, axes, body) for chain in chains.values()]))
+    for limb, chain in chains.items():
+        _add_limb(source, spec, trunk, limb, chain, file, data, part, axes, body.center)
+    model = _compile(source, spec)
+    offset = axes.T @ (body.center - data.xpos[base])  # the base's centre of mass in its own link's frame
+    return _standing(source, spec, model, offset)
+
+
+def _error(source: RobotFile, key: str, expected: str, got: str) -> RobotError:
+    return RobotError(" ".join(f"{source.file}: robot.{key}: expected {expected}, got {got}".split()))
+
+
+def _compiled(source: RobotFile) -> mujoco.MjModel:
+    """Return the model in the file with every link kept as a body of its own."""
+    try:
+        spec = mujoco.MjSpec.from_file(source.file)
+        if source.file.lower().endswith(".urdf"):  # has its inertias written down: shapes and their files do not matter
+            for part in (*spec.geoms, *spec.meshes):
+                spec.delete(part)
+        spec.compiler.fusestatic = False
+        return spec.compile()
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "an empty one"
+        raise _error(source, "file", "an MJCF or URDF that MuJoCo loads", reason) from None
+
+
+def _parts(file: mujoco.MjModel) -> np.ndarray:
+    """Return for each body the first body of the rigid part that it belongs to."""
+    part = np.arange(file.nbody)
+    for body in range(1, file.nbody):
+        parent = file.body_parentid[body]
+        if not file.body_jntnum[body] and parent != 0:
+            part[body] = part[parent]
+    return part
+
+
+def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, limb: str) -> list[int]:
+    """Return the joints of a limb, after a look at what they hang on."""
+    key, joints = f"limbs.{limb}.joints", []
+    for name in getattr(source.limbs, limb).joints:
+        joint = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint < 0 or file.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            known = ", ".join(file.joint(i).name for i in range(file.njnt)) or "none"
+            raise _error(source, key, f"revolute joints of the file ({known[:200]})", repr(name))
+        for quantity, value in (("armature", file.dof_armature), ("friction", file.dof_frictionloss)):
+            if value[file.jnt_dofadr[joint]]:
+                raise _error(source, key, f"no joint {quantity}, which is not simulated", f"some at {name!r}")
+        if file.dof_damping[file.jnt_dofadr[joint]]:
+            expected = "no joint damping in the file (add it to control.kd)"
+            raise _error(source, key, expected, f"{file.dof_damping[file.jnt_dofadr[joint]]:g} at {name!r}")
+        if file.jnt_stiffness[joint]:
+            raise _error(source, key, "no joint springs, which are not simulated", f"one at {name!r}")
+        if file.body_jntnum[file.jnt_bodyid[joint]] != 1:
+            raise _error(source, key, "one joint for each body", f"several at that of {name!r}")
+        joints.append(joint)
+    for inner, outer in itertools.pairwise(joints):
+        if part[file.body_parentid[file.jnt_bodyid[outer]]] != file.jnt_bodyid[inner]:
+            got = f"{file.joint(outer).name!r} not next after {file.joint(inner).name!r}"
+            raise _error(source, key, "a chain from the base outwards", got)
+    return joints
+
+
+def _base(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, chains: dict[str, list[int]]) -> int:
+    """Return the body that all limbs begin at."""
+    bases = {limb: part[file.body_parentid[file.jnt_bodyid[chain[0]]]] for limb, chain in chains.items()}
+    base = bases["LF"]
+    for limb, other in bases.items():
+        if other != base or base == 0:
+            expected = f"all limbs to begin at one base link, as LF does at {file.body(base).name!r}"
+            raise _error(source, f"limbs.{limb}.joints", expected, repr(file.body(other).name))
+    return int(base)
+
+
+def _no_more(source, file: mujoco.MjModel, part: np.ndarray, base: int, chains: dict[str, list[int]]) -> None:
+    """Refuse a robot with more to it than a base and four limbs of three joints."""
+    ours = [joint for chain in chains.values() for joint in chain]
+    if len(set(ours)) != len(ours):
+        twice = next(joint for joint in ours if ours.count(joint) > 1)
+        raise _error(source, "limbs", "twelve different joints", f"{file.joint(twice).name!r} twice")
+    for joint in range(file.njnt):
+        floats = file.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and file.jnt_bodyid[joint] == base
+        if joint not in ours and not floats:
+            raise _error(source, "limbs", "no joints but the twelve named and the base's own", file.joint(joint).name)
+    if file.neq:
+        raise _error(source, "file", "no equality constraints, which are not simulated", f"{file.neq}")
+
+
+def _link(file: mujoco.MjModel, data: mujoco.MjData, bodies: np.ndarray) -> _Link:
+    """Return several bodies as one."""
+    mass = file.body_mass[bodies]
+    total = mass.sum()
+    if total <= _TINY:
+        return _Link(0.0, data.xpos[bodies[0]].copy(), np.zeros((3, 3)))
+    center = mass @ data.xipos[bodies] / total
+    inertia = np.zeros((3, 3))
+    for body in bodies:
+        axes, r = data.ximat[body].reshape(3, 3), data.xipos[body] - center
+        inertia += axes @ np.diag(file.body_inertia[body]) @ axes.T
+        inertia += file.body_mass[body] * (r @ r * np.eye(3) - np.outer(r, r))
+    return _Link(float(total), center, inertia)
+
+
+def _foot(source: RobotFile, file, data, part, limb: str, tibia: int) -> np.ndarray:
+    """Return the foot of a limb, in world axes: a site or a body fixed to the last link."""
+    name = getattr(source.limbs, limb).foot
+    site = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_SITE, name)
+    body = file.site_bodyid[site] if site >= 0 else mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body < 0:
+        raise _error(source, f"limbs.{limb}.foot", "a site, body or link of the file", repr(name))
+    if part[body] != file.jnt_bodyid[tibia]:
+        got = f"{name!r}, which is not fixed to it"
+        raise _error(source, f"limbs.{limb}.foot", f"a place on the link of joint {file.joint(tibia).name!r}", got)
+    return data.site_xpos[site] if site >= 0 else data.xpos[body]
+
+
+def _axes(source: RobotFile, file, data, limb: str, chain: list[int]) -> list[np.ndarray]:
+    """Return the axes of a limb's joints, femur and tibia exactly parallel and at right angles to the coxa."""
+    coxa, femur, tibia = data.xaxis[chain]
+    key = f"limbs.{limb}.joints"
+    closed = "which the closed-form inverse kinematics needs"
+    if abs(coxa @ femur) > SNAP:
+        angle = np.degrees(np.arccos(np.clip(abs(coxa @ femur), 0, 1)))
+        raise _error(source, key, f"the second axis at right angles to the first, {closed}", f"{angle:.4g} degrees")
+    if np.linalg.norm(np.cross(femur, tibia)) > SNAP:
+        angle = np.degrees(np.arcsin(np.clip(np.linalg.norm(np.cross(femur, tibia)), 0, 1)))
+        raise _error(source, key, f"second and third axis parallel, {closed}", f"{angle:.4g} degrees between them")
+    femur = femur - coxa * (coxa @ femur)
+    femur = femur / np.linalg.norm(femur)
+    return [coxa, femur, np.sign(femur @ tibia) * femur]
+
+
+def _limits(source: RobotFile, file, limb: str, joint: int) -> tuple[float, float]:
+    if not file.jnt_limited[joint]:
+        return -np.pi, np.pi
+    lower, upper = file.jnt_range[joint]
+    if not -2 * np.pi <= lower < upper <= 2 * np.pi:
+        name = file.joint(joint).name
+        expected = f"limits of {name!r} in ascending order within a turn"
+        raise _error(source, f"limbs.{limb}.joints", expected, f"{lower:g} to {upper:g} rad")
+    return float(lower), float(upper)
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    return quaternion
+
+
+def _weigh(body, link: _Link) -> None:
+    body.explicitinertial = True
+    body.mass, body.ipos = link.mass, link.center
+    i = link.inertia
+    body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+
+
+def _add_limb(source, spec, trunk, limb, chain, file, data, part, parent_axes, parent_origin) -> None:
+    """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next."""
+    joints = _axes(source, file, data, limb, chain)
+    foot = _foot(source, file, data, part, limb, chain[-1])
+    anchors = [data.xanchor[joint] for joint in chain]
+    body = trunk
+    for name, joint, axis, origin, end in zip(LINKS, chain, joints, anchors, [*anchors[1:], foot], strict=True):
+        x = end - origin - axis * (axis @ (end - origin))
+        if np.linalg.norm(x) < 1e-6:
+            got = f"none at {file.joint(joint).name!r}"
+            raise _error(source, f"limbs.{limb}.joints", "links that lead away from their joints' axes", got)
+        x = x / np.linalg.norm(x)
+        axes = np.stack([x, np.cross(axis, x), axis], axis=1)
+        body = body.add_body(
+            name=f"{limb}_{name}",
+            pos=parent_axes.T @ (origin - parent_origin),
+            quat=_quaternion(parent_axes.T @ axes),
+        )
+        body.add_joint(
+            name=f"{limb}_{name}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
+            range=_limits(source, file, limb, joint),
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        )
+        link = _link(file, data, np.flatnonzero(part == file.jnt_bodyid[joint]))
+        if link.mass <= _TINY:
+            got = f"none at {file.joint(joint).name!r}"
+            raise _error(source, f"limbs.{limb}.joints", "links that have a mass", got)
+        _weigh(body, link._replace(center=axes.T @ (link.center - origin), inertia=axes.T @ link.inertia @ axes))
+        _draw(body, name, axes.T @ (end - origin))
+        parent_axes, parent_origin = axes, origin
+    body.add_site(name=f"{limb}_foot", pos=parent_axes.T @ (foot - parent_origin), size=[0.004] * 3)
+
+
+def _compile(source: RobotFile, spec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise _error(source, "file", "masses and inertias that a body can have", str(error).splitlines()[0]) from None
+
+
+def _standing(source: RobotFile, spec, model: mujoco.MjModel, offset: np.ndarray) -> mujoco.MjModel:
+    """Return the model with its rest stance as its keyframe."""
+    feet = np.array([[*getattr(source.limbs, limb).foothold, -source.height] for limb in LIMBS]) - offset
+    joints = limb_joints(model, feet)
+    for limb, error in zip(LIMBS, joints.errors, strict=True):
+        if error > 1e-9:
+            expected = f"a foothold within reach and joint limits at a height of {source.height:g} m"
+            got = f"one that the foot misses by {error * 1e3:.3g} mm"
+            raise _error(source, f"limbs.{limb}.foothold", expected, got)
+    height = source.height + offset[2]
+    position = [offset[0], offset[1], height]
+    spec.add_key(name="stance", qpos=[*position, 1, 0, 0, 0, *joints.angles.ravel()])
+    spec.body("base").pos = position
+    return _compile(source, spec)
+
+
+# ------------------------------------------------------------------------------------------------------------
+# What is drawn: the shapes of the robots that come with mjx_climb
+
+
+def _scene() -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    for name, color in (
+        ("ground", [0.60, 0.56, 0.51, 1]),
+        ("shell", [0.86, 0.87, 0.88, 1]),
+        ("servo", [0.16, 0.17, 0.19, 1]),
+        ("frame", [0.95, 0.55, 0.15, 1]),
+        ("gripper", [0.30, 0.33, 0.37, 1]),
+    ):
+        spec.add_material(name=name, rgba=color)
+    spec.worldbody.add_light(pos=[0.3, -0.6, 1.5], dir=[-0.2, 0.4, -1])
+    ground = spec.worldbody.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
+    ground.material, ground.contype, ground.conaffinity = "ground", 0, 0
+    return spec
+
+
+def _shape(body, kind: mujoco.mjtGeom, material: str, **where) -> None:
+    body.add_geom(type=kind, material=material, contype=0, conaffinity=0, mass=0, group=1, **where)
+
+
+def _base_anchor(file, data, chain, axes, base: _Link) -> np.ndarray:
+    return axes.T @ (data.xanchor[chain[0]] - base.center)
+
+
+def _box(body, hips: np.ndarray) -> None:
+    half = np.abs(hips).max(0).clip(0.01)
+    _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "shell", size=[0.95 * half[0], 0.95 * half[1], 0.2 * half[:2].min()])
+
+
+def _draw(body, name: str, end: np.ndarray) -> None:
+    thick = float(np.clip(0.12 * np.linalg.norm(end), 0.003, 0.014))
+    _shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, "servo", size=[1.2 * thick, 1.4 * thick, 0])
+    material = {"coxa": "frame", "femur": "shell", "tibia": "frame"}[name]
+    stop = 0.85 * end if name == "tibia" else end
+    _shape(body, mujoco.mjtGeom.mjGEOM_CAPSULE, material, size=[0.7 * thick, 0, 0], fromto=[0, 0, 0, *stop])
+    if name == "tibia":
+        _shape(body, mujoco.mjtGeom.mjGEOM_CAPSULE, "gripper", size=[thick, 0, 0], fromto=[*stop, *end])

@@ -1,0 +1,104 @@
+"""Is the time step short enough for this robot's contacts and joint loop? Answered before anything is walked.
+
+Held by contact springs and joint loop alone (no admittance law, no gravity), the robot is a linear system near each
+posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D v)`, then `x += h v`. Light
+links at the end of a stiff contact are what takes it out of the unit circle. What a law adds is in
+`tuning.stability_limit`.
+"""
+
+import functools
+import math
+
+import mujoco
+import numpy as np
+
+from mjx_climb.config import ConfigError, Scenario
+from mjx_climb.posture import limb_joints
+from mjx_climb.robot import load_model, load_robot
+
+_ROUNDING = 1e-9
+_STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
+
+
+def growth(scenario: Scenario, time_step: float | None = None) -> float:
+    """Return by how much a small disturbance grows in one step, at worst: 1 or less where the step is short enough."""
+    h = scenario.time_step if time_step is None else time_step
+    worst = 0.0
+    for mass, stiffness, damping in _systems(scenario):
+        mobility = np.linalg.inv(mass)
+        k, d, one = h * mobility @ stiffness, h * mobility @ damping, np.eye(len(mass))
+        step = np.block([[one - h * k, h * (one - d)], [-k, one - d]])
+        worst = max(worst, np.abs(np.linalg.eigvals(step)).max())
+    return float(worst)
+
+
+def largest_time_step(scenario: Scenario) -> float:
+    """Return the largest round time step, s, that is short enough and divides duration and gait cycle.
+
+    Raises:
+        ConfigError: there is none above 0.1 microseconds.
+    """
+    for step in _STEPS:
+        whole = all(math.isclose(span / step, round(span / step), rel_tol=1e-9) and round(span / step) >= 1
+                    for span in (scenario.duration, scenario.gait.cycle))  # fmt: skip
+        if whole and growth(scenario, step) <= 1 + _ROUNDING:
+            return step
+    raise ConfigError(
+        "time_step: expected contacts and joint gains that some step of 0.1 us or more can follow, got none"
+    )
+
+
+def check_time_step(scenario: Scenario, source: str = "scenario") -> None:
+    """Refuse a time step that is too long for the robot's contacts and joint loop.
+
+    Raises:
+        ConfigError: in one line, the time step that would do.
+    """
+    grows = growth(scenario)
+    if grows <= 1 + _ROUNDING:
+        return
+    contact, control = scenario.contact, scenario.control
+    raise ConfigError(
+        f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with contact.stiffness "
+        f"{contact.stiffness:g}, contact.damping {contact.damping:g}, control.kp {control.kp:g} and control.kd "
+        f"{control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
+        f"{largest_time_step(scenario):g} would do"
+    )
+
+
+def _systems(scenario: Scenario):
+    """Yield mass, stiffness and damping matrix (18, 18) at stance and at the height of every limb's swing."""
+    model = load_model(scenario.robot)
+    contact, control, walk = scenario.contact, scenario.control, scenario.gait
+    feet = np.arange(model.nsite)
+    for limb in (None, *feet):
+        mass, jacobians = _at(scenario.robot, walk.stride, walk.step_height, limb)
+        joint = np.diag(np.repeat([0.0, 1.0], [6, model.nv - 6]))
+        held = jacobians[feet != limb].reshape(-1, model.nv)
+        yield (
+            mass,
+            control.kp * joint + contact.stiffness * held.T @ held,
+            (control.kd * joint + contact.damping * held.T @ held),
+        )
+
+
+@functools.lru_cache(maxsize=64)
+def _at(robot, stride: float, step_height: float, swinging: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return mass matrix and foot Jacobians (L, 3, 18) at stance, or with one foot lifted half a stride ahead."""
+    model = load_model(robot)
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[0]
+    mujoco.mj_kinematics(model, data)
+    if swinging is not None:
+        rotation = data.xmat[1].reshape(3, 3)
+        targets = data.site_xpos.copy()
+        targets[swinging] += [stride / 2, 0, step_height]
+        solved = limb_joints(model, (targets - data.qpos[:3]) @ rotation)
+        data.qpos[7:] = np.where(solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(-1, 3)).ravel()
+    mujoco.mj_forward(model, data)
+    mass = np.empty((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    jacobians = np.empty((model.nsite, 3, model.nv))
+    for site in range(model.nsite):
+        mujoco.mj_jacSite(model, data, jacobians[site], None, site)
+    return mass, jacobians

@@ -1,0 +1,353 @@
+"""Robots from a user's own file: the same robot as MuJoCo's, walked by every engine, and refused with a reason."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.kinematics import limb_frames
+from mjx_climb.robot import load_model, load_robot
+from mjx_climb.time_step import growth, largest_time_step
+
+LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
+IMU = 'name="imu_mount" type="fixed"><parent link="trunk"/><child link="imu"/><origin xyz="0.02 0 0.03"/>'
+REFERENCE = json.loads((Path(__file__).parent / "reference" / "hubrobo_v2_2.json").read_text())["model"]
+
+
+def inertial(rng, mass, reach):
+    """Return an inertial element: any centre, any orientation of its axes, moments that a body can have."""
+    a, b = rng.uniform(0.4, 1.0, 2) * mass * reach**2
+    xyz, rpy = rng.uniform(-reach, reach, 3) / 4, rng.uniform(-3, 3, 3)
+    return (
+        f'<inertial><origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}" rpy="{rpy[0]} {rpy[1]} {rpy[2]}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{a}" iyy="{b}" izz="{0.7 * (a + b)}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def urdf(seed=0, quarter="1.5707963267948966"):
+    """Return a URDF of some climbing robot: lengths, masses, offsets, signs of axes at random, limbs out of order."""
+    rng = np.random.default_rng(seed)
+    mesh = '<collision><geometry><mesh filename="package://nowhere/trunk.stl"/></geometry></collision>'
+    parts = [f'<link name="trunk">{inertial(rng, rng.uniform(0.5, 2), 0.1)}{mesh}</link>']
+    parts += [f'<link name="imu">{inertial(rng, 0.05, 0.02)}</link>', f"<joint {IMU}</joint>"]
+    hip, coxa, femur, tibia = rng.uniform(0.05, 0.08), *rng.uniform((0.02, 0.06, 0.1), (0.04, 0.12, 0.18))
+    for limb in rng.permutation(list(LIMBS)):
+        x, y = np.array(LIMBS[limb]) * hip
+        knee = rng.choice([-1, 1])  # which way the tibia's axis points
+        for link, mass in (("hip", 0.2), ("thigh", 0.1), ("shank", 0.15)):
+            weight = inertial(rng, mass * rng.uniform(0.7, 1.3), 0.04)
+            parts.append(f'<link name="{limb}_{link}">{weight}</link>')
+        parts.append(f'<link name="{limb}_toe"/>')
+        low, high = (-2.6, 0) if knee > 0 else (0, 2.6)
+        lateral = rng.uniform(-0.004, 0.004)
+        for name, kind, parent, child, xyz, rpy, axis, limits in (
+            ("yaw", "revolute", "trunk", "hip", (x, y, 0), (0, 0, np.arctan2(y, x)), (0, 0, 1), (-1.2, 1.2)),
+            ("lift", "revolute", "hip", "thigh", (coxa, 0, 0.01), (quarter, 0, 0), (0, 0, 1), (-1.5, 1.6)),
+            ("knee", "revolute", "thigh", "shank", (femur, 0.0, lateral), (0, 0, 0), (0, 0, knee), (low, high)),
+            ("ankle", "fixed", "shank", "toe", (tibia, 0.001, 0.002), (0, 0, 0), (0, 0, 1), (0, 0)),
+        ):
+            parent = parent if parent == "trunk" else f"{limb}_{parent}"
+            place = " ".join(str(v) for v in xyz), " ".join(str(v) for v in rpy), " ".join(str(v) for v in axis)
+            parts.append(
+                f'<joint name="{limb}_{name}" type="{kind}"><parent link="{parent}"/><child link="{limb}_{child}"/>'
+                f'<origin xyz="{place[0]}" rpy="{place[1]}"/><axis xyz="{place[2]}"/>'
+                f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="9" velocity="9"/></joint>'
+            )
+    reach = hip + (coxa + 0.7 * np.hypot(femur, tibia)) * np.sqrt(0.5)
+    return "<robot name='any'>" + "".join(parts) + "</robot>", reach
+
+
+def keys(path, reach, height=0.1):
+    limbs = {
+        limb: {
+            "joints": [f"{limb}_yaw", f"{limb}_lift", f"{limb}_knee"],
+            "foot": f"{limb}_toe",
+            "foothold": [x * reach, y * reach],
+        }
+        for limb, (x, y) in LIMBS.items()
+    }
+    return {"robot": {"file": str(path), "height": height, "limbs": limbs}}
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return the keys of a robot file, with text of the URDF and keys replaced."""
+
+    def write(seed=0, replace=(), change=lambda data: None, **how):
+        text, reach = urdf(seed, **how)
+        for old, new in replace:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / f"robot_{seed}.urdf"
+        path.write_text(text)
+        data = keys(path, reach)
+        change(data["robot"])
+        return data
+
+    return write
+
+
+def theirs(path, joint_names, offset, angles, rates, spin, tau):
+    """Return MuJoCo's accelerations of the URDF set free: of the base's centre of mass, and of the joints by name."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    for part in (*spec.geoms, *spec.meshes):
+        spec.delete(part)
+    spec.compiler.fusestatic = False
+    spec.body("trunk").add_freejoint()
+    model = spec.compile()
+    model.opt.gravity[:] = (0.3, -0.2, -4.0)
+    data = mujoco.MjData(model)
+    for name, angle, rate, torque in zip(joint_names, angles, rates, tau, strict=True):
+        data.joint(name).qpos[:], data.joint(name).qvel[:], data.joint(name).qfrc_applied[:] = angle, rate, torque
+    data.qvel[3:6] = spin
+    mujoco.mj_forward(model, data)
+    a, alpha = data.qacc[:3], data.qacc[3:6]
+    of_center = a + np.cross(alpha, offset) + np.cross(spin, np.cross(spin, offset))
+    return of_center, alpha, np.array([data.joint(name).qacc[0] for name in joint_names])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_a_urdf_moves_as_in_mujoco(written, engine, seed):
+    """Every engine gives the accelerations that MuJoCo gives for the file itself, fixed links included, to 1e-9."""
+    scenario = mc.Scenario.model_validate(written(seed))
+    robot = load_robot(scenario.robot)
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(robot.joint_lower, robot.joint_upper)[..., 0].T.ravel()
+    rates, spin, tau = rng.normal(size=12), rng.normal(size=3), 0.1 * rng.normal(size=12)
+    names = [f"{limb}_{joint}" for limb in robot.limbs for joint in ("yaw", "lift", "knee")]
+    feet = jnp.zeros((4, 3))
+    # no offset in velocity: the file's origin is at rest, so its centre of mass moves with spin x offset
+    height = scenario.robot.height
+    offset = robot.stance_position[:, 0] - [0, 0, height]
+    state = mc.State(
+        jnp.zeros(3),
+        jnp.array([1.0, 0, 0, 0]),
+        jnp.asarray(np.cross(spin, offset)),
+        *map(jnp.asarray, (spin, angles, rates)),
+    )
+    ours = jax.jit(
+        lambda *given: mc.forward_dynamics(*given, 0.0, gravity=(0.3, -0.2, -4.0), robot=robot, engine=engine)
+    )(state, tau, feet, jnp.zeros(6))
+    for mine, other in zip(
+        dataclasses.astuple(ours), theirs(scenario.robot.file, names, offset, angles, rates, spin, tau), strict=True
+    ):
+        np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_closed_form_reaches_what_the_joints_reach(written, seed):
+    """Inverse kinematics takes a foot ahead of its hip back to its posture, and the rest stance stands where told."""
+    source = mc.Scenario.model_validate(written(seed)).robot
+    robot = load_robot(source)
+    geometry = limb_geometry(robot)
+    rng = np.random.default_rng(seed)
+    lower, upper = robot.joint_lower + 0.15, robot.joint_upper - 0.15  # off the stretched limb
+    angles = np.concatenate([robot.stance_joints, rng.uniform(lower, upper, (3, 4, 400))], axis=-1)
+    level = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, angles.shape[-1]))
+    feet = np.asarray(limb_frames(robot, level, jnp.asarray(angles)).foot)
+    solved = jax.jit(inverse_kinematics)(geometry, feet)
+    toward = np.stack([np.cos(angles[0]), np.sin(angles[0])])
+    local = np.einsum("ijlb,ilb->jlb", geometry.hip_rotation, feet - geometry.hip_position)
+    ahead = (local[:2] * toward).sum(0) > 0.01
+    assert ahead[:, 0].all() and ahead.mean() > 0.3
+    assert solved.reachable[ahead].all()
+    assert np.abs(solved.joint_angles - angles)[:, ahead].max() < 1e-6
+    again = np.asarray(limb_frames(robot, level, solved.joint_angles).foot)
+    assert np.abs(again - feet)[:, ahead].max() < 1e-9
+    standing = feet[..., 0] + robot.stance_position
+    wanted = [(*getattr(source.limbs, limb).foothold, 0.0) for limb in robot.limbs]
+    np.testing.assert_allclose(standing.T, wanted, atol=1e-9)
+
+
+def test_axes_written_with_few_digits_are_meant_square(written):
+    """A URDF with 1.5708 for a right angle gives the robot of the exact one, to the digits written."""
+    rough, exact = (
+        load_robot(mc.Scenario.model_validate(written(seed=1, quarter=q)).robot)
+        for q in ("1.5708", "1.5707963267948966")
+    )
+    limb_geometry(rough)
+    np.testing.assert_allclose(rough.frame_position, exact.frame_position, atol=1e-5)
+    np.testing.assert_allclose(rough.stance_joints, exact.stance_joints, atol=1e-3)
+
+
+def drop(*path):
+    def change(robot):
+        for key in path[:-1]:
+            robot = robot[key]
+        del robot[path[-1]]
+
+    return change
+
+
+def put(value, *path):
+    def change(robot):
+        for key in path[:-1]:
+            robot = robot[key]
+        robot[path[-1]] = value
+
+    return change
+
+
+JOINTS = ["LF_yaw", "LF_lift", "LF_knee"]
+LIFT_ORIGIN = '<child link="LF_thigh"/>'
+BAD = {
+    "no file": ([], put("nowhere.urdf", "file"), "robot.file: expected an MJCF or URDF"),
+    "no XML": ([("<robot", "robot")], put(0.1, "height"), "robot.file: expected an MJCF or URDF"),
+    "no such joint": ([], put(["LF_yaw", "LF_lift", "elbow"], "limbs", "LF", "joints"), "LF.joints: expected revolute"),
+    "order": ([], put(JOINTS[::-1], "limbs", "LF", "joints"), "limbs.LF.joints: expected a chain"),
+    "another limb's joint": ([], put(["LF_yaw", "LH_lift", "LF_knee"], "limbs", "LF", "joints"), "expected a chain"),
+    "twice": ([], put(JOINTS, "limbs", "LH", "joints"), "expected twelve different joints"),
+    "no such foot": ([], put("hoof", "limbs", "RF", "foot"), "limbs.RF.foot: expected a site"),
+    "another's foot": ([], put("LF_toe", "limbs", "RF", "foot"), "limbs.RF.foot: expected a place"),
+    "a thirteenth joint": ([(IMU, IMU.replace("fixed", "continuous"))], put(0.1, "height"), "no joints but the twelve"),
+    "out of reach": ([], put([0.5, 0.5], "limbs", "LH", "foothold"), "limbs.LH.foothold: expected"),
+    "not square": ([('rpy="1.5707963267948966 0 0"', 'rpy="1.4 0 0"')], put(0.1, "height"), "at right angles"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_cannot_be_walked_is_refused_with_its_key(written, name):
+    replace, change, expected = BAD[name]
+    source = mc.Scenario.model_validate(written(0, replace, change)).robot
+    with pytest.raises(mc.RobotError) as refused:
+        load_robot(source)
+    assert expected in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("element", "expected"),
+    [('<dynamics damping="0.1"/>', "control.kd"), ('<dynamics friction="0.1"/>', "no joint friction")],
+)
+def test_what_is_not_simulated_is_refused(written, element, expected):
+    source = mc.Scenario.model_validate(written(0, [("</joint>", f"{element}</joint>")])).robot
+    with pytest.raises(mc.RobotError, match=expected):
+        load_robot(source)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (drop("height"), "robot.height: expected a value"),
+        (drop("limbs", "LF"), "robot.limbs.LF: expected a value"),
+        (put(["a", "b"], "limbs", "LF", "joints"), "robot.limbs.LF.joints: expected a list of three joint names"),
+        (put([1, 2, 3], "limbs", "LF", "foothold"), "robot.limbs.LF.foothold: expected a list of two"),
+        (put(1, "limbs", "LF", "toe"), "robot.limbs.LF.toe: expected a known key"),
+        (put(1, "hight"), "did you mean height?"),
+    ],
+)
+def test_bad_keys_are_named(written, tmp_path, change, key):
+    config = tmp_path / "walk.yaml"
+    config.write_text(json.dumps(written(0, (), change)))
+    with pytest.raises(mc.ConfigError) as refused:
+        mc.load_scenario(config)
+    assert key in str(refused.value)
+
+
+def test_a_relative_path_starts_at_the_config(written, tmp_path, monkeypatch):
+    data = written(0)
+    data["robot"]["file"] = Path(data["robot"]["file"]).name
+    (tmp_path / "walk.yaml").write_text(json.dumps(data))
+    monkeypatch.chdir("/")
+    scenario = mc.load_scenario(tmp_path / "walk.yaml")
+    assert load_robot(scenario.robot).limbs == tuple(LIMBS)
+    (tmp_path / "again.yaml").write_text(scenario.to_yaml())
+    assert mc.load_scenario(tmp_path / "again.yaml") == scenario
+
+
+def test_an_mjcf_is_a_file_like_any_other(tmp_path):
+    """HubRobo's own MJCF as a user's: the robot is the one that comes by name."""
+    from mjx_climb.robot import model_path
+
+    limbs = {
+        limb: {"joints": [f"{limb}_{link}" for link in ("coxa", "femur", "tibia")], "foot": f"{limb}_foot",
+               "foothold": [0.14 * x, 0.14 * y]}
+        for limb, (x, y) in LIMBS.items()
+    }  # fmt: skip
+    data = {"file": str(model_path("hubrobo_v3_2")), "height": 0.11, "limbs": limbs}
+    ours, named = load_robot(mc.Scenario.model_validate({"robot": data}).robot), load_robot("hubrobo_v3_2")
+    np.testing.assert_allclose(ours.total_mass, named.total_mass)
+    np.testing.assert_allclose(ours.stance_joints, named.stance_joints, atol=1e-9)
+    np.testing.assert_allclose(ours.stance_position, named.stance_position, atol=1e-12)
+
+
+# ------------------------------------------------------------------------------------------------------------
+# HubRobo v2.2
+
+
+def test_hubrobo_v2_2_is_climblabs(tmp_path):
+    """Centres of mass, orientations, inertias and feet of the MJCF are those of the reference, at random angles."""
+    model = load_model("hubrobo_v2_2")
+    data = mujoco.MjData(model)
+    angles = np.random.default_rng(0).uniform(-1, 1, 12)
+    data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *angles]
+    mujoco.mj_kinematics(model, data)
+
+    def turn(axis, angle):
+        i, j = {0: (1, 2), 1: (2, 0), 2: (0, 1)}[axis]
+        matrix = np.eye(3)
+        matrix[[i, j], [i, j]] = np.cos(angle)
+        matrix[i, j], matrix[j, i] = -np.sin(angle), np.sin(angle)
+        return matrix
+
+    of = lambda name: np.array([v if v is not None else [0, 0, 0] for v in REFERENCE[name]], float)  # noqa: E731
+    start, own, child, foot, qi = map(of, ("base_com_to_joint_c0", "link_com_to_own_joint_cc_ii",
+                                           "link_com_to_child_joint_cc", "end_link_com_to_foot_ce", "Qi"))  # fmt: skip
+    for limb in range(4):
+        axes, joint = np.eye(3), start[3 * limb]
+        for link in range(3 * limb, 3 * limb + 3):
+            axes = axes @ turn(0, qi[link, 0]) @ turn(1, qi[link, 1]) @ turn(2, qi[link, 2] + angles[link])
+            center = joint - axes @ own[link]
+            np.testing.assert_allclose(data.xipos[2 + link], center, atol=1e-12)
+            principal = data.ximat[2 + link].reshape(3, 3)
+            inertia = principal @ np.diag(model.body_inertia[2 + link]) @ principal.T
+            expected = axes @ np.array(REFERENCE["link_inertia_about_com_in_link_frame"][link]) @ axes.T
+            np.testing.assert_allclose(inertia, expected, atol=1e-15)
+            joint = center + axes @ child[link]
+        np.testing.assert_allclose(data.site_xpos[limb], center + axes @ foot[3 * limb + 2], atol=1e-12)
+    np.testing.assert_allclose(model.body_mass[1:], [REFERENCE["base_mass"], *REFERENCE["link_mass"]])
+    limits = np.degrees(model.jnt_range[1:]).reshape(4, 3, 2)
+    np.testing.assert_allclose(limits, np.broadcast_to(REFERENCE["joint_limit_deg"], (4, 3, 2)))
+
+
+def test_a_step_too_long_for_the_contacts_is_known_before_the_walk():
+    """1 ms is short enough for v3.2 and too long for v2.2, for which 0.1 ms is."""
+    heavy, light = mc.Scenario(robot="hubrobo_v3_2"), mc.Scenario(robot="hubrobo_v2_2")
+    assert growth(heavy) < 1 < growth(light)
+    assert largest_time_step(light) == 1e-4
+    assert growth(light, 1e-4) < 1 < growth(light, 2e-4)
+    softer = light.with_overrides({"contact.stiffness": 1e3, "contact.damping": 0.5, "control.kd": 0.01})
+    assert largest_time_step(softer) > largest_time_step(light)
+
+
+@pytest.mark.slow
+def test_the_suggested_step_works_and_the_next_does_not():
+    """v2.2 walks at 0.1 ms, forces calm; at 0.2 ms, which the model says is too long, it blows up."""
+    walks = mc.Scenario(robot="hubrobo_v2_2", duration=1.2).with_overrides({"control.controller": "pd"})
+    good = mc.metrics(mc.rollout(walks.with_overrides({"time_step": largest_time_step(walks)})))
+    bad = mc.metrics(mc.rollout(walks.with_overrides({"time_step": 2e-4})))
+    assert not good["diverged"]
+    assert good["peak_foot_force"] < 2 * 1.705 * 9.81
+    assert bad["diverged"] or bad["peak_foot_force"] > 1e3
+
+
+@pytest.mark.slow
+def test_engines_agree_on_other_robots(written):
+    """Half a second of v2.2 and of a URDF robot: one walk under both engines to 1e-9."""
+    urdf_robot = mc.Scenario.model_validate(written(2)).robot
+    for robot, step in (("hubrobo_v2_2", 1e-4), (urdf_robot, None)):
+        scenario = mc.Scenario(robot=robot, duration=0.4).with_overrides({"gait.cycle": 0.4, "gait.stride": 0.02})
+        scenario = scenario.with_overrides({"time_step": step or largest_time_step(scenario)})
+        ours, other = (mc.rollout(scenario, engine=engine) for engine in mc.ENGINES)
+        assert np.isfinite(ours.base_position).all()
+        assert not ours.detached.any()
+        for name in ("base_position", "joint_angles", "foot_force"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(other, name), rtol=1e-8, atol=1e-8)
