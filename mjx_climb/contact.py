@@ -26,20 +26,15 @@ class Grip(NamedTuple):
     torn_off: Array  # (L, B) bool: the holding limit was passed in this step
 
 
-def ground_height(grip_point: Array) -> Array:
-    """Return the height of the ground below a point, (...) m: flat ground at zero."""
-    return jnp.zeros_like(grip_point[2])
-
-
-def grip(contact: Contact, feet: Feet, closed: Array, numbers: Parameters) -> tuple[Contact, Grip]:
+def grip(contact: Contact, feet: Feet, closed: Array, ground: Array, numbers: Parameters) -> tuple[Contact, Grip]:
     """Return the contacts after this step and the forces in it.
 
-    A shut gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while
-    its foot is at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or
-    the foot first touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down with
-    more than the holding limit in all (ClimbLab's rule).
+    `ground` is the height of the ground below each foot, (L, B) m. A shut gripper holds its foot to the grip point both
+    ways. An open one, or one torn off, feels the ground while its foot is at or below it. The grip point is below the
+    foot, at the ground's height, where the gripper shuts or the foot first touches. A supporting limb lets go, from the
+    next step on, when the ground pulls its foot down with more than the holding limit in all (ClimbLab's rule).
     """
-    ground = ground_height(feet.position)
+    ground = jnp.broadcast_to(ground, feet.position[2].shape)
     support = closed & ~contact.detached
     touching = support | (feet.position[2] <= ground)
     fresh = touching & ~contact.touching

@@ -21,6 +21,7 @@ class Plan:
     base_orientation: Array  # (4, B) wxyz, held throughout
     footholds: Array  # (3, L, B) m, world, where the feet stand at the start
     advance: Array  # (3, B) m, world, of base and feet in one cycle
+    heights: Array  # (L, N, B) m, of each limb's footholds in order; N = 0: flat ground
     step_height: Array  # (B,) m
     cycle_steps: Array  # (B,) steps
     swing_steps: Array  # (B,) steps
@@ -34,6 +35,7 @@ class Schedule(NamedTuple):
     cycle_phase: Array  # (B,) in [0, 1)
     swing_phase: Array  # (L, B) in [0, 1) while swinging
     closed: Array  # (L, B) bool: the gripper is commanded shut
+    foothold: Array  # (L, B) number of the foothold below the foot: the next one from the middle of a swing on
 
 
 def plan(robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[str, ...], time_step: float) -> Plan:
@@ -47,6 +49,7 @@ def plan(robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[
         base_orientation=quaternion_multiply(quaternion_about_z(numbers.heading), robot.stance_orientation),
         footholds=rotate(heading[:, :, None], stance_feet),
         advance=rotate(heading, jnp.stack([numbers.stride, zero, zero])),
+        heights=numbers.foothold_height,
         step_height=numbers.step_height,
         cycle_steps=cycle_steps,
         swing_steps=jnp.round((1 - numbers.duty) * numbers.cycle / time_step),
@@ -66,6 +69,7 @@ def schedule(plan: Plan, step: Array) -> Schedule:
         cycle_phase=in_cycle * (1 / plan.cycle_steps),
         swing_phase=since_lift_off * (1 / plan.swing_steps),
         closed=since_lift_off >= plan.swing_steps,
+        foothold=cycle + (in_cycle - plan.swing_offset >= plan.swing_steps / 2),
     )
 
 
@@ -74,10 +78,47 @@ def rest_to_rest(phase: Array) -> Array:
     return phase * phase * (3 - 2 * phase)
 
 
+def is_flat(plan: Plan) -> bool:
+    """Return whether all footholds are at height zero; known when the walk is compiled."""
+    return plan.heights.shape[1] == 0
+
+
+def foothold_height(plan: Plan, number: Array) -> Array:
+    """Return the heights (L, B) m of footholds by their number (L, B) or (B,); the last one goes on for ever."""
+    height = jnp.broadcast_to(plan.heights[:, 0], jnp.broadcast_shapes(plan.heights[:, 0].shape, number.shape))
+    for n in range(1, plan.heights.shape[1]):
+        height = jnp.where(number >= n, plan.heights[:, n], height)
+    return height
+
+
+def ground_height(plan: Plan, now: Schedule) -> Array:
+    """Return the height of the ground below each foot, (L, B) m: that of its foothold, as a terrace."""
+    return jnp.zeros_like(plan.swing_offset) if is_flat(plan) else foothold_height(plan, now.foothold)
+
+
+def first_footholds(plan: Plan) -> Array:
+    """Return where the feet stand at the start, (3, L, B) m in world axes."""
+    return plan.footholds if is_flat(plan) else _raised(plan.footholds, foothold_height(plan, jnp.zeros(1)))
+
+
+def _raised(points: Array, height: Array) -> Array:
+    """Return points (3, L, B or 1) higher by `height` (L, B)."""
+    return jnp.stack(jnp.broadcast_arrays(points[0], points[1], points[2] + height))
+
+
+def rise(plan: Plan, cycle: Array) -> Array:
+    """Return by how much a cycle's footholds lie higher than flat ground on average, (3, B) m in world axes."""
+    if is_flat(plan):
+        return jnp.zeros_like(plan.advance)
+    height = foothold_height(plan, cycle).mean(0)
+    return jnp.stack([jnp.zeros_like(height), jnp.zeros_like(height), height])
+
+
 def nominal_start(plan: Plan, now: Schedule, memory: Array, base_position: Array) -> tuple[Array, Array]:
     """Return the memory, unchanged, and where the cycle's base reference starts: where the last one ended."""
     del base_position
-    return memory, plan.base_start + now.cycle * plan.advance
+    start = plan.base_start + now.cycle * plan.advance
+    return memory, start if is_flat(plan) else start + rise(plan, now.cycle)
 
 
 def actual_start(plan: Plan, now: Schedule, memory: Array, base_position: Array) -> tuple[Array, Array]:
@@ -92,8 +133,14 @@ CYCLE_STARTS = {"nominal": nominal_start, "actual": actual_start}
 
 
 def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:
-    """Return where the base should be, (3, B) m in world axes: one cubic a cycle, rest to rest."""
-    return start + rest_to_rest(now.cycle_phase) * plan.advance
+    """Return where the base should be, (3, B) m in world axes: one cubic a cycle, rest to rest.
+
+    On uneven ground the base rises and sinks with the mean height of the footholds.
+    """
+    advance = plan.advance
+    if not is_flat(plan):
+        advance = advance + rise(plan, now.cycle + 1) - rise(plan, now.cycle)
+    return start + rest_to_rest(now.cycle_phase) * advance
 
 
 def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
@@ -106,6 +153,12 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
     # a limb on the ground has no swing: its phase runs past one
     phase = jnp.where(now.closed, 0.0, now.swing_phase)
     swing = foothold + rest_to_rest(phase) * plan.advance[:, None]
-    lift = plan.step_height * rest_to_rest(jnp.where(phase < 0.5, 2 * phase, 2 - 2 * phase))
-    swing = swing.at[2].add(lift)
+    lift = rest_to_rest(jnp.where(phase < 0.5, 2 * phase, 2 - 2 * phase))
+    if is_flat(plan):
+        lift = plan.step_height * lift
+    else:  # from the old height to step_height above the higher of both, and down to the new one
+        old, new = foothold_height(plan, now.cycle), foothold_height(plan, now.cycle + 1)
+        end = jnp.where(phase < 0.5, old, new)
+        lift = end + (jnp.maximum(old, new) + plan.step_height - end) * lift
+    swing = swing.at[2].add(lift) if is_flat(plan) else _raised(swing, lift)
     return jnp.where(now.closed, grip_point, swing)

@@ -12,6 +12,7 @@ from jax import Array
 from jaxtyping import Float
 
 from mjx_climb.config import Scenario
+from mjx_climb.ground import foothold_heights
 
 
 @jax.tree_util.register_dataclass
@@ -41,7 +42,7 @@ class Parameters:
     """
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType(
-        {"gravity": 1, "push_force": 2, "push_moment": 2, "push_start": 1, "push_stop": 1}
+        {"gravity": 1, "foothold_height": 2, "push_force": 2, "push_moment": 2, "push_start": 1, "push_stop": 1}
     )
 
     gravity: Array  # (3,) m/s^2
@@ -55,6 +56,7 @@ class Parameters:
     cycle: Array  # s
     duty: Array  # 1
     heading: Array  # rad
+    foothold_height: Array  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
     cargo_mass: Array  # kg
     cargo_start: Array  # s
     cargo_stop: Array  # s
@@ -85,6 +87,7 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         cycle=gait.cycle,
         duty=gait.duty,
         heading=gait.heading,
+        foothold_height=foothold_heights(scenario),
         cargo_mass=cargo.mass,
         cargo_start=cargo.start,
         cargo_stop=_or_infinite(cargo.stop),
@@ -97,7 +100,8 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
     arrays = {}
     for field in dataclasses.fields(values):
         array = jnp.asarray(getattr(values, field.name), dtype or jnp.result_type(float))
-        arrays[field.name] = array.reshape(0, 3) if Parameters.AXES.get(field.name) == 2 and array.size == 0 else array
+        without_pushes = field.name in ("push_force", "push_moment") and array.size == 0
+        arrays[field.name] = array.reshape(0, 3) if without_pushes else array
     return Parameters(**arrays)
 
 

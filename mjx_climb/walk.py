@@ -111,7 +111,11 @@ def begin(walk: Walk, batch: int) -> Carry:
         return jnp.broadcast_to(jnp.asarray(value, dtype), (*value.shape[:-1], batch))
 
     joints, position = each(walk.robot.stance_joints), each(walk.plan.base_start)
-    feet = each(walk.plan.footholds)
+    feet = each(gait.first_footholds(walk.plan))
+    if not gait.is_flat(walk.plan):
+        position = position + gait.rise(walk.plan, jnp.zeros(1))
+        rotation = quaternion_to_matrix(each(walk.plan.base_orientation))[:, :, None]
+        joints = inverse_kinematics(walk.geometry, rotate_back(rotation, feet - position[:, None])).joint_angles
     shut = jnp.ones(feet.shape[1:], bool)
     still = jnp.zeros_like(position)
     return Carry(
@@ -130,7 +134,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     feet = foot_kinematics(frames, state)
 
     now = gait.schedule(walk.plan, step)
-    contact, held = grip(carry.contact, feet, now.closed, walk.grip_numbers)
+    contact, held = grip(carry.contact, feet, now.closed, gait.ground_height(walk.plan, now), walk.grip_numbers)
     wrench = base_wrench_of_foot_force(feet.lever, held.force)
 
     memory, cycle_start = walk.cycle_start(walk.plan, now, carry.gait, state.base_position)

@@ -42,12 +42,14 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard
 def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, before any gains file."""
     import mjx_climb as mc
+    from mjx_climb.ground import check_reach
     from mjx_climb.time_step import check_time_step
 
     scenario = mc.load_scenario(config, changes or ())
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
     check_time_step(scenario, str(config))
+    check_reach(scenario, str(config))
     return scenario
 
 

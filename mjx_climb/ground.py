@@ -1,0 +1,130 @@
+"""The ground under the feet: a height for each foothold, from a list or a height map."""
+
+import functools
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from mjx_climb.config import ConfigError, HeightMap, Scenario
+from mjx_climb.posture import limb_joints
+from mjx_climb.robot import Robot, load_robot
+
+
+def foothold_heights(scenario: Scenario) -> np.ndarray:
+    """Return the heights (L, N) m of every limb's footholds in order, limbs in the robot's; N is 0 on flat ground.
+
+    Raises:
+        ConfigError: a height map that cannot be read or does not reach as far as the walk.
+    """
+    ground = scenario.ground
+    robot = load_robot(scenario.robot)
+    if ground.footholds is not None:
+        lists = [getattr(ground.footholds, limb) for limb in robot.limbs]
+        count = max(map(len, lists))
+        return np.array([[*heights, *[heights[-1]] * (count - len(heights))] for heights in lists])
+    if ground.map is not None:
+        return _sampled(ground.map, footholds(scenario), robot.limbs)
+    return np.zeros((len(robot.limbs), 0))
+
+
+def footholds(scenario: Scenario) -> np.ndarray:
+    """Return where the gait plans each limb's footholds, (L, N, 2) m, x and y in the world, the first ones included."""
+    robot, gait = load_robot(scenario.robot), scenario.gait
+    stance = _stance_feet(robot)[:, None, :2]
+    count = math.ceil(scenario.duration / gait.cycle - 1e-9) + 1
+    planned = stance + np.arange(count)[:, None] * np.array([gait.stride, 0.0])
+    c, s = np.cos(gait.heading), np.sin(gait.heading)
+    return planned @ np.array([[c, s], [-s, c]])
+
+
+def check_reach(scenario: Scenario, source: str = "scenario") -> None:
+    """Refuse uneven ground that a limb cannot reach from where the gait plans the base.
+
+    Raises:
+        ConfigError: in one line, the first foothold out of reach.
+    """
+    heights = foothold_heights(scenario)
+    if not heights.size:
+        return
+    robot = load_robot(scenario.robot)
+    stance, center = _stance_feet(robot), robot.stance_position[:, 0]
+    for n, height in enumerate(heights.T):
+        feet = stance - center
+        feet[:, 2] += height - height.mean()
+        missed = limb_joints(robot.model, feet).errors
+        if missed.max() > 1e-9:
+            limb = int(np.argmax(np.where(missed > 1e-9, np.abs(height - height.mean()), -1)))
+            key = f"ground.footholds.{robot.limbs[limb]}.{n}" if scenario.ground.footholds is not None else "ground.map"
+            raise ConfigError(
+                f"{source}: {key}: expected footholds within reach and joint limits, got one of {robot.limbs[limb]} at "
+                f"{height[limb]:g} m, {height[limb] - height.mean():+.3g} m from the mean, missed by "
+                f"{missed[limb] * 1e3:.2g} mm"
+            )
+
+
+def _stance_feet(robot: Robot) -> np.ndarray:
+    """Return the feet (L, 3) m of the rest stance, heading along x."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.model.key_qpos[0]
+    mujoco.mj_kinematics(robot.model, data)
+    return data.site_xpos.copy()
+
+
+def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> np.ndarray:
+    """Return the map's heights (L, N) m at points (L, N, 2), linear between its samples."""
+    grid = _grid(ground.file)
+    column, row = np.moveaxis((points - np.array(ground.origin)) / ground.resolution, -1, 0)
+    rows, columns = grid.shape
+    inside = (column >= -1e-9) & (column <= columns - 1 + 1e-9) & (row >= -1e-9) & (row <= rows - 1 + 1e-9)
+    if not inside.all():
+        limb, n = np.argwhere(~inside)[0]
+        x, y = points[limb, n]
+        far = np.array(ground.origin) + ground.resolution * np.array([columns - 1, rows - 1])
+        raise ConfigError(
+            f"{ground.file}: ground.map: expected a map that covers foothold {n} of {limbs[limb]} at x {x:.4g}, "
+            f"y {y:.4g} m, got x {ground.origin[0]:g} to {far[0]:g}, y {ground.origin[1]:g} to {far[1]:g} m"
+        )
+    i, j = (np.clip(np.floor(v).astype(int), 0, n - 2) for v, n in ((row, rows), (column, columns)))
+    u, v = row - i, column - j
+    low = (1 - v) * grid[i, j] + v * grid[i, j + 1]
+    high = (1 - v) * grid[i + 1, j] + v * grid[i + 1, j + 1]
+    return ground.scale * ((1 - u) * low + u * high)
+
+
+@functools.lru_cache(maxsize=8)
+def _grid(file: str) -> np.ndarray:
+    """Return the samples of a map: rows along y, columns along x, both ascending."""
+    readers = {".csv": _csv, ".npy": _npy, ".png": _png}
+    suffix = Path(file).suffix.lower()
+    if suffix not in readers:
+        raise ConfigError(f"{file}: ground.map.file: expected a .csv, .npy or .png, got {suffix or 'no suffix'}")
+    try:
+        grid = np.asarray(readers[suffix](file), float)
+    except (OSError, ValueError, SyntaxError, EOFError) as error:  # SyntaxError: a broken PNG
+        reason = (getattr(error, "strerror", None) or str(error) or "a damaged one").splitlines()[0]
+        raise ConfigError(f"{file}: ground.map.file: expected a grid of numbers, got {reason}") from None
+    if grid.ndim != 2 or min(grid.shape) < 2 or not np.isfinite(grid).all():
+        got = "values that are not finite" if grid.ndim == 2 and min(grid.shape) > 1 else f"shape {grid.shape}"
+        raise ConfigError(
+            f"{file}: ground.map.file: expected two rows and columns or more of finite numbers, got {got}"
+        )
+    return grid
+
+
+def _csv(file: str) -> np.ndarray:
+    rows = [line.split(",") for line in Path(file).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    return np.array([[float(cell) for cell in row] for row in rows])
+
+
+def _npy(file: str) -> np.ndarray:
+    return np.load(file, allow_pickle=False)
+
+
+def _png(file: str) -> np.ndarray:
+    """Return the grey levels, 0 to 1; the picture's top row is the far side, the largest y."""
+    from matplotlib.image import imread
+
+    image = imread(file, format="png")
+    return (image if image.ndim == 2 else image[..., :3].mean(-1))[::-1]

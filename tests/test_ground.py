@@ -1,0 +1,181 @@
+"""Uneven ground: where the feet grip, what the maps say, and flat ground as it was."""
+
+import json
+
+import jax
+import matplotlib.image
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.ground import check_reach, foothold_heights, footholds
+
+STEPS = {"LF": [0.0, 0.02], "LH": [0.01, -0.01], "RH": [0.0, 0.015, 0.03], "RF": [-0.01]}
+CALM = {"duration": 3.2, "gait.cycle": 1.6, "gait.stride": 0.02, "time_step": 0.001}
+SHORT = {"duration": 0.8, "gait.cycle": 0.4, "gait.stride": 0.02, "time_step": 0.001}
+ORDER = ("LF", "LH", "RH", "RF")
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return mc.Scenario().with_overrides({**CALM, "gravity": [0.0, 0.0, -1.6], "ground.footholds": STEPS})
+
+
+@pytest.fixture(scope="module")
+def walked(scenario):
+    return mc.rollout(scenario)
+
+
+def test_grippers_close_at_the_heights_of_their_footholds(scenario, walked):
+    """Each limb grips where the list says, first foothold to last, and no gripper lets go."""
+    heights = foothold_heights(scenario)
+    np.testing.assert_array_equal(heights, [[0, 0.02, 0.02], [0.01, -0.01, -0.01], [0, 0.015, 0.03], [-0.01] * 3])
+    assert not walked.detached.any() and walked.reachable.all()
+    for limb in range(4):
+        gripped = walked.grip_point[walked.support[:, limb], limb, 2]
+        _, first = np.unique(gripped, return_index=True)
+        levels = heights[limb][np.insert(np.diff(heights[limb]) != 0, 0, True)]
+        np.testing.assert_allclose(gripped[np.sort(first)], levels, atol=1e-12)
+
+
+def test_the_robot_starts_at_rest_on_uneven_ground(walked):
+    """The feet stand on their footholds, so the first forces are nil, and the base rises with their mean."""
+    np.testing.assert_allclose(walked.foot_position[0, :, 2], [0, 0.01, 0, -0.01], atol=1e-9)
+    assert np.abs(walked.foot_force[0]).max() < 1e-4
+    rise = walked.base_reference[[0, 1600, -1], 2] - 0.11
+    np.testing.assert_allclose(
+        rise, [0.0, np.mean([0.02, -0.01, 0.015, -0.01]), np.mean([0.02, -0.01, 0.03, -0.01])], atol=1e-4
+    )
+
+
+def test_swings_clear_the_higher_foothold_by_the_step_height(scenario, walked):
+    step = scenario.gait.step_height
+    for limb, top in enumerate([0.02, 0.01, 0.015, -0.01]):
+        first_cycle = walked.foot_target[:1600, limb, 2]
+        assert first_cycle.max() == pytest.approx(top + step, abs=2e-4)
+
+
+@pytest.mark.slow
+def test_engines_agree_on_uneven_ground(scenario, walked):
+    other = mc.rollout(scenario, engine="mjx")
+    for name in ("base_position", "foot_force", "tsm", "gia_margin"):
+        np.testing.assert_allclose(getattr(other, name), getattr(walked, name), rtol=1e-8, atol=1e-8)
+
+
+def test_level_lists_are_flat_ground():
+    """Footholds all at zero give the walk on flat ground, to rounding; all a hand higher, the same walk up there."""
+    flat = mc.Scenario().with_overrides(SHORT)
+    level = flat.with_overrides({"ground.footholds": {limb: [0.0, 0.0, 0.0] for limb in ORDER}})
+    higher = flat.with_overrides({"ground.footholds": {limb: [0.1, 0.1, 0.1] for limb in ORDER}})
+    walks = [mc.rollout(scenario) for scenario in (flat, level, higher)]
+    for name in ("foot_force", "joint_angles", "tsm", "gia_margin"):
+        np.testing.assert_allclose(getattr(walks[1], name), getattr(walks[0], name), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(getattr(walks[2], name), getattr(walks[0], name), rtol=1e-6, atol=1e-6)
+
+
+def test_heights_can_be_a_batch():
+    """Terrain is a parameter like others: a batch of it walks at once, each as if alone."""
+    base = mc.Scenario().with_overrides({**SHORT, "duration": 0.2, "ground.footholds": STEPS})
+    numbers = jax.tree.map(np.asarray, mc.parameters(base))
+    table = numbers.foothold_height
+    batch = mc.Parameters(**{**vars(numbers), "foothold_height": np.stack([table, 0.5 * table])})
+    both = mc.rollout_metrics(base, numbers=batch, dtype=np.float64)
+    half = mc.Parameters(**{**vars(numbers), "foothold_height": 0.5 * table[None]})
+    alone = mc.rollout_metrics(base, numbers=half, dtype=np.float64)
+    np.testing.assert_allclose(both["peak_foot_force"][1], alone["peak_foot_force"][0], rtol=1e-9)
+    assert both["peak_foot_force"][0] != both["peak_foot_force"][1]
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Maps
+
+
+def slope(x, y):
+    return 0.05 * x - 0.03 * y
+
+
+@pytest.fixture(scope="module")
+def maps(tmp_path_factory):
+    """The same plane as CSV, npy and PNG, 5 mm pitch from (-0.4, -0.3) m; PNG in grey levels of 16 bits."""
+    folder = tmp_path_factory.mktemp("maps")
+    x, y = np.meshgrid(-0.4 + 0.005 * np.arange(181), -0.3 + 0.005 * np.arange(121))
+    grid = slope(x, y)
+    np.save(folder / "plane.npy", grid)
+    np.savetxt(folder / "plane.csv", grid, delimiter=",")
+    grey = (grid[::-1] - grid.min()) / np.ptp(grid)
+    matplotlib.image.imsave(folder / "plane.png", np.repeat(grey[..., None], 3, axis=-1))
+    return folder, float(np.ptp(grid)), float(grid.min())
+
+
+def on(file, **more):
+    return mc.Scenario().with_overrides(
+        {"ground.map": {"file": str(file), "resolution": 0.005, "origin": [-0.4, -0.3], **more}, "gait.heading": 0.3}
+    )
+
+
+def test_maps_give_the_heights_below_the_planned_footholds(maps):
+    folder, span, low = maps
+    expected = slope(*np.moveaxis(footholds(on(folder / "plane.npy")), -1, 0))
+    assert expected.shape == (4, 3)
+    for suffix in ("npy", "csv"):
+        np.testing.assert_allclose(foothold_heights(on(folder / f"plane.{suffix}")), expected, atol=1e-12)
+    grey = foothold_heights(on(folder / "plane.png", scale=span))
+    np.testing.assert_allclose(grey + low, expected, atol=span / 255)
+
+
+BAD = {  # content of the file, keys, what is said
+    "text.csv": (b"1,2\nthree,4\n", {}, "ground.map.file: expected a grid of numbers"),
+    "ragged.csv": (b"1,2\n3\n", {}, "ground.map.file: expected a grid of numbers"),
+    "nan.csv": (b"1,2\nnan,4\n", {}, "not finite"),
+    "line.csv": (b"1,2\n", {}, "expected two rows and columns or more"),
+    "empty.npy": (b"", {}, "ground.map.file: expected a grid of numbers"),
+    "noise.png": (b"noise", {}, "ground.map.file: expected a grid of numbers"),
+    "map.tif": (b"", {}, "expected a .csv, .npy or .png"),
+    "small.csv": (b"0,0\n0,0\n", {}, "expected a map that covers foothold 0 of LF"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_map_that_cannot_be_used_is_refused_in_one_line(name, tmp_path):
+    content, keys, expected = BAD[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(mc.ConfigError) as refused:
+        foothold_heights(on(tmp_path / name, **keys))
+    assert expected in str(refused.value) and name in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"ground.footholds.LF": []}, "ground.footholds.LF: expected a list of one finite number or more"),
+        ({"ground.footholds.LF": [0, "high"]}, "ground.footholds.LF: expected a list"),
+        ({"ground.footholds.XX": [0]}, "ground.footholds.XX: expected a known key"),
+        ({"ground.map": {"file": "a.csv"}}, "ground.map.resolution: expected a value"),
+        ({"ground.map": {"file": "a.csv", "resolution": 0}}, "ground.map.resolution: expected a finite number above 0"),
+        (
+            {"ground.map": {"file": "a.csv", "resolution": 1}, "ground.footholds.LF": [1]},
+            "ground.map: expected footholds or map, not both",
+        ),
+        ({"gait.duty": 0.9999}, "gait.duty: expected a swing"),
+    ],
+)
+def test_bad_keys_are_named(changes, expected):
+    with pytest.raises(mc.ConfigError) as refused:
+        mc.Scenario().with_overrides(changes)
+    assert expected in str(refused.value)
+
+
+def test_what_a_limb_cannot_reach_is_refused_before_the_walk(scenario):
+    check_reach(scenario)
+    check_reach(mc.Scenario())
+    with pytest.raises(mc.ConfigError, match=r"ground.footholds.RH.1: expected footholds within reach"):
+        check_reach(scenario.with_overrides({"ground.footholds.RH": [0.0, 0.5]}))
+
+
+def test_a_map_beside_its_config(maps, tmp_path, monkeypatch):
+    (tmp_path / "plane.npy").write_bytes((maps[0] / "plane.npy").read_bytes())
+    text = {"ground": {"map": {"file": "plane.npy", "resolution": 0.005, "origin": [-0.4, -0.3]}}}
+    (tmp_path / "walk.yaml").write_text(json.dumps(text))
+    monkeypatch.chdir("/")
+    assert foothold_heights(mc.load_scenario(tmp_path / "walk.yaml")).any()
