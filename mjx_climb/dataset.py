@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mjx_climb import config
 from mjx_climb.config import ConfigError, Scenario
 from mjx_climb.metrics import METRICS
 from mjx_climb.parameters import Gains, Parameters
@@ -185,7 +184,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
     source = str(dataset.encoding.get("source", "dataset"))
     if "scenario" not in dataset.attrs:
         raise ConfigError(f"{source}: expected an attribute 'scenario', got none")
-    return config._validated(config._parse(dataset.attrs["scenario"], source), source)
+    return Scenario.from_yaml(dataset.attrs["scenario"], source)
 
 
 def _provenance(scenario: Scenario) -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import bench, export, pareto, reproduce, run, schedule, sweep, tune
+from tuning.command_line import bench, export, pareto, reproduce, run, schedule, schema, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -30,6 +30,7 @@ app.command("tune")(tune.tune)
 app.command("pareto")(pareto.pareto)
 app.command("schedule")(schedule.schedule)
 app.command("export")(export.export)
+app.command("schema")(schema.schema)
 app.command("bench")(bench.bench)
 
 

@@ -1,0 +1,80 @@
+"""The schema for editors: it takes what the loader takes, and refuses what the loader refuses."""
+
+import json
+import re
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+import mjx_climb as mc
+from tuning.command_line import main
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+BLOCKS = re.findall(r"```yaml\n(.*?)```", (CONFIGS.parent / "docs" / "scenarios.md").read_text(), re.DOTALL)
+CASES = ["case_1_1", "case_1_2", "case_2"]
+LIMB = {"joints": ["a", "b", "c"], "foot": "d", "foothold": [0.1, 0.1]}
+ROBOT = {"file": "robot.urdf", "height": 0.1, "limbs": dict.fromkeys(("LF", "LH", "RH", "RF"), LIMB)}
+
+
+@pytest.fixture
+def schema(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["schema"])
+    assert ended.value.code == 0
+    tree = json.loads(capsys.readouterr().out)
+    jsonschema.Draft202012Validator.check_schema(tree)
+    return jsonschema.Draft202012Validator(tree)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_shipped_configs_are_valid(schema, case):
+    text = (CONFIGS / f"{case}.yaml").read_text()
+    schema.validate(json.loads(json.dumps(yaml.safe_load(mc.Scenario.from_yaml(text).to_yaml()), default=str)))
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_every_example_of_the_how_to_loads(schema, block):
+    scenario = mc.Scenario.from_yaml(block)
+    schema.validate(yaml.safe_load(scenario.to_yaml()))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {},
+        {"robot": ROBOT},
+        {"ground": {"footholds": {"LF": [0.0, 0.1]}}},
+        {"ground": {"map": {"file": "map.csv", "resolution": 0.01}}},
+        {"control": {"damping": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]}},
+    ],
+)
+def test_what_loads_is_valid(schema, data):
+    mc.Scenario.from_yaml(json.dumps(data))
+    schema.validate(data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"gravty": [0, 0, -9.81]},
+        {"gait": {"duty": 0.5}},
+        {"gait": {"sequence": ["LF", "LH", "RH"]}},
+        {"robot": {"file": "robot.urdf"}},
+        {"control": {"damping": [1.0, 2.0]}},
+        {"control": {"controller": "pid"}},
+        {"time_step": -1},
+    ],
+)
+def test_what_does_not_load_is_invalid(schema, data):
+    with pytest.raises(mc.ConfigError, match=r"^walk: "):
+        mc.Scenario.from_yaml(json.dumps(data), "walk")
+    assert not schema.is_valid(data)
+
+
+def test_every_key_is_described(schema):
+    """Each key of each section has a sentence that an editor can show."""
+    for name, section in [*schema.schema["$defs"].items(), ("Scenario", schema.schema)]:
+        for key, value in section.get("properties", {}).items():
+            assert value.get("description"), f"{name}.{key}"
