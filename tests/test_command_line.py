@@ -100,7 +100,7 @@ BAD = [
 @pytest.mark.parametrize(("line", "expected"), BAD, ids=[line for line, _ in BAD])
 def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    for name in ("rollout", "rollout_metrics"):  # refused before anything is computed
+    for name in ("rollout", "rollout_metrics", "rollout_histories"):  # refused before anything is computed
         monkeypatch.setattr(mc, name, lambda *_, **__: pytest.fail("computed"))
     code, out, err = call(*(word.format(config=CONFIG, files=files) for word in line.split()))
     assert (code, out) == (2, "")
@@ -204,7 +204,7 @@ def test_sweep_writes_grid_maps_and_config(swept):
 
 
 def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch, tmp_path):
-    walk, calls = mc.rollout_metrics, []
+    walk, calls = mc.rollout_histories, []
 
     def stopped(*arguments, **options):
         calls.append(1)
@@ -213,7 +213,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
         return walk(*arguments, **options)
 
     command = ("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
-    monkeypatch.setattr(mc, "rollout_metrics", stopped)
+    monkeypatch.setattr(mc, "rollout_histories", stopped)
     code, out, err = call(*command)
     assert (code, out) == (130, "")
     last = err.splitlines()[-1]

@@ -1,8 +1,11 @@
 """Arguments and options that several commands share, and what becomes of them."""
 
 import contextlib
+import re
+import shlex
 import sys
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TextIO
 
@@ -39,6 +42,19 @@ Engine = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
+ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
+
+
+def typed() -> str:
+    """Return the command as it was typed, for others to read."""
+    return shlex.join(["mjx-climb", *map(without_folders, ARGUMENTS.get())])
+
+
+def without_folders(text: str) -> str:
+    """Return a text in which absolute paths have lost their folders: these belong to one machine."""
+    return re.sub(r"(?<![\w.:/-])(?:~|[A-Za-z]:)?[/\\](?:[^/\\\n'\"=]+[/\\])*(?=[^/\\\s])", "", text)
+
+
 def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, before any gains file."""
     import mjx_climb as mc
@@ -60,6 +76,13 @@ def engine_from(name: str | None) -> str:
     if name is not None and name not in ENGINES:
         raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {name!r}")
     return name or DEFAULT_ENGINE
+
+
+def engine_option(engine: str) -> str:
+    """Return the option that chooses an engine, with a space before it; empty for the default."""
+    from mjx_climb.dynamics import DEFAULT_ENGINE
+
+    return "" if engine == DEFAULT_ENGINE else f" --engine {engine}"
 
 
 @contextlib.contextmanager
