@@ -15,6 +15,7 @@ from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from tuning.report.page import Origin
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 
@@ -53,6 +54,13 @@ def typed() -> str:
 def without_folders(text: str) -> str:
     """Return a text in which absolute paths have lost their folders: these belong to one machine."""
     return re.sub(r"(?<![\w.:/-])(?:~|[A-Za-z]:)?[/\\](?:[^/\\\n'\"=]+[/\\])*(?=[^/\\\s])", "", text)
+
+
+def origin(name: str, again: str, config: str) -> "Origin":
+    """Return where a report comes from: see `tuning.report.page.Origin`."""
+    from tuning.report.page import Origin
+
+    return Origin(name, typed(), again, without_folders(config))
 
 
 def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":

@@ -82,6 +82,8 @@ def pareto(
             plots.save_figure(overviews.plot_front(front), out / "front")
             dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
             pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+            again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
+            again += f"--points {points}{options.engine_option(engine)} --out again"
             with meter.stage("report"):
                 on_front = mc.Gains(*(front[n].values for n in ("inertia", "damping", "stiffness")),
                                     **{n: front[n].values for n in ("kp", "kd") if n in front})  # fmt: skip
@@ -89,10 +91,7 @@ def pareto(
                     front, chosen, mc.rollout_histories(scenario, on_front, engine=engine),
                     {name: mc.rollout(s, engine=engine) for name, s in (("pd", pd), ("config", scenario))},
                     page.Table("The front", *front_rows(front, chosen), 1), scenario,
-                    asked=options.typed(),
-                    again=f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
-                    f"--points {points}{options.engine_option(engine)} --out again",
-                    config=options.without_folders(scenario.to_yaml()), name=config.stem, seed=wanted.seed,
+                    origin=options.origin(config.stem, again, scenario.to_yaml()), seed=wanted.seed,
                     pictures={"The front, and all that was walked on the way.": out / "front.svg"},
                 )  # fmt: skip
                 page.write(written, out)

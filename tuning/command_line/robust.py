@@ -68,8 +68,7 @@ def tune_robustly(
             again = "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again"
             written = pages.robust_page(
                 found, page.Table("On the walks of a fresh draw", *robust_rows(summed), 3), f"{verdict}.",
-                asked=options.typed(), again=again + options.engine_option(engine),
-                config=options.without_folders(scenario.to_yaml()), name=name,
+                origin=options.origin(name, again + options.engine_option(engine), scenario.to_yaml()),
                 pictures={"How the search converged.": out / "convergence.svg",
                           "Share of the fresh walks below a value.": out / "judged.svg"},
             )  # fmt: skip

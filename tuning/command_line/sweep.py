@@ -138,10 +138,9 @@ def sweep(
                     marks,
                     scenario,
                     warnings=[f"The best lies on the edge of the grid: widen --{name}." for name in edges],
-                    asked=options.typed(),
-                    again=_again(stiffness, damping, batch_size, engine),
-                    config=options.without_folders(scenario.to_yaml()),
-                    name=config.stem,
+                    origin=options.origin(
+                        config.stem, _again(stiffness, damping, batch_size, engine), scenario.to_yaml()
+                    ),
                     pictures={
                         "The walks over time: red crosses mark a torn gripper, shading a disturbance.": out
                         / "walks.svg",

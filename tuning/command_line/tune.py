@@ -186,8 +186,8 @@ def tune(
                 written = pages.page(
                     found, checked, over, {name: walks[name] for name in compared}, compared,
                     outcome=[line[0].upper() + line[1:] for line in _verdict(checked, found)],
-                    asked=options.typed(), again=again + options.engine_option(engine),
-                    config=options.without_folders(scenario.to_yaml()), name=config.stem, pictures=pictures_shown,
+                    origin=options.origin(config.stem, again + options.engine_option(engine), scenario.to_yaml()),
+                    pictures=pictures_shown,
                 )  # fmt: skip
                 page.write(written, out)
             parts.clear(out)

@@ -32,11 +32,13 @@ class Table(NamedTuple):
     words: int = 2
 
 
-class Picture(NamedTuple):
-    """An SVG file and what it shows."""
+class Origin(NamedTuple):
+    """Where a page comes from."""
 
-    caption: str
-    path: Path
+    name: str  # of the config
+    asked: str  # the command, as it was typed
+    again: str  # the command that repeats it, in the folder of the report
+    config: str  # the scenario in full
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,15 +46,13 @@ class Page:
     """What a report says, in the order in which it says it."""
 
     title: str
-    asked: str  # the command, as it was typed
+    origin: Origin
     verdict: str  # one sentence
     notes: Sequence[str]
     scenario: mc.Scenario
-    config: str  # the scenario, or the name of the files that hold it
     explorers: Sequence[Mapping[str, Any]]
     tables: Sequence[Table]
-    pictures: Sequence[Picture]
-    again: str  # the command that repeats this, in the folder of the report
+    pictures: Mapping[str, Path]  # SVG files by their captions
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
 
@@ -69,7 +69,9 @@ def write(page: Page, folder: Path) -> Path:
 def render(page: Page) -> str:
     """Return the page as HTML that holds all it needs."""
     inlined = {name: Markup((HERE / name).read_text()) for name in ("page.css", "page.js")}
-    pictures = [(p.caption, inline_svg(p.path.read_text(), f"p{n}-", p.caption)) for n, p in enumerate(page.pictures)]
+    pictures = [
+        (text, inline_svg(file.read_text(), f"p{n}-", text)) for n, (text, file) in enumerate(page.pictures.items())
+    ]
     return _ENVIRONMENT.get_template("page.html.jinja").render(
         page=page,
         explorers=plain(page.explorers),

@@ -9,7 +9,7 @@ import xarray as xr
 import mjx_climb as mc
 from tuning.report import comparison
 from tuning.report.explorer import explorer, listed_points
-from tuning.report.page import Page, Picture, Table
+from tuning.report.page import Origin, Page, Table
 
 
 def page(
@@ -20,10 +20,7 @@ def page(
     table: Table,
     scenario: mc.Scenario,
     *,
-    asked: str,
-    again: str,
-    config: str,
-    name: str,
+    origin: Origin,
     seed: int,
     pictures: Mapping[str, Path],
 ) -> Page:
@@ -36,7 +33,7 @@ def page(
         walks: config and pd in double precision.
         table: the front.
         scenario: of all walks.
-        asked, again, config, name, pictures: as of `tuning.report.sweep.page`.
+        origin, pictures: as of `tuning.report.sweep.page`.
         seed: of the search.
     """
     better, against = front.attrs["better"], front.attrs["against"]
@@ -47,12 +44,11 @@ def page(
         for n, value in at_knee.items()
     ]
     return Page(
-        title=f"What {better} costs in {against}: {name}",
-        asked=asked,
+        title=f"What {better} costs in {against}: {origin.name}",
+        origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
         notes=[],
         scenario=scenario,
-        config=config,
         explorers=[
             explorer(
                 "The front", walks, metrics, shown=("pd",),
@@ -60,7 +56,6 @@ def page(
             )
         ],
         tables=[table],
-        pictures=[Picture(caption, path) for caption, path in pictures.items()],
-        again=again,
+        pictures=pictures,
         facts={"precision": "float32 (search), float64 (front)", "seed": seed},
     )  # fmt: skip

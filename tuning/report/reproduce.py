@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tuning import paper
 from tuning.report.explorer import explorer
-from tuning.report.page import Page, Picture, Table
+from tuning.report.page import Origin, Page, Table
 
 SHOWN = ("pd", "virtual model", "measured pose")
 
@@ -18,7 +18,7 @@ def page(
     notes: Sequence[str],
     prose: Mapping[str, Sequence[str]],
     *,
-    asked: str,
+    origin: Origin,
     pictures: Mapping[str, Path],
 ) -> Page:
     """Return the page of a reproduction.
@@ -30,7 +30,7 @@ def page(
         tables: metrics and claims.
         notes: what is said of the claims, a line each.
         prose: what is said of each claim, by case and reading.
-        asked: the command as typed.
+        origin: of the page.
         pictures: SVG files by their captions.
     """
     explorers = []
@@ -47,18 +47,14 @@ def page(
     first = next(iter(cases.values()))[paper.BASELINE].trajectory.scenario
     return Page(
         title="The paper's three cases, walked again",
-        asked=asked,
+        origin=origin,
         verdict=verdict(verdicts),
         notes=notes,
         scenario=first,
-        config="\n".join(
-            f"# case {name}\n{walks[paper.BASELINE].trajectory.scenario.to_yaml()}" for name, walks in cases.items()
-        ),
         explorers=explorers,
         tables=tables,
         prose=prose,
-        pictures=[Picture(caption, path) for caption, path in pictures.items()],
-        again="mjx-climb reproduce --out again",
+        pictures=pictures,
         facts={"precision": "float64", "seed": "none: nothing is drawn at random"},
     )
 

@@ -11,7 +11,7 @@ from mjx_climb.histories import LINES
 from tuning import grid
 from tuning.report import comparison
 from tuning.report.explorer import coarser, explorer, grid_points
-from tuning.report.page import Page, Picture
+from tuning.report.page import Origin, Page
 
 
 def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how) -> xr.Dataset:
@@ -33,10 +33,7 @@ def page(
     scenario: mc.Scenario,
     *,
     warnings: list[str],
-    asked: str,
-    again: str,
-    config: str,
-    name: str,
+    origin: Origin,
     pictures: Mapping[str, Path],
 ) -> Page:
     """Return the page of a sweep.
@@ -49,10 +46,7 @@ def page(
         marks: gains to mark on the maps.
         scenario: of the grid.
         warnings: for the notes.
-        asked: the command as typed.
-        again: the command that repeats it.
-        config: the scenario in full.
-        name: of the config.
+        origin: of the page.
         pictures: SVG files by their captions.
     """
     best = grid.best_cell(result)
@@ -78,12 +72,11 @@ def page(
         notes.append(f"The page holds the time histories of {kept} of the cells; a click shows the nearest of them.")
     chosen = best if best is not None else result.isel(stiffness=0, damping=0)
     return Page(
-        title=f"Sweep of {name}: {result.sizes['stiffness']} stiffness by {result.sizes['damping']} damping values",
-        asked=asked,
+        title=f"Sweep of {origin.name}, {result.sizes['stiffness']} by {result.sizes['damping']}: stiffness and damping",
+        origin=origin,
         verdict=verdict,
         notes=[*notes, *warnings],
         scenario=scenario,
-        config=config,
         explorers=[
             explorer(
                 "Maps and walks", dict(reversed(walks.items())), metrics, shown=("pd",),
@@ -91,8 +84,7 @@ def page(
             )
         ],
         tables=[comparison.table(compared, "Walks in double precision")],
-        pictures=[Picture(caption, path) for caption, path in pictures.items()],
-        again=again,
+        pictures=pictures,
         facts={
             "precision": f"{result.attrs['dtype']} (grid), float64 (named walks)",
             "engine": result.attrs["engine"],

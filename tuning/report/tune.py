@@ -9,7 +9,7 @@ import xarray as xr
 import mjx_climb as mc
 from tuning.report import comparison
 from tuning.report.explorer import explorer, grid_points
-from tuning.report.page import Page, Picture, Table
+from tuning.report.page import Origin, Page, Table
 from tuning.result import Result
 from tuning.verification import Verification
 from tuning.words import number
@@ -23,10 +23,7 @@ def page(
     compared: comparison.Compared,
     *,
     outcome: list[str],
-    asked: str,
-    again: str,
-    config: str,
-    name: str,
+    origin: Origin,
     pictures: Mapping[str, Path],
 ) -> Page:
     """Return the page of a search.
@@ -38,7 +35,7 @@ def page(
         walks: tuned, config and pd in double precision.
         compared: their gains and metrics, tuned first.
         outcome: of the verification, in lines.
-        asked, again, config, name, pictures: as of `tuning.report.sweep.page`.
+        origin, pictures: as of `tuning.report.sweep.page`.
     """
     metrics = {walk: numbers for walk, (_, numbers) in compared.items()}
     tuned, search = metrics["tuned"], found.search
@@ -62,12 +59,11 @@ def page(
     ]
     title = "Map: the same gains on all axes, around the result"
     return Page(
-        title=f"Tuned gains for {name}: {search.method}, {search.space}",
-        asked=asked,
+        title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
+        origin=origin,
         verdict=f"Tuned gains score {scores['objective']['tuned']:.4f} of pd's 1: {'; '.join(parts)}; {limits}.",
         notes=[*outcome, *_worse(tuned, metrics["pd"])],
         scenario=found.scenario,
-        config=config,
         explorers=[explorer(title if points else "Walks", dict(reversed(walks.items())), metrics, points=points)],
         tables=[
             comparison.table(compared, "Walks in double precision"),
@@ -79,8 +75,7 @@ def page(
                 1,
             ),
         ],
-        pictures=[Picture(caption, path) for caption, path in pictures.items()],
-        again=again,
+        pictures=pictures,
         facts={
             "precision": "float32 (search, map), float64 (named walks, verification)",
             "seed": search.seed,
@@ -94,10 +89,7 @@ def robust_page(
     table: Table,
     verdict: str,
     *,
-    asked: str,
-    again: str,
-    config: str,
-    name: str,
+    origin: Origin,
     pictures: Mapping[str, Path],
 ) -> Page:
     """Return the page of a search over an ensemble; `table` judges its result on walks that the search never saw."""
@@ -105,16 +97,14 @@ def robust_page(
     own = found.scenario.control
     config_gains = {key: getattr(own, key) for key in ("inertia", "damping", "stiffness")}
     return Page(
-        title=f"Robust gains for {name}: {found.search.method}, {found.search.space}",
-        asked=asked,
+        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
+        origin=origin,
         verdict=verdict,
         notes=[] if found.feasible else ["No gains kept every limit in every member of the search."],
         scenario=found.scenario,
-        config=config,
         explorers=[],
         tables=[table, comparison.gains_table({"robust": (gains, {}), "config": (config_gains, {})})],
-        pictures=[Picture(caption, path) for caption, path in pictures.items()],
-        again=again,
+        pictures=pictures,
         facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
     )
 
