@@ -193,7 +193,7 @@ def test_sweep_writes_grid_maps_and_config(swept):
     out, done = swept
     names = {path.name for path in out.iterdir()}
     pictures = {f"{name}.{kind}" for name in ("maps", "walks") for kind in ("png", "svg")}
-    assert names == {"sweep.nc", "config.yaml", "comparison.json", "maps", *pictures}
+    assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps", *pictures}
     maps = {path.stem for path in (out / "maps").iterdir()}
     assert maps == set(mc.METRICS) - {"detached_limb", "diverged"}
     with xr.open_dataset(out / "sweep.nc", engine="h5netcdf") as result:

@@ -95,8 +95,7 @@ def grid_points(
     for name in [str(n) for n in shown.data_vars if n not in LINES]:
         values = shown[name].transpose(*reversed(_AXES)).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
-            norm, _ = plots._robust_norm(values, failed, baseline.get(name))
-            scales[name] = {"low": norm.vmin, "high": norm.vmax, "log": isinstance(norm, mpl.colors.LogNorm)}
+            scales[name] = _scale(values, failed, baseline.get(name), larger=name in LARGER_IS_BETTER)
     values = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
     stored = [
         i * shown.sizes["damping"] + j
@@ -182,6 +181,19 @@ def colors() -> str:
     """Return the colours of the maps from worst to best, six hexadecimal digits each."""
     steps = mpl.colormaps["viridis"](np.linspace(0, 1, 64))
     return "".join(mpl.colors.to_hex(color)[1:] for color in steps)
+
+
+def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger: bool) -> dict[str, Any]:
+    """Return where the colours of a map begin and end.
+
+    As on the pictures, but what is far worse than the baseline shares one colour: better ones are to be told apart.
+    """
+    norm, _ = plots._robust_norm(values, failed, base)
+    low, high, log = norm.vmin, norm.vmax, isinstance(norm, mpl.colors.LogNorm)
+    if base is not None and low < base < high and not log:
+        reach = max(2 * (high - base if larger else base - low), 0.5 * abs(base))
+        low, high = (max(low, base - reach), high) if larger else (low, min(high, base + reach))
+    return {"low": low, "high": high, "log": log}
 
 
 def _metric_texts() -> dict[str, Any]:

@@ -25,6 +25,9 @@
     return String(Number(value.toPrecision(4)));
   }
 
+  // The same for ticks, where room is short.
+  const short = (value) => (Math.abs(value) >= 1e4 ? value.toExponential().replace("+", "") : format(value));
+
   function change(value, base) {
     if (typeof value !== "number" || typeof base !== "number" || base === 0) return "";
     const percent = 100 * (value / base - 1);
@@ -67,11 +70,11 @@
   function axes(svg, box, x, y, xText, yText, lines = true) {
     for (const v of x.ticks) {
       if (lines) svg.append(make("line", { x1: x.at(v), x2: x.at(v), y1: box.top, y2: box.bottom, class: "grid" }));
-      svg.append(make("text", { x: x.at(v), y: box.bottom + 15, "text-anchor": "middle", class: "soft" }, format(v)));
+      svg.append(make("text", { x: x.at(v), y: box.bottom + 15, "text-anchor": "middle", class: "soft" }, short(v)));
     }
     for (const v of y.ticks) {
       if (lines) svg.append(make("line", { x1: box.left, x2: box.right, y1: y.at(v), y2: y.at(v), class: "grid" }));
-      svg.append(make("text", { x: box.left - 6, y: y.at(v) + 4, "text-anchor": "end", class: "soft" }, format(v)));
+      svg.append(make("text", { x: box.left - 6, y: y.at(v) + 4, "text-anchor": "end", class: "soft" }, short(v)));
     }
     svg.append(make("path", { d: `M${box.left} ${box.top}V${box.bottom}H${box.right}`, class: "axis" }));
     svg.append(make("text", { x: (box.left + box.right) / 2, y: box.bottom + 34, "text-anchor": "middle" }, xText));
@@ -154,7 +157,7 @@
           (this.heading = make("p", { class: "title" })),
           map,
           legend(points.marks.map((m) => [this.symbol(m.name), m.name])),
-          make("p", { class: "hint screen" }, "Brighter is better; hatched walks lost a gripper or diverged. Point at a cell for its numbers, click it for its walk over time; arrow keys move, Enter chooses."),
+          make("p", { class: "hint screen" }, "Brighter is better, and colours end where the bar does; hatched walks lost a gripper or diverged. Point at a cell for its numbers, click it for its walk over time; arrow keys move, Enter chooses."),
         );
         this.drawings.push(() => this.drawMap(map));
         this.mapTitle();
@@ -228,7 +231,7 @@
       const { points, metric } = this;
       const [xs, ys] = points.axes.map((axis) => axis.values);
       const wide = place.clientWidth;
-      const { svg, width, height } = canvas(place, Math.round(Math.min(560, Math.max(280, 0.8 * wide))), `Map of ${this.texts[metric].label} over stiffness and damping`, true);
+      const { svg, width, height } = canvas(place, Math.round(Math.min(620, Math.max(280, 0.95 * wide))), `Map of ${this.texts[metric].label} over stiffness and damping`, true);
       svg.setAttribute("tabindex", "0");
       const box = { left: GAP.left, right: width - 74, top: GAP.top, bottom: height - GAP.bottom };
       const w = (box.right - box.left) / xs.length;
@@ -309,7 +312,7 @@
       const there = typeof base === "number" && base >= low && base <= high;
       for (const v of y.ticks) {
         if (there && Math.abs(y.at(v) - y.at(base)) < 12) continue;
-        svg.append(make("text", { x: box.right + 4, y: y.at(v) + 4, class: "soft" }, format(v)));
+        svg.append(make("text", { x: box.right + 4, y: y.at(v) + 4, class: "soft" }, short(v)));
       }
       if (there) {
         svg.append(make("path", { d: `M${box.left - 4} ${y.at(base)}H${box.right + 4}`, stroke: "var(--red)", "stroke-width": 2.5 }));
@@ -327,13 +330,13 @@
       let best = Infinity;
       const front = held.filter((c) => sign(trade.y) * vy[c] < best && ((best = sign(trade.y) * vy[c]), true));
       const named_ = this.data.walks.filter((walk) => typeof walk.metrics[trade.x] === "number" && typeof walk.metrics[trade.y] === "number");
-      const { svg, width, height } = canvas(place, 330, `${this.texts[trade.y].label} against ${this.texts[trade.x].label}`);
+      const { svg, width, height } = canvas(place, 300, `${this.texts[trade.y].label} against ${this.texts[trade.x].label}`);
       svg.dataset.front = front.join(" ");
       const box = { left: GAP.left + 6, right: width - GAP.right, top: GAP.top, bottom: height - GAP.bottom };
       const ends = (values, others) => {
         const all = [...held.map((c) => values[c]), ...others].sort((a, b) => a - b);
         if (!all.length) return [0, 1, false];
-        const [low, high] = [all[0], all[Math.ceil(0.98 * (all.length - 1))]];
+        const [low, high] = [all[0], all[Math.ceil(0.9 * (all.length - 1))]];
         const top = Math.max(high, ...others, ...front.map((c) => values[c]));
         const log = low > 0 && top / low > 20;
         const room = log ? (top / low) ** 0.05 : 0.06 * (top - low || Math.abs(top) || 1);

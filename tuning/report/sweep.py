@@ -72,7 +72,7 @@ def page(
         notes.append(f"The page holds the time histories of {kept} of the cells; a click shows the nearest of them.")
     chosen = best if best is not None else result.isel(stiffness=0, damping=0)
     return Page(
-        title=f"Sweep of {origin.name}, {result.sizes['stiffness']} by {result.sizes['damping']}: stiffness and damping",
+        title=f"Sweep of {origin.name}, {result.sizes['stiffness']} by {result.sizes['damping']} gains",
         origin=origin,
         verdict=verdict,
         notes=[*notes, *warnings],
