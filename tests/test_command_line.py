@@ -17,6 +17,7 @@ from tuning import gains_file, grid
 from tuning.command_line import main, progress, report
 from tuning.command_line.ending import InputError
 from tuning.command_line.sweep import log_range
+from tuning.report import page
 
 ROOT = Path(__file__).parents[1]
 CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
@@ -223,6 +224,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     assert str(tmp_path) in err
 
     monkeypatch.setattr(plots, "save_figure", lambda *_: None)
+    monkeypatch.setattr(page, "write", lambda *_: None)
     code, out, err = call(*command)
     assert code == 0
     assert len(calls) == 3

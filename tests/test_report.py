@@ -217,6 +217,24 @@ def test_small_windows_and_paper(opened):
     assert pdf.startswith(b"%PDF") and len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 2
 
 
+@pytest.mark.slow
+def test_tune_leaves_a_page(tmp_path):
+    from tuning.command_line import main
+
+    (tmp_path / "case.yaml").write_text(CONFIG)
+    few = ["--starts", "2", "--iterations", "1", "--bound", "stiffness=1e3:1e4", "--bound", "damping=1e2:1e3"]
+    with pytest.raises(SystemExit) as ended:
+        main(["tune", str(tmp_path / "case.yaml"), *few, "--out", str(tmp_path / "out")])
+    assert not ended.value.code
+    (data,) = data_of(tmp_path / "out")
+    assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
+    assert data["points"]["count"] == 144
+    assert {"objective", "spectral_radius", "feasible"} < set(data["points"]["values"])
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "Tuned gains score" in text
+    assert "mjx-climb tune config.yaml --search search.yaml --out again" in text
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

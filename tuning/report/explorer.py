@@ -66,7 +66,7 @@ def explorer(
             }
             for name, walk in walks.items()
         ],
-        "points": points,
+        "points": points if points and (points["scales"] or not points["axes"]) else None,  # none without a number
     }
 
 
@@ -87,8 +87,7 @@ def grid_points(
         chosen: the cell to begin with, as of `tuning.grid.best_cell`; the first one where None.
     """
     walks = grid["diverged"].size
-    place = {} if chosen is None else {n: int(np.argmin(abs(grid[n].values - chosen[n].item()))) for n in _AXES}
-    shown = grid.isel(coarser({n: grid.sizes[n] for n in _AXES}, place, MOST_CELLS))
+    shown = coarser_grid(grid, chosen, MOST_CELLS)
     flat = shown.transpose(*_AXES, ...).stack(cell=_AXES, create_index=False)
     failed = plots._failed(shown, *_AXES)
     scales = {}
@@ -104,7 +103,7 @@ def grid_points(
         if k in histories["stiffness"].values and d in histories["damping"].values
     ]
     kept = histories.sel({n: [v for v in shown[n].values if v in histories[n].values] for n in _AXES})
-    begin = {n: 0 if chosen is None else int(np.argmin(abs(shown[n].values - chosen[n].item()))) for n in _AXES}
+    begin = dict.fromkeys(_AXES, 0) if chosen is None else place_of(shown, chosen)
     return {
         "count": flat.sizes["cell"],
         "left_out": walks - flat.sizes["cell"],
@@ -159,13 +158,24 @@ _AXES = ("stiffness", "damping")
 _FAILURES = ("detached_limb", "detached_at", "diverged")
 
 
+def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
+    """Return a grid with at most about `most` of its cells, the chosen one among them."""
+    kept = {} if chosen is None else place_of(grid, chosen)
+    return grid.isel(coarser({name: grid.sizes[name] for name in _AXES}, kept, most))
+
+
+def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
+    """Return the indices of a cell along the axes of a grid."""
+    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in _AXES}
+
+
 def coarser(sizes: Mapping[str, int], kept: Mapping[str, int], most: int) -> dict[str, np.ndarray]:
     """Return indices along the axes of a grid that leave at most about `most` cells, evenly; the ones `kept` stay."""
     rows = {name: np.arange(size) for name, size in sizes.items()}
     while np.prod([len(index) for index in rows.values()]) > most:
         longest = max(rows, key=lambda name: len(rows[name]))
         size = sizes[longest]
-        index = np.linspace(0, size - 1, len(rows[longest]) - 1).round().astype(int)
+        index = np.linspace(0, size - 1, max(1, int(0.95 * len(rows[longest])))).round().astype(int)
         if longest in kept:  # the nearest gives way
             index[np.argmin(abs(index - kept[longest]))] = kept[longest]
         rows[longest] = np.unique(index)
@@ -174,7 +184,9 @@ def coarser(sizes: Mapping[str, int], kept: Mapping[str, int], most: int) -> dic
 
 def packed(values: np.ndarray) -> str:
     """Return numbers as little-endian float32 in base64, exact as a batch walked them."""
-    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode()
+    with np.errstate(over="ignore"):  # a walk that diverges
+        values = np.asarray(values).astype("<f4")
+    return base64.b64encode(values.tobytes()).decode()
 
 
 def colors() -> str:

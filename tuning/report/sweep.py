@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.histories import LINES
 from tuning import grid
 from tuning.report import comparison
-from tuning.report.explorer import coarser, explorer, grid_points
+from tuning.report.explorer import MOST_CELLS, coarser_grid, explorer, grid_points
 from tuning.report.page import Origin, Page
 
 
@@ -18,10 +17,9 @@ def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset |
     """Return a sweep that has time histories: itself, or of a larger one a coarser grid with the best cell in it."""
     if all(name in result for name in LINES):
         return result
-    axes = ("stiffness", "damping")
-    place = {} if best is None else {n: int(np.argmin(abs(result[n].values - best[n].item()))) for n in axes}
-    rows = coarser({name: result.sizes[name] for name in axes}, place, grid.HISTORIES)
-    return grid.sweep(scenario, *(result[name].values[rows[name]] for name in axes), **how)
+    # out of the cells that the page shows
+    kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, grid.HISTORIES)
+    return grid.sweep(scenario, kept["stiffness"].values, kept["damping"].values, **how)
 
 
 def page(
