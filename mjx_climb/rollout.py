@@ -248,7 +248,7 @@ def walk_batch(
         if progress is not None:
             progress(int(rows[-1]) + 1, count)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return {name: value.reshape(*shape, *value.shape[1:]) for name, value in joined.items()}
+    return {name: value.reshape((*shape, *value.shape[1:])) for name, value in joined.items()}
 
 
 def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tuple[Gains, Parameters]:
