@@ -48,7 +48,15 @@ ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # 
 
 def typed() -> str:
     """Return the command as it was typed, for others to read."""
-    return shlex.join(["mjx-climb", *map(without_folders, ARGUMENTS.get())])
+    return shlex.join(["mjx-climb", *map(_without_folder, ARGUMENTS.get())])
+
+
+def _without_folder(argument: str) -> str:
+    """Return an argument, or what stands behind its "=", as a bare name where it is an absolute path."""
+    option, equals, value = argument.rpartition("=")
+    if re.match(r"[/~]|[A-Za-z]:[/\\]", value):
+        value = re.split(r"[/\\]", value.rstrip("/\\"))[-1]
+    return f"{option}{equals}{value}"
 
 
 def without_folders(text: str) -> str:

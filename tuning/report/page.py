@@ -86,7 +86,10 @@ def inline_svg(text: str, prefix: str, label: str) -> Markup:
     """Return an SVG document as an element of a page: with ids of its own, and a label for those who cannot see it."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{prefix}", body)
+    # matplotlib gives one name to several parts of a figure; only those that are pointed at need theirs
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', body))
+    body = re.sub(r' id="([^"]*)"', lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", body)
+    body = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}", body)
     return Markup(body.replace("<svg", Markup('<svg role="img" aria-label="{}"').format(label), 1))
 
 
