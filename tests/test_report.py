@@ -11,9 +11,10 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.histories import LINES, histories
-from tuning import pareto
+from tuning import paper, pareto, result, search, verification
 from tuning.command_line.options import without_folders
-from tuning.report import comparison, explorer, page
+from tuning.report import comparison, explorer, page, reproduce, tune
+from tuning.report import pareto as pareto_page
 
 CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
 AXES = ["--stiffness", "1e2:1e4:3", "--damping", "1e1:1e3:3"]
@@ -218,22 +219,74 @@ def test_small_windows_and_paper(opened):
     assert pdf.startswith(b"%PDF") and len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 2
 
 
-@pytest.mark.slow
-def test_tune_leaves_a_page(tmp_path):
-    from tuning.command_line import main
+@pytest.fixture(scope="module")
+def named(swept):
+    """The scenario of the sweep, and its walks under the config's gains and under pd."""
+    scenario = mc.load_scenario(swept[0] / "config.yaml")
+    six = mc.Gains(*(np.full(6, getattr(scenario.control, name)) for name in ("inertia", "damping", "stiffness")))
+    laws = {"config": scenario, "pd": scenario.with_overrides({"control.controller": "pd"})}
+    return scenario, {name: mc.rollout(law, six) for name, law in laws.items()}
 
-    (tmp_path / "case.yaml").write_text(CONFIG)
-    few = ["--starts", "2", "--iterations", "1", "--bound", "stiffness=1e3:1e4", "--bound", "damping=1e2:1e3"]
-    with pytest.raises(SystemExit) as ended:
-        main(["tune", str(tmp_path / "case.yaml"), *few, "--out", str(tmp_path / "out")])
-    assert not ended.value.code
-    (data,) = data_of(tmp_path / "out")
-    assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
-    assert data["points"]["count"] == 144
-    assert {"objective", "spectral_radius", "feasible"} < set(data["points"]["values"])
-    text = (tmp_path / "out" / "report.html").read_text()
-    assert "Tuned gains score" in text
-    assert "mjx-climb tune config.yaml --search search.yaml --out again" in text
+
+def compared_of(walks, gains):
+    return {name: (None if name == "pd" else gains, mc.metrics(walk)) for name, walk in walks.items()}
+
+
+ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "duration: 0.3")
+
+
+@pytest.mark.slow
+def test_the_page_of_a_search(swept, named):
+    scenario, (config, pd) = named[0], named[1].values()
+    walks = {"tuned": config, "config": config, "pd": pd}
+    gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
+    found = result.Result(
+        scenario, search.Search(), mc.Gains(**gains), np.zeros(2), 0.9, True, {}, 1000, 500, False, xr.Dataset()
+    )
+    checked = verification.Verification(
+        metrics={}, value=0.9, search_value=0.9, broken_limits=[], less={"damping": None}, more={"damping": 0.02},
+        shape={"damping": "cliff"}, slopes={"damping": 0.1}, grid_value=None, grid_gains=None, spectral_radius=0.99,
+        warnings=[],
+    )  # fmt: skip
+    scores = swept[1]["force_variation"] / mc.metrics(pd)["force_variation"]
+    over = swept[1].assign(objective=scores, feasible=scores < 2)
+    for grid in (over, None):
+        made = tune.page(found, checked, grid, walks, compared_of(walks, gains), outcome=["a line"], origin=ORIGIN,
+                         pictures={})  # fmt: skip
+        text = page.render(made)
+        assert "Tuned gains score 0.9000 of pd" in text and "every limit is kept" in text
+        assert "breaks a limit" in text and "mjx-climb again" in text
+        (data,) = made.explorers
+        assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
+        assert (data["points"] is None) == (grid is None)
+    cells = tune.page(found, checked, over, walks, compared_of(walks, gains), outcome=[], origin=ORIGIN, pictures={})
+    points = cells.explorers[0]["points"]
+    assert points["begin"] == int(np.argmin(scores.values))
+    assert {"objective", "feasible"} < set(points["values"])
+
+
+@pytest.mark.slow
+def test_the_page_of_a_front(swept, named):
+    flat = swept[1].stack(front=("stiffness", "damping"), create_index=False)
+    six = {name: ("front", flat[name].values) for name in ("stiffness", "damping")}
+    front = flat[list(mc.METRICS)].drop_vars(["stiffness", "damping"]).assign(six)
+    front = front.assign_attrs(better="force_variation", against="base_deviation")
+    kept = {name: flat[name].transpose("front", ...).values for name in LINES}
+    table = page.Table("The front", ["", "a"], [("", [["knee", "1"]])], 1)
+    made = pareto_page.page(front, 4, kept, named[1], table, named[0], origin=ORIGIN, seed=0, pictures={})
+    assert "The front of 9 points bends at" in page.render(made)
+    points = made.explorers[0]["points"]
+    assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == 4
+
+
+def test_the_verdict_on_the_paper_counts_claims():
+    holds = dict.fromkeys(paper.CLAIMS, True) | {"detachment": None, "cost_of_transport": False}
+    case = {
+        reading: {claim: paper.Verdict(value, {}, "") for claim, value in holds.items()} for reading in paper.READINGS
+    }
+    other = {reading: case[reading] | {"torque_spikes": paper.Verdict(False, {}, "")} for reading in paper.READINGS}
+    text = reproduce.verdict({"1": case, "2": other})
+    assert text.count("3 hold wherever they can be judged and 1 in some cases only") == 2
 
 
 @pytest.mark.parametrize(
