@@ -62,7 +62,7 @@ def rollout_histories(
     return walk_batch(_compiled, scenario, gains, numbers, dtype, batch_size, progress, engine)
 
 
-def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "2 stretch"]]:
+def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
     """Return `LINES` of one walk, as `rollout_histories` does."""
     with jax.enable_x64(trajectory.time.dtype == np.float64):
         lines = _lines(jax.tree.map(jnp.asarray, to_samples(trajectory)))

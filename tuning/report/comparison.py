@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from tuning.report.page import Table
 from tuning.words import change, gain, number, unit
 
-Compared = Mapping[str, tuple[Mapping | None, Mapping]]  # gains (None for a controller without) and metrics by name
+Compared = Mapping[str, tuple[dict | None, dict]]  # gains (None for a controller without) and metrics by name
 
 
 def table(compared: Compared, caption: str) -> Table:
@@ -38,7 +38,7 @@ def gains_table(compared: Compared) -> Table:
     return Table("Gains by axis", ["", "unit", *held], sections)
 
 
-def against(metric: str, value: float, others: Mapping[str, float | None]) -> str:
+def against(metric: str, value, others: Mapping) -> str:
     """Return "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
     whose = {"paper": "the paper's gains", "config": "the config's gains"}
     text = f"{number(value)} {unit(metric)}".strip()

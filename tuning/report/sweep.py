@@ -77,7 +77,7 @@ def page(
         scenario=scenario,
         explorers=[
             explorer(
-                "Maps and walks", dict(reversed(walks.items())), metrics, shown=("pd",),
+                "Maps and walks", dict(reversed(list(walks.items()))), metrics, shown=("pd",),
                 points=grid_points(result, histories, metrics["pd"], marks, chosen),
             )
         ],

@@ -64,7 +64,7 @@ def page(
         verdict=f"Tuned gains score {scores['objective']['tuned']:.4f} of pd's 1: {'; '.join(parts)}; {limits}.",
         notes=[*outcome, *_worse(tuned, metrics["pd"])],
         scenario=found.scenario,
-        explorers=[explorer(title if points else "Walks", dict(reversed(walks.items())), metrics, points=points)],
+        explorers=[explorer(title if points else "Walks", dict(reversed(list(walks.items()))), metrics, points=points)],
         tables=[
             comparison.table(compared, "Walks in double precision"),
             comparison.gains_table(compared),
