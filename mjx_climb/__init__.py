@@ -3,6 +3,7 @@
 from mjx_climb.compilation import compiler_options
 from mjx_climb.config import ConfigError, Scenario, load_scenario
 from mjx_climb.dynamics import ENGINES, forward_dynamics
+from mjx_climb.histories import rollout_histories
 from mjx_climb.metrics import METRICS
 from mjx_climb.parameters import Gains, Parameters, parameters
 from mjx_climb.robot import RobotError
@@ -27,6 +28,7 @@ __all__ = [
     "metrics",
     "parameters",
     "rollout",
+    "rollout_histories",
     "rollout_metrics",
     "simulator",
 ]

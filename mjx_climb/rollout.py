@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +35,13 @@ def _floating_dtype(tree) -> jnp.dtype:
 
 def _metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
     """Walk a batch and return its metrics, with the batch axes that gains and parameters broadcast to."""
+    return walk_recorded(structure, gains, numbers, lambda sample: ())[0]
+
+
+def walk_recorded(
+    structure: Structure, gains: Gains, numbers: Parameters, record: Callable[[Sample], Any]
+) -> tuple[Metrics, Any]:
+    """Walk a batch and return its metrics, and what `record` keeps of each sample, stacked over time."""
     shape, dtype = batch_shape(gains, numbers), _floating_dtype(gains)
     batch = math.prod(shape)
     walk = prepare(structure, *batch_last(gains, numbers, shape, dtype))
@@ -43,15 +51,15 @@ def _metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metr
         walked, sample = advance(walk, walked, index)
         total = metrics_module.accumulate(total, sample, walk.robot, walk.time_step)
         means = smooth_extremes.accumulate(means, sample, walk.robot) if structure.smooth else means
-        return (walked, total, means), None
+        return (walked, total, means), record(sample)
 
     means = smooth_extremes.start(batch, dtype) if structure.smooth else {}
     start = (begin(walk, batch), metrics_module.start(batch, dtype), means)
-    (_, total, means), _ = jax.lax.scan(step, start, jnp.arange(structure.steps))
+    (_, total, means), records = jax.lax.scan(step, start, jnp.arange(structure.steps))
     result = metrics_module.finish(total, walk.numbers.gravity, walk.numbers.heading)
     for name, value in smooth_extremes.finish(means).items():
         result[name] = jnp.where(total.finite, value, jnp.nan)
-    return {name: value.reshape(shape) for name, value in result.items()}
+    return {name: value.reshape(shape) for name, value in result.items()}, records
 
 
 def _samples_of(structure: Structure, gains: Gains, numbers: Parameters) -> Sample:
@@ -203,6 +211,23 @@ def rollout_metrics(
         Arrays with the batch axes of gains and parameters, named as in `mjx_climb.METRICS`; NaN and -1 as `simulator`
         says.
     """
+    return walk_batch(_compiled_metrics, scenario, gains, numbers, dtype, batch_size, progress, engine)
+
+
+def walk_batch(
+    compiled: Callable[[int], Callable],
+    scenario: Scenario,
+    gains: Gains | None,
+    numbers: Parameters | None,
+    dtype,
+    batch_size: int | None,
+    progress: Callable[[int, int], None] | None,
+    engine: str,
+) -> dict[str, np.ndarray]:
+    """Return what a batched program gives for a batch, walked in parts on all devices; see `rollout_metrics`.
+
+    `compiled` gives the program for so many robots; it returns a dict of arrays with the batch as their first axis.
+    """
     gains, numbers = _given(scenario, gains, numbers, dtype)
     shape = batch_shape(gains, numbers)
     count = math.prod(shape)
@@ -211,18 +236,19 @@ def rollout_metrics(
     size_of_part = robots_per_device * jax.device_count()
     gains, numbers = _flattened(gains, numbers, shape)
     enable_cache()
-    compiled = functools.partial(_compiled_metrics(size), structure(scenario, engine))
+    walked = functools.partial(compiled(size), structure(scenario, engine))
 
     def walk(rows, sharding):
         with jax.enable_x64(np.dtype(dtype) == np.float64):  # holds for one thread
-            return compiled(*jax.device_put(_rows(gains, numbers, rows), sharding))
+            return walked(*jax.device_put(_rows(gains, numbers, rows), sharding))
 
     parts = []
     for rows in np.split(np.arange(count), range(size_of_part, count, size_of_part)):
         parts.append(devices.spread(walk, rows, robots_per_device))
         if progress is not None:
             progress(int(rows[-1]) + 1, count)
-    return {name: np.concatenate([part[name] for part in parts]).reshape(shape) for name in parts[0]}
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return {name: value.reshape((*shape, *value.shape[1:])) for name, value in joined.items()}
 
 
 def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tuple[Gains, Parameters]:

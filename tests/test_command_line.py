@@ -17,6 +17,7 @@ from tuning import gains_file, grid
 from tuning.command_line import main, progress, report
 from tuning.command_line.ending import InputError
 from tuning.command_line.sweep import log_range
+from tuning.report import page
 
 ROOT = Path(__file__).parents[1]
 CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
@@ -103,7 +104,7 @@ BAD = [
 @pytest.mark.parametrize(("line", "expected"), BAD, ids=[line for line, _ in BAD])
 def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    for name in ("rollout", "rollout_metrics"):  # refused before anything is computed
+    for name in ("rollout", "rollout_metrics", "rollout_histories"):  # refused before anything is computed
         monkeypatch.setattr(mc, name, lambda *_, **__: pytest.fail("computed"))
     code, out, err = call(*(word.format(config=CONFIG, files=files) for word in line.split()))
     assert (code, out) == (2, "")
@@ -197,7 +198,7 @@ def test_sweep_writes_grid_maps_and_config(swept):
     out, done = swept
     names = {path.name for path in out.iterdir()}
     pictures = {f"{name}.{kind}" for name in ("maps", "walks") for kind in ("png", "svg")}
-    assert names == {"sweep.nc", "config.yaml", "comparison.json", "maps", *pictures}
+    assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps", *pictures}
     maps = {path.stem for path in (out / "maps").iterdir()}
     assert maps == set(mc.METRICS) - {"detached_limb", "diverged"}
     with xr.open_dataset(out / "sweep.nc", engine="h5netcdf") as result:
@@ -208,7 +209,7 @@ def test_sweep_writes_grid_maps_and_config(swept):
 
 
 def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch, tmp_path):
-    walk, calls = mc.rollout_metrics, []
+    walk, calls = mc.rollout_histories, []
 
     def stopped(*arguments, **options):
         calls.append(1)
@@ -217,7 +218,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
         return walk(*arguments, **options)
 
     command = ("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
-    monkeypatch.setattr(mc, "rollout_metrics", stopped)
+    monkeypatch.setattr(mc, "rollout_histories", stopped)
     code, out, err = call(*command)
     assert (code, out) == (130, "")
     last = err.splitlines()[-1]
@@ -227,6 +228,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     assert str(tmp_path) in err
 
     monkeypatch.setattr(plots, "save_figure", lambda *_: None)
+    monkeypatch.setattr(page, "write", lambda *_: None)
     code, out, err = call(*command)
     assert code == 0
     assert len(calls) == 3

@@ -259,6 +259,7 @@ def test_the_whole_command(tmp_path, capsys):
         assert holds["cost_of_transport", "measured_pose"] is False
 
     assert "case 1.1" in (tmp_path / "tables.txt").read_text()
+    assert "Of the paper&#39;s 6 claims" in (tmp_path / "report.html").read_text()
     # the page in docs says what the run says; numbers may differ in their last digits on another machine
     page = (Path(__file__).parents[1] / "docs" / "paper.md").read_text()
     ours = (tmp_path / "paper.md").read_text()

@@ -3,7 +3,7 @@
 import hashlib
 import importlib.metadata
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import jax
@@ -13,8 +13,11 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.dataset import PACKAGES, sweep_dataset
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.histories import LINES, stretches
 from mjx_climb.robot import model_path
 from tuning.parts import Parts
+
+HISTORIES = 256  # walks up to which a grid keeps time histories
 
 # robots per part and environment steps per part: some seconds on two cores, and on one accelerator
 _CPU = (16, 1024, 600_000)
@@ -69,6 +72,9 @@ def sweep(
 ) -> xr.Dataset:
     """Walk the whole grid and return the metrics over (stiffness, damping).
 
+    A grid of up to `HISTORIES` walks keeps time histories as well: for each name in `mjx_climb.histories.LINES` the
+    least and the largest value in each stretch of time, over (stiffness, damping, extreme, stretch).
+
     Arguments:
         scenario: what walks where; its control section gives the inertia and the joint gains.
         stiffness: (n,) N/m and N m/rad, the same on all axes of one walk.
@@ -99,6 +105,7 @@ def sweep(
     k, d = (values.reshape(-1, 1) for values in np.meshgrid(*axes.values(), indexing="ij"))
     inertia = np.asarray(scenario.control.inertia, float)
     count = math.ceil(walks / size)
+    walk = mc.rollout_histories if walks <= HISTORIES else mc.rollout_metrics
     parts = [None if kept is None else kept.load(number) for number in range(count)]
     done = sum(min(size, walks - number * size) for number, part in enumerate(parts) if part is not None)
     if progress is not None:
@@ -108,16 +115,34 @@ def sweep(
             continue
         # the last part is filled up with its last robot: every part has the shape that was compiled
         rows = np.minimum(np.arange(number * size, (number + 1) * size), walks - 1)
-        part = mc.rollout_metrics(scenario, mc.Gains(inertia, d[rows], k[rows]), dtype=dtype, engine=engine)
+        part = walk(scenario, mc.Gains(inertia, d[rows], k[rows]), dtype=dtype, engine=engine)
         parts[number] = part
         if kept is not None:
             kept.save(number, part)
         done += min(size, walks - number * size)
         if progress is not None:
             progress(done, walks)
-    metrics = {name: np.concatenate([part[name] for part in parts])[:walks].reshape(shape) for name in mc.METRICS}
-    dataset = sweep_dataset(metrics, axes, scenario)
+    whole = {name: np.concatenate([part[name] for part in parts])[:walks] for name in parts[0]}
+    whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
+    dataset = sweep_dataset({name: whole[name] for name in mc.METRICS}, axes, scenario)
+    dataset = dataset.assign(_histories(whole, scenario))
     return dataset.assign_attrs(engine=engine, dtype=np.dtype(dtype).name, batch_size=size)
+
+
+def _histories(arrays: Mapping[str, np.ndarray], scenario: mc.Scenario) -> dict[str, xr.DataArray]:
+    """Return the time histories among the arrays, labelled; their coordinate `stretch` says when each one starts."""
+    count, steps = stretches(scenario.steps)
+    start = np.arange(count) * steps * scenario.time_step
+    coords = {
+        "extreme": ["least", "largest"],
+        "stretch": ("stretch", start, {"units": "s", "long_name": "start of a stretch of time"}),
+    }
+    dims = ("stiffness", "damping", "extreme", "stretch")
+    return {
+        name: xr.DataArray(arrays[name], coords, dims, attrs={"units": unit, "long_name": text})
+        for name, (unit, text, _) in LINES.items()
+        if name in arrays
+    }
 
 
 def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dataset | None:
@@ -150,6 +175,7 @@ def _identity(scenario, stiffness, damping, size, dtype, engine) -> dict:
         "dtype": np.dtype(dtype).name,
         "engine": engine,
         "batch_size": size,
+        "histories": np.size(stiffness) * np.size(damping) <= HISTORIES,
         "platform": jax.default_backend(),
         "robot_model": hashlib.sha256(model_path(scenario.robot).read_bytes()).hexdigest(),
         "versions": versions,

@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import bench, export, pareto, reproduce, run, schedule, schema, sweep, tune
+from tuning.command_line import bench, export, options, pareto, reproduce, run, schedule, schema, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -63,6 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    options.ARGUMENTS.set(tuple(arguments))
     try:
         code = app(arguments or ["--help"], prog_name="mjx-climb", standalone_mode=False)
     except (Interrupted, KeyboardInterrupt) as interrupt:

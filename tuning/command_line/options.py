@@ -1,8 +1,11 @@
 """Arguments and options that several commands share, and what becomes of them."""
 
 import contextlib
+import re
+import shlex
 import sys
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TextIO
 
@@ -12,6 +15,7 @@ from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from tuning.report.page import Origin
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 
@@ -39,6 +43,34 @@ Engine = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
+ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
+
+
+def typed() -> str:
+    """Return the command as it was typed, for others to read."""
+    return shlex.join(["mjx-climb", *map(_without_folder, ARGUMENTS.get())])
+
+
+def _without_folder(argument: str) -> str:
+    """Return an argument, or what stands behind its "=", as a bare name where it is an absolute path."""
+    option, equals, value = argument.rpartition("=")
+    if re.match(r"[/~]|[A-Za-z]:[/\\]", value):
+        value = re.split(r"[/\\]", value.rstrip("/\\"))[-1]
+    return f"{option}{equals}{value}"
+
+
+def without_folders(text: str) -> str:
+    """Return a text in which absolute paths have lost their folders: these belong to one machine."""
+    return re.sub(r"(?<![\w.:/-])(?:~|[A-Za-z]:)?[/\\](?:[^/\\\n'\"=]+[/\\])*(?=[^/\\\s])", "", text)
+
+
+def origin(name: str, again: str, config: str) -> "Origin":
+    """Return where a report comes from: see `tuning.report.page.Origin`."""
+    from tuning.report.page import Origin
+
+    return Origin(name, typed(), again, without_folders(config))
+
+
 def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, before any gains file."""
     import mjx_climb as mc
@@ -64,6 +96,13 @@ def engine_from(name: str | None) -> str:
     if name is not None and name not in ENGINES:
         raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {name!r}")
     return name or DEFAULT_ENGINE
+
+
+def engine_option(engine: str) -> str:
+    """Return the option that chooses an engine, with a space before it; empty for the default."""
+    from mjx_climb.dynamics import DEFAULT_ENGINE
+
+    return "" if engine == DEFAULT_ENGINE else f" --engine {engine}"
 
 
 @contextlib.contextmanager

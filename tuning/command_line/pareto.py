@@ -46,11 +46,14 @@ def pareto(
       mjx-climb pareto configs/case_2.yaml --against cost_of_transport --space split
     """
     with options.reserved_stdout() as stdout:
+        import mjx_climb as mc
         from mjx_climb import dataset, plots
         from tuning import gains_file, overviews, parts
         from tuning import pareto as fronts
         from tuning import search as settings
         from tuning.command_line import progress, report
+        from tuning.report import page
+        from tuning.report import pareto as pages
 
         begin, kept = time.perf_counter(), 0
         scenario = options.scenario_from(config, controller, changes)
@@ -77,6 +80,21 @@ def pareto(
             comment = f"mjx-climb pareto {config.name}: {better} against {against}, the knee of the front"
             gains_file.save(fronts.gains_of(front, chosen), out / "gains.yaml", comment)
             plots.save_figure(overviews.plot_front(front), out / "front")
+            dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
+            pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+            again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
+            again += f"--points {points}{options.engine_option(engine)} --out again"
+            with meter.stage("report"):
+                on_front = mc.Gains(*(front[n].values for n in ("inertia", "damping", "stiffness")),
+                                    **{n: front[n].values for n in ("kp", "kd") if n in front})  # fmt: skip
+                written = pages.page(
+                    front, chosen, mc.rollout_histories(scenario, on_front, engine=engine),
+                    {name: mc.rollout(s, engine=engine) for name, s in (("pd", pd), ("config", scenario))},
+                    page.Table("The front", *front_rows(front, chosen), 1), scenario,
+                    origin=options.origin(config.stem, again, scenario.to_yaml()), seed=wanted.seed,
+                    pictures={"The front, and all that was walked on the way.": out / "front.svg"},
+                )  # fmt: skip
+                page.write(written, out)
             parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
@@ -85,7 +103,9 @@ def pareto(
         tables.print(front_table(front, chosen))
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(
-            f"written to {out} in {seconds}: front.nc, front.png, front.svg, gains.yaml, config.yaml", soft_wrap=True
+            f"written to {out} in {seconds}: report.html, front.nc, front.png, front.svg, gains.yaml, config.yaml, "
+            "search.yaml",
+            soft_wrap=True,
         )
         if json:
             names = (against, better, "stiffness", "damping", "inertia")
@@ -99,21 +119,33 @@ def pareto(
 
 def front_table(front, chosen: int):
     """Return the table of a front, some twenty points of it, with the config's gains and pd below."""
+    from tuning.command_line.report import _table
+
+    columns, sections = front_rows(front, chosen)
+    table = _table(*columns)
+    for _, rows in sections:
+        for row in rows:
+            table.add_row(*row, end_section=row is rows[-1])
+    return table
+
+
+def front_rows(front, chosen: int) -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
+    """Return the same as columns and sections of text."""
     import numpy as np
 
-    from tuning.command_line.report import _table, gain, number, unit
+    from tuning.words import gain, number, unit
 
     better, against = front.attrs["better"], front.attrs["against"]
-    table = _table("", *(f"{name} {unit(name)}".strip() for name in (against, better)), "stiffness", "damping")
+    columns = ["", *(f"{name} {unit(name)}".strip() for name in (against, better)), "stiffness", "damping"]
+    on = []
     count = front.sizes["front"]
     shown = sorted({*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), chosen})
     for i in shown:
         gains = {name: front[name].values[i] for name in ("stiffness", "damping")}
-        table.add_row(
-            "knee" if i == chosen else "", *(number(front[n].values[i]) for n in (against, better)),
-            *(gain(gains, name) for name in gains), end_section=i == count - 1,
-        )  # fmt: skip
+        values = (number(front[n].values[i]) for n in (against, better))
+        on.append(["knee" if i == chosen else "", *values, *(gain(gains, name) for name in gains)])
+    references = []
     for name in ("config", "pd"):
         row = [number(front[f"reference_{n}"].sel(reference=name).item()) for n in (against, better)]
-        table.add_row(name, *row, "", "")
-    return table
+        references.append([name, *row, "", ""])
+    return columns, [("", on), ("", references)]

@@ -46,8 +46,9 @@ def reproduce(
     compiler takes most the first time. Where a gripper lets go, the walk is repeated with grippers that never do.
 
     Prints all metrics beside the paper's numbers, and for each claim whether it holds here. Writes to DIR all of it
-    (reproduce.json, tables.txt, paper.md), the baseline and the proposed controller over time (case_1_1.png and .svg,
-    ...), the resolved scenarios (case_1_1.yaml, ...) and each walk (case_1_1-pd.nc, ..., 7 MB each, open with xarray).
+    (report.html to look through in a browser, reproduce.json, tables.txt, paper.md), the baseline and the proposed
+    controller over time (case_1_1.png and .svg, ...), the resolved scenarios (case_1_1.yaml, ...) and each walk
+    (case_1_1-pd.nc, ..., 7 MB each, open with xarray).
 
     \b
     Examples:
@@ -59,6 +60,8 @@ def reproduce(
         from mjx_climb import dataset, plots
         from tuning import paper, shipped
         from tuning.command_line import progress, report
+        from tuning.report import page
+        from tuning.report import reproduce as pages
 
         begin = time.perf_counter()
         scenarios = {name: mc.load_scenario(shipped.config_path(case.config)) for name, case in paper.CASES.items()}
@@ -94,13 +97,35 @@ def reproduce(
                 captured.width = report.WIDTH
                 show(found, captured)
             dataset.write_text_atomically(out / "tables.txt", capture.get())
+            with meter.stage("report", compiles=False):
+                written = pages.page(
+                    {name: case.walks for name, case in found.items()},
+                    {name: case.metrics for name, case in found.items()},
+                    {name: case.verdicts for name, case in found.items()},
+                    [
+                        page.Table("Metrics beside the paper's numbers", *metrics_grid(found)),
+                        page.Table("The paper's claims, and the change of what each is about", *claims_grid(found), 1),
+                    ],
+                    overall(found),
+                    {heading.capitalize(): said for heading, said in sentences(found).items()},
+                    origin=options.origin(
+                        "the paper's cases",
+                        "mjx-climb reproduce --out again",
+                        "\n".join(f"# case {name}\n{scenario.to_yaml()}" for name, scenario in scenarios.items()),
+                    ),
+                    pictures={
+                        f"Case {name}: {case.title}; baseline and both readings of Eq. 3.": out / f"{stem(name)}.svg"
+                        for name, case in paper.CASES.items()
+                    },
+                )
+                page.write(written, out)
         except KeyboardInterrupt:
             raise Interrupted(f"{count} walks are in {out}; the same command starts again") from None
 
         show(found, console if json else report.console(file=stdout))
         console.print(
-            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: reproduce.json, tables.txt, "
-            f"paper.md, figures (.png, .svg), scenarios (.yaml), {count} walks (.nc)",
+            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, reproduce.json, "
+            f"tables.txt, paper.md, figures (.png, .svg), scenarios (.yaml), {count} walks (.nc)",
             soft_wrap=True,
         )
         if json:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tuning.command_line import options
 from tuning.command_line.ending import Interrupted
 
 if TYPE_CHECKING:
@@ -18,13 +19,15 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
 
 def tune_robustly(
     scenario: "mc.Scenario", wanted: "Search", ensemble: "Ensemble", judges: int, out: Path, engine: str,
-    line: Callable, stdout, *, json: bool,
+    name: str, line: Callable, stdout, *, json: bool,
 ) -> None:  # fmt: skip
     """Search, judge the result beside the config's gains and pd, and write both."""
     from mjx_climb import dataset, plots
     from mjx_climb.parameters import gains as gains_of
     from tuning import gains_file, overviews, parts, pictures, robust
     from tuning.command_line import progress, report
+    from tuning.report import page
+    from tuning.report import tune as pages
 
     begin, kept = time.perf_counter(), 0
     dataset.write_text_atomically(out / "ensemble.yaml", ensemble.to_yaml())
@@ -58,23 +61,30 @@ def tune_robustly(
         with meter.stage("drawing", compiles=False):
             plots.save_figure(pictures.plot_convergence(found), out / "convergence")
             plots.save_figure(overviews.plot_judged(judged), out / "judged")
+        names = summed["gains"].values.tolist()
+        failed = ", ".join(f"{n} {share:.0%}" for n, share in zip(names, summed["failed"].values, strict=True))
+        verdict = f"{judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}"
+        with meter.stage("report", compiles=False):
+            again = "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again"
+            written = pages.robust_page(
+                found, page.Table("On the walks of a fresh draw", *robust_rows(summed), 3), f"{verdict}.",
+                origin=options.origin(name, again + options.engine_option(engine), scenario.to_yaml()),
+                pictures={"How the search converged.": out / "convergence.svg",
+                          "Share of the fresh walks below a value.": out / "judged.svg"},
+            )  # fmt: skip
+            page.write(written, out)
         parts.clear(out)
     except KeyboardInterrupt:
         raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
 
     tables = console if json else report.console(file=stdout)
     tables.print(robust_table(summed))
-    names = summed["gains"].values.tolist()
-    failed = ", ".join(f"{name} {share:.0%}" for name, share in zip(names, summed["failed"].values, strict=True))
-    tables.print(
-        f"{judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}",
-        soft_wrap=True,
-    )
+    tables.print(verdict, soft_wrap=True)
     if not found.feasible:
         tables.print("warning: no gains kept every limit in every member of the search")
     console.print(
-        f"written to {out} in {progress.duration(time.perf_counter() - begin)}: gains.yaml, search.nc, judged.nc, "
-        "summary.json, convergence and judged (.png and .svg), config.yaml, search.yaml, ensemble.yaml",
+        f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, gains.yaml, search.nc, "
+        "judged.nc, summary.json, convergence and judged (.png and .svg), config.yaml, search.yaml, ensemble.yaml",
         soft_wrap=True,
     )
     if json:
@@ -83,18 +93,33 @@ def tune_robustly(
 
 def robust_table(summed):
     """Return mean and worst of the main metrics, each with its change against the config's gains."""
-    from tuning.command_line.report import _table, change, number, unit
+    from tuning.command_line.report import _table
+
+    columns, sections = robust_rows(summed)
+    table = _table(*columns[:2], "", *columns[3:])
+    table.columns[2].header = columns[2]
+    for _, rows in sections:
+        for row in rows:
+            table.add_row(*row, end_section=row is rows[-1])
+    return table
+
+
+def robust_rows(summed) -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
+    """Return the same as columns and sections of text."""
+    from tuning.words import change, number, unit
 
     names = summed["gains"].values.tolist()
-    table = _table("metric", "unit", "", *(t for n in names for t in ([n, "vs config %"] if n == names[0] else [n])))
-    table.columns[2].header = "of the members"
+    columns = ["metric", "unit", "of the members", names[0], "vs config %", *names[1:]]
+    sections = []
     for metric in SHOWN:
+        rows = []
         for statistic, label in (("mean", "mean"), ("worst", f"worst {summed.attrs['worst_share']:.0%}")):
             values = {n: float(summed[metric].sel(gains=n, statistic=statistic)) for n in names}
             cells = [number(v) for v in values.values()]
             cells.insert(1, change(values[names[0]], values["config"]))
-            table.add_row(metric, unit(metric), label, *cells, end_section=statistic == "worst")
-    return table
+            rows.append([metric, unit(metric), label, *cells])
+        sections.append(("", rows))
+    return columns, sections
 
 
 def _plain(summed, found) -> dict:

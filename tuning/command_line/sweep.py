@@ -52,7 +52,7 @@ def sweep(
     Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
     side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a map of
     each metric (maps/, and maps.png and .svg with the main ones), the three walks over time (walks.png, .svg), the
-    table (comparison.json) and the resolved scenario (config.yaml).
+    table (comparison.json), the resolved scenario (config.yaml), and all of it as a page for a browser (report.html).
 
     Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
     gives the inertia and the joint gains of the grid, and a further walk to compare with.
@@ -68,6 +68,8 @@ def sweep(
         from mjx_climb import dataset
         from tuning import gains_file, grid, parts
         from tuning.command_line import progress, report
+        from tuning.report import page
+        from tuning.report import sweep as pages
 
         begin = time.perf_counter()
         own = options.scenario_from(config, controller, changes)
@@ -119,8 +121,33 @@ def sweep(
             text = report.to_json(summary)
             dataset.save(result, out / "sweep.nc")
             dataset.write_text_atomically(out / "comparison.json", text + "\n")
+            marks = _marks(compared, own)
             with meter.stage("drawing", compiles=False):
-                _draw(result, trajectories, compared, own, out)
+                _draw(result, trajectories, compared, own, marks, out)
+            if walks > grid.HISTORIES:
+                with meter.stage("histories"):
+                    histories = pages.with_histories(result, scenario, best, engine=engine)
+            else:
+                histories = result
+            with meter.stage("report", compiles=False):
+                written = pages.page(
+                    result,
+                    histories,
+                    {_label(name, own): walk for name, walk in trajectories.items()},
+                    {_label(name, own): walk for name, walk in compared.items()},
+                    marks,
+                    scenario,
+                    warnings=[f"The best lies on the edge of the grid: widen --{name}." for name in edges],
+                    origin=options.origin(
+                        config.stem, _again(stiffness, damping, batch_size, engine), scenario.to_yaml()
+                    ),
+                    pictures={
+                        "The walks over time: red crosses mark a torn gripper, shading a disturbance.": out
+                        / "walks.svg",
+                        "All metrics over stiffness and damping; brighter is better.": out / "maps.svg",
+                    },
+                )
+                page.write(written, out)
             parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(
@@ -140,8 +167,8 @@ def sweep(
         for name in edges:
             tables.print(f"the best lies on the edge of the grid: widen --{name}")
         console.print(
-            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: sweep.nc, maps.png and .svg, "
-            "maps/, walks.png and .svg, comparison.json, config.yaml",
+            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, sweep.nc, "
+            "maps.png and .svg, maps/, walks.png and .svg, comparison.json, config.yaml",
             soft_wrap=True,
         )
         if json:
@@ -228,20 +255,33 @@ def _label(name: str, own: "mc.Scenario") -> str:
     return "paper" if name == "config" and paper else name
 
 
-def _draw(result, trajectories: Mapping, compared: Mapping, own: "mc.Scenario", out: Path) -> None:
-    """Write the walks over time, and the maps on a sheet and one by one."""
+def _marks(compared: Mapping, own: "mc.Scenario") -> dict[str, tuple[float, float]]:
+    """Return stiffness and damping of the walks that have one of each, by their name for people."""
     import numpy as np
-
-    from mjx_climb import plots
 
     marks = {}
     for name, (gains, _) in compared.items():
         if gains is not None and all(np.unique(gains[key]).size == 1 for key in ("stiffness", "damping")):
             marks[_label(name, own)] = tuple(float(np.ravel(gains[key])[0]) for key in ("stiffness", "damping"))
+    return marks
+
+
+def _again(stiffness: str, damping: str, batch_size: int | None, engine: str) -> str:
+    """Return the command that repeats a sweep from the resolved config in its folder."""
+    size = "" if batch_size is None else f" --batch-size {batch_size}"
+    chosen = f"--stiffness {stiffness} --damping {damping}{size}{options.engine_option(engine)}"
+    return f"mjx-climb sweep config.yaml {chosen} --out again"
+
+
+def _draw(result, trajectories: Mapping, compared: Mapping, own: "mc.Scenario", marks: Mapping, out: Path) -> None:
+    """Write the walks over time, and the maps on a sheet and one by one."""
+    import numpy as np
+
+    import mjx_climb as mc
+    from mjx_climb import plots
+
     walks = {_label(name, own): trajectories[name] for name in reversed(trajectories)}
-    metrics = [
-        name for name in result.data_vars if name not in ("detached_limb", "diverged")
-    ]  # the hatching shows these
+    metrics = [name for name in mc.METRICS if name not in ("detached_limb", "diverged")]  # the hatching shows these
     pd = {name: value for name, value in compared["pd"][1].items() if name in metrics and value is not None}
 
     plots.save_figure(plots.plot_comparison(walks), out / "walks")

@@ -68,8 +68,9 @@ def tune(
     pd. Then walks the result in double precision, tests it, and compares it with the config's gains and pd.
 
     Writes to DIR the gains (gains.yaml, for run and sweep), everything judged (search.nc), the settings (config.yaml,
-    search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks). Finished
-    rounds are kept: after Ctrl-C, which ends with the best so far, or worse, the same command goes on.
+    search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks), and all of it
+    to look through in a browser (report.html). Finished rounds are kept: after Ctrl-C, which ends with the best so far,
+    or worse, the same command goes on.
 
     With --ensemble every set of gains walks through all members (pushes, cargo, slope, grip stiffness, robot mass drawn
     from a seed), mean and worst count, the peak pulling force with them, and a fresh draw judges the result.
@@ -90,6 +91,8 @@ def tune(
         from tuning import search as settings
         from tuning import tune as tuning_tune
         from tuning.command_line import progress, report
+        from tuning.report import page
+        from tuning.report import tune as pages
 
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes)
@@ -114,7 +117,7 @@ def tune(
         dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
         dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
         if drawn is not None:
-            return tune_robustly(scenario, wanted, drawn, JUDGES, out, engine, _line, stdout, json=json)
+            return tune_robustly(scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, stdout, json=json)
 
         console = report.console(stderr=True)
         console.print(progress.cache_state(), soft_wrap=True)
@@ -170,6 +173,23 @@ def tune(
                 if over is not None:
                     dataset.save(over, out / "map.nc")
                     plots.save_figure(pictures.plot_path(found, over), out / "path")
+            with meter.stage("report", compiles=False):
+                pictures_shown = {
+                    "How the search converged.": out / "convergence.svg",
+                    "The walks over time: red crosses mark a torn gripper, shading a disturbance.": out / "walks.svg",
+                }
+                if over is not None:
+                    pictures_shown["The way of the search over the map; the red line is the limit of stability."] = (
+                        out / "path.svg"
+                    )
+                again = "mjx-climb tune config.yaml --search search.yaml --out again"
+                written = pages.page(
+                    found, checked, over, {name: walks[name] for name in compared}, compared,
+                    outcome=[line[0].upper() + line[1:] for line in _verdict(checked, found)],
+                    origin=options.origin(config.stem, again + options.engine_option(engine), scenario.to_yaml()),
+                    pictures=pictures_shown,
+                )  # fmt: skip
+                page.write(written, out)
             parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
@@ -180,8 +200,8 @@ def tune(
         for line in _verdict(checked, found):
             tables.print(line, soft_wrap=True)
         console.print(
-            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: gains.yaml, search.nc, map.nc, "
-            "summary.json, convergence, path, walks (.png and .svg), config.yaml, search.yaml",
+            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, gains.yaml, "
+            "search.nc, map.nc, summary.json, convergence, path, walks (.png and .svg), config.yaml, search.yaml",
             soft_wrap=True,
         )
         if json:

@@ -1,0 +1,98 @@
+"""Time histories small enough to keep for a batch: the least and the largest value in each stretch of a walk."""
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from mjx_climb.compilation import compiler_options
+from mjx_climb.config import Scenario
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.parameters import Gains, Parameters
+from mjx_climb.rollout import walk_batch, walk_recorded
+from mjx_climb.sample import Sample
+from mjx_climb.trajectory import Trajectory, to_samples
+from mjx_climb.walk import Structure
+
+STRETCHES = 200
+
+# name: unit, long name, and the metric that is its largest value
+LINES: dict[str, tuple[str, str, str]] = {
+    "foot_force_history": ("N", "largest foot force", "peak_foot_force"),
+    "base_deviation_history": ("m", "base off its reference", "base_deviation"),
+    "joint_torque_history": ("N m", "largest joint torque", "peak_joint_torque"),
+}
+
+
+class Stretches(NamedTuple):
+    """How a walk is cut up."""
+
+    count: int
+    steps: int  # of one stretch; the last may be shorter
+
+
+def stretches(steps: int) -> Stretches:
+    """Return the stretches of a walk of so many steps: `STRETCHES` of them, or fewer."""
+    length = math.ceil(steps / STRETCHES)
+    return Stretches(math.ceil(steps / length), length)
+
+
+def rollout_histories(
+    scenario: Scenario,
+    gains: Gains | None = None,
+    numbers: Parameters | None = None,
+    *,
+    dtype=np.float32,
+    batch_size: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> dict[str, np.ndarray]:
+    """Walk a batch of robots and return metrics as `rollout_metrics` does, and `LINES` over time beside them.
+
+    Returns:
+        The metrics, and by the names of `LINES` arrays (*batch, 2, stretches) in their units: the least and the
+        largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
+    """
+    return walk_batch(_compiled, scenario, gains, numbers, dtype, batch_size, progress, engine)
+
+
+def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
+    """Return `LINES` of one walk, as `rollout_histories` does."""
+    with jax.enable_x64(trajectory.time.dtype == np.float64):
+        lines = _lines(jax.tree.map(jnp.asarray, to_samples(trajectory)))
+        return {name: np.asarray(value)[0] for name, value in _extremes(lines).items()}
+
+
+def _lines(sample: Sample) -> dict[str, Array]:
+    """Return `LINES` of a sample, (B,), or of samples stacked over time, (T, B)."""
+    offset = sample.base_position - sample.base_reference
+    return {
+        "foot_force_history": jnp.sqrt((sample.foot_force**2).sum(-3)).max(-2),
+        "base_deviation_history": jnp.sqrt((offset**2).sum(-2)),
+        "joint_torque_history": jnp.abs(sample.joint_torque).max((-3, -2)),
+    }
+
+
+def _extremes(lines: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the least and the largest value of lines (T, B) in each stretch, (B, 2, stretches)."""
+    steps = len(next(iter(lines.values())))
+    count, length = stretches(steps)
+    rows = jnp.arange(count * length).clip(max=steps - 1).reshape(count, length)
+    return {name: jnp.stack([v[rows].min(1), v[rows].max(1)]).transpose(2, 0, 1) for name, v in lines.items()}
+
+
+def _histories_of(structure: Structure, gains: Gains, numbers: Parameters) -> dict[str, Array]:
+    metrics, lines = walk_recorded(structure, gains, numbers, _lines)
+    shape = metrics["diverged"].shape
+    return metrics | {name: v.reshape(*shape, *v.shape[1:]) for name, v in _extremes(lines).items()}
+
+
+@functools.cache
+def _compiled(batch: int) -> Callable:
+    return jax.jit(_histories_of, static_argnums=0, compiler_options=compiler_options(batch))

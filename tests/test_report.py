@@ -1,0 +1,328 @@
+"""The report in a real browser: it loads from disk alone; hover, click, small windows and paper do what they say."""
+
+import base64
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.histories import LINES, histories
+from tuning import paper, pareto, result, search, verification
+from tuning.command_line.options import without_folders
+from tuning.report import comparison, explorer, page, reproduce, tune
+from tuning.report import pareto as pareto_page
+
+CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
+AXES = ["--stiffness", "1e2:1e4:3", "--damping", "1e1:1e3:3"]
+FLAGS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync"
+)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A tiny sweep with its page, in a folder whose name must not be told."""
+    from tuning.command_line import main
+
+    folder = tmp_path_factory.mktemp("a machine's own")
+    (folder / "case.yaml").write_text(CONFIG)
+    with pytest.raises(SystemExit) as ended:
+        main(["sweep", str(folder / "case.yaml"), *AXES, "--out", str(folder / "out")])
+    assert not ended.value.code
+    with xr.open_dataset(folder / "out" / "sweep.nc", engine="h5netcdf") as grid:
+        return folder / "out", grid.load()
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    selenium = pytest.importorskip("selenium.webdriver", reason="needs selenium")
+    programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
+    if None in programs:
+        pytest.skip("needs chromium and chromedriver")
+    options = selenium.ChromeOptions()
+    options.binary_location = programs[0]
+    for flag in [*FLAGS.split(), f"--user-data-dir={tmp_path_factory.mktemp('profile')}"]:
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = selenium.Chrome(options=options, service=selenium.ChromeService(programs[1]))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def opened(chromium, swept):
+    """The browser with the page in a window of the size of a desk."""
+    resize(chromium, 1280, 900)
+    for kind in ("browser", "performance"):
+        chromium.get_log(kind)
+    chromium.get((swept[0] / "report.html").as_uri())
+    return chromium
+
+
+def resize(driver, width, height):
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
+def find(driver, selector):
+    return driver.find_element("css selector", selector)
+
+
+def point_at(driver, selector):
+    from selenium.webdriver import ActionChains
+
+    element = find(driver, selector)
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+    chain = ActionChains(driver).move_to_element(element)
+    return chain
+
+
+def unpacked(text):
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
+def data_of(folder):
+    text = (folder / "report.html").read_text()
+    return json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+@pytest.mark.slow
+def test_the_page_holds_all_it_needs_and_nothing_of_this_machine(swept):
+    folder, _ = swept
+    text = (folder / "report.html").read_text()
+    assert len(text) < 5e6
+    assert set(re.findall(r"https?://[^/\s\"]+", text)) <= {"http://www.w3.org"}  # names of formats
+    for private in (folder.parent.name, str(folder), str(folder.parent.parent)):
+        assert private not in text
+    assert "mjx-climb sweep case.yaml --stiffness 1e2:1e4:3 --damping 1e1:1e3:3 --out out" in text
+    assert "mjx-climb sweep config.yaml --stiffness 1e2:1e4:3 --damping 1e1:1e3:3 --out again" in text
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert not list(folder.glob(".*.part"))
+
+
+@pytest.mark.slow
+def test_loads_from_disk_without_errors_and_without_a_network(opened, swept):
+    assert opened.get_log("browser") == []
+    asked = [json.loads(entry["message"])["message"] for entry in opened.get_log("performance")]
+    urls = {e["params"]["request"]["url"] for e in asked if e["method"] == "Network.requestWillBeSent"}
+    outside = {url for url in urls if not url.startswith("data:")}
+    assert outside == {(swept[0] / "report.html").as_uri()}
+    assert "force variation" in find(opened, ".verdict").text
+
+
+@pytest.mark.slow
+def test_hover_shows_every_metric_of_the_cell(opened, swept):
+    grid = swept[1]
+    for cell in (0, 5, 7):  # stiffness runs slower
+        point_at(opened, f".map rect[data-cell='{cell}']").perform()
+        here = grid.isel(stiffness=cell // 3, damping=cell % 3)
+        told = dict(gain.split() for gain in find(opened, ".readout caption").text.split(", "))
+        assert {n: float(v) for n, v in told.items()} == {
+            n: float(f"{here[n].item():.4g}") for n in ("stiffness", "damping")
+        }
+        for name in mc.METRICS:
+            shown = find(opened, f".readout tr[data-metric='{name}'] td").text
+            value = here[name].item()
+            if name == "diverged":
+                assert shown == ("yes" if value else "no")
+            elif name == "detached_limb":
+                assert shown == here[name].attrs["flag_meanings"].split()[value + 1].replace("none", "-")
+            elif np.isnan(value):
+                assert shown == "-"
+            else:
+                assert float(shown) == float(f"{value:.4g}")
+
+
+@pytest.mark.slow
+def test_click_draws_the_histories_of_the_cell(opened, swept):
+    folder, grid = swept
+    data = data_of(folder)[0]
+    stretch, count = data["time"]["stretch"], data["time"]["count"]
+    before = find(opened, ".chart path[data-series=cell]").get_attribute("d")
+    point_at(opened, ".map rect[data-cell='2']").click().perform()
+    assert find(opened, ".chosen-key").get_attribute("data-cell") == "2"
+    for line in data["lines"]:
+        chart = f".chart[data-line={line['name']}]"
+        path = find(opened, f"{chart} path[data-series=cell]").get_attribute("d")
+        assert find(opened, f"{chart} path[data-series=pd]").get_attribute("d") != path
+        assert path != before
+        drawn = np.array(re.findall(r"[ML]([\d.]+) ([\d.-]+)", path), float)
+        stored = grid[line["name"]].isel(stiffness=0, damping=2).values
+        time = stretch * (np.arange(count) + 0.5)
+        x, y = drawn.T
+        assert len(x) == 2 * count
+        # pixels are a linear map of the stored numbers, to the tenth of a pixel that is written
+        for pixels, values in ((x[:count], time), (y, np.concatenate([stored[1], stored[0, ::-1]]))):
+            slope, start = np.polyfit(values, pixels, 1)
+            np.testing.assert_allclose(slope * values + start, pixels, atol=0.11)
+            assert abs(slope) > 0
+    assert opened.get_log("browser") == []
+
+
+@pytest.mark.slow
+def test_what_the_page_stores_is_what_was_computed(swept):
+    folder, grid = swept
+    data = data_of(folder)[0]
+    points = data["points"]
+    assert points["stored"] == list(range(9))
+    for name, (_, _, metric) in LINES.items():
+        stored = unpacked(points["histories"][name]).reshape(3, 3, 2, -1)
+        np.testing.assert_array_equal(stored, grid[name].transpose("stiffness", "damping", ...))
+        # the largest value of a history is the metric, bit by bit
+        np.testing.assert_array_equal(stored.max((2, 3)), grid[metric])
+    walk = mc.rollout(mc.load_scenario(folder / "config.yaml").with_overrides({"control.controller": "pd"}))
+    stored = next(walk for walk in data["walks"] if walk["name"] == "pd")["lines"]
+    for name, values in histories(walk).items():
+        np.testing.assert_allclose(unpacked(stored[name]).reshape(2, -1), values, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_keys_move_and_choose(opened):
+    from selenium.webdriver.common.keys import Keys
+
+    surface = find(opened, ".map svg")
+    opened.execute_script("arguments[0].focus()", surface)
+    start = int(find(opened, ".readout table").get_attribute("data-cell"))
+    across = start + 3 if start < 6 else start - 3
+    surface.send_keys(Keys.ARROW_RIGHT if across > start else Keys.ARROW_LEFT)
+    assert int(find(opened, ".readout table").get_attribute("data-cell")) == across
+    surface.send_keys(Keys.ENTER)
+    assert find(opened, ".chosen-key").get_attribute("data-cell") == str(across)
+
+
+@pytest.mark.slow
+def test_the_front_is_what_nothing_beats(opened, swept):
+    drawn = [int(cell) for cell in find(opened, ".front svg").get_attribute("data-front").split()]
+    flat = swept[1].stack(cell=("stiffness", "damping"), create_index=False)
+    held = np.flatnonzero((flat["detached_limb"] < 0) & (flat["diverged"] == 0))
+    x, y = (flat[name].values[held] for name in ("base_deviation", "force_variation"))
+    assert drawn == held[pareto.nondominated(x, y)].tolist()
+
+
+@pytest.mark.slow
+def test_small_windows_and_paper(opened):
+    resize(opened, 375, 700)
+    assert opened.execute_script("return document.documentElement.scrollWidth") <= 375
+    ends = "return [...document.querySelectorAll('.draw svg')].map(e => e.getBoundingClientRect().right)"
+    assert max(opened.execute_script(ends)) <= 375
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert not find(opened, "select").is_displayed()
+    assert find(opened, ".map svg").is_displayed()
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    pdf = base64.b64decode(opened.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
+    assert pdf.startswith(b"%PDF") and len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 2
+
+
+@pytest.fixture(scope="module")
+def named(swept):
+    """The scenario of the sweep, and its walks under the config's gains and under pd."""
+    scenario = mc.load_scenario(swept[0] / "config.yaml")
+    six = mc.Gains(*(np.full(6, getattr(scenario.control, name)) for name in ("inertia", "damping", "stiffness")))
+    laws = {"config": scenario, "pd": scenario.with_overrides({"control.controller": "pd"})}
+    return scenario, {name: mc.rollout(law, six) for name, law in laws.items()}
+
+
+def compared_of(walks, gains):
+    return {name: (None if name == "pd" else gains, mc.metrics(walk)) for name, walk in walks.items()}
+
+
+ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "duration: 0.3")
+
+
+@pytest.mark.slow
+def test_the_page_of_a_search(swept, named):
+    scenario, (config, pd) = named[0], named[1].values()
+    walks = {"tuned": config, "config": config, "pd": pd}
+    gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
+    found = result.Result(
+        scenario, search.Search(), mc.Gains(**gains), np.zeros(2), 0.9, True, {}, 1000, 500, False, xr.Dataset()
+    )
+    checked = verification.Verification(
+        metrics={}, value=0.9, search_value=0.9, broken_limits=[], less={"damping": None}, more={"damping": 0.02},
+        shape={"damping": "cliff"}, slopes={"damping": 0.1}, grid_value=None, grid_gains=None, spectral_radius=0.99,
+        warnings=[],
+    )  # fmt: skip
+    scores = swept[1]["force_variation"] / mc.metrics(pd)["force_variation"]
+    over = swept[1].assign(objective=scores, feasible=scores < 2)
+    for grid in (over, None):
+        made = tune.page(found, checked, grid, walks, compared_of(walks, gains), outcome=["a line"], origin=ORIGIN,
+                         pictures={})  # fmt: skip
+        text = page.render(made)
+        assert "Tuned gains score 0.9000 of pd" in text and "every limit is kept" in text
+        assert "breaks a limit" in text and "mjx-climb again" in text
+        (data,) = made.explorers
+        assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
+        assert (data["points"] is None) == (grid is None)
+    cells = tune.page(found, checked, over, walks, compared_of(walks, gains), outcome=[], origin=ORIGIN, pictures={})
+    points = cells.explorers[0]["points"]
+    assert points["begin"] == int(np.argmin(scores.values))
+    assert {"objective", "feasible"} < set(points["values"])
+
+
+@pytest.mark.slow
+def test_the_page_of_a_front(swept, named):
+    flat = swept[1].stack(front=("stiffness", "damping"), create_index=False)
+    six = {name: ("front", flat[name].values) for name in ("stiffness", "damping")}
+    front = flat[list(mc.METRICS)].drop_vars(["stiffness", "damping"]).assign(six)
+    front = front.assign_attrs(better="force_variation", against="base_deviation")
+    kept = {name: flat[name].transpose("front", ...).values for name in LINES}
+    table = page.Table("The front", ["", "a"], [("", [["knee", "1"]])], 1)
+    made = pareto_page.page(front, 4, kept, named[1], table, named[0], origin=ORIGIN, seed=0, pictures={})
+    assert "The front of 9 points bends at" in page.render(made)
+    points = made.explorers[0]["points"]
+    assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == 4
+
+
+def test_the_verdict_on_the_paper_counts_claims():
+    holds = dict.fromkeys(paper.CLAIMS, True) | {"detachment": None, "cost_of_transport": False}
+    case = {
+        reading: {claim: paper.Verdict(value, {}, "") for claim, value in holds.items()} for reading in paper.READINGS
+    }
+    other = {reading: case[reading] | {"torque_spikes": paper.Verdict(False, {}, "")} for reading in paper.READINGS}
+    text = reproduce.verdict({"1": case, "2": other})
+    assert text.count("3 hold wherever they can be judged and 1 in some cases only") == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("/home/me/configs/c.yaml", "c.yaml"),
+        ("robot: /a b/c d/r.xml", "robot: r.xml"),
+        ("robot: /a/b/r.xml\nspeed: 1 m/s", "robot: r.xml\nspeed: 1 m/s"),
+        ("~/runs/a.yaml", "a.yaml"),
+        ("configs/case_2.yaml", "configs/case_2.yaml"),
+        ("1e2:1e6:12", "1e2:1e6:12"),
+    ],
+)
+def test_folders_of_a_machine_are_left_out(text, expected):
+    assert without_folders(text) == expected
+
+
+def test_a_coarser_grid_keeps_what_it_must():
+    rows = explorer.coarser({"stiffness": 48, "damping": 5}, {"stiffness": 31, "damping": 4}, 100)
+    assert len(rows["stiffness"]) * len(rows["damping"]) <= 100
+    assert 31 in rows["stiffness"] and 4 in rows["damping"]
+    assert rows["stiffness"][0] == 0 and rows["stiffness"][-1] == 47
+    assert (np.diff(rows["stiffness"]) > 0).all()
+
+
+def test_pictures_of_one_page_keep_their_own_names():
+    parts = '<g id="a"/><g id="b"/><g id="b"/><use href="#a"/><g clip-path="url(#a)"/>'
+    svg = f'<?xml version="1.0"?><svg><metadata>x</metadata>{parts}</svg>'
+    text = page.inline_svg(svg, "p1-", 'a "b" < c')
+    assert 'id="p1-a"' in text and 'href="#p1-a"' in text and "url(#p1-a)" in text
+    assert "metadata" not in text and "&#34;b&#34; &lt; c" in text
+    assert 'b"/>' not in text  # nothing points at it
+
+
+def test_words_say_which_way_a_metric_went():
+    assert comparison.against("peak_foot_force", 3.0, {"pd": 4.0, "paper": None}) == "3 N, 25.0 % below pd"
+    metrics = {"force_variation": 1.0, "base_deviation": 2.0, "min_tsm": 0.5}
+    worse = comparison.worsened(metrics, {"force_variation": 2.0, "base_deviation": 1.0, "min_tsm": 1.0})
+    assert worse == ["base_deviation +100 %", "min_tsm -50.0 %"]

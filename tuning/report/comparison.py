@@ -1,0 +1,69 @@
+"""Walks side by side: a table, and what it says in words."""
+
+from collections.abc import Mapping
+
+from tuning.report.page import Table
+from tuning.words import change, gain, number, unit
+
+Compared = Mapping[str, tuple[dict | None, dict]]  # gains (None for a controller without) and metrics by name
+
+
+def table(compared: Compared, caption: str) -> Table:
+    """Return gains and metrics of walks; the first is also given as change against the others, in per cent."""
+    first, *others = compared
+    columns = ["", "unit", first, *(f"vs {name} %" for name in others), *others]
+    gains = []
+    for key, text in (("stiffness", "N/m"), ("damping", "N s/m"), ("inertia", "kg")):
+        values = {name: gain(held, key) for name, (held, _) in compared.items()}
+        gains.append([key, text, values[first], *("" for _ in others), *(values[name] for name in others)])
+    rows = []
+    for key, value in compared[first][1].items():
+        theirs = [compared[name][1][key] for name in others]
+        changes = [change(value, base) for base in theirs]
+        rows.append([key, unit(key), number(value), *changes, *map(number, theirs)])
+    return Table(caption, columns, [("", gains), ("", rows)])
+
+
+def gains_table(compared: Compared) -> Table:
+    """Return the gains of walks, axis by axis."""
+    import numpy as np
+
+    held = {name: gains for name, (gains, _) in compared.items() if gains is not None}
+    units = {"stiffness": ("N/m", "N m/rad"), "damping": ("N s/m", "N m s/rad"), "inertia": ("kg", "kg m^2")}
+    sections = []
+    for key, texts in units.items():
+        six = {name: np.broadcast_to(np.asarray(gains[key], float), 6) for name, gains in held.items()}
+        axes = enumerate(("x", "y", "z", "rx", "ry", "rz"))
+        sections.append(("", [[f"{key} {a}", texts[i // 3], *(number(v[i]) for v in six.values())] for i, a in axes]))
+    return Table("Gains by axis", ["", "unit", *held], sections)
+
+
+def against(metric: str, value, others: Mapping) -> str:
+    """Return "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
+    whose = {"paper": "the paper's gains", "config": "the config's gains"}
+    text = f"{number(value)} {unit(metric)}".strip()
+    for name, other in others.items():
+        if percent := change(value, other):
+            text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {whose.get(name, name)}"
+    return text
+
+
+def held(metrics: Mapping) -> str:
+    """Return in words whether the grippers held."""
+    if metrics["diverged"]:
+        return "the simulation diverges"
+    if metrics["detached_limb"] is not None:
+        return f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s"
+    return "every gripper holds"
+
+
+def worsened(metrics: Mapping, baseline: Mapping, least: float = 5.0) -> list[str]:
+    """Return what got worse than under the baseline by at least so many per cent, as "base_deviation +414 %"."""
+    from mjx_climb.plots import LARGER_IS_BETTER
+
+    found = []
+    for name, value in metrics.items():
+        percent = change(value, baseline[name])
+        if percent and (float(percent) if name not in LARGER_IS_BETTER else -float(percent)) >= least:
+            found.append(f"{name} {percent} %")
+    return found

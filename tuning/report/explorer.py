@@ -1,0 +1,252 @@
+"""What the page's script draws, as plain values: walks over time, and the cells of a grid."""
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb import plots
+from mjx_climb.dataset import METRIC_NAMES
+from mjx_climb.histories import LINES, histories, stretches
+from mjx_climb.plots import LARGER_IS_BETTER
+from tuning.words import gain, plain
+
+MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
+SCALES = {"m": (1e3, "mm")}  # how people read a line
+
+
+def explorer(
+    title: str,
+    walks: Mapping[str, mc.Trajectory],
+    metrics: Mapping[str, Mapping[str, Any]],
+    *,
+    baseline: str = "pd",
+    shown: tuple[str, ...] | None = None,
+    points: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Return one interactive part of a page.
+
+    Arguments:
+        title: above it.
+        walks: by name; they share the scenario but for the controller.
+        metrics: of the walks, as `mjx_climb.metrics` gives them.
+        baseline: the walk that all others are compared with; disturbances and grip changes are its own.
+        shown: walks that are drawn at first; all where None.
+        points: many walks to choose from, see `grid_points`.
+    """
+    first = walks[baseline]
+    count, steps = stretches(first.scenario.steps)
+    return {
+        "title": title,
+        "baseline": baseline,
+        "metrics": _metric_texts(),
+        "lines": [
+            {"name": name, "label": text, "unit": SCALES.get(unit, (1, unit))[1], "factor": SCALES.get(unit, (1, 0))[0]}
+            for name, (unit, text, _) in LINES.items()
+        ],
+        "time": {
+            "count": count,
+            "stretch": steps * first.scenario.time_step,
+            "end": first.scenario.steps * first.scenario.time_step,
+        },
+        "windows": [window[:3] for window in plots._windows(first)],
+        "grips": plots._grip_changes(first).tolist(),
+        "holding_limit": first.scenario.contact.holding_limit,
+        "walks": [
+            {
+                "name": name,
+                "shown": shown is None or name in shown,
+                "metrics": plain(metrics[name]),
+                "failed": _failure(metrics[name]),
+                "lines": {line: packed(values) for line, values in histories(walk).items()},
+            }
+            for name, walk in walks.items()
+        ],
+        "points": points if points and (points["scales"] or not points["axes"]) else None,  # none without a number
+    }
+
+
+def grid_points(
+    grid: xr.Dataset,
+    histories: xr.Dataset,
+    baseline: Mapping[str, Any],
+    marks: Mapping[str, tuple[float, float]],
+    chosen: xr.Dataset | None,
+) -> dict[str, Any]:
+    """Return the cells of a grid over stiffness and damping for `explorer`.
+
+    Arguments:
+        grid: metrics over (stiffness, damping), and other variables to draw over them.
+        histories: a grid with time histories, over the same values or some of them.
+        baseline: metrics of the baseline, for the colours.
+        marks: gains (stiffness, damping) to mark on the map, by name.
+        chosen: the cell to begin with, as of `tuning.grid.best_cell`; the first one where None.
+    """
+    walks = grid["diverged"].size
+    shown = coarser_grid(grid, chosen, MOST_CELLS)
+    flat = shown.transpose(*_AXES, ...).stack(cell=_AXES, create_index=False)
+    failed = plots._failed(shown, *_AXES)
+    scales = {}
+    for name in [str(n) for n in shown.data_vars if n not in LINES]:
+        values = shown[name].transpose(*reversed(_AXES)).values.astype(float)
+        if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
+            scales[name] = _scale(values, failed, baseline.get(name), larger=name in LARGER_IS_BETTER)
+    values = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
+    stored = [
+        i * shown.sizes["damping"] + j
+        for i, k in enumerate(shown["stiffness"].values)
+        for j, d in enumerate(shown["damping"].values)
+        if k in histories["stiffness"].values and d in histories["damping"].values
+    ]
+    kept = histories.sel({n: [v for v in shown[n].values if v in histories[n].values] for n in _AXES})
+    begin = dict.fromkeys(_AXES, 0) if chosen is None else place_of(shown, chosen)
+    return {
+        "count": flat.sizes["cell"],
+        "left_out": walks - flat.sizes["cell"],
+        "axes": [_axis(shown[name], name) for name in _AXES],
+        "gains": {name: _values(flat[name]) for name in _AXES},
+        "values": values,
+        "texts": {n: _text(shown[n], n) for n in values if n not in mc.METRICS},
+        "scales": scales,
+        "failed": [_failure({n: values[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
+        "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
+        "begin": begin["stiffness"] * shown.sizes["damping"] + begin["damping"],
+        "stored": stored,
+        "histories": {name: packed(kept[name].transpose(*_AXES, "extreme", "stretch").values) for name in LINES},
+        "colors": colors(),
+    }
+
+
+def listed_points(
+    walks: xr.Dataset, histories: Mapping[str, np.ndarray], chosen: int, trade: tuple[str, str]
+) -> dict[str, Any]:
+    """Return walks that form no grid, along the dimension `front`, for `explorer`.
+
+    Arguments:
+        walks: gains (front, six) and metrics (front).
+        histories: `LINES` of all of them.
+        chosen: the one to begin with.
+        trade: the two metrics that are drawn against each other.
+    """
+    count = walks.sizes["front"]
+    values = {name: _values(walks[name]) for name in mc.METRICS}
+    values["detached_limb"] = [None] * count  # nothing lets go on a front
+    gains = [{name: walks[name].values[i] for name in _AXES} for i in range(count)]
+    return {
+        "count": count,
+        "left_out": 0,
+        "axes": None,
+        "trade": list(trade),
+        "gains": {name: [gain(held, name) for held in gains] for name in _AXES},
+        "values": values,
+        "texts": {},
+        "scales": {},
+        "failed": [None] * count,
+        "marks": [],
+        "begin": chosen,
+        "stored": list(range(count)),
+        "histories": {name: packed(histories[name]) for name in LINES},
+        "colors": colors(),
+    }
+
+
+_AXES = ("stiffness", "damping")
+_FAILURES = ("detached_limb", "detached_at", "diverged")
+
+
+def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
+    """Return a grid with at most about `most` of its cells, the chosen one among them."""
+    kept = {} if chosen is None else place_of(grid, chosen)
+    return grid.isel(coarser({name: grid.sizes[name] for name in _AXES}, kept, most))
+
+
+def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
+    """Return the indices of a cell along the axes of a grid."""
+    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in _AXES}
+
+
+def coarser(sizes: Mapping[str, int], kept: Mapping[str, int], most: int) -> dict[str, np.ndarray]:
+    """Return indices along the axes of a grid that leave at most about `most` cells, evenly; the ones `kept` stay."""
+    rows = {name: np.arange(size) for name, size in sizes.items()}
+    while np.prod([len(index) for index in rows.values()]) > most:
+        longest = max(rows, key=lambda name: len(rows[name]))
+        size = sizes[longest]
+        index = np.linspace(0, size - 1, max(1, int(0.95 * len(rows[longest])))).round().astype(int)
+        if longest in kept:  # the nearest gives way
+            index[np.argmin(abs(index - kept[longest]))] = kept[longest]
+        rows[longest] = np.unique(index)
+    return rows
+
+
+def packed(values: np.ndarray) -> str:
+    """Return numbers as little-endian float32 in base64, exact as a batch walked them."""
+    with np.errstate(over="ignore"):  # a walk that diverges
+        values = np.asarray(values).astype("<f4")
+    return base64.b64encode(values.tobytes()).decode()
+
+
+def colors() -> str:
+    """Return the colours of the maps from worst to best, six hexadecimal digits each."""
+    steps = mpl.colormaps["viridis"](np.linspace(0, 1, 64))
+    return "".join(mpl.colors.to_hex(color)[1:] for color in steps)
+
+
+def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger: bool) -> dict[str, Any]:
+    """Return where the colours of a map begin and end.
+
+    As on the pictures, but what is far worse than the baseline shares one colour: better ones are to be told apart.
+    """
+    norm, _ = plots._robust_norm(values, failed, base)
+    low, high, log = norm.vmin, norm.vmax, isinstance(norm, mpl.colors.LogNorm)
+    if base is not None and low < base < high and not log:
+        reach = max(2 * (high - base if larger else base - low), 0.5 * abs(base))
+        low, high = (max(low, base - reach), high) if larger else (low, min(high, base + reach))
+    return {"low": low, "high": high, "log": log}
+
+
+def _metric_texts() -> dict[str, Any]:
+    return {
+        name: {
+            "label": METRIC_NAMES[name],
+            "unit": "" if unit == "1" else unit,
+            "larger_is_better": name in LARGER_IS_BETTER,
+        }
+        for name, unit in mc.METRICS.items()
+    }
+
+
+def _text(variable: xr.DataArray, name: str) -> dict[str, Any]:
+    unit = variable.attrs.get("units", "1")
+    label = variable.attrs.get("long_name", name.replace("_", " "))
+    return {"label": label, "unit": "" if unit == "1" else unit, "larger_is_better": False}
+
+
+def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:
+    return {"name": name, "label": variable.attrs.get("long_name", name), "unit": variable.attrs["units"].split(",")[0],
+            "values": _values(variable)}  # fmt: skip
+
+
+def _values(variable: xr.DataArray) -> list:
+    """Return values as JSON has them, with the digits that their precision holds; limbs by name."""
+    values = variable.values
+    if "flag_meanings" in variable.attrs:
+        names = [None, *variable.attrs["flag_meanings"].split()[1:]]
+        return [names[int(value) + 1] for value in values]
+    if values.dtype.kind == "b" or variable.name in ("diverged", "feasible"):
+        return values.astype(bool).tolist()
+    digits = 7 if values.dtype == np.float32 else 10
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in values.astype(float)]
+
+
+def _failure(metrics: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return what went wrong and when (s), None where nothing did."""
+    if metrics["diverged"]:
+        return {"text": "diverged", "at": None}
+    if metrics["detached_limb"] is not None:
+        text = f"{metrics['detached_limb']} torn off at {metrics['detached_at']:.2f} s"
+        return {"text": text, "at": metrics["detached_at"]}
+    return None

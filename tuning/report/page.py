@@ -1,0 +1,109 @@
+"""A report as one HTML page: what stands on it, and how it becomes a file."""
+
+import dataclasses
+import platform
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
+from markupsafe import Markup
+
+import mjx_climb as mc
+from mjx_climb import dataset
+from tuning.words import plain
+
+NAME = "report.html"
+HERE = Path(__file__).parent
+_ENVIRONMENT = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+    lstrip_blocks=True,
+)  # fmt: skip
+_ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}  # keeps the order of keys
+
+
+class Table(NamedTuple):
+    """A table as text; sections are runs of rows with a heading. The first `words` columns are not numbers."""
+
+    caption: str
+    columns: Sequence[str]
+    sections: Sequence[tuple[str, Sequence[Sequence[str]]]]
+    words: int = 2
+
+
+class Origin(NamedTuple):
+    """Where a page comes from."""
+
+    name: str  # of the config
+    asked: str  # the command, as it was typed
+    again: str  # the command that repeats it, in the folder of the report
+    config: str  # the scenario in full
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """What a report says, in the order in which it says it."""
+
+    title: str
+    origin: Origin
+    verdict: str  # one sentence
+    notes: Sequence[str]
+    scenario: mc.Scenario
+    explorers: Sequence[Mapping[str, Any]]
+    tables: Sequence[Table]
+    pictures: Mapping[str, Path]  # SVG files by their captions
+    prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
+
+
+def write(page: Page, folder: Path) -> Path:
+    """Write the page into a folder and return its path; a crash leaves the old file or the new one.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    return dataset.write_text_atomically(folder / NAME, render(page))
+
+
+def render(page: Page) -> str:
+    """Return the page as HTML that holds all it needs."""
+    inlined = {name: Markup((HERE / name).read_text()) for name in ("page.css", "page.js")}
+    pictures = [
+        (text, inline_svg(file.read_text(), f"p{n}-", text)) for n, (text, file) in enumerate(page.pictures.items())
+    ]
+    return _ENVIRONMENT.get_template("page.html.jinja").render(
+        page=page,
+        explorers=plain(page.explorers),
+        pictures=pictures,
+        facts=_facts(page),
+        style=inlined["page.css"],
+        script=inlined["page.js"],
+    )
+
+
+def inline_svg(text: str, prefix: str, label: str) -> Markup:
+    """Return an SVG document as an element of a page: with ids of its own, and a label for those who cannot see it."""
+    body = text[text.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    # matplotlib gives one name to several parts of a figure; only those that are pointed at need theirs
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', body))
+    body = re.sub(r' id="([^"]*)"', lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", body)
+    body = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}", body)
+    return Markup(body.replace("<svg", Markup('<svg role="img" aria-label="{}"').format(label), 1))
+
+
+def _facts(page: Page) -> dict[str, Any]:
+    import jax
+
+    made = dataset._provenance(page.scenario)
+    made.pop("scenario")
+    versions = {name.removesuffix("_version"): made.pop(name) for name in list(made) if name.endswith("_version")}
+    versions["python"] = platform.python_version()
+    device = jax.devices()[0]
+    return {
+        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
+        **{name.replace("_", " "): value for name, value in made.items()},
+        "device": f"{len(jax.devices())} x {device.device_kind} ({device.platform})",
+        **page.facts,
+    }

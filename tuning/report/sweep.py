@@ -1,0 +1,92 @@
+"""The page of a sweep."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.histories import LINES
+from tuning import grid
+from tuning.report import comparison
+from tuning.report.explorer import MOST_CELLS, coarser_grid, explorer, grid_points
+from tuning.report.page import Origin, Page
+
+
+def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how) -> xr.Dataset:
+    """Return a sweep that has time histories: itself, or of a larger one a coarser grid with the best cell in it."""
+    if all(name in result for name in LINES):
+        return result
+    # out of the cells that the page shows
+    kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, grid.HISTORIES)
+    return grid.sweep(scenario, kept["stiffness"].values, kept["damping"].values, **how)
+
+
+def page(
+    result: xr.Dataset,
+    histories: xr.Dataset,
+    walks: Mapping[str, mc.Trajectory],
+    compared: comparison.Compared,
+    marks: Mapping[str, tuple[float, float]],
+    scenario: mc.Scenario,
+    *,
+    warnings: list[str],
+    origin: Origin,
+    pictures: Mapping[str, Path],
+) -> Page:
+    """Return the page of a sweep.
+
+    Arguments:
+        result: the grid.
+        histories: what `with_histories` gave.
+        walks: the best, the config's own and pd in double precision, by their name for people.
+        compared: their gains and metrics.
+        marks: gains to mark on the maps.
+        scenario: of the grid.
+        warnings: for the notes.
+        origin: of the page.
+        pictures: SVG files by their captions.
+    """
+    best = grid.best_cell(result)
+    metrics = {walk: numbers for walk, (_, numbers) in compared.items()}
+    failed = int(((result["detached_limb"] >= 0) | result["diverged"].astype(bool)).sum())
+    count = result["diverged"].size
+    if best is None:
+        verdict = f"None of the {count} walks held: every one lost a gripper or diverged."
+        notes = []
+    else:
+        won = metrics["best"]
+        others = {walk: numbers["force_variation"] for walk, numbers in metrics.items() if walk != "best"}
+        text = comparison.against("force_variation", won["force_variation"], others)
+        verdict = (
+            f"Of {count} walks, stiffness {best['stiffness'].item():.4g} and damping {best['damping'].item():.4g} "
+            f"are best: force variation {text}; {comparison.held(won)}."
+        )
+        notes = [f"{failed} of the {count} walks lost a gripper or diverged."]
+        if worse := comparison.worsened(won, metrics["pd"]):
+            notes.append(f"Worse than pd: {', '.join(worse)}.")
+    kept = histories["diverged"].size
+    if kept < count:
+        notes.append(f"The page holds the time histories of {kept} of the cells; a click shows the nearest of them.")
+    chosen = best if best is not None else result.isel(stiffness=0, damping=0)
+    return Page(
+        title=f"Sweep of {origin.name}, {result.sizes['stiffness']} by {result.sizes['damping']} gains",
+        origin=origin,
+        verdict=verdict,
+        notes=[*notes, *warnings],
+        scenario=scenario,
+        explorers=[
+            explorer(
+                "Maps and walks", dict(reversed(list(walks.items()))), metrics, shown=("pd",),
+                points=grid_points(result, histories, metrics["pd"], marks, chosen),
+            )
+        ],
+        tables=[comparison.table(compared, "Walks in double precision")],
+        pictures=pictures,
+        facts={
+            "precision": f"{result.attrs['dtype']} (grid), float64 (named walks)",
+            "engine": result.attrs["engine"],
+            "robots at a time": result.attrs["batch_size"],
+            "seed": "none: nothing is drawn at random",
+        },
+    )  # fmt: skip

@@ -1,0 +1,123 @@
+"""The page of a search for gains."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from tuning.report import comparison
+from tuning.report.explorer import explorer, grid_points
+from tuning.report.page import Origin, Page, Table
+from tuning.result import Result
+from tuning.verification import Verification
+from tuning.words import number
+
+
+def page(
+    found: Result,
+    checked: Verification,
+    over: xr.Dataset | None,
+    walks: Mapping[str, mc.Trajectory],
+    compared: comparison.Compared,
+    *,
+    outcome: list[str],
+    origin: Origin,
+    pictures: Mapping[str, Path],
+) -> Page:
+    """Return the page of a search.
+
+    Arguments:
+        found: the result.
+        checked: what verification said of it.
+        over: the map around it, see `tuning.verification.map_of`.
+        walks: tuned, config and pd in double precision.
+        compared: their gains and metrics, tuned first.
+        outcome: of the verification, in lines.
+        origin, pictures: as of `tuning.report.sweep.page`.
+    """
+    metrics = {walk: numbers for walk, (_, numbers) in compared.items()}
+    tuned, search = metrics["tuned"], found.search
+    parts = []
+    for metric in [m for m, weight in search.weights.items() if weight]:
+        others = {walk: metrics[walk][metric] for walk in ("pd", "config")}
+        parts.append(f"{metric.replace('_', ' ')} {comparison.against(metric, tuned[metric], others)}")
+    limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
+    scores = {"objective": {"tuned": checked.value}}
+    points = None
+    if over is not None:
+        control = found.scenario.control
+        places = {"tuned": found.gains, "config": control}
+        marks = {n: (_mean(gains.stiffness), _mean(gains.damping)) for n, gains in places.items()}
+        value = over["objective"].where(over["feasible"])
+        best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel(stiffness=0, damping=0)
+        points = grid_points(over, over, metrics["pd"] | {"objective": 1.0}, marks, best)
+    around = [
+        [c, _percent(checked.less[c]), _percent(checked.more[c]), checked.shape[c], number(checked.slopes[c])]
+        for c in checked.shape
+    ]
+    title = "Map: the same gains on all axes, around the result"
+    return Page(
+        title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
+        origin=origin,
+        verdict=f"Tuned gains score {scores['objective']['tuned']:.4f} of pd's 1: {'; '.join(parts)}; {limits}.",
+        notes=[*outcome, *_worse(tuned, metrics["pd"])],
+        scenario=found.scenario,
+        explorers=[explorer(title if points else "Walks", dict(reversed(list(walks.items()))), metrics, points=points)],
+        tables=[
+            comparison.table(compared, "Walks in double precision"),
+            comparison.gains_table(compared),
+            Table(
+                "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more",
+                ["gain", "20 % less", "20 % more", "shape", "slope per log"],
+                [("", around)],
+                1,
+            ),
+        ],
+        pictures=pictures,
+        facts={
+            "precision": "float32 (search, map), float64 (named walks, verification)",
+            "seed": search.seed,
+            "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})",
+        },
+    )
+
+
+def robust_page(
+    found: Result,
+    table: Table,
+    verdict: str,
+    *,
+    origin: Origin,
+    pictures: Mapping[str, Path],
+) -> Page:
+    """Return the page of a search over an ensemble; `table` judges its result on walks that the search never saw."""
+    gains = {key: value for key, value in vars(found.gains).items() if value is not None}
+    own = found.scenario.control
+    config_gains = {key: getattr(own, key) for key in ("inertia", "damping", "stiffness")}
+    return Page(
+        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
+        origin=origin,
+        verdict=verdict,
+        notes=[] if found.feasible else ["No gains kept every limit in every member of the search."],
+        scenario=found.scenario,
+        explorers=[],
+        tables=[table, comparison.gains_table({"robust": (gains, {}), "config": (config_gains, {})})],
+        pictures=pictures,
+        facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
+    )
+
+
+def _mean(gain) -> float:
+    """Return the geometric mean over the axes."""
+    return float(np.exp(np.mean(np.log(gain))))
+
+
+def _percent(value: float | None) -> str:
+    return "breaks a limit" if value is None else f"{100 * value:+.2f}"
+
+
+def _worse(metrics: Mapping, baseline: Mapping) -> list[str]:
+    worse = comparison.worsened(metrics, baseline)
+    return [f"Worse than pd: {', '.join(worse)}."] if worse else []
