@@ -133,18 +133,21 @@ def derivatives_and_errors(searched: Searched) -> dict:
     step. A small step loses to rounding what a large one loses to kinks; what rounding may do is allowed for.
     """
     metrics, slopes = searched.forward()
-    beside = searched.shifted()
-    found = {}
+    functions = judgements(metrics)
     diverged = np.zeros(len(metrics["travel"]), bool)
-    for name, function in judgements(metrics).items():
-        judged = lambda m, f=function: f({**m, "diverged": diverged})  # noqa: E731
-        value, derivative = jax.jvp(judged, (metrics,), (slopes,))
-        sides = np.array([[judged({n: v[s, side] for n, v in beside.items()}) for side in (0, 1)] for s in (0, 1, 2)])
-        difference = (sides[:, 0] - sides[:, 1]) / (2 * STEPS[:, None])
-        noise = ROUNDING * np.maximum(np.abs(value), 1.0) / STEPS[:, None]
-        error = np.maximum(np.abs(difference - np.asarray(derivative)) - noise, 0).min(0)
-        found[name] = np.asarray(derivative), error
-    return found
+
+    def judged(found):
+        return {name: function({**found, "diverged": diverged}) for name, function in functions.items()}
+
+    value, forward = jax.jit(lambda m, dm: jax.jvp(judged, (m,), (dm,)))(metrics, slopes)
+    beside = jax.jit(jax.vmap(jax.vmap(judged)))(searched.shifted())
+    result = {}
+    for name, sides in beside.items():
+        difference = np.asarray(sides[:, 0] - sides[:, 1]) / (2 * STEPS[:, None])
+        noise = ROUNDING * np.maximum(np.abs(value[name]), 1.0) / STEPS[:, None]
+        error = np.maximum(np.abs(difference - forward[name]) - noise, 0).min(0)
+        result[name] = np.asarray(forward[name]), error
+    return result
 
 
 def assert_right(found: dict) -> None:
