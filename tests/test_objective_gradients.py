@@ -21,6 +21,7 @@ QUICK_NUMBERS = {
 }  # fmt: skip
 STEPS = np.array([1e-4, 1e-5, 1e-6])  # in the logarithm of the gains
 ROUNDING = 1e-12  # of a metric, relative
+STEEPEST_PENALTY = 10.0  # per relative change of the metric: so much more does its rounding count
 TERMS = tuple(name for name in mc.METRICS if name not in ("detached_at", "detached_limb", "diverged"))
 # holding force, joint limits, base deviation; `no worse than pd` adds the metrics with a weight
 LIMITS = ("peak_pull_force", "joint_limit_margin", "base_deviation", "force_variation", "peak_foot_force",
@@ -28,7 +29,7 @@ LIMITS = ("peak_pull_force", "joint_limit_margin", "base_deviation", "force_vari
 OVERSHOOTS = (-0.01, 0.03, 3.0)  # relative: in the margin before a limit, just beyond it, far beyond it
 NOMINAL = {  # gains that matter in these walks, and of which none lies on a bound
     "virtual_model": mc.Gains(2.0, 1.5e2, 3e3),
-    "measured_pose": mc.Gains(1.0, 5e3, 1e5),
+    "measured_pose": mc.Gains(1.0, 7e3, 5e5),
 }
 SPACES = [
     {"space": layout, "inertia": inertia, "joint_gains": joint}
@@ -41,7 +42,8 @@ class Searched:
 
     def __init__(self, case, numbers, reading: str, layouts: list[dict], overrides: dict, changes: dict):
         scenarios = [case(name, reading, overrides) for name in CASES]
-        self.simulate = jax.jit(mc.simulator(scenarios[0], smooth=True))
+        options = mc.compiler_options(64)
+        self.simulate = jax.jit(mc.simulator(scenarios[0], smooth=True), compiler_options=options)
         self.spaces = [spaces.space(scenarios[0], search.make(settings)) for settings in layouts]
         rng = np.random.default_rng(0)
         self.points = []
@@ -103,7 +105,7 @@ def padded(numbers, scenario, changes):
 
 
 def judgements(metrics: dict) -> dict:
-    """Return all that is to be derived, as functions of metrics: name -> (function, scale of its value)."""
+    """Return all that is to be derived, by name, as functions of metrics."""
     one = {name: np.asarray(value) for name, value in metrics.items()}
 
     def by_row(name):
@@ -144,14 +146,15 @@ def derivatives_and_errors(searched: Searched) -> dict:
     result = {}
     for name, sides in beside.items():
         difference = np.asarray(sides[:, 0] - sides[:, 1]) / (2 * STEPS[:, None])
-        noise = ROUNDING * np.maximum(np.abs(value[name]), 1.0) / STEPS[:, None]
+        steepest = STEEPEST_PENALTY if name.startswith("limit") else 1.0
+        noise = ROUNDING * np.maximum(np.abs(value[name]), steepest) / STEPS[:, None]
         error = np.maximum(np.abs(difference - forward[name]) - noise, 0).min(0)
         result[name] = np.asarray(forward[name]), error
     return result
 
 
 def assert_right(found: dict) -> None:
-    """All derivatives are within 1e-3, nearly all differ from zero, and each function has some that are large."""
+    """Each derivative is within 1e-3 of its difference, and every function has one that is far from zero."""
     report = {}
     for name, (derivative, error) in found.items():
         assert np.isfinite(derivative).all(), name
@@ -159,8 +162,10 @@ def assert_right(found: dict) -> None:
         report[name] = (relative.max(), np.abs(derivative).max())
     print("\n".join(f"{name:40} error {e:.1e}, largest derivative {d:.1e}" for name, (e, d) in report.items()))
     assert max(e for e, _ in report.values()) <= 1e-3, {n: e for n, (e, _) in report.items() if e > 1e-3}
+    assert min(d for _, d in report.values()) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", list(NOMINAL))
 def test_every_space_term_and_constraint(case, numbers, reading):
     """Twelve spaces, three cases, one cycle with grips, cargo and pushes."""

@@ -63,14 +63,4 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         panel.plot(
             ways["stiffness"][~descending], ways["damping"][~descending], ".", color="0.1", markersize=2, zorder=3
         )
-        radius = walks["spectral_radius"].transpose("damping", "stiffness").values
-        if (radius > 1).any() and (radius <= 1).any():
-            excess = np.clip((radius - 1) * 1e3, -1, 1)
-            panel.contour(
-                walks["stiffness"], walks["damping"], excess, [0.0], colors=[plots.RED], linewidths=1.0, zorder=3
-            )
-            panel.plot([], [], color=plots.RED, label="stability limit")
-            figure.legends[0].remove()
-            handles = [h for h in panel.get_legend_handles_labels()[0]]
-            figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure

@@ -1,0 +1,93 @@
+"""Draw docs/gradients.png: two metrics and their derivatives across changes of a grip and of the instant that counts.
+
+Run from the repository's root: `python docs/gradients.py`.
+"""
+
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+import mjx_climb as mc  # noqa: E402
+from mjx_climb import plots  # noqa: E402
+
+STIFFNESS = 3e3  # N/m, N m/rad
+DAMPING = np.geomspace(70, 130, 361)  # N s/m, N m s/rad
+METRICS = {"peak_pull_force": "peak pulling force [N]", "peak_foot_force": "peak foot force [N]"}
+OVERRIDES = {"duration": 2.2, "disturbance.cargo.start": 0.5}
+
+
+def walked(scenario: mc.Scenario, damping: np.ndarray) -> tuple[dict, dict]:
+    """Return metrics and their derivatives by log damping, (B,) each, in float64."""
+    simulate = mc.simulator(scenario, smooth=True)
+
+    def metrics(log_damping):
+        gains = mc.Gains(1.0, jnp.exp(log_damping)[:, None] * jnp.ones(6), STIFFNESS)
+        found = simulate(gains, mc.parameters(scenario))
+        return {name: found[name] for name in METRICS}
+
+    with jax.enable_x64(True):
+        logs = jnp.log(jnp.asarray(damping))
+        run = jax.jit(lambda x: jax.jvp(metrics, (x,), (jnp.ones_like(x),)))
+        return jax.tree.map(np.asarray, run(logs))
+
+
+def touchdowns(scenario: mc.Scenario, damping: float) -> list[tuple[str, float]]:
+    """Return which limb came to the ground when, s."""
+    walk = mc.rollout(scenario, mc.Gains(1.0, damping, STIFFNESS))
+    came = walk.contact[1:] & ~walk.contact[:-1]
+    return [(walk.limbs[limb], float(walk.time[step + 1])) for step, limb in zip(*np.nonzero(came), strict=True)]
+
+
+def jumps(values: np.ndarray, slopes: np.ndarray, step: float) -> np.ndarray:
+    """Return between which neighbours (index of the first) a metric does what its derivative does not tell."""
+    missed = np.abs(np.diff(values) - step * (slopes[1:] + slopes[:-1]) / 2)
+    return np.nonzero(missed > 50 * np.median(missed) + 2e-4 * np.abs(values).max())[0]
+
+
+def draw(values: dict, slopes: dict) -> Figure:
+    """Draw values above derivatives, a column for each metric."""
+    step = np.log(DAMPING[1] / DAMPING[0])
+    with mpl.rc_context(plots._STYLE):
+        figure = Figure(figsize=(2 * plots.COLUMN, 3.6), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True)
+        for (above, below), (name, label) in zip(axes.T, METRICS.items(), strict=True):
+            difference = (values[name][2:] - values[name][:-2]) / (2 * step)
+            above.plot(DAMPING, values[name], ".", color=plots.BLUE, markersize=2.5)
+            above.set_ylabel(label)
+            below.plot(DAMPING, slopes[name], color=plots.BLUE, label="forward mode")
+            below.plot(DAMPING[1:-1], difference, ".", color=plots.ORANGE, markersize=2.5, label="central difference")
+            low, high = slopes[name].min(), slopes[name].max()
+            below.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
+            below.set_ylabel("derivative by log D [N]")
+            below.set_xlabel("damping D, all axes [N s/m, N m s/rad]")
+            for panel in (above, below):
+                for at in jumps(values[name], slopes[name], step):
+                    panel.axvline(np.sqrt(DAMPING[at] * DAMPING[at + 1]), color="0.8", linewidth=0.6, zorder=0)
+        axes[1, 0].legend(fontsize=6.5)
+    return figure
+
+
+def main() -> None:
+    """Walk, name what changes at each jump, and draw."""
+    scenario = mc.load_scenario(ROOT / "configs" / "case_1_1.yaml", OVERRIDES)
+    values, slopes = walked(scenario, DAMPING)
+    step = np.log(DAMPING[1] / DAMPING[0])
+    for name in METRICS:
+        for at in jumps(values[name], slopes[name], step):
+            before, after = (dict(touchdowns(scenario, DAMPING[at + side])) for side in (0, 1))
+            moved = {limb: (t, after.get(limb)) for limb, t in before.items() if t != after.get(limb)}
+            change = values[name][at + 1] - values[name][at]
+            print(f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; touchdowns that move: {moved}")
+    draw(values, slopes).savefig(ROOT / "docs" / "gradients.png", dpi=160)
+
+
+if __name__ == "__main__":
+    main()
