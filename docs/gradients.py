@@ -21,6 +21,10 @@ from mjx_climb import plots  # noqa: E402
 STIFFNESS = 3e3  # N/m, N m/rad
 DAMPING = np.geomspace(70, 130, 361)  # N s/m, N m s/rad
 METRICS = {"peak_pull_force": "peak pulling force [N]", "peak_foot_force": "peak foot force [N]"}
+TITLES = {
+    "peak_pull_force": "jumps: a foot meets the ground a time step sooner or later",
+    "peak_foot_force": "a kink at 103.5: another instant has the largest force",
+}
 OVERRIDES = {"duration": 2.2, "disturbance.cargo.start": 0.5}
 
 
@@ -41,11 +45,14 @@ def walked(scenario: mc.Scenario, damping: np.ndarray) -> tuple[dict, dict]:
         return jax.tree.map(np.asarray, run(logs))
 
 
-def touchdowns(scenario: mc.Scenario, damping: float) -> list[tuple[str, float]]:
-    """Return which limb came to the ground when, s."""
+def contacts(scenario: mc.Scenario, damping: float) -> set[tuple[str, str, float]]:
+    """Return which foot came to the ground, or left it, when (s)."""
     walk = mc.rollout(scenario, mc.Gains(1.0, damping, STIFFNESS))
-    came = walk.contact[1:] & ~walk.contact[:-1]
-    return [(walk.limbs[limb], float(walk.time[step + 1])) for step, limb in zip(*np.nonzero(came), strict=True)]
+    events = set()
+    for what, there in (("comes", walk.contact), ("goes", ~walk.contact)):
+        for step, limb in zip(*np.nonzero(there[1:] & ~there[:-1]), strict=True):
+            events.add((walk.limbs[limb], what, round(float(walk.time[step + 1]), 6)))
+    return events
 
 
 def jumps(values: np.ndarray, slopes: np.ndarray, step: float) -> np.ndarray:
@@ -64,8 +71,9 @@ def draw(values: dict, slopes: dict) -> Figure:
             difference = (values[name][2:] - values[name][:-2]) / (2 * step)
             above.plot(DAMPING, values[name], ".", color=plots.BLUE, markersize=2.5)
             above.set_ylabel(label)
-            below.plot(DAMPING, slopes[name], color=plots.BLUE, label="forward mode")
-            below.plot(DAMPING[1:-1], difference, ".", color=plots.ORANGE, markersize=2.5, label="central difference")
+            above.set_title(TITLES[name])
+            below.plot(DAMPING, slopes[name], color=plots.SKY, linewidth=3, label="forward mode")
+            below.plot(DAMPING[1:-1], difference, ".", color=plots.BLACK, markersize=1.5, label="central difference")
             low, high = slopes[name].min(), slopes[name].max()
             below.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
             below.set_ylabel("derivative by log D [N]")
@@ -73,7 +81,7 @@ def draw(values: dict, slopes: dict) -> Figure:
             for panel in (above, below):
                 for at in jumps(values[name], slopes[name], step):
                     panel.axvline(np.sqrt(DAMPING[at] * DAMPING[at + 1]), color="0.8", linewidth=0.6, zorder=0)
-        axes[1, 0].legend(fontsize=6.5)
+        axes[1, 0].legend(fontsize=6.5, loc="upper left")
     return figure
 
 
@@ -84,10 +92,11 @@ def main() -> None:
     step = np.log(DAMPING[1] / DAMPING[0])
     for name in METRICS:
         for at in jumps(values[name], slopes[name], step):
-            before, after = (dict(touchdowns(scenario, DAMPING[at + side])) for side in (0, 1))
-            moved = {limb: (t, after.get(limb)) for limb, t in before.items() if t != after.get(limb)}
+            before, after = (contacts(scenario, DAMPING[at + side]) for side in (0, 1))
             change = values[name][at + 1] - values[name][at]
-            print(f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; touchdowns that move: {moved}")
+            print(
+                f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; {sorted(before - after)} -> {sorted(after - before)}"
+            )
     draw(values, slopes).savefig(ROOT / "docs" / "gradients.png", dpi=160)
 
 
