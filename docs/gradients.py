@@ -94,9 +94,7 @@ def main() -> None:
         for at in jumps(values[name], slopes[name], step):
             before, after = (contacts(scenario, DAMPING[at + side]) for side in (0, 1))
             change = values[name][at + 1] - values[name][at]
-            print(
-                f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; {sorted(before - after)} -> {sorted(after - before)}"
-            )
+            print(f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; {before - after} -> {after - before}")
     draw(values, slopes).savefig(ROOT / "docs" / "gradients.png", dpi=160)
 
 
