@@ -312,10 +312,10 @@ def test_numbers_in_tables_and_json():
 
 def test_time_left_counts_only_what_is_done_since_the_last_compilation():
     estimate = progress.Estimate(now=0.0)
-    assert estimate.update(1, 10, now=2.0) is None  # the first seen says nothing
-    assert estimate.update(2, 10, now=4.0) == 4.0 / 1 * 8
+    assert estimate.update(0, 10, now=0.0) is None
+    assert estimate.update(2, 10, now=4.0) == pytest.approx(16.0)
     estimate.compiled(now=30.0)
-    assert estimate.update(4, 10, now=32.0) == 1.0 * 6
+    assert estimate.update(4, 10, now=32.0) == pytest.approx(6.0)
 
 
 def test_only_the_compilers_time_is_called_compiling():
