@@ -103,7 +103,7 @@ def _jacobian(shape, swing_time: float, gains, numbers):
     def stepped(values):  # (s, B)
         parts = jnp.split(values, np.cumsum(sizes)[:-1])
         state, law = tree.unflatten([part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)])
-        after, _ = advance(walk, Carry(state, carry.contact, carry.cycle_start, law), step)
+        after, _ = advance(walk, Carry(state, carry.contact, carry.gait, law), step)
         return jnp.concatenate([leaf.reshape(-1, batch) for leaf in jax.tree.leaves((after.state, after.law))])
 
     start = jnp.concatenate([leaf.reshape(-1, batch) for leaf in leaves])
