@@ -24,7 +24,9 @@ def test_a_walk_diverges_where_the_loop_is_unstable(case):
 def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
     monkeypatch.setattr(stability_limit, "spectral_radius", lambda scenario, gains, engine: gains.damping[:, 0] / 1e2)
     walks = xr.Dataset(coords={"stiffness": np.geomspace(1e2, 1e4, 200), "damping": np.geomspace(1e1, 1e3, 3)})
+    walks["stiffness"].attrs["units"] = "N/m"
     radius = stability_limit.over_map(case("case_2", "virtual_model"), walks)
+    assert walks.assign(spectral_radius=radius)["stiffness"].attrs == {"units": "N/m"}
     assert radius.shape == (200, 3) and np.isfinite(radius[[0, -1]]).all()
     known = radius.dropna("stiffness")
     assert known.sizes["stiffness"] == 48

@@ -61,7 +61,8 @@ def over_map(scenario: mc.Scenario, walks: xr.Dataset, *, engine: str = DEFAULT_
     radius = spectral_radius(scenario, gains, engine=engine).reshape([v.size for v in axes.values()])
     about = {"units": "1", "long_name": "largest eigenvalue of one step"}
     made = xr.DataArray(radius, axes, ("stiffness", "damping"), attrs=about)
-    return made.reindex(stiffness=walks["stiffness"], damping=walks["damping"])
+    whole = made.reindex(stiffness=walks["stiffness"], damping=walks["damping"])
+    return whole.assign_coords({name: walks[name] for name in axes})  # with their units
 
 
 def _six(gains: mc.Gains):
