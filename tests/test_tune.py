@@ -290,26 +290,3 @@ def test_own_gains_are_the_first_start(scenario):
     problem = problem_of(scenario, search.Search())
     gains = problem.space.to_gains(jnp.asarray(start_of(problem)))
     np.testing.assert_allclose(gains.stiffness, np.broadcast_to(gains_of(scenario).stiffness, 6), rtol=1e-5)
-
-
-@pytest.mark.slow
-def test_the_command_tells_and_draws_what_it_found(scenario, tmp_path, capsys):
-    """A whole `mjx-climb tune`, short: table, verification, pictures, and gains that `run` takes."""
-    from tuning.command_line import main
-
-    config, out = tmp_path / "short.yaml", tmp_path / "out"
-    config.write_text(scenario.to_yaml())
-
-    def ended(*arguments):
-        with pytest.raises(SystemExit) as end:
-            main([*arguments])
-        assert not end.value.code
-        return capsys.readouterr().out
-
-    told = ended("tune", str(config), "--iterations", "1", "--starts", "2", "--out", str(out))
-    for text in ("tuned", "config", "pd", "verification:", "within 20 %", "grid", "largest eigenvalue"):
-        assert text in told
-    for name in ("convergence.png", "path.png", "walks.png", "path.svg", "search.nc", "map.nc", "summary.json"):
-        assert (out / name).stat().st_size > 1000
-    assert not (out / "parts").exists()
-    assert "force_variation" in ended("run", str(config), "--gains", str(out / "gains.yaml"), "--json")
