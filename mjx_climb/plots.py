@@ -532,7 +532,8 @@ def plot_map(
         x, y: the dimensions along the axes.
         title: above the figure.
 
-    Walks that failed, `detached_at` set or `diverged`, are hatched; what is not a number is grey.
+    Walks that failed, `detached_at` set or `diverged`, are hatched; what is not a number is grey. Where the dataset has
+    a `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
     handles, label = _draw_map(
@@ -658,6 +659,8 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
         }
         panel.plot([at_x], [at_y], **look, zorder=4, label=name)
         handles.append(Line2D([], [], **look, label=name))
+    if "spectral_radius" in dataset and _draw_stability_limit(panel, _grid(dataset, "spectral_radius", x, y)):
+        handles.append(Line2D([], [], color=RED, linewidth=1.0, label="stability limit"))
     # a mark beside the grid is shown too
     panel.set_xlim(*_span(x_edges, [mark[0] for mark in marks.values()]))
     panel.set_ylim(*_span(y_edges, [mark[1] for mark in marks.values()]))
@@ -677,6 +680,17 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
     if baseline is not None and not flags:
         _mark_on_bar(bar, float(baseline), baseline_name)
     return handles, _label(variable, metric)
+
+
+def _draw_stability_limit(panel, radius: xr.DataArray) -> bool:
+    """Draw where a radius (y, x) passes 1 and return whether it does; rows and columns without values are left out."""
+    y, x = radius.dims
+    radius = radius.dropna(x, how="all").dropna(y, how="all")
+    excess = np.clip((radius.values - 1) * 1e3, -1, 1)  # beyond the limit it grows without bounds
+    if min(excess.shape) < 2 or not (excess > 0).any() or not (excess <= 0).any():
+        return False
+    panel.contour(radius[x], radius[y], excess, [0.0], colors=[RED], linewidths=1.0, zorder=3)
+    return True
 
 
 def _mark_on_bar(bar, value: float, name: str) -> None:

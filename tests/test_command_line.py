@@ -310,3 +310,22 @@ def test_numbers_in_tables_and_json():
         "b": 3,
         "c": [None, True],
     }
+
+
+def test_time_left_counts_only_what_is_done_since_the_last_compilation():
+    estimate = progress.Estimate(now=0.0)
+    assert estimate.update(0, 10, now=0.0) is None
+    assert estimate.update(2, 10, now=4.0) == pytest.approx(16.0)
+    estimate.compiled(now=30.0)
+    assert estimate.update(4, 10, now=32.0) == pytest.approx(6.0)
+
+
+def test_only_the_compilers_time_is_called_compiling():
+    watched = progress.Compilation()
+    watched.since -= 3.0
+    watched._duration(progress.COMPILED, 2.0)
+    watched.since -= 5.0
+    watched._event(progress.FROM_CACHE)
+    watched._duration(progress.COMPILED, 0.5)
+    compiled, loaded = watched.seconds.values()
+    assert compiled == pytest.approx(3.0, abs=0.5) and loaded == pytest.approx(5.0, abs=0.5)

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -174,3 +175,36 @@ def test_bad_gains_file(text, expected, tmp_path):
     assert expected in message
     assert message.startswith(str(tmp_path / "gains.yaml"))
     assert len(message.splitlines()) == 1
+
+
+_LONG_SWEEP = f"""
+import numpy as np, sys, mjx_climb as mc
+from pathlib import Path
+from tuning import grid
+scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.2"])
+print("begun", flush=True)
+grid.sweep(scenario, np.array({STIFFNESS.tolist()}), np.array({DAMPING.tolist()}), batch_size=1, out=Path(sys.argv[1]),
+           progress=lambda done, total: print(done, flush=True))
+print("whole", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_sweep_killed_at_random_instants_resumes_bit_by_bit(scenario, tmp_path):
+    """SIGKILL at any instant, while it compiles, walks or writes; as often as it takes to see it whole."""
+    environment = dict(os.environ, PYTHONPATH=str(ROOT))
+    rng, kept = np.random.default_rng(), []
+    for _ in range(4):
+        process = subprocess.Popen(
+            [sys.executable, "-c", _LONG_SWEEP, str(tmp_path)], cwd=ROOT, env=environment, text=True,
+            stdout=subprocess.PIPE,
+        )  # fmt: skip
+        for _ in range(rng.integers(1, 4)):  # begun, what is there, the first new part
+            process.stdout.readline()
+        time.sleep(rng.exponential(0.05))
+        process.kill()
+        process.communicate()
+        kept.append(grid.claim(scenario, STIFFNESS, DAMPING, batch_size=1, out=tmp_path))
+    assert kept == sorted(kept)
+    resumed = grid.sweep(scenario, STIFFNESS, DAMPING, batch_size=1, out=tmp_path)
+    xr.testing.assert_equal(resumed, grid.sweep(scenario, STIFFNESS, DAMPING, batch_size=1))

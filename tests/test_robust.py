@@ -161,6 +161,21 @@ def test_search_and_judgement(scenario, ensemble):
     assert summed["failed"].values.tolist() == [0.0, 0.0, 0.0]
 
 
+def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, tmp_path):
+    how = {"method": "cmaes", "starts": 4, "iterations": 2}
+
+    def stop(now):
+        if now.rounds == 1:
+            raise KeyboardInterrupt
+
+    cut = robust.search(scenario, ensemble, out=tmp_path, progress=stop, **how)
+    assert cut.interrupted
+    walked = []
+    resumed = robust.search(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
+    assert walked == [False, True]
+    xr.testing.assert_equal(resumed.history, robust.search(scenario, ensemble, **how).history)
+
+
 def test_slopes_of_the_robust_objective(scenario, ensemble):
     """Forward derivatives through all members and the worst of them agree with central differences."""
     settings = search.make({"weights": {"force_variation": 1.0, "peak_pull_force": 1.0}, "precision": "float64"})

@@ -5,6 +5,7 @@ import io
 
 import numpy as np
 import pytest
+import xarray as xr
 import yaml
 
 import mjx_climb as mc
@@ -19,12 +20,21 @@ def scenario():
     return mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3", "disturbance.cargo.start=0.1"])
 
 
-@pytest.fixture(scope="module")
-def table(scenario):
+@pytest.fixture(scope="module", autouse=True)
+def few():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schedule, "CANDIDATES", 3)
         patch.setattr(schedule, "ITERATIONS", (1, 1))
-        return schedule.schedule(scenario, gravity=(1e-2, 1.0), cargo=(0.0, 1.0), no_worse_than_pd=False)
+        yield
+
+
+def made(scenario, **how):
+    return schedule.schedule(scenario, gravity=(1e-2, 1.0), cargo=(0.0, 1.0), no_worse_than_pd=False, **how)
+
+
+@pytest.fixture(scope="module")
+def table(scenario, few):
+    return made(scenario)
 
 
 def test_metrics_are_those_of_the_operating_point(scenario, table):
@@ -69,6 +79,21 @@ def test_lookup(table):
     ends = table["damping"].values[:, 0]
     np.testing.assert_allclose(schedule.lookup(table, 0.1, 0.0).damping, np.sqrt(ends[0] * ends[1]), rtol=1e-9)
     np.testing.assert_allclose(schedule.lookup(table, 50.0, 0.0).damping, ends[1], rtol=1e-9)
+
+
+def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, tmp_path):
+    def stop(done, total, phase):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        made(scenario, out=tmp_path, progress=stop)
+    kept = sorted((tmp_path / "parts").glob("part-*"))
+    assert len(kept) == 3
+    before = [file.stat().st_mtime_ns for file in kept]
+    resumed = made(scenario, out=tmp_path)
+    assert [file.stat().st_mtime_ns for file in kept] == before  # not walked again
+    xr.testing.assert_equal(resumed, table)
 
 
 def test_tables(table, tmp_path):

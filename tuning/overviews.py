@@ -5,6 +5,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from mjx_climb import plots
 from tuning import ensemble
@@ -119,12 +120,13 @@ def plot_schedule(table: xr.Dataset) -> Figure:
                 parts = [logs[:, :3].mean(1), logs[:, 3:].mean(1)]
                 for part, dash in zip(parts[: 1 + (not np.allclose(*parts))], "-:", strict=False):
                     _line(panel, gravity, np.exp(part), sound, color, dash)
-                panel.set_yscale("log")
                 panel.set_ylabel(units[kind])
             variation = point["force_variation"]
             for walk, dash in (("tuned", "-"), ("config", ":")):
                 left = 100 * (variation.sel(walk=walk) / variation.sel(walk="pd")).values
                 _line(axes[-1], gravity, left, sound if walk == "tuned" else None, color, dash)
+        for panel in axes[:-1]:
+            _log_scale(panel)
         axes[-1].axhline(100, color="0.6", linewidth=0.8)
         axes[-1].set_ylabel("force variation\n[% of pd]")
         axes[-1].set_xscale("log")
@@ -138,6 +140,18 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             "cargo",
         )  # fmt: skip
     return figure
+
+
+def _log_scale(panel) -> None:
+    """Make the y axis logarithmic, a decade at least: less would make mountains of what does not matter."""
+    panel.set_yscale("log")
+    low, high = panel.get_ylim()
+    room = max(np.sqrt(10 * low / high), 1.0)
+    panel.set_ylim(low / room, high * room)
+    if high * room**2 / low < 1e3:
+        panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _line(panel, x, y, sound, color: str, dash: str) -> None:

@@ -4,6 +4,7 @@ import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from mjx_climb import plots
 from tuning.result import Result
@@ -63,14 +64,8 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         panel.plot(
             ways["stiffness"][~descending], ways["damping"][~descending], ".", color="0.1", markersize=2, zorder=3
         )
-        radius = walks["spectral_radius"].transpose("damping", "stiffness").values
-        if (radius > 1).any() and (radius <= 1).any():
-            excess = np.clip((radius - 1) * 1e3, -1, 1)
-            panel.contour(
-                walks["stiffness"], walks["damping"], excess, [0.0], colors=[plots.RED], linewidths=1.0, zorder=3
-            )
-            panel.plot([], [], color=plots.RED, label="stability limit")
-            figure.legends[0].remove()
-            handles = [h for h in panel.get_legend_handles_labels()[0]]
-            figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        handles = [*figure.legends[0].legend_handles, Line2D([], [], color="0.1", linewidth=0.7, label="descents")]
+        handles.append(Line2D([], [], color="0.1", marker=".", markersize=2, linestyle="none", label="other points"))
+        figure.legends[0].remove()
+        plots._map_legend(figure, handles if descending.any() else [*handles[:-2], handles[-1]], 3)
     return figure

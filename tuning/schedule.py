@@ -190,6 +190,8 @@ def _dataset(scenario, settings, space, numbers, gravity, cargo, theta, merit, t
     data["value"] = (("gravity", "cargo"), np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
     data["feasible"] = (("gravity", "cargo"), (merit < 1e3).reshape(shape), {"units": "1"})
     data["transfer"] = (("gravity", "cargo", "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
+    bounds = [", ".join(space.on_bound(point)) for point in theta]
+    data["on_bound"] = (("gravity", "cargo"), np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})
     for name in mc.METRICS:
         about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}
         data[name] = (("walk", "gravity", "cargo"), np.stack([m[name].reshape(shape) for m in metrics]), about)
@@ -247,7 +249,7 @@ def rows(table: xr.Dataset) -> list[dict]:
                 if name in point:
                     values = np.unique(np.round(point[name].values.ravel(), 12))
                     row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
-            row["feasible"] = bool(point["feasible"])
+            row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
             for name in ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation"):
                 row[name] = {walk: float(point[name].sel(walk=walk)) for walk in table["walk"].values.tolist()}
             result.append(row)

@@ -11,6 +11,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import gait
@@ -21,6 +22,7 @@ from mjx_climb.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.walk import Carry, advance, begin, prepare, structure
 
 _CHUNK = 64  # gain sets per compiled batch
+_FINEST = 48  # values along an axis of a map
 
 
 def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEFAULT_ENGINE) -> np.ndarray:
@@ -43,6 +45,24 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
             radius[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(1)
             radii.append(radius[: count - start])
     return np.concatenate(radii)
+
+
+def over_map(scenario: mc.Scenario, walks: xr.Dataset, *, engine: str = DEFAULT_ENGINE) -> xr.DataArray:
+    """Return the radius over the stiffness and damping (the same on all axes) of a grid of walks.
+
+    A grid of more than 48 values along an axis has it at 48 of them, and NaN between.
+    """
+    axes = {}
+    for name in ("stiffness", "damping"):
+        values = walks[name].values
+        axes[name] = values[np.unique(np.linspace(0, values.size - 1, min(values.size, _FINEST)).round().astype(int))]
+    k, d = (v.reshape(-1, 1) * np.ones(6) for v in np.meshgrid(*axes.values(), indexing="ij"))
+    gains = mc.Gains(np.broadcast_to(np.asarray(scenario.control.inertia, float), k.shape), d, k)
+    radius = spectral_radius(scenario, gains, engine=engine).reshape([v.size for v in axes.values()])
+    about = {"units": "1", "long_name": "largest eigenvalue of one step"}
+    made = xr.DataArray(radius, axes, ("stiffness", "damping"), attrs=about)
+    whole = made.reindex(stiffness=walks["stiffness"], damping=walks["damping"])
+    return whole.assign_coords({name: walks[name] for name in axes})  # with their units
 
 
 def _six(gains: mc.Gains):

@@ -63,13 +63,10 @@ def map_of(found: Result, *, progress: Callable[[int, int], None] | None = None,
     value = np.where(np.isfinite(score.value), score.value, np.nan)
     dims = ("stiffness", "damping")
     attrs = {"units": "1", "long_name": "objective, 1 for pd"}
-    k, d = (v.reshape(-1, 1) * np.ones(6) for v in np.meshgrid(box["stiffness"], box["damping"], indexing="ij"))
-    gains = mc.Gains(np.broadcast_to(np.asarray(found.scenario.control.inertia, float), k.shape), d, k)
-    radius = stability_limit.spectral_radius(found.scenario, gains, engine=engine).reshape(value.shape)
     return walks.assign(
         objective=(dims, value, attrs),
         feasible=(dims, np.asarray(score.feasible), {"units": "1", "long_name": "keeps every limit"}),
-        spectral_radius=(dims, radius, {"units": "1", "long_name": "largest eigenvalue of one step"}),
+        spectral_radius=stability_limit.over_map(found.scenario, walks, engine=engine),
     )
 
 

@@ -13,11 +13,12 @@ WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers
 
 
 class Compilation:
-    """Watches XLA's compiler from `with` on: when it last finished a program, and whether the cache had it."""
+    """Watches XLA's compiler from `with` on: how long each program took, tracing included, by where it came from."""
 
     def __init__(self, finished: Callable[[], None] = lambda: None):
-        self.ended: float | None = None  # time.perf_counter(), s
-        self.from_cache = False
+        self.seconds: dict[str, float] = {}
+        self.since = time.perf_counter()  # when anything else was last done
+        self._from_cache = False
         self._finished = finished
 
     def __enter__(self) -> "Compilation":
@@ -34,11 +35,17 @@ class Compilation:
         monitoring.unregister_event_duration_listener(self._duration)
 
     def _event(self, event: str, **_) -> None:
-        self.from_cache |= event == FROM_CACHE
+        self._from_cache |= event == FROM_CACHE
 
     def _duration(self, event: str, seconds: float, **_) -> None:
-        if event == COMPILED and seconds > WORTH_A_WORD:
-            self.ended = time.perf_counter()
+        if event != COMPILED:
+            return
+        source = "loading compiled programs from the cache" if self._from_cache else "compiling"
+        self._from_cache = False
+        if seconds > WORTH_A_WORD:
+            now = time.perf_counter()
+            self.seconds[source] = self.seconds.get(source, 0.0) + now - self.since
+            self.since = now
             self._finished()
 
 
@@ -47,20 +54,22 @@ class Estimate:
 
     def __init__(self, now: float):
         self.since = now  # s
-        self.base: int | None = None  # what was there at the start
+        self.base: int | None = None  # what was there then
+        self.done: int | None = None
 
     def update(self, done: int, total: int, now: float) -> float | None:
         """Return the seconds left once `done` of `total` are done."""
         if self.base is None:
             self.base = done
+        self.done = done
         if done == total:
             return 0.0
         worked = done - self.base
         return None if worked <= 0 else (now - self.since) / worked * (total - done)
 
     def compiled(self, now: float) -> None:
-        """Leave the time until `now` out: it went to the compiler."""
-        self.since = now
+        """Count from `now` on: the time before went to the compiler."""
+        self.since, self.base = now, self.done
 
 
 class Meter:
@@ -83,7 +92,8 @@ class Meter:
             bar.update(task, description=f"{name}: walking")
 
         def advanced(done: int, total: int, text: str | None = None) -> None:
-            left = estimate.update(done, total, time.perf_counter())
+            compilation.since = now = time.perf_counter()
+            left = estimate.update(done, total, now)
             text = text or f"{name}: {done} of {total} {unit}"
             text += f", about {duration(left)} left" if left else ""
             if done or left is not None:
@@ -93,12 +103,9 @@ class Meter:
 
         with Compilation(compiled) as compilation, bar:
             yield advanced
-        end = time.perf_counter()
-        text = f"{name}: {duration(end - begin)}"
-        if compilation.ended is not None:
-            source = "loading the compiled program from the cache" if compilation.from_cache else "compiling"
-            text += f", of which {duration(compilation.ended - begin)} {source}"
-        self.console.print(text)
+        text = f"{name}: {duration(time.perf_counter() - begin)}"
+        spent = [f"{duration(seconds)} {source}" for source, seconds in compilation.seconds.items()]
+        self.console.print(text + (f", of which {' and '.join(spent)}" if spent else ""))
 
 
 def duration(seconds: float) -> str:

@@ -110,7 +110,8 @@ def schedule_table(rows):
         tuned, config, pd = (row["force_variation"][walk] for walk in ("tuned", "config", "pd"))
         cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", gain(row, "stiffness"), gain(row, "damping")]
         verdict = "" if row["feasible"] else "breaks limits"
-        table.add_row(*cells, number(tuned), change(tuned, config), change(tuned, pd), verdict)
+        verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
+        table.add_row(*cells, number(tuned), change(tuned, config), change(tuned, pd), verdict.strip())
     return table
 
 

@@ -51,8 +51,9 @@ def sweep(
 
     Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
     side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a map of
-    each metric (maps/, and maps.png and .svg with the main ones), the three walks over time (walks.png, .svg), the
-    table (comparison.json), the resolved scenario (config.yaml), and all of it as a page for a browser (report.html).
+    each metric with the law's limit of stability (maps/, and maps.png and .svg with the main ones), the three walks
+    over time (walks.png, .svg), the table (comparison.json), the resolved scenario (config.yaml), and all of it as a
+    page for a browser (report.html).
 
     Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
     gives the inertia and the joint gains of the grid, and a further walk to compare with.
@@ -66,7 +67,7 @@ def sweep(
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
         from mjx_climb import dataset
-        from tuning import gains_file, grid, parts
+        from tuning import gains_file, grid, parts, stability_limit
         from tuning.command_line import progress, report
         from tuning.report import page
         from tuning.report import sweep as pages
@@ -104,6 +105,8 @@ def sweep(
                     trajectories[name] = mc.rollout(names[name], _on_six_axes(names[name]), engine=engine)
             with meter.stage("grid") as show:
                 result = grid.sweep(scenario, *axes, progress=walked, **how)
+            with meter.stage("stability limit"):
+                result["spectral_radius"] = stability_limit.over_map(scenario, result, engine=engine)
             best = grid.best_cell(result)
             if best is not None:
                 found = {f"control.{name}": best[name].item() for name in ("stiffness", "damping")}

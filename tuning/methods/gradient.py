@@ -10,6 +10,8 @@ from tuning.methods.task import Points, Request, Task
 RATE = 0.7  # of the first step, in the logarithm of a gain
 LAST = 0.03  # share of it at the end
 CLIP = 5.0  # norm of a gradient; the objective is 1 for pd
+FALL = 10.0  # by how many times its value (1 for pd) a point is worse than the best where the loop has gone unstable
+BACK = 0.5  # share of its steps that a start keeps which has taken one too far
 SMOOTH = 0.5  # share of the iterations that follow the smooth extremes; the rest follow the true ones
 
 rounds = staged.rounds
@@ -23,8 +25,9 @@ def run(task: Task) -> Points:
 def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray):
     """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
 
-    A start whose walk diverges, or whose gradient is not finite, is dead: it goes on from a random point, with a
-    fresh memory. The others do not notice.
+    Good gains often lie close to a cliff, beyond which the loop is unstable. A step over it (the walk diverges, or its
+    value is out of all proportion) is taken back: the start steps again from its best point, half as far, with a fresh
+    memory. One that has no such point goes on from a random one. The others do not notice.
     """
     space = task.problem.space
     schedule = optax.cosine_decay_schedule(RATE, iterations, alpha=LAST)
@@ -32,20 +35,30 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: n
     blank = jax.vmap(direction.init)(np.zeros((len(theta), len(ties)), np.float32))
     update = jax.jit(jax.vmap(direction.update))
     state, visited, merits = blank, [], []
+    best, slope_there = theta, np.zeros((len(theta), len(ties)))  # of each start so far
+    least, value_there = np.full(len(theta), np.inf), np.full(len(theta), np.inf)
     for iteration in range(iterations):
         found = yield Request(theta, ties, phase)
         visited.append(theta)
         merits.append(found.merit)
         gradient = found.gradient if iteration < SMOOTH * iterations else found.sharp
-        dead = ~(found.alive & np.isfinite(gradient).all(1))
-        slope = np.where(dead[:, None], 0.0, gradient).astype(np.float32)
+        over = found.value > value_there + FALL * np.maximum(1.0, np.abs(value_there))
+        lost = over | ~(found.alive & np.isfinite(gradient).all(1))
+        better = ~lost & (found.merit < least)
+        best, slope_there = (np.where(better[:, None], *pair) for pair in ((theta, best), (gradient, slope_there)))
+        least, value_there = (np.where(better, *pair) for pair in ((found.merit, least), (found.value, value_there)))
+
+        theta, slope = (np.where(lost[:, None], *pair) for pair in ((best, theta), (slope_there, gradient)))
+        scales = np.where(lost & np.isfinite(least), BACK * scales, scales)
+        state = choose(lost, blank, state)
         slope = slope * np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12))
-        steps, state = update(slope, state)
+        steps, state = update(slope.astype(np.float32), state)
         rates = float(schedule(iteration)) * scales[:, None]
         theta = space.clip(theta - rates * np.asarray(steps, float) @ ties)
-        if dead.any():
-            theta = np.where(dead[:, None], space.draw_tied(rng, len(theta)), theta)
-            state = choose(dead, blank, state)
+        homeless = lost & np.isinf(least)
+        if homeless.any():
+            theta = np.where(homeless[:, None], space.draw_tied(rng, len(theta)), theta)
+            state = choose(homeless, blank, state)
     return np.array(visited), np.array(merits)
 
 
