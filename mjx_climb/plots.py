@@ -5,6 +5,7 @@ import io
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ LIMB_COLORS = (BLUE, ORANGE, GREEN, PURPLE)
 AXIS_COLORS = (VERMILLION, SKY, BLACK)
 # colour and width: the baseline is a broad band, so that what runs on top of it does not hide it
 SERIES = (("0.65", 1.8), (VERMILLION, 0.8), (BLUE, 0.8), (GREEN, 0.8), (ORANGE, 0.8), (PURPLE, 0.8))
-RED = "#D00000"  # a torn gripper and nothing else
+RED = "#D00000"  # what must not be passed: a torn gripper, on maps the baseline and the limit of stability
 CARGO, PUSH = "#F6F0E1", "#DCE9F4"
 GREY = "#BDBDBD"
 
@@ -62,12 +63,17 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+def style() -> AbstractContextManager[None]:
+    """Return a context in which matplotlib draws in this module's style: `with plots.style(): ...`."""
+    return mpl.rc_context(_STYLE)
+
+
 def _styled(draw: Callable) -> Callable:
     """Run a drawing function in this module's style and leave matplotlib's own as it was."""
 
     @functools.wraps(draw)
     def styled(*args, **kwargs):
-        with mpl.rc_context(_STYLE):
+        with style():
             return draw(*args, **kwargs)
 
     return styled
@@ -532,7 +538,8 @@ def plot_map(
         x, y: the dimensions along the axes.
         title: above the figure.
 
-    Walks that failed, `detached_at` set or `diverged`, are hatched; what is not a number is grey.
+    Walks that failed, `detached_at` set or `diverged`, are hatched; what is not a number is grey. Where the dataset has
+    a `spectral_radius` (see `tuning.maps`), a red line goes where it passes 1.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
     handles, label = _draw_map(
@@ -658,6 +665,7 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
         }
         panel.plot([at_x], [at_y], **look, zorder=4, label=name)
         handles.append(Line2D([], [], **look, label=name))
+    handles += _draw_stability_limit(panel, dataset, x, y)
     # a mark beside the grid is shown too
     panel.set_xlim(*_span(x_edges, [mark[0] for mark in marks.values()]))
     panel.set_ylim(*_span(y_edges, [mark[1] for mark in marks.values()]))
@@ -677,6 +685,18 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
     if baseline is not None and not flags:
         _mark_on_bar(bar, float(baseline), baseline_name)
     return handles, _label(variable, metric)
+
+
+def _draw_stability_limit(panel: Axes, dataset: xr.Dataset, x: str, y: str) -> list[Line2D]:
+    """Draw where the closed loop's largest eigenvalue passes 1; return the handle of the line, if there is one."""
+    if "spectral_radius" not in dataset:
+        return []
+    radius = _grid(dataset, "spectral_radius", x, y).values
+    if (radius > 1).all() or (radius <= 1).all():
+        return []
+    excess = np.clip((radius - 1) * 1e3, -1, 1)
+    panel.contour(dataset[x], dataset[y], excess, [0.0], colors=[RED], linewidths=1.0, zorder=3)
+    return [Line2D([], [], color=RED, linewidth=1.0, label="stability limit")]
 
 
 def _mark_on_bar(bar, value: float, name: str) -> None:

@@ -73,10 +73,10 @@ def _jacobian(shape, swing_time: float, gains, numbers):
     rotation = quaternion_to_matrix(walk.plan.base_orientation)[:, :, None]
     target = gait.foot_targets(walk.plan, now, carry.contact.grip_point)
     joints = inverse_kinematics(walk.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
-    closed = jnp.broadcast_to(now.closed, carry.contact.closed.shape)
+    closed = jnp.broadcast_to(now.closed, carry.contact.touching.shape)
     carry = carry._replace(
         state=dataclasses.replace(carry.state, base_position=base, joint_angles=joints),
-        contact=carry.contact._replace(closed=closed, touching=closed),
+        contact=carry.contact._replace(touching=closed),
     )
     leaves, tree = jax.tree.flatten((carry.state, carry.law))
     sizes = [leaf.size // batch for leaf in leaves]
@@ -84,7 +84,7 @@ def _jacobian(shape, swing_time: float, gains, numbers):
     def stepped(values):  # (s, B)
         parts = jnp.split(values, np.cumsum(sizes)[:-1])
         state, law = tree.unflatten([part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)])
-        after, _ = advance(walk, Carry(state, carry.contact, carry.cycle_start, law), step)
+        after, _ = advance(walk, Carry(state, carry.contact, carry.gait, law), step)
         return jnp.concatenate([leaf.reshape(-1, batch) for leaf in jax.tree.leaves((after.state, after.law))])
 
     start = jnp.concatenate([leaf.reshape(-1, batch) for leaf in leaves])
