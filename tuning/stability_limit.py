@@ -7,6 +7,7 @@ for any positive gains.
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +33,7 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
     shape = structure(scenario, engine, smooth=True)
     radii = []
     with jax.enable_x64(True):
-        swing = scenario.gait.cycle * (1 - scenario.gait.duty)
-        run = jax.jit(lambda g, n: _jacobian(shape, swing, g, n), compiler_options=mc.compiler_options(_CHUNK))
+        run = _program(shape, scenario.gait.cycle * (1 - scenario.gait.duty))
         for start in range(0, count, _CHUNK):
             rows = np.minimum(np.arange(start, start + _CHUNK), count - 1)
             part = mc.Gains(*(value[rows] for value in flat), kp[rows], kd[rows])
@@ -43,6 +43,11 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
             radius[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(1)
             radii.append(radius[: count - start])
     return np.concatenate(radii)
+
+
+@functools.lru_cache(maxsize=8)
+def _program(shape, swing_time: float):
+    return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=mc.compiler_options(_CHUNK))
 
 
 def _six(gains: mc.Gains):
