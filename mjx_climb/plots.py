@@ -5,6 +5,7 @@ import io
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ LIMB_COLORS = (BLUE, ORANGE, GREEN, PURPLE)
 AXIS_COLORS = (VERMILLION, SKY, BLACK)
 # colour and width: the baseline is a broad band, so that what runs on top of it does not hide it
 SERIES = (("0.65", 1.8), (VERMILLION, 0.8), (BLUE, 0.8), (GREEN, 0.8), (ORANGE, 0.8), (PURPLE, 0.8))
-RED = "#D00000"  # a torn gripper and nothing else
+RED = "#D00000"  # what must not be passed: a torn gripper, on maps the baseline and the limit of stability
 CARGO, PUSH = "#F6F0E1", "#DCE9F4"
 GREY = "#BDBDBD"
 
@@ -62,12 +63,17 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+def style() -> AbstractContextManager[None]:
+    """Return a context in which matplotlib draws in this module's style: `with plots.style(): ...`."""
+    return mpl.rc_context(_STYLE)
+
+
 def _styled(draw: Callable) -> Callable:
     """Run a drawing function in this module's style and leave matplotlib's own as it was."""
 
     @functools.wraps(draw)
     def styled(*args, **kwargs):
-        with mpl.rc_context(_STYLE):
+        with style():
             return draw(*args, **kwargs)
 
     return styled

@@ -1,6 +1,5 @@
 """Pictures over many walks: gains judged on an ensemble, a Pareto front, a gain schedule."""
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -13,7 +12,7 @@ from tuning.pareto import knee
 from tuning.robust import JUDGED_SHARE
 
 SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
-_COLORS = {"config": plots.VERMILLION, "pd": "0.6"}
+_COLORS = {"config": plots.VERMILLION, "paper": plots.VERMILLION, "pd": "0.6"}
 
 
 def _scaled(variable: xr.DataArray) -> tuple[float, str]:
@@ -28,7 +27,7 @@ def plot_judged(judged: xr.Dataset, metrics=("force_variation", "peak_pull_force
     A dot marks the mean, a diamond the mean of the worst 5 %. A gripper lets go beyond the
     vertical line.
     """
-    with mpl.rc_context(plots._STYLE):
+    with plots.style():
         figure = Figure(figsize=(plots.COLUMN, 0.35 + 1.75 * len(metrics)), layout="constrained")
         axes = figure.subplots(len(metrics), 1, squeeze=False)[:, 0]
         share = 100 * (np.arange(judged.sizes["member"]) + 1) / judged.sizes["member"]
@@ -70,7 +69,7 @@ def plot_front(front: xr.Dataset) -> Figure:
         for name in ("config", "pd")
     }  # fmt: skip
     held = front["held"].values.astype(bool)
-    with mpl.rc_context(plots._STYLE):
+    with plots.style():
         figure = Figure(figsize=(plots.COLUMN, 2.7), layout="constrained")
         panel = figure.subplots()
         panel.plot(walked[0][held], walked[1][held], ".", color="0.75", ms=2.5, label="walked", zorder=1)
@@ -108,7 +107,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     units = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inertia": "M [kg, kg m$^2$]"}
     loads = table["cargo"].values
     colors = [plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.SKY, plots.VERMILLION]
-    with mpl.rc_context(plots._STYLE):
+    with plots.style():
         figure = Figure(figsize=(plots.COLUMN, 0.5 + 1.3 * (len(kinds) + 1)), layout="constrained")
         axes = figure.subplots(len(kinds) + 1, 1, sharex=True)
         for number, load in enumerate(loads):

@@ -1,6 +1,5 @@
 """Pictures of a search: how it converged, and its way over the map of stiffness and damping."""
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -16,7 +15,7 @@ def plot_convergence(found: Result) -> Figure:
     spent = history["env_steps"].values / 1e6
     value = np.where(history["feasible"], history["value"], np.nan)
     norm = history["gradient_norm"].values
-    with mpl.rc_context(plots._STYLE):
+    with plots.style():
         sloped = np.isfinite(norm).any()
         figure = Figure(figsize=(plots.COLUMN, 3.2 if sloped else 2.2), layout="constrained")
         axes = figure.subplots(1 + sloped, 1, sharex=True, squeeze=False)[:, 0]
@@ -37,7 +36,7 @@ def plot_convergence(found: Result) -> Figure:
 
 
 def plot_path(found: Result, walks: xr.Dataset) -> Figure:
-    """Draw the way of every start over the map that `verification.map_of` gave, and the limit of stability.
+    """Draw the way of every start over a map with an `objective`, see `tuning.maps`, and the limit of stability.
 
     Gains that differ between the axes appear as their geometric means.
     """
@@ -53,7 +52,7 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         "tuned": (mean(found.gains.stiffness), mean(found.gains.damping)),
         "config": (mean(control.stiffness), mean(control.damping)),
     }
-    with mpl.rc_context(plots._STYLE):
+    with plots.style():
         figure = plots.plot_map(walks, "objective", marks, baseline=1.0)
         panel = figure.axes[0]
         phases = found.history["phase"].values.astype(str)

@@ -7,6 +7,7 @@ for any positive gains.
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -34,8 +35,7 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
     shape = structure(scenario, engine, smooth=True)
     radii = []
     with jax.enable_x64(True):
-        swing = scenario.gait.cycle * (1 - scenario.gait.duty)
-        run = jax.jit(lambda g, n: _jacobian(shape, swing, g, n), compiler_options=mc.compiler_options(_CHUNK))
+        run = _program(shape, scenario.gait.cycle * (1 - scenario.gait.duty))
         for start in range(0, count, _CHUNK):
             rows = np.minimum(np.arange(start, start + _CHUNK), count - 1)
             part = mc.Gains(*(value[rows] for value in flat), kp[rows], kd[rows])
@@ -63,6 +63,11 @@ def over_map(scenario: mc.Scenario, walks: xr.Dataset, *, engine: str = DEFAULT_
     made = xr.DataArray(radius, axes, ("stiffness", "damping"), attrs=about)
     whole = made.reindex(stiffness=walks["stiffness"], damping=walks["damping"])
     return whole.assign_coords({name: walks[name] for name in axes})  # with their units
+
+
+@functools.lru_cache(maxsize=8)
+def _program(shape, swing_time: float):
+    return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=mc.compiler_options(_CHUNK))
 
 
 def _six(gains: mc.Gains):

@@ -3,13 +3,12 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 
-import jax
 import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from tuning import grid, objectives, stability_limit
+from tuning import grid, maps, objectives, stability_limit
 from tuning.evaluation import Evaluation, Problem
 from tuning.objectives import Objective
 from tuning.result import Result
@@ -58,30 +57,8 @@ def map_of(found: Result, *, progress: Callable[[int, int], None] | None = None,
         ends = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
         box[kind] = np.geomspace(*ends, GRID)
     walks = grid.sweep(found.scenario, box["stiffness"], box["damping"], progress=progress, engine=engine)
-    arrays = {name: walks[name].values for name in mc.METRICS}
-    score = score_of(problem.objective, arrays)
-    value = np.where(np.isfinite(score.value), score.value, np.nan)
-    dims = ("stiffness", "damping")
-    attrs = {"units": "1", "long_name": "objective, 1 for pd"}
-    return walks.assign(
-        objective=(dims, value, attrs),
-        feasible=(dims, np.asarray(score.feasible), {"units": "1", "long_name": "keeps every limit"}),
-        spectral_radius=stability_limit.over_map(found.scenario, walks, engine=engine),
-    )
-
-
-def score_of(objective: Objective, metrics: Mapping) -> objectives.Score:
-    """Judge metrics that a rollout gave, None or NaN for what is not defined; a walk that let go is infeasible."""
-    arrays = {
-        name: np.asarray(np.nan if value is None else value)
-        for name, value in metrics.items()
-        if not isinstance(value, str) and name != "detached_limb"
-    }
-    arrays["diverged"] = arrays["diverged"].astype(bool)
-    with jax.enable_x64(True):
-        score = objective.score(arrays)
-    held = ~np.isfinite(arrays["detached_at"].astype(float))
-    return objectives.Score(*(np.asarray(v) for v in score[:3]), feasible=np.asarray(score.feasible) & held)
+    judged = maps.with_objective(walks, found.scenario, found.search, engine=engine)
+    return maps.with_stability(judged, found.scenario, engine=engine)
 
 
 def verify(
@@ -105,7 +82,7 @@ def verify(
     space, objective = problem.space, problem.objective
     if metrics is None:
         metrics = mc.metrics(mc.rollout(found.scenario, found.gains, engine=engine))
-    alone = score_of(objective, metrics)
+    alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
     around = problem.evaluate(np.array(points))
@@ -113,7 +90,7 @@ def verify(
     judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
-    best = _best_cell(walks)
+    best = None if walks is None else maps.best_cell(walks)
     six = [np.broadcast_to(np.asarray(v, float), (1, 6)) for v in _gains(found.gains)]
     joint = [None if v is None else np.reshape(v, 1) for v in (found.gains.kp, found.gains.kd)]
     radius = float(stability_limit.spectral_radius(found.scenario, mc.Gains(*six, *joint), engine=engine)[0])
@@ -142,13 +119,6 @@ def _shape(change: np.ndarray) -> str:
     if not np.isfinite(change).all() or change.max() > CLIFF:
         return "cliff"
     return "plateau" if np.abs(change).max() < PLATEAU else "slope"
-
-
-def _best_cell(walks: xr.Dataset | None) -> xr.Dataset | None:
-    if walks is None:
-        return None
-    value = walks["objective"].where(walks["feasible"])
-    return None if not np.isfinite(value).any() else walks.isel(value.argmin(dim=...))
 
 
 def _broken(objective: Objective, metrics: Mapping) -> list[str]:

@@ -1,0 +1,100 @@
+"""The notebooks: kept with their pictures, public names only, and every cell runs in a clean kernel."""
+
+import ast
+import re
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+from nbformat.v4 import new_code_cell, new_notebook
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+LARGEST = 600_000  # bytes
+MACHINE = re.compile(r"/(home|root|tmp|work|Users|usr|var)/|\.venv|site-packages")
+WARNINGS_ARE_ERRORS = new_code_cell("import warnings\nwarnings.simplefilter('error')")
+every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def read(path):
+    return nbformat.read(path, as_version=4)
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def private_names(source: str) -> list[str]:
+    """Return what code imports, reads or calls that begins with an underscore; lines of magic do not count."""
+    plain = "\n".join(line for line in source.splitlines() if not line.startswith("%"))
+    names = []
+    for node in ast.walk(ast.parse(plain)):
+        if isinstance(node, ast.Attribute):
+            names.append(node.attr)
+        elif isinstance(node, ast.alias):
+            names.extend(node.name.split("."))
+        elif isinstance(node, ast.ImportFrom):
+            names.extend((node.module or "").split("."))
+    return [name for name in names if name.startswith("_")]
+
+
+def execute(notebook):
+    """Run all cells in a kernel of their own, in the root of the checkout, where a warning is an error."""
+    notebook.cells.insert(0, nbformat.from_dict(WARNINGS_ARE_ERRORS))
+    NotebookClient(notebook, kernel_name="python3", timeout=600, resources={"metadata": {"path": str(ROOT)}}).execute()
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("import mjx_climb._walk", ["_walk"]),
+        ("from tuning._parts import Parts", ["_parts"]),
+        ("from tuning import _parts as parts", ["_parts"]),
+        ("%matplotlib inline\nplots._STYLE", ["_STYLE"]),
+        ("for _ in range(3): plots.style()", []),
+    ],
+)
+def test_private_names_are_seen(source, found):
+    assert private_names(source) == found
+
+
+def test_the_stories_are_there():
+    stories = {"stiffness_damping_maps", "two_readings_of_eq_3", "gradient_against_grid", "robust_tuning"}
+    assert stories <= {path.stem for path in NOTEBOOKS}
+
+
+@every_notebook
+def test_public_names_only(path):
+    assert private_names("\n".join(cell.source for cell in code_cells(read(path)))) == []
+
+
+@every_notebook
+def test_kept_as_run_with_pictures_and_nothing_of_the_machine(path):
+    notebook = read(path)
+    cells = code_cells(notebook)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    outputs = [output for cell in cells for output in cell.outputs]
+    assert not [output for output in outputs if output.output_type == "error" or output.get("name") == "stderr"]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 3
+    assert path.stat().st_size < LARGEST
+    assert notebook.metadata.kernelspec.name == "python3"
+    assert not any(cell.metadata for cell in notebook.cells)
+    text = [output.get("text", "") + output.get("data", {}).get("text/plain", "") for output in outputs]
+    assert not MACHINE.search("\n".join([*text, *(cell.source for cell in notebook.cells)]))
+
+
+@pytest.mark.slow
+@every_notebook
+def test_runs_in_a_clean_kernel(path):
+    execute(read(path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "source", ["1 / 0", "import warnings\nwarnings.warn('beware')", "from mjx_climb import nothing"]
+)
+def test_a_cell_that_raises_or_warns_fails(source):
+    with pytest.raises(CellExecutionError):
+        execute(new_notebook(cells=[new_code_cell("fine = True"), new_code_cell(source)]))
