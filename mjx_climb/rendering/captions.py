@@ -51,7 +51,7 @@ def _font(pixels: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 
 class Caption:
-    """Draws over the pictures of one walk; what stays the same is drawn once."""
+    """Draws over the pictures of one walk."""
 
     def __init__(self, trajectory: Trajectory, label: str, size: tuple[int, int], scale: float, legend: bool):
         self._trajectory, self._size, self._legend = trajectory, size, legend
@@ -59,9 +59,7 @@ class Caption:
         self._scale = scale
         self._forces = np.linalg.norm(trajectory.foot_force[: whole(trajectory)], axis=-1)
         self._torn = detachments(trajectory)
-        self._fixed = Image.new("RGBA", size, (0, 0, 0, 0))
-        draw = ImageDraw.Draw(self._fixed)
-        self._heading(draw, label)
+        self._label = label
 
     def draw(self, picture: np.ndarray, row: int, view: View, pixels_per_meter: float) -> np.ndarray:
         """Return the picture (H, W, 3) with everything on it.
@@ -73,7 +71,7 @@ class Caption:
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image, "RGBA")
-        image.paste(self._fixed, (0, 0), self._fixed)
+        self._heading(draw)
         self._state(draw, row)
         if self._legend:
             self._explain(draw, pixels_per_meter)
@@ -83,13 +81,13 @@ class Caption:
     def _box(self, draw: ImageDraw.ImageDraw, left: float, top: float, width: float, height: float) -> None:
         draw.rounded_rectangle((left, top, left + width, top + height), 0.4 * self._unit, fill=DARK)
 
-    def _heading(self, draw: ImageDraw.ImageDraw, label: str) -> None:
+    def _heading(self, draw: ImageDraw.ImageDraw) -> None:
         unit = self._unit
         title, text = _font(round(1.25 * unit), bold=True), _font(round(0.9 * unit))
         line = case(self._trajectory.scenario)
-        width = max(title.getlength(label), text.getlength(line)) + 1.2 * unit
+        width = max(title.getlength(self._label), text.getlength(line)) + 1.2 * unit
         self._box(draw, 0.7 * unit, 0.7 * unit, width, 3.4 * unit)
-        draw.text((1.3 * unit, 1.0 * unit), label, WHITE, title)
+        draw.text((1.3 * unit, 1.0 * unit), self._label, WHITE, title)
         draw.text((1.3 * unit, 2.7 * unit), line, DIM, text)
 
     def _state(self, draw: ImageDraw.ImageDraw, row: int) -> None:
@@ -98,7 +96,11 @@ class Caption:
         now, peak = self._forces[row, limb], self._forces[: row + 1].max()
         lines = [
             (f"t = {trajectory.time[row]:.2f} s", WHITE, _font(round(1.25 * unit), bold=True)),
-            (f"largest force {_newtons(now)} at {trajectory.limbs[limb]}", WHITE, _font(round(unit))),
+            (
+                f"largest force {_newtons(now)} at {trajectory.limbs[limb]}" if now else "no force on any foot",
+                WHITE,
+                _font(round(unit)),
+            ),
             (f"largest so far {_newtons(peak)}", DIM, _font(round(unit))),
         ]
         push = float(np.linalg.norm(trajectory.push[row, :3]))

@@ -13,11 +13,12 @@ from mjx_climb.trajectory import Trajectory
 LONGEST = 0.24  # m, of the largest arrow
 SHORTEST = 0.004  # m, shorter ones are left out
 SHAFT = 0.0045  # m, radius
+PIECE = 0.004  # m, of a foot's path
 PATHS = (BLUE, ORANGE, GREEN, PURPLE)  # as the limbs in all pictures
 PRESSED = np.array(to_rgb(SKY))
 # from barely pulled to the holding limit; darker all the way, so that it also reads without colours
 PULLED = (to_rgb("#FFF3A0"), to_rgb("#F0C020"), to_rgb(ORANGE), to_rgb(VERMILLION), to_rgb("#B00020"))
-PUSH = np.array(to_rgb("#F5A3D7"))
+PUSH = np.array(to_rgb("#E24FB0"))
 GRIP = np.array([0.95, 0.95, 0.95])
 CARGO_DENSITY = 2600.0  # kg/m^3, of the box that stands for the cargo
 
@@ -101,9 +102,9 @@ def _paths(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, every: int)
         points = trajectory.foot_position[rows, limb]
         start = points[0]
         for point in points[1:]:
-            if np.linalg.norm(point - start) > 0.002:
+            if np.linalg.norm(point - start) > PIECE:
                 rgb = to_rgb(PATHS[limb % len(PATHS)])
-                _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.0022, start, point, rgb, emission=0.5)
+                _connect(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, 0.0022, start, point, rgb, emission=0.5)
                 start = point
 
 
@@ -127,7 +128,9 @@ def _cross(scene: mujoco.MjvScene, foot: np.ndarray) -> None:
 
 def _arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: Sequence[float], width: float = 1) -> None:
     if SHORTEST < np.linalg.norm(end - start) < 10 * LONGEST:  # longer: the walk has long failed
-        _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, width * SHAFT, start, end, rgb, emission=0.6)
+        # half of the light is its own: shaded, and still of the legend's colour
+        dim = 0.5 * np.asarray(rgb)
+        _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, width * SHAFT, start, end, dim, emission=1.3)
 
 
 def _add(scene, kind, size, position, rgb, rotation=None) -> None:
@@ -142,6 +145,8 @@ def _connect(scene, kind, width, start, end, rgb, emission=0.0) -> None:
     def shape(geom: mujoco.MjvGeom) -> None:
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _rgba(rgb))
         mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
+        if kind == mujoco.mjtGeom.mjGEOM_ARROW:
+            geom.size[2] *= 2  # MuJoCo draws an arrow half as long as its connector
         geom.emission = emission
 
     _next(scene, shape)

@@ -64,10 +64,11 @@ def model(robot: str, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray
     scene.vis.global_.offwidth = scene.vis.global_.offheight = 4096
     scene.vis.quality.shadowsize = 2048
     scene.vis.quality.offsamples = 4
+    scene.vis.quality.numslices, scene.vis.quality.numstacks = 20, 8  # a foot's path has hundreds of round pieces
     scene.vis.headlight.ambient[:] = looks.ambient
     scene.vis.headlight.diffuse[:] = 0.18
     scene.vis.headlight.specular[:] = 0.05
-    scene.vis.map.zfar = 60
+    scene.vis.map.zfar = 14
     scene.vis.map.znear = 0.02
     scene.stat.extent = 0.5
     scene.stat.center[:] = [*center, 0.05]

@@ -1,5 +1,6 @@
 """Pictures into files: PNG, and videos that browsers and slides play (H.264 in MP4)."""
 
+import contextlib
 import io
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -79,7 +80,8 @@ def encode(
     except OSError as error:
         raise OutputError(f"{path}: expected a place to write a video, got: {error.strerror or error}") from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
     return path
 
 
