@@ -23,4 +23,8 @@ def user_error(error: Exception) -> str | None:
         from mjx_climb.dataset import OutputError
 
         kinds += [ConfigError, RobotError, OutputError]
+    if "mjx_climb.rendering" in sys.modules:
+        from mjx_climb.rendering import RenderingError
+
+        kinds.append(RenderingError)
     return " ".join(str(error).split()) if isinstance(error, tuple(kinds)) else None

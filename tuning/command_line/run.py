@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tuning.command_line import options
+from tuning.command_line import options, visible
 
 
 def run(
@@ -19,18 +19,29 @@ def run(
     ] = None,
     json: options.Json = False,
     engine: options.Engine = None,
+    compare: visible.Compare = None,
+    video: visible.Video = False,
+    snapshots: visible.Snapshots = False,
+    at: visible.At = None,
+    size: visible.Size = None,
+    view: visible.View = False,
 ) -> None:
     """Walk one robot through a scenario, in double precision.
 
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
     (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json) and a picture
-    (walk.png, walk.svg).
+    (walk.png, walk.svg); with --compare the plots of both walks (comparison.png, .svg).
+
+    In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
+    pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
 
     \b
     Examples:
       mjx-climb run configs/case_2.yaml
       mjx-climb run configs/case_1_2.yaml --controller pd --json
       mjx-climb run configs/case_1_2.yaml --set control.damping=2e3 --set disturbance.cargo.mass=0.5
+      mjx-climb run configs/case_2.yaml --video --compare pd
+      mjx-climb run configs/case_1_2.yaml --snapshots --at 2.5,4.6
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
@@ -44,22 +55,40 @@ def run(
             scenario = gains_file.applied(scenario, gains_file.load(gains))
         engine = options.engine_from(engine)
         load_robot(scenario.robot)
+        baseline = visible.compared(scenario, compare)
+        pictures = visible.pictures_from(video, snapshots, at, size, view, scenario)
         out = out or Path("results") / f"{config.stem}-{scenario.control.controller}"
         dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
 
         console = report.console(stderr=True)
         console.print(progress.cache_state(), soft_wrap=True)
-        with progress.Meter(console).stage(scenario.control.controller):
+        meter = progress.Meter(console)
+        with meter.stage(scenario.control.controller):
             trajectory = mc.rollout(scenario, engine=engine)
+        walks = [trajectory]
+        if baseline is not None:
+            with meter.stage(baseline.control.controller):
+                walks.insert(0, mc.rollout(baseline, engine=engine))
         metrics = mc.metrics(trajectory)
         text = report.to_json(metrics)
         dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
         dataset.write_text_atomically(out / "metrics.json", text + "\n")
         plots.save_figure(plots.plot_walk(trajectory), out / "walk")
+        files = ["trajectory.nc", "config.yaml", "metrics.json", "walk.png", "walk.svg"]
+        if baseline is not None:
+            plots.save_figure(
+                plots.plot_comparison({w.scenario.control.controller: w for w in walks}), out / "comparison"
+            )
+            files += ["comparison.png", "comparison.svg"]
+        files += pictures.write(walks, out, meter.stage)
 
         tables = console if json else report.console(file=stdout)
         tables.print(report.walk_table(metrics))
         tables.print(report.verdict(trajectory, metrics))
-        console.print(f"written to {out}: trajectory.nc, config.yaml, metrics.json, walk.png, walk.svg", soft_wrap=True)
+        console.print(f"written to {out}: {', '.join(files)}", soft_wrap=True)
         if json:
             print(text, file=stdout)
+        if view:
+            from mjx_climb import rendering
+
+            rendering.view(trajectory)

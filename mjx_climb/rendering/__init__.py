@@ -1,0 +1,14 @@
+"""Walks made visible: frames, snapshots, videos and the interactive viewer.
+
+from mjx_climb import rendering
+
+rendering.save_video("walk.mp4", trajectory, baseline)
+strip = rendering.snapshots(trajectory, count=4)
+"""
+
+from mjx_climb.rendering.backend import RenderingError
+from mjx_climb.rendering.film import frames, pictures, snapshots
+from mjx_climb.rendering.viewer import view
+from mjx_climb.rendering.writer import encode, save_image, save_video
+
+__all__ = ["RenderingError", "encode", "frames", "pictures", "save_image", "save_video", "snapshots", "view"]

@@ -1,0 +1,96 @@
+"""An OpenGL context without a window: EGL, OSMesa or the system's own, whichever works here."""
+
+import functools
+import importlib
+import os
+import platform
+import subprocess
+import sys
+
+PACKAGES = "libegl1 and libgl1, or libosmesa6"  # Debian, Ubuntu
+OFF = ("disable", "disabled", "off", "false", "0")
+
+# GLFW in C ends the process where there is no display, and PyOpenGL serves one platform per process: so each is tried
+# in a process of its own
+_TRIAL = """
+import sys, importlib, mujoco
+context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
+context.make_current()
+mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
+"""
+_TRIAL_SECONDS = 60
+
+
+class RenderingError(ValueError):
+    """Pictures that cannot be made here; in one line: what is missing and what to install."""
+
+
+def candidates() -> list[str]:
+    """Return the names of the contexts to try, first choice first: the user's MUJOCO_GL, or all that may work."""
+    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if wanted in OFF:
+        return []
+    if wanted in ("egl", "osmesa", "glfw"):
+        return [wanted]
+    system = platform.system()
+    if system != "Linux":
+        return ["cgl", "glfw"] if system == "Darwin" else ["glfw"]
+    return ["egl", "osmesa", *["glfw"] * has_display()]
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened."""
+    return platform.system() != "Linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def require_display() -> None:
+    """Make sure that a window can be opened.
+
+    Raises:
+        RenderingError: it cannot.
+    """
+    if not has_display():
+        raise RenderingError(
+            "viewer: expected a display, got neither DISPLAY nor WAYLAND_DISPLAY; a video needs none (--video)"
+        )
+
+
+def works(name: str) -> bool:
+    """Return whether MuJoCo can render through this context on this machine."""
+    environment = {**os.environ, "MUJOCO_GL": "disable"}
+    trial = [sys.executable, "-c", _TRIAL, name]
+    try:
+        ended = subprocess.run(trial, env=environment, capture_output=True, timeout=_TRIAL_SECONDS)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return ended.returncode == 0
+
+
+@functools.cache
+def find() -> str:
+    """Return the name of the first context that works.
+
+    Raises:
+        RenderingError: none does.
+    """
+    tried = candidates()
+    for name in tried:
+        if works(name):
+            return name
+    if not tried:
+        raise RenderingError(f"rendering: expected OpenGL, got MUJOCO_GL={os.environ['MUJOCO_GL']}, which turns it off")
+    raise RenderingError(
+        f"rendering: expected OpenGL, got none that works (tried {', '.join(tried)}); "
+        f"on Debian and Ubuntu install {PACKAGES}"
+    )
+
+
+def context(width: int, height: int):
+    """Return a current OpenGL context, with `make_current` and `free`, for images of this size.
+
+    Raises:
+        RenderingError: no OpenGL on this machine.
+    """
+    made = importlib.import_module(f"mujoco.{find()}").GLContext(width, height)
+    made.make_current()
+    return made

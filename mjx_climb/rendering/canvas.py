@@ -1,0 +1,84 @@
+"""Pictures of a MuJoCo model from a context without a window."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from mjx_climb.rendering import backend
+from mjx_climb.rendering.camera import View
+
+MAX_GEOMS = 4000
+OPAQUE = 70  # of 255: a mark at least this bright hides what is behind it
+
+
+class Canvas:
+    """An offscreen picture of `width` by `height` pixels; a context manager that frees its OpenGL context."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+        self._model = model
+        self._gl = backend.context(width, height)
+        self._scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._rectangle = mujoco.MjrRect(0, 0, width, height)
+        self._options = mujoco.MjvOption()
+        self._options.sitegroup[:] = 0
+
+    def __enter__(self) -> "Canvas":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._context.free()
+        self._gl.free()
+
+    def draw(
+        self,
+        data: mujoco.MjData,
+        view: View,
+        inside: Callable[[mujoco.MjvScene], None],
+        on_top: Callable[[mujoco.MjvScene], None],
+    ) -> np.ndarray:
+        """Return the picture, (height, width, 3) uint8.
+
+        Arguments:
+            data: pose of the model.
+            view: where the camera stands.
+            inside: adds geoms among the model's.
+            on_top: adds geoms that nothing hides, such as an arrow inside a leg or below the ground.
+        """
+        scene, all_of_it = self._scene, mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self._model, data, self._options, None, view.camera(), all_of_it, scene)
+        up = view.axes()[1]
+        for eye in scene.camera:
+            eye.up[:] = up
+        inside(scene)
+        picture = self._render()
+
+        scene.ngeom = 0
+        on_top(scene)
+        if scene.ngeom:
+            flags = scene.flags.copy()
+            for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_SKYBOX):
+                scene.flags[flag] = 0
+            _lay_on(picture, self._render())
+            scene.flags[:] = flags
+        return picture
+
+    def _render(self) -> np.ndarray:
+        pixels = np.empty((self._rectangle.height, self._rectangle.width, 3), np.uint8)
+        self._gl.make_current()
+        mujoco.mjr_render(self._rectangle, self._scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
+        return pixels[::-1].copy()  # OpenGL's rows go upwards
+
+
+def _lay_on(picture: np.ndarray, marks: np.ndarray) -> None:
+    """Lay marks on black over a picture, in place; their soft edges stay soft."""
+    bright = marks.max(-1)
+    rows, columns = np.flatnonzero(bright.any(1)), np.flatnonzero(bright.any(0))
+    if not rows.size:
+        return
+    part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    share = np.minimum(bright[part] / OPAQUE, 1)[..., None]
+    picture[part] = np.clip(picture[part] * (1 - share) + marks[part], 0, 255)

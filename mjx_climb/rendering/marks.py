@@ -1,0 +1,164 @@
+"""What is drawn into the scene beside the robot: forces, grips, foot paths, cargo and pushes, as MuJoCo's geoms."""
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+from matplotlib.colors import to_rgb
+
+from mjx_climb.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, VERMILLION
+from mjx_climb.rendering.replay import whole
+from mjx_climb.trajectory import Trajectory
+
+LONGEST = 0.24  # m, of the largest arrow
+SHORTEST = 0.004  # m, shorter ones are left out
+SHAFT = 0.0045  # m, radius
+PIECE = 0.004  # m, of a foot's path
+PATHS = (BLUE, ORANGE, GREEN, PURPLE)  # as the limbs in all pictures
+PRESSED = np.array(to_rgb(SKY))
+# from barely pulled to the holding limit; darker all the way, so that it also reads without colours
+PULLED = (to_rgb("#FFF3A0"), to_rgb("#F0C020"), to_rgb(ORANGE), to_rgb(VERMILLION), to_rgb("#B00020"))
+PUSH = np.array(to_rgb("#E24FB0"))
+GRIP = np.array([0.95, 0.95, 0.95])
+CARGO_DENSITY = 2600.0  # kg/m^3, of the box that stands for the cargo
+
+
+def scale(trajectories: Sequence[Trajectory]) -> float:
+    """Return the length of an arrow of 1 N, m: one for all walks that are shown together."""
+    largest = 1e-9
+    for trajectory in trajectories:
+        rows = whole(trajectory)
+        rows = min(rows, 1 + int(np.argmax(trajectory.detached.any(1)))) if trajectory.detached.any() else rows
+        forces = np.linalg.norm(trajectory.foot_force[:rows], axis=-1).max(1)
+        # a kick of few milliseconds may be longer than that
+        largest = max(largest, np.quantile(forces, 0.999), np.linalg.norm(trajectory.push[:rows, :3], axis=-1).max())
+    return LONGEST / float(largest)
+
+
+def load(force: np.ndarray, limit: float | None) -> float:
+    """Return how near a foot's force (3,) N is to the holding limit, 1 at the limit; 0 where the foot is pressed."""
+    return float(np.linalg.norm(force)) / limit if limit and force[2] < 0 else 0.0
+
+
+def color(force: np.ndarray, limit: float | None) -> np.ndarray:
+    """Return the colour (3,) of a foot's force (3,) N: one where the ground presses, a scale where it pulls."""
+    return pulled(load(force, limit)) if force[2] < 0 else PRESSED
+
+
+def pulled(share: float) -> np.ndarray:
+    """Return the colour (3,) of a pull at this share of the holding limit."""
+    places = np.linspace(0, 1, len(PULLED))
+    return np.array([np.interp(share, places, channel) for channel in zip(*PULLED, strict=True)])
+
+
+def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: float) -> None:
+    """Add an arrow for the force on every foot, one for the push on the base, and a cross on torn feet."""
+    limit = trajectory.scenario.contact.holding_limit
+    for limb, force in enumerate(trajectory.foot_force[row]):
+        foot = trajectory.foot_position[row, limb]
+        _arrow(scene, foot, foot + scale * force, color(force, limit))
+        if trajectory.detached[row, limb] or trajectory.torn_off[row, limb]:
+            _cross(scene, foot)
+    push = trajectory.push[row, :3]
+    length = scale * float(np.linalg.norm(push))
+    if length > SHORTEST:
+        # it ends at the hull, not inside
+        hit = trajectory.base_position[row] - 0.055 * push / np.linalg.norm(push)
+        _arrow(scene, hit - scale * push, hit, PUSH, 1.5)
+
+
+def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, every: int) -> None:
+    """Add the grip points and foot paths up to this row, sampled `every` rows, and the cargo."""
+    _grips(scene, trajectory, row, every)
+    _paths(scene, trajectory, row, every)
+    mass = float(trajectory.cargo_mass[row])
+    if mass > 0:
+        _cargo(scene, trajectory, row, (mass / CARGO_DENSITY) ** (1 / 3) / 2)
+
+
+def grip_points(trajectory: Trajectory) -> np.ndarray:
+    """Return all points that were gripped, (N, 3) m, each once."""
+    rows = whole(trajectory)
+    gripped = trajectory.grip_point[:rows][trajectory.contact[:rows] | trajectory.support[:rows]]
+    return np.unique(gripped.round(3), axis=0) if gripped.size else trajectory.grip_point[0]
+
+
+def _grips(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, every: int) -> None:
+    rows = np.unique([*range(0, row + 1, every), row])
+    for limb in range(len(trajectory.limbs)):
+        held = trajectory.support[rows, limb]
+        points = np.unique(trajectory.grip_point[rows[held], limb].round(3), axis=0)
+        now = trajectory.grip_point[row, limb]
+        for point in points:
+            current = trajectory.support[row, limb] and np.abs(point - now).max() < 1e-3
+            rim = to_rgb(PATHS[limb % len(PATHS)])
+            _add(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, [0.031 if current else 0.026, 0.0012, 0], point, rim)
+            _add(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, [0.025 if current else 0.022, 0.0016, 0], point, GRIP)
+
+
+def _paths(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, every: int) -> None:
+    rows = np.unique([*range(0, row + 1, every), row])
+    for limb in range(len(trajectory.limbs)):
+        points = trajectory.foot_position[rows, limb]
+        start = points[0]
+        for point in points[1:]:
+            if np.linalg.norm(point - start) > PIECE:
+                rgb = to_rgb(PATHS[limb % len(PATHS)])
+                _connect(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, 0.0022, start, point, rgb, emission=0.5)
+                start = point
+
+
+def _cargo(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, half: float) -> None:
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, np.asarray(trajectory.base_orientation[row], float))
+    up = rotation.reshape(3, 3)[:, 2]
+    position = trajectory.base_position[row] + up * (0.036 + half)
+    box, size = mujoco.mjtGeom.mjGEOM_BOX, np.full(3, half)
+    _add(scene, box, size, position, to_rgb("#C9A227"), rotation)
+    for strap in ([1.03, 0.2, 1.03], [0.2, 1.03, 1.03]):
+        _add(scene, box, size * strap, position, (0.25, 0.22, 0.18), rotation)
+
+
+def _cross(scene: mujoco.MjvScene, foot: np.ndarray) -> None:
+    for arm in ([0.028, 0.028, 0.0], [0.028, -0.028, 0.0]):
+        across = np.array(arm)
+        rgb = to_rgb(RED)
+        _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.004, foot - across, foot + across, rgb, emission=0.8)
+
+
+def _arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: Sequence[float], width: float = 1) -> None:
+    if SHORTEST < np.linalg.norm(end - start) < 10 * LONGEST:  # longer: the walk has long failed
+        # half of the light is its own: shaded, and still of the legend's colour
+        dim = 0.5 * np.asarray(rgb)
+        _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, width * SHAFT, start, end, dim, emission=1.3)
+
+
+def _add(scene, kind, size, position, rgb, rotation=None) -> None:
+    def shape(geom: mujoco.MjvGeom) -> None:
+        matrix = np.eye(3).ravel() if rotation is None else rotation
+        mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(position, float), matrix, _rgba(rgb))
+
+    _next(scene, shape)
+
+
+def _connect(scene, kind, width, start, end, rgb, emission=0.0) -> None:
+    def shape(geom: mujoco.MjvGeom) -> None:
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _rgba(rgb))
+        mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
+        if kind == mujoco.mjtGeom.mjGEOM_ARROW:
+            geom.size[2] *= 2  # MuJoCo draws an arrow half as long as its connector
+        geom.emission = emission
+
+    _next(scene, shape)
+
+
+def _rgba(rgb: Sequence[float]) -> np.ndarray:
+    return np.array([*rgb, 1.0], np.float32)
+
+
+def _next(scene: mujoco.MjvScene, shape: Callable[[mujoco.MjvGeom], None]) -> None:
+    """Shape one more geom; none once the scene is full."""
+    if scene.ngeom < scene.maxgeom:
+        shape(scene.geoms[scene.ngeom])
+        scene.geoms[scene.ngeom].category = mujoco.mjtCatBit.mjCAT_DECOR
+        scene.ngeom += 1

@@ -1,0 +1,179 @@
+"""What the robot walks on, for the eye: rock under gravity, the panels of a station without."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+
+from mjx_climb.robot import model_path
+
+REACH = 1.8  # m, half the width of the ground that has relief
+CELLS = 120  # of the relief, along each side
+TEXTURE = 512  # pixels
+PANEL = 0.35  # m, a panel of the station
+SINK = 0.003  # m, the ground lies this far below the grip points, which look like holds on it
+
+
+@dataclasses.dataclass(frozen=True)
+class Style:
+    """Colours in [0, 1]; the relief is zero on the station."""
+
+    name: str
+    below: float  # m/s^2, gravity weaker than this looks so
+    ground: tuple[float, float, float]
+    sky: tuple[tuple[float, float, float], tuple[float, float, float]]  # zenith, horizon
+    ambient: float
+    sun: float
+    relief: float  # m, height of the boulders around
+
+
+STYLES = (
+    Style("station", 0.02, (0.74, 0.76, 0.79), ((0.0, 0.0, 0.01), (0.02, 0.03, 0.06)), 0.30, 0.75, 0.0),
+    Style("lunar", 2.7, (0.55, 0.54, 0.53), ((0.0, 0.0, 0.0), (0.03, 0.03, 0.04)), 0.24, 0.95, 0.16),
+    Style("martian", 5.0, (0.64, 0.43, 0.31), ((0.62, 0.50, 0.42), (0.85, 0.72, 0.60)), 0.36, 0.75, 0.16),
+    Style("earthly", np.inf, (0.56, 0.50, 0.43), ((0.36, 0.52, 0.72), (0.84, 0.89, 0.94)), 0.40, 0.70, 0.16),
+)
+
+
+def style(gravity: float) -> Style:
+    """Return how the surroundings look under a gravity of this strength, m/s^2."""
+    return next(s for s in STYLES if gravity < s.below)
+
+
+def model(robot: str, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray) -> mujoco.MjModel:
+    """Return the robot's model on decorated ground.
+
+    Arguments:
+        robot: its name.
+        gravity: (3,) m/s^2, world axes; its strength chooses the looks.
+        grips: (N, 3) m, world; the ground passes just below them.
+        center: (2,) m, world; the middle of the ground.
+    """
+    spec = mujoco.MjSpec.from_file(str(model_path(robot)))
+    looks = style(float(np.linalg.norm(gravity)))
+    for element in [*spec.worldbody.geoms, *spec.worldbody.lights]:
+        spec.delete(element)
+    for texture in list(spec.textures):
+        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            spec.delete(texture)
+    _sky(spec, looks)
+    _ground(spec, looks, grips, center)
+    _lights(spec, looks, center)
+    scene = spec.compile()
+    scene.vis.global_.fovy = 30
+    scene.vis.global_.offwidth = scene.vis.global_.offheight = 4096
+    scene.vis.quality.shadowsize = 2048
+    scene.vis.quality.offsamples = 4
+    scene.vis.quality.numslices, scene.vis.quality.numstacks = 20, 8  # a foot's path has hundreds of round pieces
+    scene.vis.headlight.ambient[:] = looks.ambient
+    scene.vis.headlight.diffuse[:] = 0.18
+    scene.vis.headlight.specular[:] = 0.05
+    scene.vis.map.zfar = 14
+    scene.vis.map.znear = 0.02
+    scene.stat.extent = 0.5
+    scene.stat.center[:] = [*center, 0.05]
+    return scene
+
+
+def _sky(spec: mujoco.MjSpec, looks: Style) -> None:
+    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=512, height=3072)
+    sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    sky.rgb1, sky.rgb2 = looks.sky
+    if looks.sky[0][2] < 0.1:  # dark: stars
+        sky.mark, sky.markrgb, sky.random = mujoco.mjtMark.mjMARK_RANDOM, [0.9, 0.9, 0.9], 0.0008
+
+
+def _lights(spec: mujoco.MjSpec, looks: Style, center: np.ndarray) -> None:
+    # low enough for the robot's shadow to lie beside it
+    towards = np.array([0.28, 0.42, -1.0])
+    sun = spec.worldbody.add_light(name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True)
+    sun.dir = towards
+    sun.pos = np.array([*center, 0.0]) - 1.5 * towards
+    sun.diffuse = [looks.sun] * 3
+    sun.ambient = [0.0] * 3
+    sun.specular = [0.25] * 3
+
+
+def _ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.ndarray) -> None:
+    random = np.random.default_rng(7)
+    paint = _panels(random) if looks.name == "station" else _rock(random)
+    pixels = np.clip(255 * paint[..., None] * np.asarray(looks.ground), 0, 255).astype(np.uint8)
+    texture = spec.add_texture(name="paint", type=mujoco.mjtTexture.mjTEXTURE_2D, width=TEXTURE, height=TEXTURE)
+    texture.nchannel, texture.data = 3, pixels.tobytes()
+    material = spec.add_material(name="paint", texuniform=False, specular=0.1, shininess=0.1)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "paint"
+    side = 2 * REACH
+    material.texrepeat = [side / (2 * PANEL), side / (2 * PANEL)] if looks.name == "station" else [3, 3]
+
+    height = _relief(random, looks.relief, grips - [*center, 0.0])
+    low, high = float(height.min()), float(height.max())
+    relief = spec.add_hfield(name="relief", nrow=CELLS, ncol=CELLS, size=[REACH, REACH, max(high - low, 1e-3), 0.1])
+    relief.userdata = ((height - low) / max(high - low, 1e-3)).ravel()
+    geom = spec.worldbody.add_geom(name="relief", type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="relief")
+    geom.pos, geom.material, geom.contype, geom.conaffinity, geom.group = [*center, low], "paint", 0, 0, 0
+    if looks.name == "station":
+        _handrails(spec, center)
+
+
+def _noise(random: np.random.Generator, size: int, power: float, shortest: int = 2) -> np.ndarray:
+    """Return periodic noise (size, size) whose spectrum falls with `power`, standard deviation 1."""
+    waves = np.hypot(*np.meshgrid(np.fft.fftfreq(size, 1 / size), np.fft.rfftfreq(size, 1 / size), indexing="ij"))
+    waves[0, 0] = np.inf
+    spectrum = np.fft.rfft2(random.standard_normal((size, size))) / waves**power * (waves < size / shortest)
+    noise = np.fft.irfft2(spectrum, (size, size))
+    return noise / noise.std()
+
+
+def _rock(random: np.random.Generator) -> np.ndarray:
+    """Return the lightness of rock, (TEXTURE, TEXTURE): grain, stains and pits."""
+    paint = 1 + 0.09 * _noise(random, TEXTURE, 1.1) + 0.05 * _noise(random, TEXTURE, 0.3)
+    pits = _noise(random, TEXTURE, 0.8) > 2.2
+    return np.where(pits, 0.72 * paint, paint)
+
+
+def _panels(random: np.random.Generator) -> np.ndarray:
+    """Return the lightness of two by two panels, (TEXTURE, TEXTURE): seams, rivets, a little wear."""
+    half = TEXTURE // 2
+    rows, columns = np.indices((TEXTURE, TEXTURE))
+    tint = np.array([[1.0, 0.93], [0.90, 0.97]])[rows // half, columns // half]
+    paint = tint * (1 + 0.012 * _noise(random, TEXTURE, 1.0))
+    across, along = rows % half, columns % half
+    edge = np.minimum(np.minimum(across, half - across), np.minimum(along, half - along))
+    paint = np.where(edge < 3, 0.45, np.where(edge < 6, 1.12 * paint, paint))
+    period = half / 8
+    distance = np.hypot((across % period) - period / 2, (along % period) - period / 2)
+    return np.where((edge > 8) & (edge < 24) & (distance < 4), 0.6, paint)
+
+
+def _relief(random: np.random.Generator, boulders: float, grips: np.ndarray) -> np.ndarray:
+    """Return the height of the ground, (CELLS, CELLS) m, rows along y, columns along x, centred.
+
+    Close to the grips (N, 3) m it follows their heights; away from them rock rises up to `boulders`.
+    """
+    axis = np.linspace(-REACH, REACH, CELLS)
+    x, y = np.meshgrid(axis, axis)
+    squares = (x[..., None] - grips[:, 0]) ** 2 + (y[..., None] - grips[:, 1]) ** 2
+    weights = 1 / (squares + 1e-3) ** 2
+    ground = (weights * grips[:, 2]).sum(-1) / weights.sum(-1) - SINK
+    if not boulders:
+        return ground
+    distance = np.sqrt(squares.min(-1))
+    away = np.clip((distance - 0.16) / 0.5, 0, 1) ** 1.5
+    lumps = np.abs(_noise(random, CELLS, 2.0, 4)) + 0.25 * np.abs(_noise(random, CELLS, 1.2, 3))
+    fine = np.abs(_noise(random, CELLS, 1.0))
+    # close by only downwards: the feet stand on the grips
+    near = -0.004 * fine * np.clip(distance / 0.03, 0, 1)
+    return ground + np.where(away > 0, 0, near) + away * boulders * 0.5 * lumps + near * (away > 0)
+
+
+def _handrails(spec: mujoco.MjSpec, center: np.ndarray) -> None:
+    """Add two handrails beside the way."""
+    for side in (-0.45, 0.45):
+        y, z = center[1] + side, 0.05
+        rail = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": 0, "conaffinity": 0, "group": 0}
+        rail["rgba"] = [0.86, 0.68, 0.16, 1]
+        for start in np.arange(-1.3, 1.3, 0.65):
+            left, right = center[0] + start, center[0] + start + 0.5
+            spec.worldbody.add_geom(fromto=[left, y, z, right, y, z], size=[0.009, 0, 0], **rail)
+            for x in (left, right):
+                spec.worldbody.add_geom(fromto=[x, y, -0.01, x, y, z], size=[0.007, 0, 0], **rail)

@@ -1,0 +1,60 @@
+"""MuJoCo's interactive viewer on a replay."""
+
+import time
+
+import mujoco
+import numpy as np
+
+from mjx_climb.rendering import film, marks, surroundings
+from mjx_climb.rendering.backend import RenderingError, require_display
+from mjx_climb.rendering.camera import Follower
+from mjx_climb.rendering.replay import pose, row_at
+from mjx_climb.trajectory import Trajectory
+
+PAUSE = 1.0  # s, at the end of the walk, before it starts again
+GROUND_ALPHA = 0.75  # pulling forces point into the ground
+
+
+def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
+    """Show a walk in MuJoCo's viewer, in real time and over and over, until its window is closed.
+
+    Arguments:
+        trajectory: the walk.
+        rounds: how often it is shown; None: until the window is closed.
+
+    Raises:
+        RenderingError: no display, or no window can be opened on it.
+    """
+    require_display()
+    import glfw
+    from mujoco.viewer import launch_passive
+
+    if not glfw.init():
+        raise RenderingError("viewer: expected a display that opens windows, got one that does not")
+    scenario = trajectory.scenario
+    middle = trajectory.base_reference[[0, -1], :2].mean(0)
+    gravity = np.asarray(scenario.gravity)
+    model = surroundings.model(scenario.robot, gravity, marks.grip_points(trajectory), middle)
+    model.geom("relief").rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
+    data = mujoco.MjData(model)
+    scale, every = marks.scale([trajectory]), max(round(film.PATH_STEP / scenario.time_step), 1)
+    start = Follower([trajectory], float(model.vis.global_.fovy), 1.5).at(0.0)
+    length = film.length([trajectory])
+    pose(model, data, trajectory, 0)
+    with launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+        with window.lock():
+            window.cam.lookat[:], window.cam.distance = start.target, start.distance
+            window.cam.azimuth, window.cam.elevation = start.azimuth, start.camera().elevation
+        begin = time.perf_counter()
+        while window.is_running():
+            shown, now = divmod(time.perf_counter() - begin, length + PAUSE)
+            if rounds is not None and shown >= rounds:
+                break
+            row = row_at(trajectory, now)
+            with window.lock():
+                pose(model, data, trajectory, row)
+                window.user_scn.ngeom = 0
+                marks.around(window.user_scn, trajectory, row, every)
+                marks.forces(window.user_scn, trajectory, row, scale)
+            window.sync()
+            time.sleep(1 / 60)

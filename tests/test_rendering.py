@@ -1,0 +1,324 @@
+"""Rendered walks: what must be seen on them is there, and a machine that cannot render says what it lacks."""
+
+import dataclasses
+import signal
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb import rendering
+from mjx_climb.dataset import OutputError
+from mjx_climb.rendering import backend, camera, canvas, film, marks, replay, surroundings
+from mjx_climb.robot import load_model
+from mjx_climb.trajectory import Trajectory
+from tuning.command_line import main
+
+CONFIG = Path(__file__).parents[1] / "configs" / "case_1_2.yaml"
+SMALL = (320, 240)
+FEET = np.array([[0.14, 0.14, 0], [-0.14, 0.14, 0], [-0.14, -0.14, 0], [0.14, -0.14, 0]])
+PRESSED, PULLED, UNLOADED = (0.0, 0.0, 4.0), (0.0, 0.0, -14.9), (0.0, 0.0, 0.0)
+
+
+def walk_of(force=UNLOADED, push=UNLOADED, duration=0.4, shift=(0.0, 0.0, 0.0), **overrides):
+    """Return a robot that stands, is shifted at an even rate, and has the same force on all feet."""
+    scenario = mc.load_scenario(CONFIG, {"duration": duration, "time_step": 0.01, "gait.cycle": 0.4, **overrides})
+    time = np.arange(scenario.steps) * scenario.time_step
+    stance = load_model(scenario.robot).key_qpos[0]
+
+    def always(value):
+        return np.broadcast_to(np.asarray(value, float), (time.size, *np.shape(value))).copy()
+
+    way = np.linspace(0, 1, time.size)[:, None] * np.asarray(shift)
+    given = {
+        "time": time,
+        "base_position": always(stance[:3]) + way,
+        "base_orientation": always(stance[3:7]),
+        "joint_angles": always(stance[7:].reshape(4, 3)),
+        "joint_rates": always(np.zeros((4, 3))),
+        "foot_position": always(FEET) + way[:, None],
+        "foot_force": always([force] * 4),
+        "grip_point": always(FEET),
+        "base_reference": always([0, 0, 0.11]),
+        "push": always([*push, 0, 0, 0]),
+        "cargo_mass": always(0.0),
+        **{name: np.full((time.size, 4), True) for name in ("support", "contact", "reachable")},
+        **{name: np.full((time.size, 4), False) for name in ("detached", "torn_off")},
+    }
+    fixed = {"scenario": scenario, "gains": None, "numbers": None, "limbs": ("LF", "LH", "RH", "RF")}
+    others = {f.name: None for f in dataclasses.fields(Trajectory)}
+    return Trajectory(**{**others, **fixed, **given})
+
+
+@pytest.fixture(scope="session")
+def gl():
+    try:
+        backend.find()
+    except rendering.RenderingError as error:
+        pytest.skip(str(error))
+
+
+def picture(*walks, size=SMALL, time=0.2):
+    return next(rendering.pictures(walks, [time], size=size))
+
+
+def amount(image, rgb):
+    """Return how many pixels have a colour (in [0, 1]), whatever their brightness: arrows are shaded."""
+    pixels, target = image.reshape(-1, 3).astype(float), 255 * np.asarray(rgb)
+    length = np.linalg.norm(pixels, axis=1)
+    alike = pixels @ target > 0.992 * length * np.linalg.norm(target)
+    return int((alike & (length > 0.6 * np.linalg.norm(target))).sum())
+
+
+# ------------------------------------------------------------------------------------------------------------
+# What is on the pictures
+
+
+def test_frames_have_the_size_and_number_asked_for(gl):
+    frames = list(rendering.frames(walk_of(), fps=10, size=SMALL))
+    assert [frame.shape for frame in frames] == [(240, 320, 3)] * 4
+    assert frames[0].dtype == np.uint8
+
+
+def test_two_walks_are_twice_as_wide_and_keep_their_order(gl):
+    still, pushed = walk_of(), walk_of(push=(0, 0, 8.0))
+    both = picture(still, pushed)
+    assert both.shape == (240, 640, 3)
+    assert amount(both[:, 320:], marks.PUSH) > amount(both[:, :320], marks.PUSH) + 50
+
+
+def test_the_robot_moves(gl):
+    walk = walk_of(shift=(0, 0, 0.08))
+    early, late = (picture(walk, time=t)[60:180, 80:240].astype(int) for t in (0.0, 0.39))
+    still = walk_of()
+    rest = [picture(still, time=t)[60:180, 80:240].astype(int) for t in (0.0, 0.39)]
+    assert (np.abs(early - late).max(-1) > 30).mean() > 0.05
+    assert (np.abs(rest[0] - rest[1]).max(-1) > 30).mean() == 0
+
+
+@pytest.mark.parametrize(
+    ("force", "rgb"), [(PRESSED, marks.PRESSED), (PULLED, marks.pulled(1.0))], ids=["pressed", "pulled to the limit"]
+)
+def test_forces_appear_in_their_colour(force, rgb, gl):
+    without, loaded = (picture(walk_of(f), size=(640, 480)) for f in (UNLOADED, force))
+    assert amount(loaded, rgb) > amount(without, rgb) + 200
+
+
+def test_a_pull_reddens_towards_the_holding_limit_and_a_press_does_not():
+    assert marks.load(np.array([0, 0, -7.5]), 15.0) == pytest.approx(0.5)
+    assert marks.load(np.array([0, 0, 30.0]), 15.0) == 0
+    assert marks.load(np.array([0, 0, -7.5]), None) == 0
+    np.testing.assert_array_equal(marks.color(np.array([0, 0, 30.0]), 15.0), marks.PRESSED)
+    lightness = [marks.pulled(share) @ [0.2126, 0.7152, 0.0722] for share in np.linspace(0, 1, 9)]
+    assert (np.diff(lightness) < 0).all()  # reads without colours
+
+
+def test_an_arrow_is_as_long_as_its_force(gl):
+    model = surroundings.model("hubrobo_v3_2", np.zeros(3), FEET, np.zeros(2))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    view = camera.View(np.zeros(3), 4.0, camera.AZIMUTH, camera.up(np.zeros(3)))
+    start, end = np.array([0, 0, -0.3]), np.array([0, 0, 0.4])
+    with canvas.Canvas(model, 480, 480) as made:
+        shown, bare = (
+            made.draw(data, view, lambda scene: None, draw).astype(int)
+            for draw in (lambda scene: marks._arrow(scene, start, end, marks.PUSH), lambda scene: None)
+        )
+    rows = np.flatnonzero((np.abs(shown - bare).max(-1) > 40).any(1))
+    _, up, forward = view.axes()
+    focal = 240 / np.tan(np.deg2rad(model.vis.global_.fovy) / 2)
+    heights = [focal * (point @ up) / (4.0 + point @ forward) for point in (start, end)]
+    assert (240 - rows[-1], 240 - rows[0]) == (pytest.approx(heights[0], abs=5), pytest.approx(heights[1], abs=5))
+
+
+def test_walks_shown_together_share_the_scale_of_their_arrows():
+    weak, strong = walk_of((0, 0, 2.0)), walk_of((0, 0, 8.0))
+    assert marks.scale([weak, strong]) == marks.scale([strong]) < marks.scale([weak])
+
+
+def test_a_torn_limb_and_a_walk_that_diverged_are_shown(gl):
+    walk = walk_of(PRESSED)
+    walk.torn_off[10, 1], walk.detached[11:, 1] = True, True
+    walk.base_position[30:] = np.nan
+    assert replay.whole(walk) == 30
+    before, after = picture(walk, time=0.05), picture(walk, time=0.2)
+    assert amount(after, np.array([0.82, 0, 0])) > amount(before, np.array([0.82, 0, 0]))
+    np.testing.assert_array_equal(picture(walk, time=0.29), picture(walk, time=0.39))
+
+
+def test_snapshots_have_a_row_per_walk_and_a_column_per_instant(gl):
+    walk = walk_of()
+    assert rendering.snapshots(walk, count=3, size=SMALL).shape == (240, 3 * 320, 3)
+    assert rendering.snapshots(walk, walk, times=[0.1], size=SMALL).shape == (2 * 240, 320, 3)
+
+
+@pytest.mark.parametrize("size", [(321, 240), (10, 240), (8192, 240)])
+def test_impossible_sizes_are_refused(size):
+    with pytest.raises(ValueError, match="even numbers from 64 to 4096"):
+        list(rendering.frames(walk_of(), size=size))
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Scene and camera
+
+
+def test_decoration_leaves_the_robot_as_it_was():
+    robot = load_model("hubrobo_v3_2")
+    for gravity in (0.0, 1.6, 3.7, 9.8):
+        scene = surroundings.model("hubrobo_v3_2", np.array([0, 0, -gravity]), FEET, np.zeros(2))
+        for name in ("body_mass", "body_inertia", "body_ipos", "jnt_range"):
+            np.testing.assert_array_equal(getattr(scene, name), getattr(robot, name))
+        assert not scene.geom_contype.any()
+
+
+def test_the_ground_passes_just_below_every_grip():
+    grips = np.concatenate([FEET[:, :2], [[0.0], [0.03], [-0.02], [0.01]]], axis=1)
+    relief = surroundings._relief(np.random.default_rng(0), 0.16, grips)
+    axis = np.linspace(-surroundings.REACH, surroundings.REACH, surroundings.CELLS)
+    for grip in grips:
+        row, column = np.abs(axis - grip[1]).argmin(), np.abs(axis - grip[0]).argmin()
+        assert grip[2] - 0.012 < relief[row, column] <= grip[2]
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (-4.9, 0.0, -8.5), (-9.81, 0.0, 0.0), (0.0, 0.0, 0.0)])
+def test_down_is_down_in_the_picture(gravity):
+    view = camera.View(np.zeros(3), 1.0, camera.AZIMUTH, camera.up(np.array(gravity)))
+    right, up, forward = view.axes()
+    np.testing.assert_allclose(view.axes() @ view.axes().T, np.eye(3), atol=1e-12)
+    assert np.cross(right, up) @ forward == pytest.approx(-1)
+    if any(gravity):
+        assert gravity @ up < 0
+        assert abs(gravity @ right) < 1e-9
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Files
+
+
+def test_a_video_decodes_with_the_right_frames_and_duration(gl, tmp_path):
+    import av
+
+    walk, told = walk_of(PRESSED), []
+    path = rendering.save_video(
+        tmp_path / "walk.mp4", walk, walk, fps=10, size=SMALL, progress=lambda *a: told.append(a)
+    )
+    with av.open(str(path)) as video:
+        stream = video.streams.video[0]
+        frames = [frame.to_ndarray(format="rgb24") for frame in video.decode(stream)]
+        assert (stream.codec_context.name, stream.pix_fmt, float(stream.average_rate)) == ("h264", "yuv420p", 10)
+        assert float(stream.duration * stream.time_base) == pytest.approx(0.4)
+    assert [frame.shape for frame in frames] == [(240, 640, 3)] * 4
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    shown = next(rendering.frames(walk, walk, fps=10, size=SMALL))
+    assert np.abs(frames[0].astype(int) - shown).mean() < 6
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.mp4"]
+
+
+def test_an_interrupted_video_leaves_nothing(tmp_path):
+    def pictures():
+        yield np.zeros((64, 64, 3), np.uint8)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rendering.encode(tmp_path / "walk.mp4", pictures(), 25, (64, 64))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_video_that_cannot_be_written_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="expected a place to write a video"):
+        rendering.encode(tmp_path / "file" / "walk.mp4", iter([]), 25, (64, 64))
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Machines that cannot render
+
+
+@pytest.fixture
+def refused(capsys, monkeypatch, tmp_path):
+    """Run the program, which must end with code 2 before it walks, and return its one line."""
+    backend.find.cache_clear()
+    monkeypatch.setattr(mc, "rollout", lambda *_, **__: pytest.fail("walked"))
+
+    def refused(*options):
+        before = signal.getsignal(signal.SIGTERM)
+        with pytest.raises(SystemExit) as ended:
+            main(["run", str(CONFIG), "--out", str(tmp_path / "out"), *options])
+        signal.signal(signal.SIGTERM, before)
+        out, err = capsys.readouterr()
+        assert (ended.value.code, out) == (2, "")
+        assert len(err.splitlines()) == 1
+        assert not (tmp_path / "out").exists()
+        return err
+
+    yield refused
+    backend.find.cache_clear()
+
+
+@pytest.mark.parametrize("option", ["--video", "--snapshots"])
+def test_without_opengl_the_packages_to_install_are_named(option, refused, monkeypatch):
+    monkeypatch.setattr(backend, "works", lambda name: False)
+    monkeypatch.setattr("platform.system", lambda: "Linux")
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    err = refused(option)
+    assert "tried egl, osmesa" in err
+    assert "libegl1 and libgl1, or libosmesa6" in err
+
+
+def test_rendering_that_is_switched_off_is_named(refused, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    assert "MUJOCO_GL=off" in refused("--video")
+
+
+def test_the_viewer_without_a_display_says_so(refused, monkeypatch):
+    monkeypatch.setattr("platform.system", lambda: "Linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert "neither DISPLAY nor WAYLAND_DISPLAY" in refused("--view")
+
+
+@pytest.mark.parametrize("at", ["-1", "0.1,9", "soon", "", "nan"])
+def test_instants_outside_the_walk_are_refused(at, refused, monkeypatch):
+    monkeypatch.setattr(backend, "works", lambda name: True)
+    assert "--at: expected up to 12 times from 0 to 8 s" in refused("--snapshots", "--at", at)
+
+
+def test_a_context_that_does_not_exist_does_not_work():
+    assert not backend.works("no_such_context")
+
+
+# ------------------------------------------------------------------------------------------------------------
+# The program
+
+
+@pytest.mark.slow
+def test_run_writes_video_and_snapshots_of_two_controllers(gl, tmp_path, capsys):
+    import av
+    from PIL import Image
+
+    short = ["--set", "duration=0.2", "--compare", "pd", "--video", "--snapshots", "--at", "0.1", "--size", "320x240"]
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(CONFIG), "--out", str(tmp_path), *short])
+    signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == 0
+    err = capsys.readouterr().err
+    assert all(name in err for name in ("walk.mp4", "snapshots.png", "comparison.png", "5 of 5 frames"))
+    assert Image.open(tmp_path / "snapshots.png").size == (320, 480)
+    assert (tmp_path / "comparison.svg").stat().st_size > 0
+    with av.open(str(tmp_path / "walk.mp4")) as video:
+        assert [(f.width, f.height) for f in video.decode(video=0)] == [(640, 240)] * 5
+
+
+def test_marks_stop_where_the_scene_is_full():
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    scene = mujoco.MjvScene(model, maxgeom=3)
+    marks.around(scene, walk_of(), 5, 1)
+    assert scene.ngeom == 3
+
+
+def test_frame_times_cover_the_walk():
+    np.testing.assert_allclose(film.frame_times([walk_of(duration=0.4)], 10), [0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(film.snapshot_times([walk_of(duration=0.4)], 2), [0.1, 0.3])
