@@ -1,0 +1,135 @@
+"""A function cut into pieces that XLA:CPU compiles as one kernel each.
+
+XLA:CPU runs a program as a sequence of kernels, one for each operation or fusion, at some 60 ns a call. A step of a walk
+has some 2700 operations, so that with a few hundred robots the calls cost more than the arithmetic. Fusion makes fewer
+kernels of them, but works out shared values again in each. A function call with the attribute `xla_cpu_small_call` becomes
+a single kernel: cut into such calls a step has few kernels, and what is shared between them is worked out once.
+"""
+
+from collections.abc import Callable, Sequence
+
+import jax
+from jax import lax
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend import core
+
+EQUATIONS = 150  # in a piece: fusion within longer ones repeats too much
+
+
+def in_kernels(function: Callable, equations: int = EQUATIONS) -> Callable:
+    """Return the function with its equations in pieces of about so many, each a kernel of its own on a CPU.
+
+    Values and derivatives are the same function's. On other backends the function is returned as it is.
+    """
+    if jax.default_backend() != "cpu":
+        return function
+
+    def cut(*arguments):
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        leaves = jax.tree.leaves(arguments)
+        closed = jax.make_jaxpr(lambda *values: _evaluated(closed.jaxpr, closed.consts, values))(*leaves)
+        jaxpr = closed.jaxpr
+        values = dict(zip(jaxpr.constvars, closed.consts, strict=True)) | dict(zip(jaxpr.invars, leaves, strict=True))
+        for inputs, piece, outputs in _pieces(jaxpr, equations):
+            part = core.ClosedJaxpr(jaxpr.replace(constvars=(), invars=inputs, outvars=outputs, eqns=piece), ())
+            results = _one_kernel(core.jaxpr_as_fun(part))(*(values[variable] for variable in inputs))
+            values |= zip(outputs, results, strict=True)
+        results = [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in jaxpr.outvars]
+        return jax.tree.unflatten(jax.tree.structure(shape), results)
+
+    return cut
+
+
+def _one_kernel(function: Callable) -> Callable:
+    def piece(*arguments):
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
+            return function(*arguments)
+
+    jitted = jax.jit(piece)
+
+    def call(*arguments):
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            return jitted(*arguments)
+
+    return call
+
+
+def _pieces(jaxpr, equations: int) -> list[tuple[list, list, list]]:
+    """Return inputs, equations and outputs of pieces in order of execution, without what nothing depends on."""
+    needed = _variables(jaxpr.outvars)
+    living = []
+    for equation in reversed(jaxpr.eqns):
+        if any(variable in needed for variable in equation.outvars):
+            living.append(equation)
+            needed |= _variables(equation.invars)
+    living.reverse()
+
+    result = []
+    later = _variables(jaxpr.outvars)
+    for start in reversed(range(0, len(living), equations)):
+        part = living[start : start + equations]
+        made = {variable: None for equation in part for variable in equation.outvars}
+        read = _variables([atom for equation in part for atom in equation.invars])
+        result.append(([v for v in read if v not in made], part, [v for v in made if v in later]))
+        later |= read
+    return result[::-1]
+
+
+def _variables(atoms: Sequence) -> dict:
+    """Return the variables among atoms as the keys of a dict, which keeps their order."""
+    return {atom: None for atom in atoms if not isinstance(atom, core.Literal)}
+
+
+def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
+    """Return the results of a jaxpr, called functions inlined and slices of a concatenation taken from its parts.
+
+    XLA would do that as well. But what it makes needless must not be the parameter of a kernel: XLA:CPU (jaxlib 0.10)
+    stops the process at a kernel with a parameter that nothing in it reads.
+    """
+    values: dict = {}
+    parts: dict[int, tuple[int, list]] = {}  # id of a concatenation: its axis, and what it is made of
+
+    def read(atom):
+        return atom.val if isinstance(atom, core.Literal) else values[atom]
+
+    def evaluated(jaxpr, constants, arguments):
+        values.update(zip(jaxpr.constvars, constants, strict=True))
+        values.update(zip(jaxpr.invars, arguments, strict=True))
+        for equation in jaxpr.eqns:
+            given = [read(atom) for atom in equation.invars]
+            name = equation.primitive.name
+            if name == "jit":
+                inner = equation.params["jaxpr"]
+                results = evaluated(inner.jaxpr, inner.consts, given)
+            elif name == "slice":
+                results = [_sliced(given[0], parts, **equation.params)]
+            else:
+                results = equation.primitive.bind(*given, **equation.primitive.get_bind_params(equation.params))
+                results = results if equation.primitive.multiple_results else [results]
+                if name == "concatenate":
+                    parts[id(results[0])] = equation.params["dimension"], given
+                elif name == "stack":
+                    axis = equation.params["axis"]
+                    parts[id(results[0])] = axis, [lax.expand_dims(each, (axis,)) for each in given]
+            values.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    return evaluated(jaxpr, constants, arguments)
+
+
+def _sliced(array, parts: dict, start_indices, limit_indices, strides):
+    """Return a slice of an array, of the one part that holds it where the array is a concatenation."""
+    starts, limits = list(start_indices), list(limit_indices)
+    while strides is None and id(array) in parts:
+        axis, pieces = parts[id(array)]
+        begin = 0
+        for piece in pieces:
+            end = begin + piece.shape[axis]
+            if begin <= starts[axis] and limits[axis] <= end:
+                break
+            begin = end
+        else:
+            break
+        array, starts[axis], limits[axis] = piece, starts[axis] - begin, limits[axis] - begin
+    whole = all(s == 0 for s in starts) and tuple(limits) == array.shape
+    return array if whole else lax.slice(array, starts, limits, strides)
