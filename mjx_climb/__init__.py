@@ -1,6 +1,6 @@
 """mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control."""
 
-from mjx_climb.compilation import compiler_options
+from mjx_climb.compilation import compiler_options, pieces_pay
 from mjx_climb.config import ConfigError, Scenario, load_scenario
 from mjx_climb.dynamics import ENGINES, forward_dynamics
 from mjx_climb.histories import rollout_histories
@@ -27,6 +27,7 @@ __all__ = [
     "load_scenario",
     "metrics",
     "parameters",
+    "pieces_pay",
     "rollout",
     "rollout_histories",
     "rollout_metrics",

@@ -10,6 +10,8 @@ from pathlib import Path
 import jax
 import platformdirs
 
+from mjx_climb.dynamics import ELEMENTWISE
+
 VARIABLE = "MJX_CLIMB_CACHE"
 _OFF = {"off", "0", "no", "none", "false"}
 _FUSION_PAYS_BELOW = 48  # robots
@@ -32,13 +34,21 @@ def enable_cache() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-def compiler_options(batch: int) -> dict[str, str]:
+def pieces_pay(engine: str) -> bool:
+    """Return whether walks with this engine are compiled in pieces, see `mjx_climb.kernels`."""
+    return jax.default_backend() == "cpu" and engine in ELEMENTWISE
+
+
+def compiler_options(batch: int, *, in_pieces: bool = False) -> dict[str, str | int]:
     """Return the options with which XLA makes the fastest rollout of so many robots, for `jax.jit`.
 
-    XLA:CPU fuses a step's elementwise operations by computing shared ones again wherever they are used: six times the
-    arithmetic of the equations. Each operation on its own is faster by far once its arrays fill the vector units, and
-    compiles sooner; with a few robots the calls would cost more than the arithmetic. Other backends are left alone.
+    Wide vectors for steps in pieces. Where they are whole, XLA:CPU fuses elementwise operations by computing shared ones
+    again wherever they are used: six times the arithmetic of the equations. Each operation on its own is faster by far
+    once its arrays fill the vector units, and compiles sooner; with a few robots the calls would cost more than the
+    arithmetic. Other backends are left alone.
     """
-    if jax.default_backend() != "cpu" or batch < _FUSION_PAYS_BELOW:
+    if jax.default_backend() != "cpu":
         return {}
-    return {"xla_disable_hlo_passes": "fusion"}
+    if in_pieces:
+        return {"xla_cpu_prefer_vector_width": 512}
+    return {} if batch < _FUSION_PAYS_BELOW else {"xla_disable_hlo_passes": "fusion"}

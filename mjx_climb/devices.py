@@ -1,38 +1,95 @@
 """A batch spread over whatever devices there are: CPU cores, the GPUs of one host, or of several hosts.
 
-Robots do not talk to each other, so each device walks its share by the program that a single device would run. One
+Robots do not talk to each other, so a batch is cut into shares that each walk by the program of a single device. One
 program partitioned over the devices would exchange nothing either, but XLA simplifies a partitioned program in another
-order, and the last bits of a robot's walk would then depend on the number of devices.
+order, and the last bits of a robot's walk would then depend on the number of devices. On CPUs a share is small,
+whatever the number of devices or threads: it stays in a core's cache, programs serve batches of any size, and every
+robot keeps its bits.
 """
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
+_CPU_SHARES = (1, 8, 64)  # robots
 
-def spread(walk: Callable, rows: np.ndarray, robots_per_device: int) -> dict[str, np.ndarray]:
-    """Return `walk` of the rows, up to `robots_per_device` of them on each device of each process.
 
-    `walk(rows, sharding)` gives a dict of arrays for some rows, on the device of the sharding. Every device walks as
-    many robots: the last one again where there are fewer. With `jax.distributed` every process makes the same call
-    and gets the whole result.
+def share_size(robots: int, limit: int | None) -> int:
+    """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time."""
+    if jax.default_backend() == "cpu":
+        share = next((size for size in _CPU_SHARES if size >= robots), _CPU_SHARES[-1])
+    else:
+        share = -(-min(robots, limit or robots) // jax.device_count())
+    return min(share, limit or share)
+
+
+def spread(
+    walk: Callable, robots: int, share: int, progress: Callable[[int, int], None] | None
+) -> dict[str, np.ndarray]:
+    """Return `walk` of the rows 0 to `robots`, in shares of equal size: the last row again where there are too few.
+
+    `walk(rows, sharding)` gives a dict of arrays for some rows, on the device of the sharding; `progress` is told the
+    number of robots that have walked in this process and will in all. With `jax.distributed` every process makes the
+    same call and gets the whole result.
     """
+    shares = np.minimum(np.arange(-(-robots // share) * share), robots - 1).reshape(-1, share)
     devices = jax.devices()
-    filled = np.minimum(np.arange(robots_per_device * len(devices)), len(rows) - 1)
-    shares = rows[filled].reshape(len(devices), robots_per_device)
-    mine = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
+    own = [number for number in range(len(shares)) if _of(devices, number).process_index == jax.process_index()]
+    total = min(len(own) * share, robots)
 
     def walk_share(number: int) -> dict[str, np.ndarray]:
-        return jax.tree.map(np.asarray, walk(shares[number], SingleDeviceSharding(devices[number])))
+        return jax.tree.map(np.asarray, walk(shares[number], SingleDeviceSharding(_of(devices, number))))
 
-    # a thread each: the host launches every step of a loop, and would keep the other devices waiting
-    with ThreadPoolExecutor(len(mine)) as threads:
-        parts = list(threads.map(walk_share, mine))
-    result = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    with _threads(devices) as threads:
+        walking = {threads[number % len(devices)].submit(walk_share, number): number for number in own}
+        for done, future in enumerate(as_completed(walking), 1):
+            future.result()  # what went wrong is raised at once
+            if progress is not None:
+                progress(min(done * share, total), total)
+    parts = {number: future.result() for future, number in walking.items()}
     if jax.process_count() > 1:
-        result = multihost_utils.process_allgather(result, tiled=True)
-    return {name: np.asarray(value)[: len(rows)] for name, value in result.items()}
+        parts = _gathered(parts, len(shares), devices)
+    return {name: np.concatenate([parts[n][name] for n in range(len(shares))])[:robots] for name in parts[0]}
+
+
+def _of(devices: list, share: int) -> jax.Device:
+    return devices[share % len(devices)]
+
+
+@contextlib.contextmanager
+def _threads(devices: list) -> Iterator[dict[int, ThreadPoolExecutor]]:
+    """Give an executor to each device of this process: the host launches every step of a loop and would keep others
+    waiting. CPU devices share the cores among them.
+    """
+    own = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
+    each = max(1, _cores() // len(own)) if jax.default_backend() == "cpu" else 1
+    threads = {number: ThreadPoolExecutor(each) for number in own}
+    try:
+        yield threads
+    finally:
+        for executor in threads.values():
+            executor.shutdown(cancel_futures=True)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _gathered(parts: dict[int, dict[str, np.ndarray]], shares: int, devices: list) -> dict[int, dict[str, np.ndarray]]:
+    """Return the shares of all processes, from those of this one; each process has at least one."""
+    like = next(iter(parts.values()))
+    table = {name: np.zeros((shares, *value.shape), value.dtype) for name, value in like.items()}
+    for number, part in parts.items():
+        for name, value in part.items():
+            table[name][number] = value
+    everyone = multihost_utils.process_allgather(table)
+    owners = [_of(devices, number).process_index for number in range(shares)]
+    return {
+        n: {name: np.asarray(value[owner, n]) for name, value in everyone.items()} for n, owner in enumerate(owners)
+    }

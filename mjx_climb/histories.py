@@ -94,5 +94,5 @@ def _histories_of(structure: Structure, gains: Gains, numbers: Parameters) -> di
 
 
 @functools.cache
-def _compiled(batch: int) -> Callable:
-    return jax.jit(_histories_of, static_argnums=0, compiler_options=compiler_options(batch))
+def _compiled(batch: int, in_pieces: bool) -> Callable:
+    return jax.jit(_histories_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))

@@ -1,11 +1,13 @@
 """A function cut into pieces that XLA:CPU compiles as one kernel each.
 
-XLA:CPU runs a program as a sequence of kernels, one for each operation or fusion, at some 60 ns a call. A step of a walk
-has some 2700 operations, so that with a few hundred robots the calls cost more than the arithmetic. Fusion makes fewer
-kernels of them, but works out shared values again in each. A function call with the attribute `xla_cpu_small_call` becomes
-a single kernel: cut into such calls a step has few kernels, and what is shared between them is worked out once.
+XLA:CPU runs a program as a sequence of kernels, one for each operation or fusion, at some 60 ns a call. A step of a
+walk has some 2700 operations, so that with a few hundred robots the calls cost more than the arithmetic. Fusion makes
+fewer kernels of them, but works out shared values again in each. A function call with the attribute
+`xla_cpu_small_call` becomes a single kernel: cut into such calls a step has few kernels, and what is shared between
+them is worked out once.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 
 import jax
@@ -13,16 +15,22 @@ from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 
-EQUATIONS = 150  # in a piece: fusion within longer ones repeats too much
+EQUATIONS = 80  # in a piece: fusion within longer ones repeats too much
+
+_REDUCTIONS = {
+    "reduce_sum": lax.add,
+    "reduce_max": lax.max,
+    "reduce_min": lax.min,
+    "reduce_and": lax.bitwise_and,
+    "reduce_or": lax.bitwise_or,
+}
 
 
 def in_kernels(function: Callable, equations: int = EQUATIONS) -> Callable:
     """Return the function with its equations in pieces of about so many, each a kernel of its own on a CPU.
 
-    Values and derivatives are the same function's. On other backends the function is returned as it is.
+    For values and forward derivatives, on a CPU.
     """
-    if jax.default_backend() != "cpu":
-        return function
 
     def cut(*arguments):
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
@@ -81,9 +89,9 @@ def _variables(atoms: Sequence) -> dict:
 
 
 def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
-    """Return the results of a jaxpr, called functions inlined and slices of a concatenation taken from its parts.
+    """Return the results of a jaxpr: no calls, reductions term by term, slices of a concatenation from its parts.
 
-    XLA would do that as well. But what it makes needless must not be the parameter of a kernel: XLA:CPU (jaxlib 0.10)
+    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel: XLA:CPU (jaxlib 0.10)
     stops the process at a kernel with a parameter that nothing in it reads.
     """
     values: dict = {}
@@ -103,6 +111,8 @@ def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
                 results = evaluated(inner.jaxpr, inner.consts, given)
             elif name == "slice":
                 results = [_sliced(given[0], parts, **equation.params)]
+            elif name in _REDUCTIONS and given[0].size:
+                results = [_reduced(_REDUCTIONS[name], given[0], parts, equation.params["axes"])]
             else:
                 results = equation.primitive.bind(*given, **equation.primitive.get_bind_params(equation.params))
                 results = results if equation.primitive.multiple_results else [results]
@@ -115,6 +125,18 @@ def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
         return [read(atom) for atom in jaxpr.outvars]
 
     return evaluated(jaxpr, constants, arguments)
+
+
+def _reduced(combine: Callable, array, parts: dict, axes: Sequence[int]):
+    """Return a reduction, term by term: XLA hands large ones to a library, which a kernel cannot call."""
+    for axis in sorted(axes, reverse=True):
+        ends = [(0, size) for size in array.shape]
+        terms = []
+        for index in range(array.shape[axis]):
+            ends[axis] = (index, index + 1)
+            terms.append(lax.squeeze(_sliced(array, parts, *zip(*ends, strict=True), None), (axis,)))
+        array = functools.reduce(combine, terms)
+    return array
 
 
 def _sliced(array, parts: dict, start_indices, limit_indices, strides):

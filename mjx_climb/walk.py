@@ -36,6 +36,7 @@ class Structure(NamedTuple):
     steps: int
     time_step: float
     smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
+    in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.kernels`
 
 
 class Walk(NamedTuple):
@@ -61,7 +62,7 @@ class Carry(NamedTuple):
     law: Any
 
 
-def structure(scenario: Scenario, engine: str, *, smooth: bool = False) -> Structure:
+def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_pieces: bool = False) -> Structure:
     """Return what a compiled walk of the scenario depends on beside its numbers."""
     return Structure(
         robot=scenario.robot,
@@ -73,6 +74,7 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False) -> Struc
         steps=scenario.steps,
         time_step=scenario.time_step,
         smooth=smooth,
+        in_pieces=in_pieces,
     )
 
 

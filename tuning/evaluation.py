@@ -104,7 +104,7 @@ def _compiled(scenario, space, objective, engine, batch, tangents):
 @functools.lru_cache(maxsize=32)
 def _program(ingredients: _ById, engine: str, batch: int, gradient: bool):
     scenario, space, objective = ingredients.parts
-    simulate = mc.simulator(scenario, engine=engine, smooth=True)
+    simulate = mc.simulator(scenario, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
 
     def judged(theta: Array, numbers: mc.Parameters):
         metrics = simulate(space.to_gains(theta), numbers)
@@ -129,7 +129,9 @@ def _program(ingredients: _ById, engine: str, batch: int, gradient: bool):
         )
         return value, descent, penalty, feasible, smooth.T, sharp.T, metrics
 
-    return jax.jit(gradients if gradient else values, compiler_options=mc.compiler_options(batch))
+    return jax.jit(
+        gradients if gradient else values, compiler_options=mc.compiler_options(batch, in_pieces=mc.pieces_pay(engine))
+    )
 
 
 @functools.lru_cache(maxsize=8)
@@ -138,8 +140,10 @@ def baseline(scenario: mc.Scenario, engine: str = DEFAULT_ENGINE) -> dict[str, f
     enable_cache()
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
     with jax.enable_x64(True):
-        simulate = mc.simulator(pd, engine=engine, smooth=True)
+        simulate = mc.simulator(pd, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
         numbers = jax.tree.map(np.asarray, mc.parameters(pd))
         gains = mc.Gains(np.ones(6), np.ones(6), np.ones(6))
-        metrics = jax.jit(simulate, compiler_options=mc.compiler_options(1))(gains, numbers)
+        metrics = jax.jit(simulate, compiler_options=mc.compiler_options(1, in_pieces=mc.pieces_pay(engine)))(
+            gains, numbers
+        )
         return {name: float(value) for name, value in metrics.items()}

@@ -141,7 +141,11 @@ def _walked(scenario: mc.Scenario, gains: mc.Gains, numbers: mc.Parameters, engi
     enable_cache()
     gains, numbers = jax.tree.map(lambda value: np.asarray(value, np.float32), (gains, numbers))
     walks = math.prod(batch_shape(gains, numbers))
-    simulate = jax.jit(mc.simulator(scenario, engine=engine, smooth=True), compiler_options=mc.compiler_options(walks))
+    in_pieces = mc.pieces_pay(engine)
+    simulate = jax.jit(
+        mc.simulator(scenario, engine=engine, smooth=True, in_pieces=in_pieces),
+        compiler_options=mc.compiler_options(walks, in_pieces=in_pieces),
+    )
     return {name: np.asarray(value) for name, value in simulate(gains, numbers).items()}
 
 

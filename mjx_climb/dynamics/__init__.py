@@ -20,6 +20,7 @@ ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Accelerat
 
 ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.build, "limb": limb_engine.build}
 DEFAULT_ENGINE = "limb"
+ELEMENTWISE = {"limb"}  # engines made of elementwise operations throughout, which compile well in pieces
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 

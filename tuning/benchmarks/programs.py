@@ -33,7 +33,7 @@ def walk(batch: int, steps: int, engine: str, dtype=np.float32) -> Callable[[], 
 
 def value(batch: int, steps: int, engine: str) -> tuple[jax.stages.Wrapped, jax.Array]:
     """Return metrics as a function of shifts (12, batch) of log damping and log stiffness, and shifts of zero."""
-    return _jit(_shifted(batch, steps, engine), batch), jnp.zeros((12, batch), jnp.float32)
+    return _jit(_shifted(batch, steps, engine), batch, engine), jnp.zeros((12, batch), jnp.float32)
 
 
 def gradient(tangents: int, batch: int, steps: int, engine: str) -> tuple[jax.stages.Wrapped, jax.Array]:
@@ -45,11 +45,11 @@ def gradient(tangents: int, batch: int, steps: int, engine: str) -> tuple[jax.st
         push = lambda direction: jax.jvp(function, (shift,), (direction[:, None] + jnp.zeros_like(shift),))  # noqa: E731
         return jax.vmap(push, out_axes=(None, 0))(jnp.asarray(directions, shift.dtype))
 
-    return _jit(pushed, batch), jnp.zeros((12, batch), jnp.float32)
+    return _jit(pushed, batch, engine), jnp.zeros((12, batch), jnp.float32)
 
 
 def _shifted(batch: int, steps: int, engine: str) -> Callable:
-    metrics = mc.simulator(scenario(steps), engine=engine)
+    metrics = mc.simulator(scenario(steps), engine=engine, in_pieces=mc.pieces_pay(engine))
     given = {name: np.asarray(values, np.float32) for name, values in gains(batch).items()}
 
     def shifted(shift: jax.Array):
@@ -60,5 +60,5 @@ def _shifted(batch: int, steps: int, engine: str) -> Callable:
     return shifted
 
 
-def _jit(function: Callable, batch: int) -> jax.stages.Wrapped:
-    return jax.jit(function, compiler_options=mc.compiler_options(batch))
+def _jit(function: Callable, batch: int, engine: str) -> jax.stages.Wrapped:
+    return jax.jit(function, compiler_options=mc.compiler_options(batch, in_pieces=mc.pieces_pay(engine)))
