@@ -91,8 +91,8 @@ def _variables(atoms: Sequence) -> dict:
 def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
     """Return the results of a jaxpr: no calls, reductions term by term, slices of a concatenation from its parts.
 
-    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel: XLA:CPU (jaxlib 0.10)
-    stops the process at a kernel with a parameter that nothing in it reads.
+    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel: XLA:CPU (jaxlib
+    0.10) stops the process at a kernel with a parameter that nothing in it reads.
     """
     values: dict = {}
     parts: dict[int, tuple[int, list]] = {}  # id of a concatenation: its axis, and what it is made of

@@ -259,6 +259,8 @@ def walk_batch(
 def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tuple[Gains, Parameters]:
     """Return both with one batch axis wherever they vary, and the gains' own axis of six."""
 
+    robots = math.prod(shape)
+
     def flat(tree):
         changes = {}
         for name, value in vars(tree).items():
@@ -266,9 +268,9 @@ def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tup
                 continue
             split = value.ndim - tree.AXES.get(name, 0)
             tail = value.shape[split:]
-            varies = math.prod(value.shape[:split]) > 1
+            count = math.prod(value.shape[:split])
             changes[name] = (
-                np.broadcast_to(value, (*shape, *tail)).reshape(-1, *tail) if varies else value.reshape(tail)
+                np.broadcast_to(value, (*shape, *tail)).reshape(robots, *tail) if count > 1 else value.reshape(tail)
             )
         return dataclasses.replace(tree, **changes)
 
