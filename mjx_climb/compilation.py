@@ -43,8 +43,8 @@ def compiler_options(batch: int, *, in_pieces: bool = False) -> dict[str, str | 
     """Return the options with which XLA makes the fastest rollout of so many robots, for `jax.jit`.
 
     Wide vectors for steps in pieces. Where they are whole, XLA:CPU fuses elementwise operations by computing shared
-    ones again wherever they are used: six times the arithmetic of the equations. Each operation on its own is faster by far
-    once its arrays fill the vector units, and compiles sooner; with a few robots the calls would cost more than the
+    ones again wherever they are used: six times the arithmetic of the equations. Each operation on its own is faster by
+    far once its arrays fill the vector units, and compiles sooner; with a few robots the calls would cost more than the
     arithmetic. Other backends are left alone.
     """
     if jax.default_backend() != "cpu":
