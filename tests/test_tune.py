@@ -1,5 +1,6 @@
 """Searches: spaces, objectives, gradients, methods, and results that survive a kill."""
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -135,22 +136,17 @@ def test_smooth_extremes_stay_below_the_true_ones(scenario):
 
 
 def test_an_ensemble_scores_the_mean_of_its_members(scenario):
-    problem = problem_of(scenario, search.Search())
+    problem = dataclasses.replace(problem_of(scenario, search.Search()), dtype=np.float64)
     theta = problem.space.draw(np.random.default_rng(1), 3)
     with jax.enable_x64(True):
         numbers = mc.parameters(scenario)
     masses = np.array([0.5, 1.5])[:, None]
-    together = Problem(problem.scenario, problem.space, problem.objective, _with(numbers, masses), 2).evaluate(theta)
-    alone = [
-        Problem(problem.scenario, problem.space, problem.objective, _with(numbers, mass[0])).evaluate(theta)
-        for mass in masses
-    ]
-    np.testing.assert_allclose(together.value, (alone[0].value + alone[1].value) / 2, rtol=1e-4)
+    together = dataclasses.replace(problem, numbers=_with(numbers, masses), members=2).evaluate(theta)
+    alone = [dataclasses.replace(problem, numbers=_with(numbers, mass[0])).evaluate(theta) for mass in masses]
+    np.testing.assert_allclose(together.value, (alone[0].value + alone[1].value) / 2, rtol=1e-9)
 
 
 def _with(numbers, mass):
-    import dataclasses
-
     return dataclasses.replace(numbers, cargo_mass=mass)
 
 

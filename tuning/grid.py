@@ -20,7 +20,7 @@ from tuning.parts import Parts
 HISTORIES = 256  # walks up to which a grid keeps time histories
 
 # robots per part and environment steps per part: some seconds on two cores, and on one accelerator
-_CPU = (16, 1024, 600_000)
+_CPU = (64, 1024, 4_000_000)
 _ACCELERATOR = (1024, 16_384, 130_000_000)
 
 

@@ -106,24 +106,32 @@ def _work(engine: str, batch: int, plan: Plan):
     """Return what this program runs in turns, with a batch and with one robot, and the peers of the former."""
     import jax
 
+    from mjx_climb import devices
     from tuning.benchmarks import mujoco_batch, mujoco_rollout, programs
 
-    steps = plan.steps
+    steps, share = plan.steps, devices.share_size(batch, None)
 
-    def jitted(function, shift):
-        return lambda: jax.block_until_ready(function(shift))
+    def in_shares(function, shift):
+        """Return what walks a batch as rollouts do: on a CPU in small shares on all cores."""
+
+        def walk(rows, sharding):
+            jax.block_until_ready(function(jax.device_put(shift, sharding)))
+            return {"rows": rows}
+
+        return lambda: devices.spread(walk, batch, share, None)
 
     few, fewer = steps // 2, steps // 4  # a gradient's cost per step does not depend on their number
     ours = {
         "closed_loop": (batch * steps, programs.walk(batch, steps, engine)),
         "mjx": (batch * few, programs.walk(batch, few, "mjx")),
-        "value": (batch * few, jitted(*programs.value(batch, few, engine))),
+        "value": (batch * few, in_shares(*programs.value(share, few, engine))),
     }
     for tangents in plan.tangents:
         length = few if tangents == 2 else fewer
-        work = jitted(*programs.gradient(tangents, batch, length, engine))
+        work = in_shares(*programs.gradient(tangents, share, length, engine))
         ours[f"gradient_{tangents}"] = (batch * length, work)
-    single = {"single": (10 * steps, programs.walk(1, 10 * steps, engine))}
+    whole = 40 * steps  # 8 s: one robot is walked for its whole walk
+    single = {"single": (whole, programs.walk(1, whole, engine))}
     case, gains = programs.scenario(steps), programs.gains(batch)
     bare = mujoco_rollout.Peer(case, batch, steps, threads())
     steered = mujoco_batch.Peer(case, gains, threads())
