@@ -15,7 +15,7 @@ from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 
-EQUATIONS = 80  # in a piece: fusion within longer ones repeats too much
+EQUATIONS = 150  # in a piece: with fewer the calls cost more, with more fusion repeats more
 
 _REDUCTIONS = {
     "reduce_sum": lax.add,
