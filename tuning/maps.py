@@ -28,7 +28,7 @@ def with_objective(
         engine: the dynamics, for the walk of pd.
     """
     problem = problem_of(scenario, search or Search(), engine=engine)
-    walks = walks.transpose(*DIMENSIONS)
+    walks = walks.transpose(*DIMENSIONS, ...)
     score = score_of(problem.objective, {name: walks[name].values for name in mc.METRICS})
     value = np.where(np.isfinite(score.value), score.value, np.nan)
     return walks.assign(
