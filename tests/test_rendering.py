@@ -306,7 +306,8 @@ def test_run_writes_video_and_snapshots_of_two_controllers(gl, tmp_path, capsys)
     assert ended.value.code == 0
     err = capsys.readouterr().err
     assert all(name in err for name in ("walk.mp4", "snapshots.png", "comparison.png", "5 of 5 frames"))
-    assert Image.open(tmp_path / "snapshots.png").size == (320, 480)
+    with Image.open(tmp_path / "snapshots.png") as strip:
+        assert strip.size == (320, 480)
     assert (tmp_path / "comparison.svg").stat().st_size > 0
     with av.open(str(tmp_path / "walk.mp4")) as video:
         assert [(f.width, f.height) for f in video.decode(video=0)] == [(640, 240)] * 5
