@@ -38,8 +38,9 @@ def spread(
     number of robots that have walked in this process and will in all. With `jax.distributed` every process makes the
     same call and gets the whole result.
     """
-    shares = np.minimum(np.arange(-(-robots // share) * share), robots - 1).reshape(-1, share)
     devices = jax.devices()
+    count = max(-(-robots // share), len(devices) if jax.process_count() > 1 else 1)  # no process goes without
+    shares = np.minimum(np.arange(count * share), robots - 1).reshape(-1, share)
     own = [number for number in range(len(shares)) if _of(devices, number).process_index == jax.process_index()]
     total = min(len(own) * share, robots)
 

@@ -18,7 +18,7 @@ def cargo_mass(numbers: Parameters, step: Array, time_step: float) -> Array:
 
 def push(numbers: Parameters, step: Array, time_step: float) -> Array:
     """Return force and moment on the base at its centre of mass, (6, B) N and N m, world axes."""
-    if not numbers.push_start.size:
+    if not numbers.push_start.size:  # XLA cannot compile pieces of a step that work on nothing, see `kernels`
         return jnp.zeros((6, 1), numbers.push_force.dtype)
     active = _active(numbers.push_start, numbers.push_stop, step, time_step)
     wrenches = jnp.concatenate([numbers.push_force, numbers.push_moment], axis=1)

@@ -27,7 +27,7 @@ _REDUCTIONS = {
 
 
 def in_kernels(function: Callable, equations: int = EQUATIONS) -> Callable:
-    """Return the function with its equations in pieces of about so many, each a kernel of its own on a CPU.
+    """Return the function with its equations in pieces of so many, each a kernel of its own.
 
     For values and forward derivatives, on a CPU.
     """
@@ -95,7 +95,8 @@ def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
     0.10) stops the process at a kernel with a parameter that nothing in it reads.
     """
     values: dict = {}
-    parts: dict[int, tuple[int, list]] = {}  # id of a concatenation: its axis, and what it is made of
+    # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of
+    parts: dict[int, tuple[jax.Array, int, list]] = {}
 
     def read(atom):
         return atom.val if isinstance(atom, core.Literal) else values[atom]
@@ -117,10 +118,10 @@ def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
                 results = equation.primitive.bind(*given, **equation.primitive.get_bind_params(equation.params))
                 results = results if equation.primitive.multiple_results else [results]
                 if name == "concatenate":
-                    parts[id(results[0])] = equation.params["dimension"], given
+                    parts[id(results[0])] = results[0], equation.params["dimension"], given
                 elif name == "stack":
                     axis = equation.params["axis"]
-                    parts[id(results[0])] = axis, [lax.expand_dims(each, (axis,)) for each in given]
+                    parts[id(results[0])] = results[0], axis, [lax.expand_dims(each, (axis,)) for each in given]
             values.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
@@ -143,7 +144,7 @@ def _sliced(array, parts: dict, start_indices, limit_indices, strides):
     """Return a slice of an array, of the one part that holds it where the array is a concatenation."""
     starts, limits = list(start_indices), list(limit_indices)
     while strides is None and id(array) in parts:
-        axis, pieces = parts[id(array)]
+        _, axis, pieces = parts[id(array)]
         begin = 0
         for piece in pieces:
             end = begin + piece.shape[axis]

@@ -11,7 +11,7 @@ import pytest
 WALK = """
 import sys
 import jax
-devices, process, processes, address, path = sys.argv[1:]
+devices, process, processes, address, path, robots = sys.argv[1:]
 jax.config.update("jax_num_cpu_devices", int(devices))
 if int(processes) > 1:
     jax.distributed.initialize(address, int(processes), int(process))
@@ -19,20 +19,20 @@ import numpy as np
 import mjx_climb as mc
 assert jax.device_count() == int(devices) * int(processes)
 scenario = mc.load_scenario("configs/case_1_2.yaml", ["duration=0.05"])
-stiffness = np.geomspace(1e2, 1e6, 101)[:, None]
+stiffness = np.geomspace(1e2, 1e6, 101)[:int(robots), None]
 metrics = mc.rollout_metrics(scenario, mc.Gains(1.0, 1e2, stiffness), batch_size=151)
 np.savez(path, **metrics)
 """
 
 
-def _walk(tmp_path, devices, processes=1):
+def _walk(tmp_path, devices, processes=1, robots=101):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
     paths = [tmp_path / f"{devices}-{process}-{processes}.npz" for process in range(processes)]
     running = [
         subprocess.Popen(
-            [sys.executable, "-c", WALK, str(devices), str(process), str(processes), address, str(path)],
+            [sys.executable, "-c", WALK, str(devices), str(process), str(processes), address, str(path), str(robots)],
             stderr=subprocess.PIPE,
             text=True,
         )
@@ -66,3 +66,9 @@ def test_two_processes_give_the_same_bits(tmp_path, alone):
     """Under jax.distributed every process gets the whole result, with the bits of a single device."""
     for metrics in _walk(tmp_path, 1, processes=2):
         _assert_same_bits(alone, metrics)
+
+
+def test_fewer_robots_than_processes_need(tmp_path, alone):
+    """A process without robots of its own neither fails nor keeps the others waiting."""
+    for metrics in _walk(tmp_path, 1, processes=2, robots=40):
+        _assert_same_bits({name: value[:40] for name, value in alone.items()}, metrics)
