@@ -535,7 +535,8 @@ def plot_map(
         marks: points (x, y) by their name in the legend, as of the paper's gains.
         baseline: value of another controller, a line on the colour bar.
         baseline_name: what stands at that line.
-        x, y: the dimensions along the axes.
+        x: the dimension along the horizontal axis.
+        y: the dimension along the vertical axis.
         title: above the figure.
 
     Walks that failed, `detached_at` set or `diverged`, are hatched; what is not a number is grey. Where the dataset has

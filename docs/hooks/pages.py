@@ -1,0 +1,52 @@
+"""Pages of the site that have their source elsewhere: at the top of the repository, in the notebooks, in the program."""
+
+from pathlib import Path
+
+import click
+import typer
+from mkdocs.structure.files import File
+from nbconvert import MarkdownExporter
+
+from tuning.command_line import app
+
+ROOT = Path(__file__).parents[2]
+TOP = {"index.md": "README.md", "CHANGELOG.md": "CHANGELOG.md", "CONTRIBUTING.md": "CONTRIBUTING.md"}
+COMMAND_LINE = "# The command line\n\nWhat `mjx-climb COMMAND --help` prints.\n"
+
+
+def on_files(files, config):
+    """Add the pages."""
+    for page, source in TOP.items():
+        files.append(File.generated(config, page, content=(ROOT / source).read_text("utf-8")))
+    files.append(File.generated(config, "command_line.md", content=_command_line()))
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for file in _notebook(config, path):
+            files.append(file)
+    return files
+
+
+def _notebook(config, path: Path) -> list[File]:
+    """Return the page of a notebook, as it was last run, and its pictures."""
+    text, resources = MarkdownExporter().from_filename(str(path))
+    pictures = resources["outputs"]
+    made = []
+    for name, content in pictures.items():
+        unique = f"{path.stem}_{name}"
+        text = text.replace(f"]({name})", f"]({unique})")
+        made.append(File.generated(config, f"notebooks/{unique}", content=content))
+    return [File.generated(config, f"notebooks/{path.stem}.md", content=text), *made]
+
+
+def _command_line() -> str:
+    """Return the help of every command."""
+    program = typer.main.get_command(app)
+    top = click.Context(program, info_name="mjx-climb", terminal_width=80, max_content_width=80)
+    parts = [COMMAND_LINE, _fenced(program.get_help(top))]
+    for name, command in program.commands.items():
+        context = click.Context(command, info_name=name, parent=top, terminal_width=80, max_content_width=80)
+        parts.append(f"## {name}\n\n{_fenced(command.get_help(context))}")
+    return "\n".join(parts)
+
+
+def _fenced(text: str) -> str:
+    return f"```text\n{text}\n```\n"
