@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: sweep test test-slow lint clean .venv
+.PHONY: sweep test test-slow lint docs clean .venv
 
 # The main job: search the paper's case 1.2 for better gains.
 sweep: .venv/.installed
@@ -18,6 +18,11 @@ test-slow: .venv/.installed-test
 lint: .venv/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+# NO_MKDOCS_2_WARNING: the theme's notice about a release that pyproject.toml keeps out.
+docs: .venv/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "build/docs/index.html"
 
 .venv: .venv/.installed-test
 

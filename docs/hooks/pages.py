@@ -10,7 +10,7 @@ from nbconvert import MarkdownExporter
 from tuning.command_line import app
 
 ROOT = Path(__file__).parents[2]
-TOP = {"index.md": "README.md", "CHANGELOG.md": "CHANGELOG.md", "CONTRIBUTING.md": "CONTRIBUTING.md"}
+TOP = {"index.md": "README.md"} | {name: name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")}
 COMMAND_LINE = "# The command line\n\nWhat `mjx-climb COMMAND --help` prints.\n"
 
 

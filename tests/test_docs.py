@@ -1,0 +1,186 @@
+"""What the documentation shows is so: links, paths, commands, code, dependencies."""
+
+import ast
+import importlib
+import inspect
+import re
+import shlex
+import tomllib
+from pathlib import Path
+from typing import get_args
+
+import pytest
+import typer
+
+import mjx_climb as mc
+from mjx_climb.control import LAWS
+from tuning import search
+from tuning.command_line import app, options
+from tuning.command_line import tune as tune_command
+from tuning.methods import METHODS
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+PROGRAM = typer.main.get_command(app)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
+PATH = re.compile(r"(?:\.ci|configs|docs|mjx_climb|notebooks|tests|tuning)/[\w./-]*")
+every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def fences(page: Path, *languages: str) -> list[str]:
+    return [body for language, body in FENCE.findall(page.read_text("utf-8")) if language in languages]
+
+
+def inline(page: Path) -> list[str]:
+    return [" ".join(code.split()) for code in INLINE.findall(FENCE.sub("", page.read_text("utf-8")))]
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and Python-Markdown make them."""
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
+    return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
+
+
+def commands(text: str) -> list[list[str]]:
+    """Return the arguments of the lines that call the program."""
+    lines = (line.strip() for line in text.replace("\\\n", " ").splitlines())
+    return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("mjx-climb ")]
+
+
+def parsed(arguments: list[str]) -> dict:
+    """Return the values of a call, which must be complete."""
+    name, *rest = arguments
+    assert name in PROGRAM.commands, f"no such command: {name}"
+    return PROGRAM.commands[name].make_context(name, rest).params
+
+
+@every_page
+def test_links_lead_somewhere(page):
+    for link in LINK.findall(FENCE.sub("", page.read_text("utf-8"))):
+        if re.match(r"[a-z]+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+@every_page
+def test_paths_exist(page):
+    for word in (word for code in inline(page) for word in code.split()):
+        if PATH.fullmatch(word):
+            assert (ROOT / word).exists(), word
+
+
+@every_page
+def test_commands_are_understood(page):
+    """Calls in blocks are complete, with keys that a scenario has; those within a sentence may be cut short."""
+    for arguments in (call for block in fences(page, "sh") for call in commands(block)):
+        values = parsed(arguments)
+        config = values.get("config")
+        if config is not None and config.parts[0] == "configs":
+            mc.load_scenario(ROOT / config, values.get("changes") or ())
+    for name, *rest in (shlex.split(code)[1:] for code in inline(page) if code.startswith("mjx-climb ")):
+        if name.isupper():  # stands for any
+            continue
+        assert name in PROGRAM.commands or name.startswith("--"), name
+        known = {option for parameter in PROGRAM.commands.get(name, PROGRAM).params for option in parameter.opts}
+        assert {word.partition("=")[0] for word in rest if word.startswith("--")} <= known | {"--help"}, rest
+
+
+@pytest.mark.parametrize("name", PROGRAM.commands)
+def test_examples_in_the_help_are_understood(name):
+    found = commands(inspect.cleandoc(PROGRAM.commands[name].help).replace("\b", ""))
+    assert found
+    for arguments in found:
+        parsed(arguments)
+
+
+@every_page
+def test_make_targets_exist(page):
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    shown = {target for block in fences(page, "sh") for target in re.findall(r"^make ([\w-]+)", block, re.MULTILINE)}
+    assert shown | {code.split()[1] for code in inline(page) if re.match(r"make [\w-]+$", code)} <= targets
+
+
+@every_page
+def test_code_uses_names_that_exist(page):
+    """Imports resolve, names of `mjx_climb` are there, and calls of them bind."""
+    for block in fences(page, "python"):
+        tree = ast.parse(block)
+        names = {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                names |= {alias.asname or alias.name: importlib.import_module(alias.name) for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                module = importlib.import_module(node.module)
+                for alias in node.names:
+                    if not hasattr(module, alias.name):
+                        importlib.import_module(f"{node.module}.{alias.name}")
+                    names[alias.name] = getattr(module, alias.name)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in names:
+                assert hasattr(names[node.value.id], node.attr), ast.unparse(node)
+        for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+            called = call.func
+            if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
+                function = getattr(names.get(called.value.id), called.attr, None)
+            else:
+                function = names.get(getattr(called, "id", None))
+            if getattr(function, "__module__", "").startswith(("mjx_climb", "tuning")) and "..." not in ast.unparse(call):
+                keywords = {keyword.arg: None for keyword in call.keywords if keyword.arg}
+                starred = any(isinstance(argument, ast.Starred) for argument in call.args)
+                if not starred:
+                    inspect.signature(function).bind(*call.args, **keywords)
+
+
+@pytest.mark.slow
+def test_the_code_of_the_readme_runs(monkeypatch):
+    (block,) = fences(ROOT / "README.md", "python")
+    load = mc.load_scenario
+    monkeypatch.setattr(mc, "load_scenario", lambda path: load(ROOT / path, {"duration": 0.2}))
+    scope = {}
+    exec(compile(block, "README.md", "exec"), scope)
+    assert all(values.shape == (64,) for values in scope["batch"].values())
+    assert scope["simulate"](mc.Gains(1.0, 1e2, 3e3))["peak_foot_force"] > 0
+
+
+def test_quick_start_is_two_commands():
+    section = (ROOT / "README.md").read_text("utf-8").split("\n## Quick start\n")[1].split("\n## ")[0]
+    assert [body.split("\n") for _, body in FENCE.findall(section)] == [["make sweep", "make test", ""]]
+
+
+def test_every_dependency_has_its_line():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {(bare(name), "") for name in project["dependencies"]}
+    for extra, names in project["optional-dependencies"].items():
+        declared |= {(bare(name), extra) for name in names if bare(name) != project["name"]}
+    section = (ROOT / "README.md").read_text("utf-8").split("\n## Dependencies\n")[1].split("\n## ")[0]
+    listed = [
+        (name, extra)
+        for names, extra in re.findall(r"^\| ([\w ,-]+?)(?: \(`(\w+)`\))? \| [^|]+ \|$", section, re.MULTILINE)
+        for name in names.split(", ")
+        if name != "package"
+    ]
+    assert sorted(listed) == sorted(declared)
+
+
+def bare(requirement: str) -> str:
+    return re.match(r"[\w.-]+", requirement)[0]
+
+
+def test_the_reference_holds_every_public_name():
+    text = (ROOT / "docs" / "reference" / "mjx_climb.md").read_text("utf-8")
+    missing = [name for name in mc.__all__ if not re.search(rf"\bmjx_climb\.(\w+\.)*{name}\b", text)]
+    assert not missing
+
+
+def test_names_that_users_write_are_those_registered():
+    """The table in CONTRIBUTING: a registry, and the places where its names are checked before anything is imported."""
+    control = type(mc.Scenario().control).model_fields
+    assert set(get_args(control["controller"].annotation)) == {controller for controller, _ in LAWS}
+    assert set(get_args(options.ControllerName)) == {controller for controller, _ in LAWS}
+    assert set(get_args(control["reading"].annotation)) == {reading for _, reading in LAWS}
+    assert set(search.METHODS) == set(get_args(tune_command.MethodName)) == set(METHODS)
