@@ -71,6 +71,13 @@ def test_public_names_only(path):
 
 
 @every_notebook
+def test_words_are_words(path):
+    """One title; text that an editor of scripts has kept as comments would be a title in every line."""
+    lines = [line for cell in read(path).cells if cell.cell_type == "markdown" for line in cell.source.splitlines()]
+    assert [line for line in lines if line.startswith("# ") or line == "#"] == lines[:1]
+
+
+@every_notebook
 def test_kept_as_run_with_pictures_and_nothing_of_the_machine(path):
     notebook = read(path)
     cells = code_cells(notebook)

@@ -40,11 +40,10 @@ def _notebook(config, path: Path) -> list[File]:
 def _command_line() -> str:
     """Return the help of every command."""
     program = typer.main.get_command(app)
-    top = click.Context(program, info_name="mjx-climb", terminal_width=80, max_content_width=80)
+    top = click.Context(program, info_name="mjx-climb", terminal_width=80, **program.context_settings)
     parts = [COMMAND_LINE, _fenced(program.get_help(top))]
     for name, command in program.commands.items():
-        context = click.Context(command, info_name=name, parent=top, terminal_width=80, max_content_width=80)
-        parts.append(f"## {name}\n\n{_fenced(command.get_help(context))}")
+        parts.append(f"## {name}\n\n{_fenced(command.get_help(click.Context(command, top, name)))}")
     return "\n".join(parts)
 
 
