@@ -124,16 +124,20 @@ def test_code_uses_names_that_exist(page):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in names:
                 assert hasattr(names[node.value.id], node.attr), ast.unparse(node)
         for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-            called = call.func
-            if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
-                function = getattr(names.get(called.value.id), called.attr, None)
-            else:
-                function = names.get(getattr(called, "id", None))
-            if getattr(function, "__module__", "").startswith(("mjx_climb", "tuning")) and "..." not in ast.unparse(call):
+            function = called(call, names)
+            if function is not None and not any(isinstance(argument, ast.Starred) for argument in call.args):
                 keywords = {keyword.arg: None for keyword in call.keywords if keyword.arg}
-                starred = any(isinstance(argument, ast.Starred) for argument in call.args)
-                if not starred:
-                    inspect.signature(function).bind(*call.args, **keywords)
+                inspect.signature(function).bind(*call.args, **keywords)
+
+
+def called(call: ast.Call, names: dict):
+    """Return the function of these packages that a call in a block means, None where it is none of theirs."""
+    if isinstance(call.func, ast.Attribute) and isinstance(call.func.value, ast.Name):
+        function = getattr(names.get(call.func.value.id), call.func.attr, None)
+    else:
+        function = names.get(getattr(call.func, "id", None))
+    ours = getattr(function, "__module__", "").startswith(("mjx_climb", "tuning"))
+    return function if ours and "..." not in ast.unparse(call) else None
 
 
 @pytest.mark.slow

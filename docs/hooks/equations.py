@@ -12,7 +12,9 @@ DISPLAY = re.compile(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', re.DOTALL)
 
 def on_page_content(content: str, **_) -> str:
     """Replace the equations of a page."""
-    content = DISPLAY.sub(
-        lambda found: f'<div class="equation">{convert(html.unescape(found[1]).strip(), display="block")}</div>', content
-    )
-    return INLINE.sub(lambda found: convert(html.unescape(found[1])), content)
+    content = DISPLAY.sub(lambda found: f'<div class="equation">{_mathml(found[1], "block")}</div>', content)
+    return INLINE.sub(lambda found: _mathml(found[1], "inline"), content)
+
+
+def _mathml(tex: str, display: str) -> str:
+    return convert(html.unescape(tex).strip(), display=display)

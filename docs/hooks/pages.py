@@ -1,4 +1,4 @@
-"""Pages of the site that have their source elsewhere: at the top of the repository, in the notebooks, in the program."""
+"""Pages that have their source elsewhere: at the top of the repository, in the notebooks, in the program."""
 
 from pathlib import Path
 
@@ -10,7 +10,8 @@ from nbconvert import MarkdownExporter
 from tuning.command_line import app
 
 ROOT = Path(__file__).parents[2]
-TOP = {"index.md": "README.md"} | {name: name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")}
+AS_THEY_ARE = ("CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")
+TOP = {"index.md": "README.md", **{name: name for name in AS_THEY_ARE}}
 COMMAND_LINE = "# The command line\n\nWhat `mjx-climb COMMAND --help` prints.\n"
 
 
@@ -28,9 +29,8 @@ def on_files(files, config):
 def _notebook(config, path: Path) -> list[File]:
     """Return the page of a notebook, as it was last run, and its pictures."""
     text, resources = MarkdownExporter().from_filename(str(path))
-    pictures = resources["outputs"]
     made = []
-    for name, content in pictures.items():
+    for name, content in resources["outputs"].items():
         unique = f"{path.stem}_{name}"
         text = text.replace(f"]({name})", f"]({unique})")
         made.append(File.generated(config, f"notebooks/{unique}", content=content))
