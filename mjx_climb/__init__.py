@@ -8,6 +8,7 @@ from mjx_climb.metrics import METRICS
 from mjx_climb.parameters import Gains, Parameters, parameters
 from mjx_climb.robot import RobotError
 from mjx_climb.rollout import metrics, rollout, rollout_metrics, simulator
+from mjx_climb.slopes import rollout_slopes
 from mjx_climb.state import Acceleration, State
 from mjx_climb.trajectory import Trajectory
 
@@ -31,5 +32,6 @@ __all__ = [
     "rollout",
     "rollout_histories",
     "rollout_metrics",
+    "rollout_slopes",
     "simulator",
 ]

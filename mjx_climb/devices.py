@@ -17,13 +17,14 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
-_CPU_SHARES = (1, 8, 64)  # robots
+_CPU_SHARES = {1: 1, 8: 2, 64: 16}  # up to so many robots: shares of so many; few enough to keep several cores busy
+_FULL_SHARE = 64  # more would leave a core's cache
 
 
 def share_size(robots: int, limit: int | None) -> int:
     """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time."""
     if jax.default_backend() == "cpu":
-        share = next((size for size in _CPU_SHARES if size >= robots), _CPU_SHARES[-1])
+        share = next((share for most, share in _CPU_SHARES.items() if robots <= most), _FULL_SHARE)
     else:
         share = -(-min(robots, limit or robots) // jax.device_count())
     return min(share, limit or share)

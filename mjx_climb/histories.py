@@ -11,14 +11,14 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from mjx_climb.compilation import compiler_options
+from mjx_climb.compilation import compiler_options, pieces_pay
 from mjx_climb.config import Scenario
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.parameters import Gains, Parameters
-from mjx_climb.rollout import walk_batch, walk_recorded
+from mjx_climb.parameters import Gains, Parameters, batch_shape
+from mjx_climb.rollout import given, walk_batch, walk_recorded
 from mjx_climb.sample import Sample
 from mjx_climb.trajectory import Trajectory, to_samples
-from mjx_climb.walk import Structure
+from mjx_climb.walk import Structure, structure
 
 STRETCHES = 200
 
@@ -59,7 +59,9 @@ def rollout_histories(
         The metrics, and by the names of `LINES` arrays (*batch, 2, stretches) in their units: the least and the
         largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
     """
-    return walk_batch(_compiled, scenario, gains, numbers, dtype, batch_size, progress, engine)
+    inputs = given(scenario, gains, numbers, dtype)
+    walk = structure(scenario, engine, in_pieces=pieces_pay(engine))
+    return walk_batch(_compiled, walk, inputs, batch_shape(*inputs), batch_size, progress)
 
 
 def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:

@@ -34,7 +34,7 @@ def _floating_dtype(tree) -> jnp.dtype:
     return jnp.result_type(*floats) if floats else jnp.result_type(float)
 
 
-def _metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
+def metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
     """Walk a batch and return its metrics, with the batch axes that gains and parameters broadcast to."""
     return walk_recorded(structure, gains, numbers, lambda sample: ())[0]
 
@@ -79,7 +79,7 @@ def _compiled_samples(in_pieces: bool) -> Callable:
 
 @functools.cache
 def _compiled_metrics(batch: int, in_pieces: bool) -> Callable:
-    return jax.jit(_metrics_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
+    return jax.jit(metrics_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
 
 
 def simulator(
@@ -107,7 +107,7 @@ def simulator(
     def simulate(gains: Gains, numbers: Parameters | None = None) -> Metrics:
         dtype = _floating_dtype(gains)
         gains = jax.tree.map(lambda value: jnp.asarray(value, dtype), gains)
-        return _metrics_of(shape, gains, parameters(scenario, dtype) if numbers is None else numbers)
+        return metrics_of(shape, gains, parameters(scenario, dtype) if numbers is None else numbers)
 
     return simulate
 
@@ -136,7 +136,7 @@ def rollout(
     Raises:
         ValueError: batched gains or parameters (see `rollout_metrics`).
     """
-    gains, numbers = _given(scenario, gains, numbers, dtype)
+    gains, numbers = given(scenario, gains, numbers, dtype)
     if batch_shape(gains, numbers) != ():
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
     enable_cache()
@@ -153,7 +153,7 @@ def _six(gain):
     return np.broadcast_to(gain, (*gain.shape[:-1], 6))
 
 
-def _given(scenario, gains, numbers, dtype) -> tuple[Gains, Parameters]:
+def given(scenario: Scenario, gains: Gains | None, numbers: Parameters | None, dtype) -> tuple[Gains, Parameters]:
     """Return gains and parameters as numpy arrays, the scenario's own where None is given."""
     with jax.enable_x64(True):
         gains = gains_of(scenario) if gains is None else gains
@@ -204,6 +204,7 @@ def rollout_metrics(
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     engine: str = DEFAULT_ENGINE,
+    smooth: bool = False,
 ) -> dict[str, np.ndarray]:
     """Walk a batch of robots on all devices and return their metrics; memory does not grow with time.
 
@@ -216,74 +217,65 @@ def rollout_metrics(
             each core of a CPU.
         progress: called with the number of robots that have walked and the number in all, after each call.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
+        smooth: for searches, see `simulator`.
 
     Returns:
         Arrays with the batch axes of gains and parameters, named as in `mjx_climb.METRICS`; NaN and -1 as `simulator`
         says.
     """
-    return walk_batch(_compiled_metrics, scenario, gains, numbers, dtype, batch_size, progress, engine)
+    inputs = given(scenario, gains, numbers, dtype)
+    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    return walk_batch(_compiled_metrics, walk, inputs, batch_shape(*inputs), batch_size, progress)
 
 
 def walk_batch(
     compiled: Callable[[int, bool], Callable],
-    scenario: Scenario,
-    gains: Gains | None,
-    numbers: Parameters | None,
-    dtype,
-    batch_size: int | None,
-    progress: Callable[[int, int], None] | None,
-    engine: str,
+    structure: Structure,
+    inputs: tuple[Gains, *tuple[Gains | Parameters, ...]],
+    shape: tuple[int, ...],
+    batch_size: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return what a batched program gives for a batch, walked in parts on all devices; see `rollout_metrics`.
 
-    `compiled` gives the program for so many robots, steps in pieces or not; it returns a dict of arrays with the batch
-    as their first axis.
+    `compiled` gives the program for so many robots, steps in pieces or not. It takes the structure and the inputs,
+    trees of arrays whose batch axes broadcast to `shape`, with one batch axis instead, and returns a dict of arrays
+    with the batch as their first axis.
     """
-    gains, numbers = _given(scenario, gains, numbers, dtype)
-    shape = batch_shape(gains, numbers)
     count = math.prod(shape)
     share = devices.share_size(count, batch_size)
-    in_pieces = pieces_pay(engine)
-    gains, numbers = _flattened(gains, numbers, shape)
+    flat = tuple(_flattened(tree, shape) for tree in inputs)
+    double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(inputs))
     enable_cache()
-    walked = functools.partial(compiled(share, in_pieces), structure(scenario, engine, in_pieces=in_pieces))
+    walked = functools.partial(compiled(share, structure.in_pieces), structure)
 
     def walk(rows, sharding):
-        with jax.enable_x64(np.dtype(dtype) == np.float64):  # holds for one thread
-            return walked(*jax.device_put(_rows(gains, numbers, rows), sharding))
+        gains, *others = (_rows(tree, rows) for tree in flat)
+        stiffness = np.broadcast_to(gains.stiffness, (share, *gains.stiffness.shape[-1:]))  # batched, come what may
+        with jax.enable_x64(double):  # holds for one thread
+            return walked(*jax.device_put((dataclasses.replace(gains, stiffness=stiffness), *others), sharding))
 
     result = devices.spread(walk, count, share, progress)
     return {name: value.reshape((*shape, *value.shape[1:])) for name, value in result.items()}
 
 
-def _flattened(gains: Gains, numbers: Parameters, shape: tuple[int, ...]) -> tuple[Gains, Parameters]:
-    """Return both with one batch axis wherever they vary, and the gains' own axis of six."""
-
+def _flattened(tree, shape: tuple[int, ...]):
+    """Return gains or parameters with one batch axis wherever they vary, before each value's own axes."""
     robots = math.prod(shape)
-
-    def flat(tree):
-        changes = {}
-        for name, value in vars(tree).items():
-            if value is None:
-                continue
-            split = value.ndim - tree.AXES.get(name, 0)
-            tail = value.shape[split:]
-            count = math.prod(value.shape[:split])
-            changes[name] = (
-                np.broadcast_to(value, (*shape, *tail)).reshape(robots, *tail) if count > 1 else value.reshape(tail)
-            )
-        return dataclasses.replace(tree, **changes)
-
-    return flat(gains), flat(numbers)
+    changes = {}
+    for name, value in vars(tree).items():
+        if value is None:
+            continue
+        split = value.ndim - tree.AXES.get(name, 0)
+        tail = value.shape[split:]
+        count = math.prod(value.shape[:split])
+        changes[name] = (
+            np.broadcast_to(value, (*shape, *tail)).reshape(robots, *tail) if count > 1 else value.reshape(tail)
+        )
+    return dataclasses.replace(tree, **changes)
 
 
-def _rows(gains: Gains, numbers: Parameters, rows: np.ndarray) -> tuple[Gains, Parameters]:
-    """Return some environments of flattened gains and parameters; the gains always carry the batch axis."""
-
-    def taken(tree):
-        varying = {n: v[rows] for n, v in vars(tree).items() if v is not None and v.ndim > tree.AXES.get(n, 0)}
-        return dataclasses.replace(tree, **varying)
-
-    gains, numbers = taken(gains), taken(numbers)
-    stiffness = np.broadcast_to(gains.stiffness, (len(rows), *gains.stiffness.shape[-1:]))
-    return dataclasses.replace(gains, stiffness=stiffness), numbers
+def _rows(tree, rows: np.ndarray):
+    """Return some environments of a flattened tree."""
+    varying = {n: v[rows] for n, v in vars(tree).items() if v is not None and v.ndim > tree.AXES.get(n, 0)}
+    return dataclasses.replace(tree, **varying)

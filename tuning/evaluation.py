@@ -1,4 +1,4 @@
-"""Points of a space, judged in batches: one compiled program for values, one for values and gradients."""
+"""Points of a space, judged in batches: they walk, with slopes where asked for, and the objective judges them."""
 
 import dataclasses
 import functools
@@ -15,7 +15,7 @@ import mjx_climb as mc
 from mjx_climb.compilation import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning.objectives import Objective
-from tuning.spaces import Space
+from tuning.spaces import Space, to_gains64
 
 
 class Evaluation(NamedTuple):
@@ -65,73 +65,56 @@ class Problem:
         self, theta: Float[np.ndarray, "B n"], directions: Float[np.ndarray, "k n"] | None = None
     ) -> Evaluation:
         """Walk with the gains of B points and judge them, with slopes along some directions."""
-        enable_cache()
-        double = np.dtype(self.dtype) == np.float64
-        with jax.enable_x64(double):
-            numbers = mc.parameters(self.scenario, self.dtype) if self.numbers is None else self.numbers
-            numbers = jax.tree.map(lambda value: np.asarray(value, self.dtype), numbers)
-            given = np.zeros((0, self.space.size)) if directions is None else directions
-            run = _compiled(self.scenario, self.space, self.objective, self.engine, len(theta), len(given))
-            result = run(np.asarray(theta, self.dtype), np.asarray(given, self.dtype), numbers)
-            return jax.tree.map(np.asarray, Evaluation(*result))
-
-
-class _ById:
-    """Makes a program's ingredients hashable by what they are."""
-
-    def __init__(self, *parts):
-        self.parts = parts
-        self.key = tuple(_key(part) for part in parts)
-
-    def __hash__(self):
-        return hash(self.key)
-
-    def __eq__(self, other):
-        return self.key == other.key
-
-
-def _key(part):
-    if isinstance(part, Space):
-        arrays = tuple((name, index.tobytes()) for name, index in part.index.items())
-        return part.names, part.fixed.tobytes(), arrays
-    return part
-
-
-def _compiled(scenario, space, objective, engine, batch, tangents):
-    return _program(_ById(scenario, space, objective), engine, batch, tangents > 0)
-
-
-@functools.lru_cache(maxsize=32)
-def _program(ingredients: _ById, engine: str, batch: int, gradient: bool):
-    scenario, space, objective = ingredients.parts
-    simulate = mc.simulator(scenario, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
-
-    def judged(theta: Array, numbers: mc.Parameters):
-        metrics = simulate(space.to_gains(theta), numbers)
-        score = objective.score(metrics)
-        # an objective may have judged the members together: its scores have lost their axis then
-        mean = lambda value: value.mean(0) if value.ndim > 1 else value  # noqa: E731
-        averages = {name: mean(jnp.asarray(value, theta.dtype)) for name, value in metrics.items()}
-        feasible = score.feasible.all(0) if score.feasible.ndim > 1 else score.feasible
-        descent, value, penalty = mean(score.descent), mean(score.value), mean(score.penalty)
-        return (descent, value + penalty), (value, penalty, feasible, averages)
-
-    def values(theta, directions, numbers):
-        (descent, _), (value, penalty, feasible, metrics) = judged(theta, numbers)
-        none = jnp.zeros((theta.shape[0], 0), theta.dtype)
-        return value, descent, penalty, feasible, none, none, metrics
-
-    def gradients(theta, directions, numbers):
-        along = jnp.broadcast_to(directions[:, None, :], (len(directions), *theta.shape))
-        push = lambda v: jax.jvp(lambda t: judged(t, numbers), (theta,), (v,), has_aux=True)  # noqa: E731
-        (descent, _), (smooth, sharp), (value, penalty, feasible, metrics) = jax.vmap(push, out_axes=(None, 0, None))(
-            along
+        theta = np.asarray(theta, float)
+        walk = {"dtype": self.dtype, "engine": self.engine, "smooth": True}
+        if directions is None:
+            metrics = mc.rollout_metrics(self.scenario, to_gains64(self.space, theta), self.numbers, **walk)
+            with jax.enable_x64(np.dtype(self.dtype) == np.float64):
+                judged = _judged(self.objective, metrics)[1]
+            none = np.zeros((len(theta), 0), self.dtype)
+            return jax.tree.map(np.asarray, Evaluation(gradient=none, sharp=none, **judged))
+        metrics, slopes = mc.rollout_slopes(
+            self.scenario, *_along(self.space, theta, np.asarray(directions, float)), self.numbers, **walk
         )
-        return value, descent, penalty, feasible, smooth.T, sharp.T, metrics
+        with jax.enable_x64(np.dtype(self.dtype) == np.float64):
+            (gradient, sharp), judged = _judged_slopes(self.objective, metrics, slopes)
+        return jax.tree.map(np.asarray, Evaluation(gradient=gradient.T, sharp=sharp.T, **judged))
 
-    return jax.jit(
-        gradients if gradient else values, compiler_options=mc.compiler_options(batch, in_pieces=mc.pieces_pay(engine))
-    )
+
+def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[mc.Gains, mc.Gains]:
+    """Return the gains (B, 6) of points and their rates of change (k, B, 6) along directions (k, n)."""
+    with jax.enable_x64(True):
+        along = jnp.broadcast_to(directions[:, None, :], (len(directions), *theta.shape))
+        rates = jax.vmap(lambda v: jax.jvp(space.to_gains, (theta,), (v,))[1])(along)
+        return to_gains64(space, theta), jax.tree.map(np.asarray, rates)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _judged(objective: Objective, metrics: Mapping[str, Array]):
+    """Return descent and value plus penalty, (B,) each, to be differentiated; and what is reported beside them."""
+    score = objective.score(metrics)
+    # an objective may have judged the members together: its scores have lost their axis then
+    mean = lambda value: value.mean(0) if value.ndim > 1 else value  # noqa: E731
+    dtype = score.value.dtype
+    reported = {
+        "value": mean(score.value),
+        "descent": mean(score.descent),
+        "penalty": mean(score.penalty),
+        "feasible": score.feasible.all(0) if score.feasible.ndim > 1 else score.feasible,
+        "metrics": {name: mean(jnp.asarray(value, dtype)) for name, value in metrics.items()},
+    }
+    return (reported["descent"], reported["value"] + reported["penalty"]), reported
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _judged_slopes(objective: Objective, metrics: Mapping[str, Array], slopes: Mapping[str, Array]):
+    """Return the slopes (k, B) of `_judged`'s first two from those of the metrics, and what is reported."""
+    others = {name: value for name, value in metrics.items() if name not in slopes}
+    real = {name: metrics[name] for name in slopes}
+    judged = functools.partial(_judged, objective)
+    push = lambda slope: jax.jvp(lambda m: judged({**m, **others}), (real,), (slope,), has_aux=True)  # noqa: E731
+    _, sloped, reported = jax.vmap(push, out_axes=(None, 0, None))(slopes)
+    return sloped, reported
 
 
 @functools.lru_cache(maxsize=8)

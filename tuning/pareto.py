@@ -20,9 +20,9 @@ from mjx_climb.plots import LARGER_IS_BETTER
 from tuning import tune
 from tuning.methods import Task, gradient
 from tuning.objectives import Limit
-from tuning.result import to_gains64
 from tuning.rounds import Rounds, Told
 from tuning.search import Search
+from tuning.spaces import to_gains64
 
 CANDIDATES = 64  # random points, the scenario's own gains among them
 STAGES = 3  # descents; between them every row starts again from the best point within its limit

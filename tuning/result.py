@@ -14,6 +14,7 @@ from mjx_climb.config import ConfigError
 from mjx_climb.dataset import METRIC_NAMES
 from tuning import search as search_settings
 from tuning.search import Search
+from tuning.spaces import to_gains64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,14 +68,6 @@ def from_history(scenario: mc.Scenario, search: Search, space, arrays: dict, *, 
     gains = to_gains64(space, theta)
     history.attrs["gains"] = dataset._to_json(gains)
     return _of(history, scenario, search, gains, best)
-
-
-def to_gains64(space, theta: np.ndarray) -> mc.Gains:
-    """Return the gains of one point in double precision, whatever JAX is set to."""
-    import jax
-
-    with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, space.to_gains(np.asarray(theta, float)))
 
 
 def best_of(arrays) -> int:

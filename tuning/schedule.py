@@ -22,14 +22,14 @@ from mjx_climb.dataset import METRIC_NAMES, SIX
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.parameters import gains as gains_of
-from tuning import objectives, tune
+from tuning import objectives, spaces, tune
 from tuning.evaluation import Problem
 from tuning.methods import Task, gradient
 from tuning.objectives import Limit, Objective, Term
-from tuning.result import to_gains64
 from tuning.robust import pd_of
 from tuning.rounds import Rounds, Told
 from tuning.search import Search
+from tuning.spaces import to_gains64
 
 G = -EARTH[2]  # m/s^2
 GRAVITIES = (1e-6, 1e-2, 1 / 6, 0.38, 1.0)  # G: orbit, a small body, Moon, Mars, Earth
@@ -76,12 +76,13 @@ def schedule(
     numbers = _numbers(scenario, gravity, cargo)
     points = len(gravity) * len(cargo)
     baseline = pd_of(scenario, numbers, engine=engine)
-    problem = tune.problem_of(scenario, settings, _Anything(), engine=engine)
-    space, rng = problem.space, np.random.default_rng(settings.seed)
+    each = [objective_at(scenario, settings, {n: float(v[p]) for n, v in baseline.items()}) for p in range(points)]
+    space, rng = spaces.space(scenario, settings), np.random.default_rng(settings.seed)
+    dtype = np.dtype(settings.precision).type
+    problem = Problem(scenario, space, _rows(each), dtype=dtype, engine=engine)
     own = tune.start_of(problem)
     identity = {**tune._identity(problem, settings, None), "operating_points": [list(gravity), list(cargo)]}
     rounds = Rounds(1 + sum(ITERATIONS) + 2, progress, out, identity)
-    each = [objective_at(scenario, settings, {n: float(v[p]) for n, v in baseline.items()}) for p in range(points)]
 
     def at(places: np.ndarray) -> Problem:
         """Return the problem whose rows are at some operating points."""
@@ -122,13 +123,6 @@ def schedule(
 
 
 _VARIED = ("gravity", "cargo_mass")
-
-
-class _Anything:
-    """Stands for an objective while a problem is put together; each batch gets its own."""
-
-    def score(self, metrics):
-        raise NotImplementedError
 
 
 def objective_at(scenario: mc.Scenario, settings: Search, baseline: dict[str, float]) -> Objective:

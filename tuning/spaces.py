@@ -7,6 +7,7 @@ likewise `inertia`; and `kp`, `kd`.
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -165,6 +166,12 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
         for gain, place in places.items()
     }
     return Space(tuple(names), np.asarray(lower), np.asarray(upper), index, np.asarray(fixed, float))
+
+
+def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> mc.Gains:
+    """Return the gains of points in double precision, whatever JAX is set to."""
+    with jax.enable_x64(True):
+        return jax.tree.map(np.asarray, space.to_gains(theta))
 
 
 def _hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -1,0 +1,100 @@
+"""Metrics of a batch with their slopes along directions in the gains: forward-mode derivatives through the walk."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mjx_climb.compilation import compiler_options, pieces_pay
+from mjx_climb.config import Scenario
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.parameters import Gains, Parameters, batch_shape
+from mjx_climb.rollout import Metrics, given, metrics_of, walk_batch
+from mjx_climb.walk import Structure, structure
+
+_SLOPE = "slope of "
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Directions(Gains):
+    """Rates of change of gains along k directions: an axis of k after the batch axes of `Gains`."""
+
+    AXES: ClassVar[Mapping[str, int]] = MappingProxyType({"inertia": 2, "damping": 2, "stiffness": 2, "kp": 1, "kd": 1})
+
+
+def rollout_slopes(
+    scenario: Scenario,
+    gains: Gains,
+    directions: Gains,
+    numbers: Parameters | None = None,
+    *,
+    dtype=np.float32,
+    batch_size: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    engine: str = DEFAULT_ENGINE,
+    smooth: bool = False,
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Walk a batch of robots and return their metrics and the slopes of these along k directions in the gains.
+
+    A direction costs about as much as the walk itself, and nothing is kept over time.
+
+    Arguments:
+        scenario, gains, numbers, dtype, batch_size, progress, engine, smooth: as `mjx_climb.rollout_metrics` takes
+            them; gains with six axes.
+        directions: rates of change of the gains, in their units: values (k, *batch, 6), `kp` and `kd` (k, *batch) where
+            the gains have them, with batch axes that broadcast to the gains'.
+
+    Returns:
+        The metrics (*batch), and the slopes (k, *batch) of those that are real numbers.
+    """
+    gains, numbers = given(scenario, gains, numbers, dtype)
+    shape = batch_shape(gains, numbers)
+    along = _Directions(**{n: _direction_last(n, v, shape, dtype) for n, v in vars(directions).items()})
+    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    found = walk_batch(_compiled, walk, (gains, along, numbers), shape, batch_size, progress)
+    slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}
+    return {name: value for name, value in found.items() if not name.startswith(_SLOPE)}, slopes
+
+
+def _direction_last(name: str, value, shape: tuple[int, ...], dtype):
+    """Return rates (k, *batch, ...) as (*shape, k, ...)."""
+    if value is None:
+        return None
+    value = np.asarray(value, dtype)
+    own = value.shape[value.ndim - Gains.AXES.get(name, 0) :]
+    batch = value.shape[1 : value.ndim - len(own)]
+    value = value.reshape(len(value), *[1] * (len(shape) - len(batch)), *batch, *own)
+    return np.moveaxis(np.broadcast_to(value, (len(value), *shape, *own)), 0, len(shape))
+
+
+def _slopes_of(structure: Structure, gains: Gains, along: _Directions, numbers: Parameters) -> Metrics:
+    def walked(gains: Gains):
+        metrics = metrics_of(structure, gains, numbers)
+        real = {name: value for name, value in metrics.items() if jnp.issubdtype(value.dtype, jnp.floating)}
+        return real, {name: value for name, value in metrics.items() if name not in real}
+
+    def slope(direction: _Directions):
+        return jax.jvp(walked, (gains,), (Gains(**vars(direction)),), has_aux=True)
+
+    robots = gains.stiffness.shape[0]
+    gains, along = _batched(gains, robots), _batched(along, robots)
+    real, slopes, others = jax.vmap(slope, in_axes=1, out_axes=(None, -1, None))(along)
+    return real | others | {_SLOPE + name: value for name, value in slopes.items()}
+
+
+def _batched(tree, robots: int):
+    """Return a tree whose values all have the batch axis."""
+    values = {name: value for name, value in vars(tree).items() if value is not None}
+    own = {name: value.shape[value.ndim - tree.AXES.get(name, 0) :] for name, value in values.items()}
+    return dataclasses.replace(tree, **{n: jnp.broadcast_to(v, (robots, *own[n])) for n, v in values.items()})
+
+
+@functools.cache
+def _compiled(batch: int, in_pieces: bool) -> Callable:
+    return jax.jit(_slopes_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))

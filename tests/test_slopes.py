@@ -1,0 +1,49 @@
+"""Slopes of a batch, whatever the shares and the batch axes."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+
+ROBOTS, MEMBERS, DIRECTIONS = 3, 2, 2
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    return case("case_1_2", "virtual_model", (("duration", 0.2), ("disturbance.cargo.start", 0.05)))
+
+
+def test_slopes_of_a_batch_agree_with_central_differences(scenario):
+    """Every robot under every member's numbers, along directions of its own."""
+    rng = np.random.default_rng(0)
+    six, own = (ROBOTS, 6), mc.Gains(1.0, 100.0, 3e3, 50.0, 0.2)
+    gains = mc.Gains(
+        np.ones(six), 100 * rng.uniform(1, 2, six), 3e3 * rng.uniform(1, 2, six), np.full(ROBOTS, 50.0), np.full(3, 0.2)
+    )
+    rates = jax.tree.map(lambda g, size: size * rng.normal(size=(DIRECTIONS, *g.shape)), gains, own)
+    rates = dataclasses.replace(rates, inertia=np.zeros((DIRECTIONS, 6)), kd=np.zeros(DIRECTIONS))
+    with jax.enable_x64(True):
+        plain = jax.tree.map(np.asarray, mc.parameters(scenario))
+    numbers = dataclasses.replace(plain, cargo_mass=rng.uniform(0, 1, (MEMBERS, 1)))
+    walk = {"dtype": np.float64, "smooth": True}
+    metrics, slopes = mc.rollout_slopes(scenario, gains, rates, numbers, **walk)
+    same = mc.rollout_metrics(scenario, gains, numbers, **walk)
+
+    step, moved = 1e-5, []
+    for sign in (1, -1):
+        there = jax.tree.map(
+            lambda g, r, sign=sign: g + sign * step * r.reshape(DIRECTIONS, 1, -1, *g.shape[1:]), gains, rates
+        )
+        moved.append(mc.rollout_metrics(scenario, there, numbers, **walk))
+    assert set(metrics) - set(slopes) == {"detached_limb", "diverged"}
+    for name, value in metrics.items():
+        np.testing.assert_allclose(value, same[name], rtol=1e-9, err_msg=name)
+    del slopes["detached_at"]  # nothing is torn off
+    for name, slope in slopes.items():
+        assert slope.shape == (DIRECTIONS, MEMBERS, ROBOTS)
+        differences = (moved[0][name] - moved[1][name]) / (2 * step)
+        np.testing.assert_allclose(slope, differences, rtol=1e-4, atol=1e-4 * np.abs(differences).max(), err_msg=name)
+    assert np.ptp(slopes["peak_foot_force"]) > 0
