@@ -133,6 +133,22 @@ def test_an_arrow_is_as_long_as_its_force(gl):
     assert (240 - rows[-1], 240 - rows[0]) == (pytest.approx(heights[0], abs=5), pytest.approx(heights[1], abs=5))
 
 
+def test_the_ground_has_no_specks_of_its_own_shadow(gl):
+    model = surroundings.model("hubrobo_v3_2", np.array([0, 0, -1.6]), FEET, np.zeros(2))
+    data = mujoco.MjData(model)
+    view = camera.View(np.zeros(3), 1.6, camera.AZIMUTH, camera.up(np.zeros(3)))
+    pictures = []
+    with canvas.Canvas(model, 480, 360) as made:
+        for height, shadow in ((0.11, 1), (0.11, 0), (9.0, 1), (9.0, 0)):  # at 9 m the robot is above the sun
+            data.qpos[2] = height
+            mujoco.mj_forward(model, data)
+            made._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadow
+            pictures.append(made.draw(data, view, lambda scene: None, lambda scene: None).astype(int))
+    with_robot, alone = ((unshaded - shaded).min(-1) > 5 for shaded, unshaded in (pictures[:2], pictures[2:]))
+    assert with_robot.sum() > 500
+    assert alone.sum() == 0
+
+
 def test_walks_shown_together_share_the_scale_of_their_arrows():
     weak, strong = walk_of((0, 0, 2.0)), walk_of((0, 0, 8.0))
     assert marks.scale([weak, strong]) == marks.scale([strong]) < marks.scale([weak])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from mjx_climb.rendering import backend
+from mjx_climb.rendering import backend, surroundings
 from mjx_climb.rendering.camera import View
 
 MAX_GEOMS = 4000
@@ -16,7 +16,8 @@ class Canvas:
     """An offscreen picture of `width` by `height` pixels; a context manager that frees its OpenGL context."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
-        self._model = model
+        self._model, self._ground = model, model.geom(surroundings.GROUND).id
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         self._gl = backend.context(width, height)
         self._scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -49,6 +50,7 @@ class Canvas:
         """
         scene, all_of_it = self._scene, mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._options, None, view.camera(), all_of_it, scene)
+        self._ground_without_shadow()
         up = view.axes()[1]
         for eye in scene.camera:
             eye.up[:] = up
@@ -65,6 +67,12 @@ class Canvas:
             scene.flags[:] = flags
         return picture
 
+    def _ground_without_shadow(self) -> None:
+        """Let the ground take shadows but cast none: on itself they are specks, where the shadow map's cells end."""
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid == self._ground:
+                geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+
     def _render(self) -> np.ndarray:
         pixels = np.empty((self._rectangle.height, self._rectangle.width, 3), np.uint8)
         self._gl.make_current()
@@ -75,10 +83,11 @@ class Canvas:
 
 def _lay_on(picture: np.ndarray, marks: np.ndarray) -> None:
     """Lay marks on black over a picture, in place; their soft edges stay soft."""
-    bright = marks.max(-1)
-    rows, columns = np.flatnonzero(bright.any(1)), np.flatnonzero(bright.any(0))
+    rows = np.flatnonzero(marks.reshape(len(marks), -1).any(1))
     if not rows.size:
         return
+    columns = np.flatnonzero(marks[rows[0] : rows[-1] + 1].any((0, 2)))
     part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    share = np.minimum(bright[part] / OPAQUE, 1)[..., None]
-    picture[part] = np.clip(picture[part] * (1 - share) + marks[part], 0, 255)
+    over = marks[part].astype(np.float32)
+    share = np.minimum(over.max(-1, keepdims=True) / OPAQUE, 1)
+    picture[part] = np.minimum(picture[part] * (1 - share) + over, 255)

@@ -7,6 +7,7 @@ import numpy as np
 
 from mjx_climb.robot import model_path
 
+GROUND = "relief"  # the geom's name
 REACH = 1.8  # m, half the width of the ground that has relief
 CELLS = 120  # of the relief, along each side
 TEXTURE = 512  # pixels
@@ -61,10 +62,9 @@ def model(robot: str, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray
     _lights(spec, looks, center)
     scene = spec.compile()
     scene.vis.global_.fovy = 30
-    scene.vis.global_.offwidth = scene.vis.global_.offheight = 4096
     scene.vis.quality.shadowsize = 2048
     scene.vis.quality.offsamples = 4
-    scene.vis.quality.numslices, scene.vis.quality.numstacks = 20, 8  # a foot's path has hundreds of round pieces
+    scene.vis.quality.numslices, scene.vis.quality.numstacks = 20, 4  # a foot's path has hundreds of round pieces
     scene.vis.headlight.ambient[:] = looks.ambient
     scene.vis.headlight.diffuse[:] = 0.18
     scene.vis.headlight.specular[:] = 0.05
@@ -107,9 +107,9 @@ def _ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.nda
 
     height = _relief(random, looks.relief, grips - [*center, 0.0])
     low, high = float(height.min()), float(height.max())
-    relief = spec.add_hfield(name="relief", nrow=CELLS, ncol=CELLS, size=[REACH, REACH, max(high - low, 1e-3), 0.1])
+    relief = spec.add_hfield(name=GROUND, nrow=CELLS, ncol=CELLS, size=[REACH, REACH, max(high - low, 1e-3), 0.1])
     relief.userdata = ((height - low) / max(high - low, 1e-3)).ravel()
-    geom = spec.worldbody.add_geom(name="relief", type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="relief")
+    geom = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=GROUND)
     geom.pos, geom.material, geom.contype, geom.conaffinity, geom.group = [*center, low], "paint", 0, 0, 0
     if looks.name == "station":
         _handrails(spec, center)

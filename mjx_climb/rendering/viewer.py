@@ -35,7 +35,7 @@ def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
     middle = trajectory.base_reference[[0, -1], :2].mean(0)
     gravity = np.asarray(scenario.gravity)
     model = surroundings.model(scenario.robot, gravity, marks.grip_points(trajectory), middle)
-    model.geom("relief").rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
+    model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
     data = mujoco.MjData(model)
     scale, every = marks.scale([trajectory]), max(round(film.PATH_STEP / scenario.time_step), 1)
     start = Follower([trajectory], float(model.vis.global_.fovy), 1.5).at(0.0)

@@ -68,7 +68,7 @@ def encode(
         path.parent.mkdir(parents=True, exist_ok=True)
         # the index in front lets a browser start before all is there
         with av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-            stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": QUALITY, "preset": "fast"})
+            stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": QUALITY, "preset": "veryfast"})
             stream.width, stream.height = size
             stream.pix_fmt = "yuv420p"  # what all players decode
             stream.codec_context.time_base = Fraction(1, fps)
