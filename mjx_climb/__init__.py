@@ -1,5 +1,6 @@
 """mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control."""
 
+from mjx_climb import mujoco_import  # noqa: F401  (first: it imports MuJoCo)
 from mjx_climb.compilation import compiler_options, pieces_pay
 from mjx_climb.config import ConfigError, Scenario, load_scenario
 from mjx_climb.dynamics import ENGINES, forward_dynamics

@@ -1,7 +1,12 @@
 """Rendered walks: what must be seen on them is there, and a machine that cannot render says what it lacks."""
 
+import ctypes.util
 import dataclasses
+import os
+import platform
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
@@ -293,6 +298,84 @@ def test_the_viewer_without_a_display_says_so(refused, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     assert "neither DISPLAY nor WAYLAND_DISPLAY" in refused("--view")
+
+
+def test_a_window_that_cannot_be_opened_does_not_end_the_process(refused, monkeypatch):
+    """Tried for real: GLFW without a display."""
+    monkeypatch.setattr("platform.system", lambda: "Linux")
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert "got none that works (tried glfw); MUJOCO_GL=egl needs no display" in refused("--video")
+
+
+WITHOUT = """
+import ctypes.util, sys
+found = ctypes.util.find_library
+ctypes.util.find_library = lambda name: None if name in ("EGL", "OSMesa") else found(name)
+from mjx_climb.rendering import backend
+from tuning.command_line import main
+backend.works = lambda name: False
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        ("osmesa", "(tried osmesa); on Debian and Ubuntu install libosmesa6"),
+        ("egl", "(tried egl); on Debian and Ubuntu install libegl1 and libgl1"),
+        ("opengl", "MUJOCO_GL: expected egl, osmesa, glfw or off, got 'opengl'"),
+    ],
+)
+def test_a_library_that_is_not_installed_is_named(wanted, expected, tmp_path):
+    """In a process of its own, because MuJoCo's import fails where the OpenGL of MUJOCO_GL is missing."""
+    arguments = ["run", str(CONFIG), "--video", "--out", str(tmp_path / "out")]
+    run = subprocess.run(
+        [sys.executable, "-c", WITHOUT, *arguments],
+        env={**os.environ, "MUJOCO_GL": wanted},
+        cwd=CONFIG.parents[1],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (run.returncode, run.stdout) == (2, "")
+    assert expected in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+DRAW = """
+import sys
+import test_rendering as tests
+from mjx_climb.rendering import backend, save_image
+save_image(sys.argv[1], tests.picture(tests.walk_of(tests.PRESSED)))
+assert backend.find() == sys.argv[2]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "library"), [("egl", "EGL"), ("osmesa", "OSMesa")])
+def test_every_way_to_opengl_draws_the_same_picture(name, library, tmp_path):
+    from PIL import Image
+
+    if platform.system() != "Linux" or ctypes.util.find_library(library) is None:
+        pytest.skip(f"lib{library} is not installed")
+    drawn = tmp_path / "drawn.png"
+    folders = os.pathsep.join([str(Path(__file__).parent), str(CONFIG.parents[1])])
+    environment = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"}  # this process's own
+    run = subprocess.run(
+        [sys.executable, "-c", DRAW, drawn, name],
+        env={**environment, "MUJOCO_GL": name, "PYTHONPATH": folders},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode == 0, run.stderr
+    here = picture(walk_of(PRESSED)).astype(int)
+    with Image.open(drawn) as there:
+        assert np.abs(np.asarray(there) - here).mean() < 2
 
 
 @pytest.mark.parametrize("at", ["-1", "0.1,9", "soon", "", "nan"])

@@ -7,7 +7,9 @@ import platform
 import subprocess
 import sys
 
-PACKAGES = "libegl1 and libgl1, or libosmesa6"  # Debian, Ubuntu
+PACKAGES = {"egl": "libegl1 and libgl1", "osmesa": "libosmesa6"}  # Debian, Ubuntu
+SYSTEMS_OWN = {"Linux": ("glx",), "Darwin": ("cgl",), "Windows": ("wgl",)}
+ANY = ("", "on", "enable", "enabled", "true", "1")
 OFF = ("disable", "disabled", "off", "false", "0")
 
 # GLFW in C ends the process where there is no display, and PyOpenGL serves one platform per process: so each is tried
@@ -26,13 +28,19 @@ class RenderingError(ValueError):
 
 
 def candidates() -> list[str]:
-    """Return the names of the contexts to try, first choice first: the user's MUJOCO_GL, or all that may work."""
+    """Return the names of the contexts to try, first choice first: the user's MUJOCO_GL, or all that may work.
+
+    Raises:
+        RenderingError: MUJOCO_GL is something else.
+    """
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     if wanted in OFF:
         return []
     if wanted in ("egl", "osmesa", "glfw"):
         return [wanted]
     system = platform.system()
+    if wanted not in (*ANY, *SYSTEMS_OWN.get(system, ())):
+        raise RenderingError(f"MUJOCO_GL: expected egl, osmesa, glfw or off, got {wanted!r}")
     if system != "Linux":
         return ["cgl", "glfw"] if system == "Darwin" else ["glfw"]
     return ["egl", "osmesa", *["glfw"] * has_display()]
@@ -71,7 +79,7 @@ def find() -> str:
     """Return the name of the first context that works.
 
     Raises:
-        RenderingError: none does.
+        RenderingError: none does, or MUJOCO_GL is none of them.
     """
     tried = candidates()
     for name in tried:
@@ -79,9 +87,10 @@ def find() -> str:
             return name
     if not tried:
         raise RenderingError(f"rendering: expected OpenGL, got MUJOCO_GL={os.environ['MUJOCO_GL']}, which turns it off")
+    packages = [PACKAGES[name] for name in tried if name in PACKAGES]
     raise RenderingError(
         f"rendering: expected OpenGL, got none that works (tried {', '.join(tried)}); "
-        f"on Debian and Ubuntu install {PACKAGES}"
+        + (f"on Debian and Ubuntu install {', or '.join(packages)}" if packages else "MUJOCO_GL=egl needs no display")
     )
 
 
