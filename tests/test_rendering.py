@@ -4,6 +4,7 @@ import ctypes.util
 import dataclasses
 import os
 import platform
+import shutil
 import signal
 import subprocess
 import sys
@@ -376,6 +377,54 @@ def test_every_way_to_opengl_draws_the_same_picture(name, library, tmp_path):
     here = picture(walk_of(PRESSED)).astype(int)
     with Image.open(drawn) as there:
         assert np.abs(np.asarray(there) - here).mean() < 2
+
+
+def test_a_display_that_opens_no_window_is_named(refused, monkeypatch):
+    monkeypatch.setattr("platform.system", lambda: "Linux")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", ":nowhere")
+    assert "got :nowhere, which does not" in refused("--view")
+
+
+WATCH = """
+import time
+import test_rendering as tests
+from mjx_climb import rendering
+from mjx_climb.rendering import marks
+
+shown, forces = [], marks.forces
+
+def watched(scene, trajectory, row, scale):
+    before = scene.ngeom
+    forces(scene, trajectory, row, scale)
+    shown.append((time.perf_counter(), trajectory.time[row], scene.ngeom - before))
+
+marks.forces = watched
+rendering.view(tests.walk_of(tests.PRESSED, duration=2.0), rounds=1)
+walked = [now for now in shown if 0.2 < now[1] < 1.8]
+(start, first, _), (end, last, _) = walked[0], walked[-1]
+print(len(walked), (last - first) / (end - start), min(arrows for _, _, arrows in walked))
+"""
+
+
+@pytest.mark.slow
+def test_the_viewer_plays_a_walk_in_real_time_shows_its_forces_and_ends():
+    """On a display of its own, without a graphics card; a process that ends before the viewer's thread would crash."""
+    if shutil.which("xvfb-run") is None:
+        pytest.skip("xvfb is not installed")
+    folders = os.pathsep.join([str(Path(__file__).parent), str(CONFIG.parents[1])])
+    run = subprocess.run(
+        ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", sys.executable, "-c", WATCH],
+        env={**os.environ, "PYTHONPATH": folders},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode == 0, run.stderr
+    pictures, speed, arrows = map(float, run.stdout.split())
+    assert pictures > 5
+    assert speed == pytest.approx(1, abs=0.1)
+    assert arrows == 4
 
 
 @pytest.mark.parametrize("at", ["-1", "0.1,9", "soon", "", "nan"])

@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 import sys
+import warnings
 
 PACKAGES = {"egl": "libegl1 and libgl1", "osmesa": "libosmesa6"}  # Debian, Ubuntu
 SYSTEMS_OWN = {"Linux": ("glx",), "Darwin": ("cgl",), "Windows": ("wgl",)}
@@ -60,6 +61,15 @@ def require_display() -> None:
     if not has_display():
         raise RenderingError(
             "viewer: expected a display, got neither DISPLAY nor WAYLAND_DISPLAY; a video needs none (--video)"
+        )
+    import glfw
+
+    with warnings.catch_warnings(action="ignore"):  # GLFW's own words
+        opened = glfw.init()
+    if not opened:
+        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        raise RenderingError(
+            f"viewer: expected a display that opens windows, got {display}, which does not; a video needs none (--video)"
         )
 
 

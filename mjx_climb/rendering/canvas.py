@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from mjx_climb.rendering import backend, surroundings
+from mjx_climb.rendering import backend
 from mjx_climb.rendering.camera import View
 
 MAX_GEOMS = 4000
@@ -16,7 +16,7 @@ class Canvas:
     """An offscreen picture of `width` by `height` pixels; a context manager that frees its OpenGL context."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
-        self._model, self._ground = model, model.geom(surroundings.GROUND).id
+        self._model = model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         self._gl = backend.context(width, height)
         self._scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
@@ -50,7 +50,7 @@ class Canvas:
         """
         scene, all_of_it = self._scene, mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._options, None, view.camera(), all_of_it, scene)
-        self._ground_without_shadow()
+        self._only_the_robot_casts_shadows()
         up = view.axes()[1]
         for eye in scene.camera:
             eye.up[:] = up
@@ -67,10 +67,10 @@ class Canvas:
             scene.flags[:] = flags
         return picture
 
-    def _ground_without_shadow(self) -> None:
-        """Let the ground take shadows but cast none: on itself they are specks, where the shadow map's cells end."""
+    def _only_the_robot_casts_shadows(self) -> None:
+        """Take its shadow from what stands still: on itself it is specks, as fine as the cells of the shadow map."""
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid == self._ground:
+            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and self._model.geom_bodyid[geom.objid] == 0:
                 geom.category = mujoco.mjtCatBit.mjCAT_DECOR
 
     def _render(self) -> np.ndarray:

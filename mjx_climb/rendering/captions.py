@@ -79,7 +79,8 @@ class Caption:
         return np.array(image)
 
     def _box(self, draw: ImageDraw.ImageDraw, left: float, top: float, width: float, height: float) -> None:
-        draw.rounded_rectangle((left, top, left + width, top + height), 0.4 * self._unit, fill=DARK)
+        corners = (left, top, left + width, top + height)  # whole pixels: the corners' quarters would overlap
+        draw.rounded_rectangle([round(place) for place in corners], round(0.4 * self._unit), fill=DARK)
 
     def _heading(self, draw: ImageDraw.ImageDraw) -> None:
         unit = self._unit
@@ -97,7 +98,7 @@ class Caption:
         lines = [
             (f"t = {trajectory.time[row]:.2f} s", WHITE, _font(round(1.25 * unit), bold=True)),
             (
-                f"largest force {_newtons(now)} at {trajectory.limbs[limb]}" if now else "no force on any foot",
+                f"largest force {_newtons(now)} at {trajectory.limbs[limb]}" if now >= 0.05 else "no force on any foot",
                 WHITE,
                 _font(round(unit)),
             ),

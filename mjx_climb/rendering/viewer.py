@@ -1,18 +1,21 @@
 """MuJoCo's interactive viewer on a replay."""
 
+import contextlib
+import threading
 import time
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
 from mjx_climb.rendering import film, marks, surroundings
-from mjx_climb.rendering.backend import RenderingError, require_display
+from mjx_climb.rendering.backend import require_display
 from mjx_climb.rendering.camera import Follower
 from mjx_climb.rendering.replay import pose, row_at
 from mjx_climb.trajectory import Trajectory
 
 PAUSE = 1.0  # s, at the end of the walk, before it starts again
-GROUND_ALPHA = 0.75  # pulling forces point into the ground
+GROUND_ALPHA = 0.6  # pulling forces point into the ground
 
 
 def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
@@ -26,22 +29,18 @@ def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
         RenderingError: no display, or no window can be opened on it.
     """
     require_display()
-    import glfw
-    from mujoco.viewer import launch_passive
-
-    if not glfw.init():
-        raise RenderingError("viewer: expected a display that opens windows, got one that does not")
     scenario = trajectory.scenario
     middle = trajectory.base_reference[[0, -1], :2].mean(0)
     gravity = np.asarray(scenario.gravity)
     model = surroundings.model(scenario.robot, gravity, marks.grip_points(trajectory), middle)
     model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
+    model.light("sun").castshadow = False  # such a ground takes none
     data = mujoco.MjData(model)
     scale, every = marks.scale([trajectory]), max(round(film.PATH_STEP / scenario.time_step), 1)
     start = Follower([trajectory], float(model.vis.global_.fovy), 1.5).at(0.0)
     length = film.length([trajectory])
     pose(model, data, trajectory, 0)
-    with launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+    with _window(model, data) as window:
         with window.lock():
             window.cam.lookat[:], window.cam.distance = start.target, start.distance
             window.cam.azimuth, window.cam.elevation = start.azimuth, start.camera().elevation
@@ -56,5 +55,36 @@ def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
                 window.user_scn.ngeom = 0
                 marks.around(window.user_scn, trajectory, row, every)
                 marks.forces(window.user_scn, trajectory, row, scale)
+            window.set_texts((None, None, *_words(trajectory, row)))
             window.sync()
             time.sleep(1 / 60)
+
+
+@contextlib.contextmanager
+def _window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator:
+    """Open MuJoCo's viewer without its panels; on leaving, wait until its thread has ended.
+
+    A process that ends before the thread that draws dies of a segmentation fault.
+    """
+    from mujoco.viewer import launch_passive
+
+    others = set(threading.enumerate())
+    try:
+        with launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+            yield window
+    finally:
+        for thread in set(threading.enumerate()) - others:
+            thread.join()
+
+
+def _words(trajectory: Trajectory, row: int) -> tuple[str, str]:
+    """Return names and values to write into the window."""
+    forces = np.linalg.norm(trajectory.foot_force[row], axis=-1)
+    limb = int(forces.argmax())
+    names, values = ["time", "largest force"], [f"{trajectory.time[row]:.2f} s", f"{forces[limb]:.1f} N"]
+    values[-1] += f" at {trajectory.limbs[limb]}" if forces[limb] else ""
+    torn = [name for name, lost in zip(trajectory.limbs, trajectory.detached[row], strict=True) if lost]
+    if torn:
+        names.append("torn off")
+        values.append(", ".join(torn))
+    return "\n".join(names), "\n".join(values)

@@ -1,5 +1,6 @@
 """`mjx-climb run`: one robot through one scenario."""
 
+import contextlib
 from pathlib import Path
 from typing import Annotated
 
@@ -91,4 +92,5 @@ def run(
         if view:
             from mjx_climb import rendering
 
-            rendering.view(trajectory)
+            with contextlib.suppress(KeyboardInterrupt):  # one more way to close the window
+                rendering.view(trajectory)

@@ -38,7 +38,7 @@ Size = Annotated[
         show_default="1280x720; two walks 960x720; a snapshot 800x600",
     ),
 ]
-View = Annotated[bool, typer.Option("--view", help="Show a replay in MuJoCo's viewer, until its window is closed.")]
+View = Annotated[bool, typer.Option("--view", help="Replay the walk in MuJoCo's viewer, until its window is closed.")]
 
 
 @dataclasses.dataclass(frozen=True)
