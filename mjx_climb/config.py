@@ -298,6 +298,24 @@ class Scenario(_Section):
         """The scenario in a YAML text, as `to_yaml` writes it; `source` names it in the `ConfigError` of a bad one."""
         return _validated(_parse(text, source), source)
 
+    def with_files(self, change: Callable[[str, str], str]) -> Scenario:
+        """A copy with the paths in it changed; `change` is given a dotted key and its path."""
+        data = self.model_dump(mode="json")
+        found = {".".join(keys): _at(data, keys) for keys in _PATHS}
+        changed = {key: change(key, file) for key, file in found.items() if file is not None}
+        return self.with_overrides(changed)
+
+    def relative_to(self, folder: str | os.PathLike[str]) -> Scenario:
+        """A copy in which paths of files inside a folder are relative to it."""
+        folder = Path(folder).absolute()
+        return self.with_files(
+            lambda _, file: Path(file).relative_to(folder).as_posix() if Path(file).is_relative_to(folder) else file
+        )
+
+    def beside(self, folder: str | os.PathLike[str]) -> Scenario:
+        """A copy whose relative paths start at a folder, the reverse of `relative_to`."""
+        return self.with_files(lambda _, file: str(Path(folder).absolute() / file))
+
     def with_overrides(self, overrides: Sequence[str] | Mapping[str, Any]) -> Scenario:
         """A revalidated copy with some keys changed; `overrides` as in `load_scenario`."""
         return _overridden(self, overrides, "scenario")
@@ -375,12 +393,17 @@ class _Dumper(yaml.SafeDumper):
     yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers  # quotes what would load as a number
 
 
+def _at(data: Any, keys: Sequence[str]) -> Any:
+    """The value at some keys of nested mappings, None where there is none."""
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data
+
+
 def _beside(data: Any, source: str) -> Any:
     """The data of a file with the relative paths in it as seen from here: they start at the file's folder."""
     for *sections, key in _PATHS:
-        values = data
-        for section in sections:
-            values = values.get(section) if isinstance(values, dict) else None
+        values = _at(data, sections)
         if isinstance(values, dict) and isinstance(values.get(key), str) and "\0" not in values[key]:
             values[key] = str(Path(source).parent.absolute() / values[key])
     return data

@@ -184,7 +184,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
     source = str(dataset.encoding.get("source", "dataset"))
     if "scenario" not in dataset.attrs:
         raise ConfigError(f"{source}: expected an attribute 'scenario', got none")
-    return Scenario.from_yaml(dataset.attrs["scenario"], source)
+    return Scenario.from_yaml(dataset.attrs["scenario"], source).beside(Path(source).parent)
 
 
 def _provenance(scenario: Scenario) -> dict[str, str]:
@@ -224,6 +224,8 @@ def _from_json(text: str, dtype: np.dtype) -> dict[str, np.ndarray | None]:
 def save(dataset: xr.Dataset, path: str | os.PathLike[str]) -> Path:
     """Write a dataset as netCDF4 and return its path; a crash leaves the old file or the new one.
 
+    Files in the same folder that its scenario names are named relative to it: the folder can be moved.
+
     Raises:
         OutputError: the file cannot be written.
     """
@@ -232,6 +234,8 @@ def save(dataset: xr.Dataset, path: str | os.PathLike[str]) -> Path:
         for name, variable in dataset.variables.items()
         if variable.ndim and variable.dtype.kind in "fiub"
     }
+    if "scenario" in dataset.attrs:
+        dataset = dataset.assign_attrs(scenario=scenario_of(dataset).relative_to(Path(path).parent).to_yaml())
     return write_bytes_atomically(path, dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
 
 

@@ -10,9 +10,18 @@ import mujoco
 import numpy as np
 
 from mjx_climb.config import RobotFile
-from mjx_climb.robot_file import RobotError, model_of
+from mjx_climb.robot_file import RobotError, model_of, spec_of
 
-__all__ = ["JOINTS_PER_LIMB", "Robot", "RobotError", "load_model", "load_robot", "model_path", "robot_from_model"]
+__all__ = [
+    "JOINTS_PER_LIMB",
+    "Robot",
+    "RobotError",
+    "load_model",
+    "load_robot",
+    "load_spec",
+    "model_path",
+    "robot_from_model",
+]
 
 JOINTS_PER_LIMB = 3
 
@@ -79,6 +88,11 @@ def load_model(name: str | RobotFile) -> mujoco.MjModel:
     if isinstance(name, RobotFile):
         return model_of(name)
     return mujoco.MjModel.from_xml_path(str(model_path(name)))
+
+
+def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
+    """Return the editable description that `load_model` compiles."""
+    return spec_of(name) if isinstance(name, RobotFile) else mujoco.MjSpec.from_file(str(model_path(name)))
 
 
 @functools.cache

@@ -28,7 +28,12 @@ class _Link(NamedTuple):
 
 
 def model_of(source: RobotFile) -> mujoco.MjModel:
-    """Return the model of a robot file: floating base, limbs LF, LH, RH, RF of three hinges, foot sites, rest stance.
+    """Return the model of a robot file, as `spec_of` describes it."""
+    return _compile(source, spec_of(source))
+
+
+def spec_of(source: RobotFile) -> mujoco.MjSpec:
+    """Return a robot file as simulated: floating base, limbs LF, LH, RH, RF of three hinges, foot sites, rest stance.
 
     The base frame has the axes of the file's base link and sits at the base's centre of mass. Only masses, joints and
     feet are taken over; the bodies are drawn as plain shapes.
@@ -56,9 +61,9 @@ def model_of(source: RobotFile) -> mujoco.MjModel:
     _box(trunk, np.array([_base_anchor(file, data, chain, axes, body) for chain in chains.values()]))
     for limb, chain in chains.items():
         _add_limb(source, spec, trunk, limb, chain, file, data, part, axes, body.center)
-    model = _compile(source, spec)
     offset = axes.T @ (body.center - data.xpos[base])  # the base's centre of mass in its own link's frame
-    return _standing(source, spec, model, offset)
+    _stand(source, spec, offset)
+    return spec
 
 
 def _error(source: RobotFile, key: str, expected: str, got: str) -> RobotError:
@@ -250,8 +255,9 @@ def _compile(source: RobotFile, spec) -> mujoco.MjModel:
         raise _error(source, "file", "masses and inertias that a body can have", str(error).splitlines()[0]) from None
 
 
-def _standing(source: RobotFile, spec, model: mujoco.MjModel, offset: np.ndarray) -> mujoco.MjModel:
-    """Return the model with its rest stance as its keyframe."""
+def _stand(source: RobotFile, spec: mujoco.MjSpec, offset: np.ndarray) -> None:
+    """Give the model its rest stance as a keyframe."""
+    model = _compile(source, spec)
     feet = np.array([[*getattr(source.limbs, limb).foothold, -source.height] for limb in LIMBS]) - offset
     joints = limb_joints(model, feet)
     for limb, error in zip(LIMBS, joints.errors, strict=True):
@@ -263,7 +269,6 @@ def _standing(source: RobotFile, spec, model: mujoco.MjModel, offset: np.ndarray
     position = [offset[0], offset[1], height]
     spec.add_key(name="stance", qpos=[*position, 1, 0, 0, 0, *joints.angles.ravel()])
     spec.body("base").pos = position
-    return _compile(source, spec)
 
 
 # ------------------------------------------------------------------------------------------------------------

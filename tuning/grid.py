@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb import inputs
 from mjx_climb.dataset import PACKAGES, sweep_dataset
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.histories import LINES, stretches
@@ -169,7 +170,7 @@ def _identity(scenario, stiffness, damping, size, dtype, engine) -> dict:
         except importlib.metadata.PackageNotFoundError:
             versions[name] = None
     return {
-        "scenario": scenario.to_yaml(),
+        "scenario": inputs.identity(scenario),
         "stiffness": np.asarray(stiffness, float).tolist(),
         "damping": np.asarray(damping, float).tolist(),
         "dtype": np.dtype(dtype).name,

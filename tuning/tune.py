@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb import inputs
 from mjx_climb.dataset import PACKAGES, OutputError
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.parameters import batch_shape
@@ -195,7 +196,7 @@ def _identity(problem: Problem, search: Search, function) -> dict:
         arrays = (np.ascontiguousarray(value) for value in jax.tree.leaves(numbers))
         digest = hashlib.sha256(b"".join(repr(a.shape).encode() + a.tobytes() for a in arrays)).hexdigest()
     return {
-        "scenario": problem.scenario.to_yaml(),
+        "scenario": inputs.identity(problem.scenario),
         "search": search.to_yaml(),
         "objective": None if function is None else _source(function),
         "numbers": digest,

@@ -69,7 +69,8 @@ def require_display() -> None:
     if not opened:
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         raise RenderingError(
-            f"viewer: expected a display that opens windows, got {display}, which does not; a video needs none (--video)"
+            f"viewer: expected a display that opens windows, got {display}, which does not; "
+            "a video needs none (--video)"
         )
 
 

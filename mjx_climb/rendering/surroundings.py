@@ -5,7 +5,8 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from mjx_climb.robot import model_path
+from mjx_climb.config import RobotFile
+from mjx_climb.robot import load_spec
 
 GROUND = "relief"  # the geom's name
 REACH = 1.8  # m, half the width of the ground that has relief
@@ -41,16 +42,16 @@ def style(gravity: float) -> Style:
     return next(s for s in STYLES if gravity < s.below)
 
 
-def model(robot: str, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray) -> mujoco.MjModel:
+def model(robot: str | RobotFile, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray) -> mujoco.MjModel:
     """Return the robot's model on decorated ground.
 
     Arguments:
-        robot: its name.
+        robot: its name, or a user's own file.
         gravity: (3,) m/s^2, world axes; its strength chooses the looks.
         grips: (N, 3) m, world; the ground passes just below them.
         center: (2,) m, world; the middle of the ground.
     """
-    spec = mujoco.MjSpec.from_file(str(model_path(robot)))
+    spec = load_spec(robot)
     looks = style(float(np.linalg.norm(gravity)))
     for element in [*spec.worldbody.geoms, *spec.worldbody.lights]:
         spec.delete(element)

@@ -47,7 +47,7 @@ def pareto(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, plots
+        from mjx_climb import dataset, inputs, plots
         from tuning import gains_file, overviews, parts
         from tuning import pareto as fronts
         from tuning import search as settings
@@ -62,7 +62,8 @@ def pareto(
         wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
         settings.make({"weights": {better: 1.0}, "limits": {against: 1.0}}, "options")  # known metrics
         out = out or Path("results") / f"{config.stem}-pareto"
-        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        scenario = inputs.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
         console = report.console(stderr=True)
         meter = progress.Meter(console)
 
@@ -91,7 +92,7 @@ def pareto(
                     front, chosen, mc.rollout_histories(scenario, on_front, engine=engine),
                     {name: mc.rollout(s, engine=engine) for name, s in (("pd", pd), ("config", scenario))},
                     page.Table("The front", *front_rows(front, chosen), 1), scenario,
-                    origin=options.origin(config.stem, again, scenario.to_yaml()), seed=wanted.seed,
+                    origin=options.origin(config.stem, again, inputs.portable_yaml(scenario, out)), seed=wanted.seed,
                     pictures={"The front, and all that was walked on the way.": out / "front.svg"},
                 )  # fmt: skip
                 page.write(written, out)

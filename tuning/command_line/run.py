@@ -46,7 +46,7 @@ def run(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, plots
+        from mjx_climb import dataset, inputs, plots
         from mjx_climb.robot import load_robot
         from tuning import gains_file
         from tuning.command_line import progress, report
@@ -56,10 +56,12 @@ def run(
             scenario = gains_file.applied(scenario, gains_file.load(gains))
         engine = options.engine_from(engine)
         load_robot(scenario.robot)
-        baseline = visible.compared(scenario, compare)
         pictures = visible.pictures_from(video, snapshots, at, size, view, scenario)
+        baseline = visible.compared(scenario, compare)
         out = out or Path("results") / f"{config.stem}-{scenario.control.controller}"
-        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        scenario = inputs.copied(scenario, out)
+        baseline = None if baseline is None else inputs.copied(baseline, out)
+        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
 
         console = report.console(stderr=True)
         console.print(progress.cache_state(), soft_wrap=True)

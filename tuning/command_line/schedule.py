@@ -47,7 +47,7 @@ def schedule(
       mjx-climb schedule configs/case_2.yaml --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
     with options.reserved_stdout() as stdout:
-        from mjx_climb import dataset, plots
+        from mjx_climb import dataset, inputs, plots
         from tuning import overviews, parts
         from tuning import schedule as schedules
         from tuning import search as settings
@@ -61,7 +61,8 @@ def schedule(
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity)
         loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo)
         out = out or Path("results") / f"{config.stem}-schedule"
-        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        scenario = inputs.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
         console = report.console(stderr=True)
         meter = progress.Meter(console)
 

@@ -66,7 +66,7 @@ def sweep(
     stiffness_axis, damping_axis = log_range("--stiffness", stiffness), log_range("--damping", damping)
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset
+        from mjx_climb import dataset, inputs
         from tuning import gains_file, grid, parts, stability_limit
         from tuning.command_line import progress, report
         from tuning.report import page
@@ -82,7 +82,8 @@ def sweep(
         axes = (stiffness_axis, damping_axis)
         how = {"batch_size": batch_size, "engine": engine, "out": out}
         kept, walks = grid.claim(scenario, *axes, **how), math.prod(map(len, axes))
-        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        own, scenario = inputs.copied(own, out), inputs.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
 
         console = report.console(stderr=True)
         console.print(_announcement(scenario, axes, kept), soft_wrap=True)
@@ -142,7 +143,7 @@ def sweep(
                     scenario,
                     warnings=[f"The best lies on the edge of the grid: widen --{name}." for name in edges],
                     origin=options.origin(
-                        config.stem, _again(stiffness, damping, batch_size, engine), scenario.to_yaml()
+                        config.stem, _again(stiffness, damping, batch_size, engine), inputs.portable_yaml(scenario, out)
                     ),
                     pictures={
                         "The walks over time: red crosses mark a torn gripper, shading a disturbance.": out

@@ -84,7 +84,7 @@ def tune(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, plots
+        from mjx_climb import dataset, inputs, plots
         from tuning import ensemble as ensembles
         from tuning import gains_file, parts, pictures, verification
         from tuning import robust as robust_search
@@ -114,7 +114,8 @@ def tune(
         wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "options")
         kind = "tune" if ensemble is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
-        dataset.write_text_atomically(out / "config.yaml", scenario.to_yaml())
+        scenario = inputs.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
         dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
         if drawn is not None:
             return tune_robustly(scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, stdout, json=json)
@@ -186,7 +187,9 @@ def tune(
                 written = pages.page(
                     found, checked, over, {name: walks[name] for name in compared}, compared,
                     outcome=[line[0].upper() + line[1:] for line in _verdict(checked, found)],
-                    origin=options.origin(config.stem, again + options.engine_option(engine), scenario.to_yaml()),
+                    origin=options.origin(
+                        config.stem, again + options.engine_option(engine), inputs.portable_yaml(scenario, out)
+                    ),
                     pictures=pictures_shown,
                 )  # fmt: skip
                 page.write(written, out)

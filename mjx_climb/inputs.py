@@ -1,0 +1,75 @@
+"""The files that a scenario names, a user's robot and height map, kept beside its results.
+
+A results folder holds copies in `inputs/`, and its config.yaml names them relative to itself: a repetition needs no
+other place.
+"""
+
+import hashlib
+import os
+from pathlib import Path
+
+import mujoco
+
+from mjx_climb.config import ConfigError, Scenario
+from mjx_climb.dataset import write_bytes_atomically
+
+FOLDER = "inputs"
+
+
+def copied(scenario: Scenario, folder: str | os.PathLike[str]) -> Scenario:
+    """Copy the files that a scenario names into `folder`/inputs and return the scenario that names the copies.
+
+    An MJCF takes the files that it includes and its meshes along, in the same places beside it.
+
+    Raises:
+        ConfigError: a file cannot be read.
+        OutputError: a copy cannot be written.
+    """
+    return scenario.with_files(
+        lambda key, file: _copy(Path(file), Path(folder).absolute() / FOLDER / key.split(".")[0])
+    )
+
+
+def portable_yaml(scenario: Scenario, folder: str | os.PathLike[str]) -> str:
+    """Return the scenario as YAML for a file in `folder`: what it names inside the folder is relative to it."""
+    return scenario.relative_to(folder).to_yaml()
+
+
+def identity(scenario: Scenario) -> str:
+    """Return the scenario as YAML with the contents of its files, as a digest, in place of their paths.
+
+    Raises:
+        ConfigError: a file cannot be read.
+    """
+
+    def digest(_, file: str) -> str:
+        contents = sorted((other.name, _content(other)) for other in _needed(Path(file)))
+        return hashlib.sha256(repr(contents).encode()).hexdigest()
+
+    return scenario.with_files(digest).to_yaml()
+
+
+def _needed(file: Path) -> list[Path]:
+    """Return a file and what it takes in, as absolute paths."""
+    needed = [file]
+    if file.suffix.lower() == ".xml":
+        needed += map(Path, mujoco.mju_getXMLDependencies(str(file)))
+    return sorted({Path(os.path.abspath(file.parent / other)) for other in needed})
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{file}: expected a readable file, got {(error.strerror or str(error)).lower()}") from None
+
+
+def _copy(file: Path, target: Path) -> str:
+    """Copy a file, and what it takes in, into a folder and return the path of its copy."""
+    needed = _needed(file)
+    root = Path(os.path.commonpath([other.parent for other in needed]))
+    for source in needed:
+        copy = target / source.relative_to(root)
+        if copy != source:  # the same where a results folder is repeated in place
+            write_bytes_atomically(copy, _content(source))
+    return str(target / Path(os.path.abspath(file)).relative_to(root))

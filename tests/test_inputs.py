@@ -1,0 +1,138 @@
+"""Results can be repeated from their folder alone: a user's robot and height map go along."""
+
+import json
+import shutil
+import signal
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb import dataset, inputs
+from mjx_climb.ground import foothold_heights
+from mjx_climb.robot import load_robot
+from tests.test_robot_file import keys, urdf
+from tuning.command_line import main
+
+MESH = """
+v 0 0 0
+v 0.02 0 0
+v 0 0.02 0
+v 0 0 0.02
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+
+
+@pytest.fixture
+def config(tmp_path):
+    """Return a config with a URDF robot and a height map, each named relative to it."""
+    folder = tmp_path / "mine"
+    (folder / "maps").mkdir(parents=True)
+    text, reach = urdf(0)
+    (folder / "robot.urdf").write_text(text)
+    (folder / "maps" / "rock.csv").write_text("0,0.002\n0.004,0\n")
+    data = keys("robot.urdf", reach) | {
+        "duration": 0.02,
+        "time_step": 1e-4,
+        "gait": {"cycle": 0.4, "stride": 0.01},
+        "ground": {"map": {"file": "maps/rock.csv", "resolution": 2.0, "origin": [-1.0, -1.0]}},
+    }
+    path = folder / "walk.yaml"
+    path.write_text(json.dumps(data))
+    return path
+
+
+def kept(scenario, folder):
+    """Write what a command keeps of its inputs."""
+    scenario = inputs.copied(scenario, folder)
+    dataset.write_text_atomically(folder / "config.yaml", inputs.portable_yaml(scenario, folder))
+    return scenario
+
+
+def test_a_folder_with_copies_can_be_moved(config, tmp_path):
+    scenario = mc.load_scenario(config)
+    robot, heights = load_robot(scenario.robot), foothold_heights(scenario)
+    kept(scenario, tmp_path / "out")
+    moved = (tmp_path / "out").rename(tmp_path / "moved")
+    shutil.rmtree(config.parent)
+    assert str(tmp_path) not in (moved / "config.yaml").read_text()
+    again = mc.load_scenario(moved / "config.yaml")
+    assert Path(again.robot.file) == moved / "inputs" / "robot" / "robot.urdf"
+    np.testing.assert_array_equal(load_robot(again.robot).link_inertia, robot.link_inertia)
+    np.testing.assert_array_equal(foothold_heights(again), heights)
+    assert again.with_files(lambda key, _: key) == scenario.with_files(lambda key, _: key)
+
+
+def test_a_folder_can_be_repeated_in_place(config, tmp_path):
+    first = kept(mc.load_scenario(config), tmp_path / "out")
+    assert kept(mc.load_scenario(tmp_path / "out" / "config.yaml"), tmp_path / "out") == first
+
+
+def test_an_mjcf_takes_includes_and_meshes_along(tmp_path):
+    mine = tmp_path / "mine"
+    (mine / "models").mkdir(parents=True)
+    (mine / "meshes").mkdir()
+    (mine / "meshes" / "rock.obj").write_text(MESH)
+    (mine / "models" / "arm.xml").write_text("<mujoco><worldbody><body name='arm'/></worldbody></mujoco>")
+    (mine / "models" / "robot.xml").write_text(
+        "<mujoco><compiler meshdir='../meshes'/><asset><mesh name='rock' file='rock.obj'/></asset>"
+        "<include file='arm.xml'/><worldbody><geom type='mesh' mesh='rock'/></worldbody></mujoco>"
+    )
+    _, reach = urdf(0)
+    scenario = mc.Scenario.model_validate(keys(mine / "models" / "robot.xml", reach))
+    copy = Path(inputs.copied(scenario, tmp_path / "out").robot.file)
+    shutil.rmtree(mine)
+    assert copy == tmp_path / "out" / "inputs" / "robot" / "models" / "robot.xml"
+    assert mujoco.MjModel.from_xml_path(str(copy)).nmesh == 1
+
+
+def test_a_scenario_without_files_keeps_nothing(tmp_path):
+    scenario = mc.Scenario()
+    assert inputs.copied(scenario, tmp_path / "out") == scenario
+    assert not (tmp_path / "out").exists()
+    assert inputs.identity(scenario) == inputs.portable_yaml(scenario, tmp_path) == scenario.to_yaml()
+
+
+def test_identity_is_of_the_contents_not_of_the_place(config, tmp_path):
+    scenario = mc.load_scenario(config)
+    before = inputs.identity(scenario)
+    copy = inputs.copied(scenario, tmp_path / "out")
+    assert inputs.identity(copy) == before
+    Path(copy.ground.map.file).write_text("0,0.002\n0.004,0.001\n")
+    assert inputs.identity(copy) != before
+
+
+def test_datasets_name_the_files_beside_them(config, tmp_path):
+    import xarray as xr
+
+    scenario = kept(mc.load_scenario(config), tmp_path / "out")
+    made = xr.Dataset({"x": 1.0}, attrs={"scenario": scenario.to_yaml()})
+    dataset.save(made, tmp_path / "out" / "made.nc")
+    moved = (tmp_path / "out").rename(tmp_path / "moved")
+    loaded = dataset.load(moved / "made.nc")
+    assert str(tmp_path) not in loaded.attrs["scenario"]
+    assert Path(dataset.scenario_of(loaded).robot.file) == moved / "inputs" / "robot" / "robot.urdf"
+
+
+@pytest.mark.slow
+def test_a_run_is_repeated_from_its_folder(config, tmp_path):
+    def run(source, out):
+        before = signal.getsignal(signal.SIGTERM)
+        with pytest.raises(SystemExit) as ended:
+            main(["run", str(source), "--controller", "pd", "--out", str(out)])
+        signal.signal(signal.SIGTERM, before)
+        assert ended.value.code == 0
+        return json.loads((out / "metrics.json").read_text())
+
+    first = run(config, tmp_path / "out")
+    moved = (tmp_path / "out").rename(tmp_path / "moved")
+    shutil.rmtree(config.parent)
+    again = run(moved / "config.yaml", tmp_path / "again")
+    assert again == first
+    walk = dataset.load_trajectory(moved / "trajectory.nc")
+    assert load_robot(walk.scenario.robot).limbs == walk.limbs
