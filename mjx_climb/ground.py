@@ -39,6 +39,13 @@ def footholds(scenario: Scenario) -> np.ndarray:
     return planned @ np.array([[c, s], [-s, c]])
 
 
+def relief(ground: HeightMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a height map in the world: x (N,) m, y (M,) m, heights (M, N) m."""
+    grid = _grid(ground.file)
+    y, x = (start + ground.resolution * np.arange(n) for start, n in zip(ground.origin[::-1], grid.shape, strict=True))
+    return x, y, ground.scale * grid
+
+
 def check_reach(scenario: Scenario, source: str = "scenario") -> None:
     """Refuse uneven ground that a limb cannot reach from where the gait plans the base.
 

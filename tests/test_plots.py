@@ -150,6 +150,40 @@ def test_pd_walk_has_no_shift_panels(walk):
     assert not any("Delta" in label for label in y_labels(plots.plot_walk(walk)))
 
 
+def test_feet_are_drawn_on_the_ground_that_the_scenario_has(walk, tmp_path):
+    ground = {"LF": [0.0, 0.01], "LH": [0.0], "RH": [-0.02], "RF": [0.0]}
+    uneven = dataclasses.replace(walk, scenario=walk.scenario.with_overrides({"ground.footholds": ground}))
+    side, above = plots.plot_feet(uneven).axes
+    heights = {round(float(bar.get_ydata()[0]), 6) for bar in find(side, "foothold")}
+    assert heights == {0.0, 10.0, -20.0}
+    assert side.get_ylim()[0] < -20
+    np.testing.assert_allclose(find(above, "foothold")[0].get_xdata()[0], 1e3 * walk.foot_position[0, 0, 0], atol=1)
+    assert (side.get_ylabel(), above.get_xlabel()) == ("height [mm]", "ahead [mm]")
+    flat = plots.plot_feet(walk)
+    assert {bar.get_ydata()[0] for bar in find(flat.axes[0], "foothold")} == {0.0}
+
+
+def test_a_height_map_is_drawn_where_it_lies(walk, tmp_path):
+    np.save(tmp_path / "map.npy", [[0.0, 0.001], [0.002, 0.003]])
+    ground = {"file": str(tmp_path / "map.npy"), "resolution": 1.0, "origin": [-0.5, -0.5]}
+    changes = {"ground.map": ground, "gait.heading": np.pi / 2}
+    figure = plots.plot_feet(dataclasses.replace(walk, scenario=walk.scenario.with_overrides(changes)))
+    (mesh,) = find(figure, "relief")
+    start = 1e3 * walk.base_reference[0, :2]
+    corners = mesh.get_coordinates()[..., :2].reshape(-1, 2)
+    # walking along y: ahead is y, to the left is -x
+    np.testing.assert_allclose(corners[0], [-500 - start[1], 500 + start[0]])
+    np.testing.assert_allclose(sorted(np.ravel(mesh.get_array())), [0, 1, 2, 3])
+    assert "ground [mm]" in y_labels(figure)
+
+
+def test_feet_of_a_torn_walk_end_with_it(torn):
+    figure = plots.plot_feet(torn)
+    assert len(find(figure, "detachment")) >= 2
+    (label,) = find(figure, "failure")
+    assert "torn off" in label.get_text()
+
+
 def test_comparison_draws_all_walks_on_the_same_axes(walk, torn):
     figure = plots.plot_comparison({"pd": walk, "proposed": torn}, "Case 2", per_limb=True)
     assert y_labels(figure) == [
@@ -221,12 +255,13 @@ def test_sheet_of_maps(tmp_path):
     assert titles[:3] == ["peak foot force [N]", "smallest GIA margin [m/s$^2$]", "cost of transport"]
     assert {"none", "LF", "LH", "RH", "RF", "pd \N{UPWARDS ARROW}"} <= set(texts(figure))
     paths = plots.save_figure(figure, tmp_path / "out" / "sheet.v1", dpi=50)
-    assert [path.name for path in paths] == ["sheet.v1.png", "sheet.v1.svg"]
+    assert [path.name for path in paths] == ["sheet.v1.png", "sheet.v1.svg", "sheet.v1.pdf"]
 
 
 def test_files_are_small(walk, tmp_path):
-    png, svg = plots.save_figure(plots.plot_walk(walk), tmp_path / "one", dpi=100)
-    assert png.stat().st_size < 300_000 and svg.stat().st_size < 600_000
+    png, svg, pdf = plots.save_figure(plots.plot_walk(walk), tmp_path / "one", dpi=100)
+    assert png.stat().st_size < 300_000 and svg.stat().st_size < 600_000 and pdf.stat().st_size < 300_000
+    assert pdf.read_bytes().startswith(b"%PDF") and b"/Type3" not in pdf.read_bytes()
 
 
 def test_package_loads_without_matplotlib():

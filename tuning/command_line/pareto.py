@@ -37,8 +37,8 @@ def pareto(
     """Search the Pareto front of two metrics, by gradients under a row of limits, all in one batch.
 
     Prints the front and its knee, the point furthest from the line between the front's ends, and writes to DIR the
-    front with its gains and everything that was walked (front.nc), a picture (front.png, .svg) and the gains at the
-    knee (gains.yaml). Finished rounds are kept: after Ctrl-C the same command goes on.
+    front with its gains and everything that was walked (front.nc), a picture (front.png, .svg, .pdf) and the gains
+    at the knee (gains.yaml). Finished rounds are kept: after Ctrl-C the same command goes on.
 
     \b
     Examples:
@@ -104,7 +104,7 @@ def pareto(
         tables.print(front_table(front, chosen))
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(
-            f"written to {out} in {seconds}: report.html, front.nc, front.png, front.svg, gains.yaml, config.yaml, "
+            f"written to {out} in {seconds}: report.html, front.nc, front.png, .svg, .pdf, gains.yaml, config.yaml, "
             "search.yaml",
             soft_wrap=True,
         )

@@ -84,7 +84,7 @@ def tune_robustly(
         tables.print("warning: no gains kept every limit in every member of the search")
     console.print(
         f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, gains.yaml, search.nc, "
-        "judged.nc, summary.json, convergence and judged (.png and .svg), config.yaml, search.yaml, ensemble.yaml",
+        "judged.nc, summary.json, convergence and judged (.png, .svg, .pdf), config.yaml, search.yaml, ensemble.yaml",
         soft_wrap=True,
     )
     if json:

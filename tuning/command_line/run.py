@@ -30,8 +30,9 @@ def run(
     """Walk one robot through a scenario, in double precision.
 
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
-    (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json) and a picture
-    (walk.png, walk.svg); with --compare the plots of both walks (comparison.png, .svg).
+    (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json), pictures
+    over time (walk) and of the feet's paths on the ground (feet), with --compare the plots of both walks (comparison);
+    each picture is a .png, a .svg and a .pdf.
 
     In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
     pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
@@ -77,12 +78,13 @@ def run(
         dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
         dataset.write_text_atomically(out / "metrics.json", text + "\n")
         plots.save_figure(plots.plot_walk(trajectory), out / "walk")
-        files = ["trajectory.nc", "config.yaml", "metrics.json", "walk.png", "walk.svg"]
+        plots.save_figure(plots.plot_feet(trajectory), out / "feet")
+        files = ["trajectory.nc", "config.yaml", "metrics.json", "walk.png, .svg, .pdf", "feet.png, .svg, .pdf"]
         if baseline is not None:
             plots.save_figure(
                 plots.plot_comparison({w.scenario.control.controller: w for w in walks}), out / "comparison"
             )
-            files += ["comparison.png", "comparison.svg"]
+            files.append("comparison.png, .svg, .pdf")
         files += pictures.write(walks, out, meter.stage)
 
         tables = console if json else report.console(file=stdout)

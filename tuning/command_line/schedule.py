@@ -38,8 +38,8 @@ def schedule(
 
     The config's gravity gives the direction, its cargo the time of loading. Prints the gains and what they change
     against pd, and writes to DIR the table (schedule.csv, schedule.yaml), all metrics and what the gains of one
-    operating point are worth at another (schedule.nc), and a picture (schedule.png, .svg). Finished rounds are kept:
-    after Ctrl-C the same command goes on.
+    operating point are worth at another (schedule.nc), and a picture (schedule.png, .svg, .pdf). Finished rounds are
+    kept: after Ctrl-C the same command goes on.
 
     \b
     Examples:
@@ -94,7 +94,7 @@ def schedule(
             tables.print("one for all: every set of gains breaks a limit at some other operating point")
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(
-            f"written to {out} in {seconds}: schedule.csv, schedule.yaml, schedule.nc, schedule.png, schedule.svg, "
+            f"written to {out} in {seconds}: schedule.csv, schedule.yaml, schedule.nc, schedule.png, .svg, .pdf, "
             "config.yaml",
             soft_wrap=True,
         )

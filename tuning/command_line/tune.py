@@ -204,7 +204,7 @@ def tune(
             tables.print(line, soft_wrap=True)
         console.print(
             f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, gains.yaml, "
-            "search.nc, map.nc, summary.json, convergence, path, walks (.png and .svg), config.yaml, search.yaml",
+            "search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), config.yaml, search.yaml",
             soft_wrap=True,
         )
         if json:
