@@ -707,7 +707,7 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
         )
     else:
         colormap = mpl.colormaps["viridis" if metric in LARGER_IS_BETTER else "viridis_r"]
-        norm, extend = _robust_norm(values, failed, baseline)
+        norm, extend = _robust_norm(values, failed, baseline, metric in LARGER_IS_BETTER)
     panel.set_facecolor(GREY)
     mesh = panel.pcolormesh(
         x_edges,
@@ -852,11 +852,14 @@ def _span(edges: np.ndarray, marks: Sequence[float]) -> tuple[float, float]:
     )
 
 
-def _robust_norm(values: np.ndarray, failed: np.ndarray, baseline: float | None) -> tuple[Normalize, str]:
+def _robust_norm(
+    values: np.ndarray, failed: np.ndarray, baseline: float | None, larger_is_better: bool = False
+) -> tuple[Normalize, str]:
     """Return a scale from the 2nd to the 98th percentile, and which ends of it are passed.
 
-    It is of the walks that held (of all, where fewer than four did), takes in a baseline that is near, and is
-    logarithmic where it spans more than a factor of 30.
+    It is of the walks that held (of all, where fewer than four did), takes in a baseline that is near, goes beyond it
+    to the worse side at most three times as far as to the better one, and is logarithmic where it spans more than a
+    factor of 30.
     """
     finite = values[np.isfinite(values)]
     held = values[np.isfinite(values) & ~failed]
@@ -867,6 +870,12 @@ def _robust_norm(values: np.ndarray, failed: np.ndarray, baseline: float | None)
         reach = 0.5 * (high - low)
         low, high = (min(low, baseline), high) if baseline > low - reach else (low, high)
         high = max(high, baseline) if baseline < high + reach else high
+        if low < baseline < high:  # colours for what is better, and for how little is worse
+            low, high = (
+                (max(low, baseline - 3 * (high - baseline)), high)
+                if larger_is_better
+                else (low, min(high, baseline + 3 * (baseline - low)))
+            )
     if low == high:
         low, high = low - 0.5 * abs(low or 1), high + 0.5 * abs(high or 1)
     ends = (finite.min() < low - 1e-9 * abs(low), finite.max() > high + 1e-9 * abs(high))

@@ -136,17 +136,8 @@ def test_run_writes_and_prints(call, tmp_path):
     assert out.rstrip().endswith("held all the way")
     assert "compil" in err
     assert str(tmp_path) in err
-    written = {
-        "trajectory.nc",
-        "config.yaml",
-        "metrics.json",
-        "walk.png",
-        "walk.svg",
-        "walk.pdf",
-        "feet.png",
-        "feet.svg",
-        "feet.pdf",
-    }
+    pictures = {f"{name}.{kind}" for name in ("walk", "feet") for kind in ("png", "svg", "pdf")}
+    written = {"trajectory.nc", "config.yaml", "metrics.json"} | pictures
     assert {path.name for path in tmp_path.iterdir()} == written
     scenario = mc.load_scenario(tmp_path / "config.yaml")
     assert scenario == mc.load_scenario(CONFIG, ["duration=0.2", "control.controller=pd"])

@@ -227,6 +227,18 @@ def test_map_hatches_failed_walks_and_scales_by_the_others():
     assert figure.axes[0].collections[0].norm.vmax < 3
 
 
+def test_the_colours_of_a_map_are_for_what_is_near_the_baseline_or_better():
+    dataset = grid()
+    dataset["peak_foot_force"][:] = np.linspace(1.0, 40.0, 12).reshape(4, 3)
+    dataset = dataset.drop_vars(["detached_limb", "diverged"])
+    smaller = plots.plot_map(dataset, "peak_foot_force", baseline=4.0).axes[0].collections[0].norm
+    assert smaller.vmin < 4.0 and smaller.vmax == pytest.approx(4.0 + 3 * (4.0 - smaller.vmin))
+    larger = plots.plot_map(
+        dataset.rename(peak_foot_force="min_tsm", min_gia_margin="other"), "min_tsm", baseline=37.0
+    ).axes[0].collections[0].norm  # fmt: skip
+    assert larger.vmax > 37.0 and larger.vmin == pytest.approx(37.0 - 3 * (larger.vmax - 37.0))
+
+
 def test_map_shows_a_mark_beside_the_grid():
     panel = plots.plot_map(grid(), "peak_foot_force", {"paper": (4e7, 1e4)}).axes[0]
     assert panel.get_xlim()[1] > 4e7

@@ -27,7 +27,7 @@ def plot_convergence(found: Result) -> Figure:
             axes[0].set_ylim(low - 0.03, min(np.nanmax(value), max(1.1, low + 0.5)) + 0.03)
         axes[0].axhline(1.0, color=plots.RED, linewidth=0.8, label="pd")
         axes[0].set_ylabel("objective")
-        axes[0].legend(fontsize=6.5)
+        plots._legend(figure, axes[0].get_legend_handles_labels()[0])
         if sloped:
             axes[1].semilogy(spent, norm, ".", color=plots.BLUE, markersize=2.5)
             axes[1].set_ylabel("norm of\nthe gradient")

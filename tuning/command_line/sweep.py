@@ -52,8 +52,8 @@ def sweep(
     Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
     side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a map of
     each metric with the law's limit of stability (maps/, and maps.png, .svg, .pdf with the main ones), the three walks
-    over time (walks.png, .svg, .pdf), the table (comparison.json), the resolved scenario (config.yaml), and all of it as
-    a page for a browser (report.html).
+    over time (walks.png, .svg, .pdf), the table (comparison.json), the resolved scenario (config.yaml), and all of it
+    as a page for a browser (report.html).
 
     Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
     gives the inertia and the joint gains of the grid, and a further walk to compare with.
