@@ -204,7 +204,7 @@ def test_sweep_prints_json_alone_on_stdout(swept):
 def test_sweep_writes_grid_maps_and_config(swept):
     out, done = swept
     names = {path.name for path in out.iterdir()}
-    pictures = {f"{name}.{kind}" for name in ("maps", "walks") for kind in ("png", "svg")}
+    pictures = {f"{name}.{kind}" for name in ("maps", "walks") for kind in ("png", "svg", "pdf")}
     assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps", *pictures}
     maps = {path.stem for path in (out / "maps").iterdir()}
     assert maps == set(mc.METRICS) - {"detached_limb", "diverged"}
