@@ -19,8 +19,8 @@ rounds = staged.rounds
 
 
 def run(task: Task) -> Points:
-    """Descend from every start, with the axes tied, then free."""
-    return staged.run(task, descend)
+    """Descend from every start with the axes tied, then free."""
+    return staged.run(task, descend, descend, descend)
 
 
 def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray):

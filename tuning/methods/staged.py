@@ -1,7 +1,9 @@
-"""Two stages that descents share: all axes tied, which is cheap, then every coordinate of the space by itself.
+"""Stages that descents share: all axes tied, which is cheap; a short race with the axes free; its winner alone.
 
 A step with k tangents costs 1 + k, so a first descent along two directions (damping and stiffness of all axes at
-once) brings the starts close for a quarter of the price of twelve. An isotropic space has the first stage only.
+once) brings the starts close for a quarter of the price of twelve. Along twelve, one start that walks far does better
+than two that walk half as far, but which of them is known only after some steps. An isotropic space has the first
+stage only.
 """
 
 from collections.abc import Callable, Generator
@@ -13,21 +15,21 @@ from tuning.methods import starts
 from tuning.methods.task import Points, Request, Task
 
 STARTS = 3
-SCALES = np.array([1.0, 0.5])  # of the steps of the starts that go on to the second stage, the best first: a bold
-# one crosses to better valleys, a careful one gets further down its own
+SCALES = np.array([1.0, 0.5])  # of the steps of the starts that race, the best first: a bold one crosses to better
+# valleys, a careful one gets further down its own
 ONE_STAGE = 20  # iterations
-TIED, FREE = 12, 40  # iterations of the two stages
+TIED, RACE, ALONE = 12, 12, 56  # iterations of the three stages
 
 # (task, points (B, n), ties (k, n), iterations, rng, phase, scales of the steps (B,)) -> visited points and merits
 Descent = Callable[..., Generator[Request, Evaluation, tuple[np.ndarray, np.ndarray]]]
 
 
-def iterations(task: Task) -> tuple[int, int]:
-    """Return how many iterations the two stages take; a number in the settings is that of the last stage."""
-    space, wished = task.problem.space, task.search.iterations
+def iterations(task: Task) -> tuple[int, ...]:
+    """Return how many iterations the stages take; a number in the settings is that of the last one."""
+    wished, space = task.search.iterations, task.problem.space
     if len(space.ties) == space.size:
-        return wished or ONE_STAGE, 0
-    return TIED, wished or FREE
+        return (wished or ONE_STAGE,)
+    return TIED, RACE, wished or ALONE
 
 
 def rounds(task: Task) -> int:
@@ -35,18 +37,24 @@ def rounds(task: Task) -> int:
     return sum(iterations(task)) + ((task.search.starts or STARTS) > 1)
 
 
-def run(task: Task, descend: Descent) -> Points:
-    """Choose starts, descend with the axes tied, then from the best points with the axes free."""
+def run(task: Task, tied: Descent, race: Descent, alone: Descent) -> Points:
+    """Choose starts, descend with the axes tied, let the two best race with the axes free, go on with the winner."""
     space = task.problem.space
     rng = np.random.default_rng(task.search.seed)
-    first, second = iterations(task)
+    first, *others = iterations(task)
     theta = yield from starts.choose(task, task.search.starts or STARTS, rng)
-    phase = "axes tied" if second else "descent"
-    visited, merit = yield from descend(task, theta, space.ties, first, rng, phase, np.ones(len(theta)))
-    if not second:
+    phase = "axes tied" if others else "descent"
+    visited = yield from tied(task, theta, space.ties, first, rng, phase, np.ones(len(theta)))
+    if not others:
         return
-    best = np.argmin(merit, axis=0)  # of each start
-    rows = np.arange(len(theta))
-    order = np.argsort(merit[best, rows], kind="stable")[: len(SCALES)]
-    theta = visited[best, rows][order]
-    yield from descend(task, theta, np.eye(space.size), second, rng, "axes free", SCALES[: len(theta)])
+    free = np.eye(space.size)
+    theta = _best(*visited, len(SCALES))
+    visited = yield from race(task, theta, free, others[0], rng, "axes free", SCALES[: len(theta)])
+    yield from alone(task, _best(*visited, 1), free, others[1], rng, "winner alone", np.ones(1))
+
+
+def _best(visited: np.ndarray, merits: np.ndarray, count: int) -> np.ndarray:
+    """Return the best point of each of the best starts (count, n), the best first."""
+    best, rows = np.argmin(merits, axis=0), np.arange(merits.shape[1])
+    order = np.argsort(merits[best, rows], kind="stable")[:count]
+    return visited[best, rows][order]
