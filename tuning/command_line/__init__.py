@@ -1,6 +1,7 @@
 """The program `mjx-climb`: one file per command, and here how they end.
 
-Exit codes: 0 done; 2 bad input, with one line on stderr; 130 interrupted, with a line that says what was kept.
+Exit codes: 0 done; 1 what doctor gives where something is wrong; 2 bad input, with one line on stderr; 130 interrupted,
+with a line that says what was kept.
 Commands import JAX and all that is heavy when they run, so that `--help` is quick.
 """
 
@@ -12,7 +13,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import bench, export, options, pareto, reproduce, run, schedule, schema, sweep, tune
+from tuning.command_line import bench, doctor, export, options, pareto, reproduce, run, schedule, schema, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
@@ -32,6 +33,7 @@ app.command("schedule")(schedule.schedule)
 app.command("export")(export.export)
 app.command("schema")(schema.schema)
 app.command("bench")(bench.bench)
+app.command("doctor")(doctor.doctor)
 
 
 def _version(wanted: bool) -> None:
