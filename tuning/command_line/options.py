@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, TextIO
 
 import typer
 
+from tuning import shipped
+from tuning.command_line import completion
 from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +21,14 @@ if TYPE_CHECKING:
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 
-Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Scenario, a YAML file as in configs/.")]
+Config = Annotated[
+    Path,
+    typer.Argument(
+        metavar="CONFIG",
+        help=f"Scenario: a YAML file, or one that comes with the program ({', '.join(shipped.names())}).",
+        autocompletion=completion.config,
+    ),
+]
 Controller = Annotated[
     ControllerName | None,
     typer.Option(help="Control law in place of the config's.", show_default="the config's"),
@@ -38,7 +47,12 @@ GainsFile = Annotated[
 ]
 Engine = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Dynamics: limb (fast) or mjx (MJX's own stages).", show_default="limb"),
+    typer.Option(
+        metavar="NAME",
+        help="Dynamics: limb (fast) or mjx (MJX's own stages).",
+        show_default="limb",
+        autocompletion=completion.engine,
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
@@ -77,6 +91,7 @@ def scenario_from(config: Path, controller: str | None, changes: list[str] | Non
     from mjx_climb.ground import check_reach
     from mjx_climb.time_step import check_time_step
 
+    config = shipped.found(config)
     scenario = mc.load_scenario(config, changes or ())
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})

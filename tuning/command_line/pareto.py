@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tuning.command_line import options
+from tuning.command_line import completion, options
 from tuning.command_line.ending import Interrupted
 from tuning.command_line.tune import SpaceName
 
@@ -15,10 +15,12 @@ ROWS = 20
 
 def pareto(
     config: options.Config,
-    better: Annotated[str, typer.Option(metavar="METRIC", help="Metric to better.")] = "force_variation",
-    against: Annotated[str, typer.Option(metavar="METRIC", help="Metric that it is traded against.")] = (
-        "base_deviation"
-    ),
+    better: Annotated[
+        str, typer.Option(metavar="METRIC", help="Metric to better.", autocompletion=completion.metric)
+    ] = "force_variation",
+    against: Annotated[
+        str, typer.Option(metavar="METRIC", help="Metric that it is traded against.", autocompletion=completion.metric)
+    ] = ("base_deviation"),
     points: Annotated[int, typer.Option(min=2, max=200, metavar="N", help="Limits along the front.")] = 12,
     space: Annotated[
         SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
@@ -40,10 +42,12 @@ def pareto(
     front with its gains and everything that was walked (front.nc), a picture (front.png, .svg, .pdf) and the gains
     at the knee (gains.yaml). Finished rounds are kept: after Ctrl-C the same command goes on.
 
+    METRIC is any number that run prints, detached_at apart.
+
     \b
     Examples:
-      mjx-climb pareto configs/case_1_2.yaml
-      mjx-climb pareto configs/case_2.yaml --against cost_of_transport --space split
+      mjx-climb pareto case_1_2
+      mjx-climb pareto case_2 --against cost_of_transport --space split
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc

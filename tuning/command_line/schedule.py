@@ -16,9 +16,14 @@ from tuning.command_line.tune import SpaceName
 def schedule(
     config: options.Config,
     gravity: Annotated[
-        str | None, typer.Option(metavar="G,G,..", help="Gravities, G.", show_default="1e-6,1e-2,1/6,0.38,1")
+        str | None,
+        typer.Option(
+            metavar="G,G,..", help="Gravities, ascending, 1 G = 9.81 m/s^2.", show_default="1e-6,1e-2,1/6,0.38,1"
+        ),
     ] = None,
-    cargo: Annotated[str | None, typer.Option(metavar="KG,..", help="Cargo, kg.", show_default="0,0.5,1")] = None,
+    cargo: Annotated[
+        str | None, typer.Option(metavar="KG,KG,..", help="Masses of the cargo, ascending, kg.", show_default="0,0.5,1")
+    ] = None,
     space: Annotated[
         SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
     ] = None,
@@ -43,8 +48,8 @@ def schedule(
 
     \b
     Examples:
-      mjx-climb schedule configs/case_1_2.yaml
-      mjx-climb schedule configs/case_2.yaml --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
+      mjx-climb schedule case_1_2
+      mjx-climb schedule case_2 --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
     with options.reserved_stdout() as stdout:
         from mjx_climb import dataset, inputs, plots
