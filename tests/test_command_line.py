@@ -104,6 +104,19 @@ BAD = [
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --batch-size 0", "--batch-size"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --set robot=spot", "robot: expected one of"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --out {files}/file", "{files}/file"),
+    ("run {config} --set contact.stiffness=1e308", "case_1_2.yaml: time_step: expected"),
+    ("run {config} --out=\x1b[31m --frob", "No such option"),
+    ("tune {config} --pin stiffness.q=1", "--pin stiffness.q: expected one of damping, stiffness"),
+    ("tune {config} --bound damping=2:1", "--bound damping: expected low < high"),
+    ("tune {config} --weight Smoothness=1", "'Smoothness' is no metric"),
+    ("tune {config} --seed=-1", "--seed: "),
+    ("tune {config} --controller pd", "case_1_2.yaml: control.controller: expected an admittance law"),
+    ("pareto {config} --better nothing", "--better: 'nothing' is no metric"),
+    ("pareto {config} --better travel --against travel", "--against: expected another metric than travel"),
+    ("schedule {config} --gravity 0,1", "--gravity: expected numbers above 0"),
+    ("schedule {config} --cargo=-1,1", "--cargo: expected numbers 0 or above"),
+    ("schedule {config} --cargo 1e400/3", "--cargo: expected numbers with commas"),
+    ("schema --out=", ".: expected a file that can be written"),
 ]
 
 
@@ -117,6 +130,7 @@ def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeyp
     assert err.startswith("mjx-climb: error: ")
     assert len(err.splitlines()) == 1
     assert expected.format(files=files) in err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):

@@ -18,6 +18,7 @@ from tuning.command_line.ending import InputError
 if TYPE_CHECKING:
     import mjx_climb as mc
     from tuning.report.page import Origin
+    from tuning.search import Search
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 
@@ -98,6 +99,31 @@ def scenario_from(config: Path, controller: str | None, changes: list[str] | Non
     check_time_step(scenario, str(config))
     check_reach(scenario, str(config))
     return scenario
+
+
+def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None) -> None:
+    """Refuse a search that has nothing to move, or names gains that are not there, before anything is written.
+
+    Raises:
+        ConfigError: in one line, the config, the file of the search or the options, and what is wrong there.
+    """
+    from mjx_climb.config import ConfigError
+    from tuning.spaces import space
+
+    try:
+        space(scenario, search)
+    except ConfigError as error:
+        about = config if str(error).startswith("control.") else file
+        raise ConfigError(in_options(str(error)) if about is None else f"{about}: {error}") from None
+
+
+def in_options(message: str) -> str:
+    """Return a message on a setting of the search in the words of the command's options: pins.x becomes --pin x."""
+    return re.sub(r"^(?:(pin|bound|weight|limit)s\.?|(starts|iterations|seed)(?=:))", _option, message)
+
+
+def _option(found: re.Match) -> str:
+    return f"--{found[1]} " if found[1] else f"--{found[2]}"
 
 
 def engine_from(name: str | None) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from tuning.command_line import completion, options
-from tuning.command_line.ending import Interrupted
+from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.tune import SpaceName
 
 ROWS = 20
@@ -64,7 +64,11 @@ def pareto(
         engine = options.engine_from(engine)
         own = settings.Search() if search is None else settings.load(search)
         wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-        settings.make({"weights": {better: 1.0}, "limits": {against: 1.0}}, "options")  # known metrics
+        options.check_space(scenario, wanted, config, search)
+        settings.make({"weights": {better: 1.0}}, "--better")
+        settings.make({"limits": {against: 1.0}}, "--against")
+        if better == against:
+            raise InputError(f"--against: expected another metric than {better}")
         out = out or Path("results") / f"{config.stem}-pareto"
         scenario = inputs.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))

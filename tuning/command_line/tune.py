@@ -134,7 +134,11 @@ def tune(
         if ensemble is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
         own = settings.Search() if search is None else settings.load(search)
-        wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "options")
+        try:
+            wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "")
+        except mc.ConfigError as error:
+            raise InputError(options.in_options(str(error).removeprefix(": "))) from None
+        options.check_space(scenario, wanted, config, None if pin or bound else search)
         kind = "tune" if ensemble is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
         scenario = inputs.copied(scenario, out)
