@@ -25,6 +25,12 @@ def cache_folder() -> Path | None:
     return Path(wish) if wish else Path(platformdirs.user_cache_dir("mjx_climb", appauthor=False)) / "xla"
 
 
+def cache_in_use() -> str | None:
+    """Return the folder that rollouts use: JAX's where the user has set one there, else ours; None where it is off."""
+    chosen = jax.config.jax_compilation_cache_dir
+    return chosen if chosen is not None else (None if (own := cache_folder()) is None else str(own))
+
+
 def enable_cache() -> None:
     """Switch the cache on, unless the user has chosen one in JAX or switched ours off."""
     path = cache_folder()

@@ -284,8 +284,8 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memory
         OutputError: the file cannot be written.
     """
     path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
+        partial = path.with_name(f".{path.name}.{os.getpid()}.part")
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             with partial.open("wb") as file:
@@ -295,7 +295,7 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memory
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path, or no name
         reason = (getattr(error, "strerror", None) or str(error)).lower()
         place = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
         raise OutputError(f"{place}: expected a file that can be written, got {reason}") from None

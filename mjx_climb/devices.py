@@ -70,7 +70,7 @@ def _threads(devices: list) -> Iterator[dict[int, ThreadPoolExecutor]]:
     waiting. CPU devices share the cores among them.
     """
     own = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
-    each = max(1, _cores() // len(own)) if jax.default_backend() == "cpu" else 1
+    each = max(1, usable_cores() // len(own)) if jax.default_backend() == "cpu" else 1
     threads = {number: ThreadPoolExecutor(each) for number in own}
     try:
         yield threads
@@ -79,7 +79,8 @@ def _threads(devices: list) -> Iterator[dict[int, ThreadPoolExecutor]]:
             executor.shutdown(cancel_futures=True)
 
 
-def _cores() -> int:
+def usable_cores() -> int:
+    """Return how many CPU cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -33,8 +33,7 @@ def footholds(scenario: Scenario) -> np.ndarray:
     """Return where the gait plans each limb's footholds, (L, N, 2) m, x and y in the world, the first ones included."""
     robot, gait = load_robot(scenario.robot), scenario.gait
     stance = _stance_feet(robot)[:, None, :2]
-    count = math.ceil(scenario.duration / gait.cycle - 1e-9) + 1
-    planned = stance + np.arange(count)[:, None] * np.array([gait.stride, 0.0])
+    planned = stance + np.arange(_foothold_count(scenario))[:, None] * np.array([gait.stride, 0.0])
     c, s = np.cos(gait.heading), np.sin(gait.heading)
     return planned @ np.array([[c, s], [-s, c]])
 
@@ -44,6 +43,11 @@ def relief(ground: HeightMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     grid = _grid(ground.file)
     y, x = (start + ground.resolution * np.arange(n) for start, n in zip(ground.origin[::-1], grid.shape, strict=True))
     return x, y, ground.scale * grid
+
+
+def _foothold_count(scenario: Scenario) -> int:
+    """Return how many footholds a limb uses in a walk, at most, the first one included."""
+    return math.ceil(scenario.duration / scenario.gait.cycle - 1e-9) + 1
 
 
 def check_reach(scenario: Scenario, source: str = "scenario") -> None:
@@ -57,7 +61,9 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
         return
     robot = load_robot(scenario.robot)
     stance, center = _stance_feet(robot), robot.stance_position[:, 0]
-    for n, height in enumerate(heights.T):
+    heights = heights[:, : _foothold_count(scenario)]
+    for n in np.sort(np.unique(heights, axis=1, return_index=True)[1]):
+        height = heights[:, n]
         feet = stance - center
         feet[:, 2] += height - height.mean()
         missed = limb_joints(robot.model, feet).errors

@@ -24,15 +24,18 @@ def growth(scenario: Scenario, time_step: float | None = None) -> float:
     """Return by how much a small disturbance grows in one step, at worst: 1 or less where the step is short enough."""
     h = scenario.time_step if time_step is None else time_step
     worst = 0.0
-    for mass, stiffness, damping in _systems(scenario):
-        mobility = np.linalg.inv(mass)
-        k, d, one = h * mobility @ stiffness, h * mobility @ damping, np.eye(len(mass))
-        step = np.block([[one - h * k, h * (one - d)], [-k, one - d]])
-        worst = max(worst, np.abs(np.linalg.eigvals(step)).max())
+    with np.errstate(over="ignore", invalid="ignore"):
+        for mass, stiffness, damping in _systems(scenario):
+            mobility, one = np.linalg.inv(mass), np.eye(len(mass))
+            k, d = h * mobility @ stiffness, h * mobility @ damping
+            step = np.block([[one - h * k, h * (one - d)], [-k, one - d]])
+            if not np.isfinite(step).all():
+                return math.inf
+            worst = max(worst, np.abs(np.linalg.eigvals(step)).max())
     return float(worst)
 
 
-def largest_time_step(scenario: Scenario) -> float:
+def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     """Return the largest round time step, s, that is short enough and divides duration and gait cycle.
 
     Raises:
@@ -44,7 +47,7 @@ def largest_time_step(scenario: Scenario) -> float:
         if whole and growth(scenario, step) <= 1 + _ROUNDING:
             return step
     raise ConfigError(
-        "time_step: expected contacts and joint gains that some step of 0.1 us or more can follow, got none"
+        f"{source}: time_step: expected contacts and joint gains that some step of 0.1 us or more can follow, got none"
     )
 
 
@@ -62,7 +65,7 @@ def check_time_step(scenario: Scenario, source: str = "scenario") -> None:
         f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with contact.stiffness "
         f"{contact.stiffness:g}, contact.damping {contact.damping:g}, control.kp {control.kp:g} and control.kd "
         f"{control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
-        f"{largest_time_step(scenario):g} would do"
+        f"{largest_time_step(scenario, source):g} would do"
     )
 
 

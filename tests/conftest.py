@@ -11,12 +11,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import settings
 
 import mjx_climb as mc
 from mjx_climb.robot import load_robot
 from mjx_climb.state import State, integrate
 
 jax.config.update("jax_enable_x64", True)
+
+settings.register_profile("quick", deadline=None, max_examples=50, derandomize=True)
+settings.register_profile("thorough", deadline=None, max_examples=2000)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 LAWS = {

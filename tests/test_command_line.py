@@ -14,7 +14,7 @@ import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning import gains_file, grid
-from tuning.command_line import main, progress, report
+from tuning.command_line import main, options, progress, report
 from tuning.command_line.ending import InputError
 from tuning.command_line.sweep import log_range
 from tuning.report import page
@@ -104,6 +104,19 @@ BAD = [
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --batch-size 0", "--batch-size"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --set robot=spot", "robot: expected one of"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --out {files}/file", "{files}/file"),
+    ("run {config} --set contact.stiffness=1e308", "case_1_2.yaml: time_step: expected"),
+    ("run {config} --out=\x1b[31m --frob", "No such option"),
+    ("tune {config} --pin stiffness.q=1", "--pin stiffness.q: expected one of damping, stiffness"),
+    ("tune {config} --bound damping=2:1", "--bound damping: expected low < high"),
+    ("tune {config} --weight Smoothness=1", "'Smoothness' is no metric"),
+    ("tune {config} --seed=-1", "--seed: "),
+    ("tune {config} --controller pd", "case_1_2.yaml: control.controller: expected an admittance law"),
+    ("pareto {config} --better nothing", "--better: 'nothing' is no metric"),
+    ("pareto {config} --better travel --against travel", "--against: expected another metric than travel"),
+    ("schedule {config} --gravity 0,1", "--gravity: expected numbers above 0"),
+    ("schedule {config} --cargo=-1,1", "--cargo: expected numbers 0 or above"),
+    ("schedule {config} --cargo 1e400/3", "--cargo: expected numbers with commas"),
+    ("schema --out=", ".: expected a file that can be written"),
 ]
 
 
@@ -117,6 +130,7 @@ def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeyp
     assert err.startswith("mjx-climb: error: ")
     assert len(err.splitlines()) == 1
     assert expected.format(files=files) in err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):
@@ -270,7 +284,7 @@ def test_help_is_quick_and_needs_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "mjx-climb run configs/case_2.yaml" in done.stdout
+    assert "mjx-climb run case_2" in done.stdout
 
 
 def test_import_prints_nothing():
@@ -336,3 +350,15 @@ def test_only_the_compilers_time_is_called_compiling():
     watched._duration(progress.COMPILED, 0.5)
     compiled, loaded = watched.seconds.values()
     assert compiled == pytest.approx(3.0, abs=0.5) and loaded == pytest.approx(5.0, abs=0.5)
+
+
+def test_configs_that_come_with_the_program_are_found_by_name(call, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    scenario = options.scenario_from(Path("case_2"), None, ["duration=0.2"])
+    assert scenario == mc.load_scenario(ROOT / "configs" / "case_2.yaml", ["duration=0.2"])
+    code, _, err = call("run", "case_9")
+    assert code == 2
+    assert "case_9: expected a file, or a config that comes with the program (case_1_1, case_1_2, case_2" in err
+    (tmp_path / "case_2").write_text("duration: -1")  # a file of one's own comes first
+    code, _, err = call("run", "case_2")
+    assert (code, "case_2: duration: expected" in err) == (2, True)

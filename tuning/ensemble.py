@@ -111,7 +111,8 @@ def make(values: dict, source: str = "ensemble") -> Ensemble:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        reason = first["msg"].removeprefix("Value error, ").lower()
+        message = first["msg"].removeprefix("Value error, ")
+        reason = message[:1].lower() + message[1:]
         raise ConfigError(f"{source}: {key + ': ' if key else ''}{reason}") from None
 
 

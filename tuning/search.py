@@ -57,7 +57,7 @@ class Search(BaseModel):
     def _known_metrics(self) -> "Search":
         for name in (*self.weights, *self.limits):
             if name not in mc.METRICS or name in ("detached_at", "detached_limb", "diverged"):
-                raise ValueError(f"{name} is no metric to weigh or limit")
+                raise ValueError(f"{name!r} is no metric to weigh or limit")
         if not any(self.weights.values()):
             raise ValueError("weights: expected one above 0")
         for name, (low, high) in self.bounds.items():
@@ -81,7 +81,8 @@ def make(values: dict, source: str = "search") -> Search:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        reason = first["msg"].removeprefix("Value error, ").lower()
+        message = first["msg"].removeprefix("Value error, ")
+        reason = message[:1].lower() + message[1:]
         raise ConfigError(f"{source}: {key + ': ' if key else ''}{reason}") from None
 
 

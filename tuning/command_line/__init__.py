@@ -1,6 +1,7 @@
 """The program `mjx-climb`: one file per command, and here how they end.
 
-Exit codes: 0 done; 2 bad input, with one line on stderr; 130 interrupted, with a line that says what was kept.
+Exit codes: 0 done; 1 what doctor gives where something is wrong; 2 bad input, with one line on stderr; 130 interrupted,
+with a line that says what was kept.
 Commands import JAX and all that is heavy when they run, so that `--help` is quick.
 """
 
@@ -12,26 +13,28 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tuning.command_line import bench, export, options, pareto, reproduce, run, schedule, schema, sweep, tune
+from tuning.command_line import bench, doctor, export, options, pareto, reproduce, run, schedule, schema, sweep, tune
 from tuning.command_line.ending import Interrupted, user_error
 
 app = typer.Typer(
     name="mjx-climb",
     help="Simulate a limbed climbing robot, and find the admittance gains that keep it on the wall.",
-    epilog="Each command has its own help with examples: mjx-climb run --help",
+    epilog="\b\nExamples:\n  mjx-climb doctor\n  mjx-climb run case_1_2\n  mjx-climb tune case_1_2 --space diagonal\n\n"
+    "Each command has its own help with examples: mjx-climb run --help",
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-app.command("run")(run.run)
-app.command("reproduce")(reproduce.reproduce)
-app.command("sweep")(sweep.sweep)
-app.command("tune")(tune.tune)
-app.command("pareto")(pareto.pareto)
-app.command("schedule")(schedule.schedule)
-app.command("export")(export.export)
-app.command("schema")(schema.schema)
-app.command("bench")(bench.bench)
+app.command("run", short_help="Walk one robot through a scenario.")(run.run)
+app.command("sweep", short_help="Walk a grid of stiffness and damping, and map it.")(sweep.sweep)
+app.command("tune", short_help="Search the gains of the controller.")(tune.tune)
+app.command("pareto", short_help="Search the front of two metrics.")(pareto.pareto)
+app.command("schedule", short_help="Tune gains for pairs of gravity and cargo.")(schedule.schedule)
+app.command("reproduce", short_help="Walk the paper's cases and judge its claims.")(reproduce.reproduce)
+app.command("export", short_help="Write gains for the robot's own controller.")(export.export)
+app.command("schema", short_help="Print the schema of scenarios, for editors.")(schema.schema)
+app.command("bench", short_help="Measure speed beside MuJoCo and MJX.")(bench.bench)
+app.command("doctor", short_help="Examine this installation.")(doctor.doctor)
 
 
 def _version(wanted: bool) -> None:

@@ -37,7 +37,9 @@ def bench(
     quick: Annotated[
         bool, typer.Option("--quick", help="A first look, not to be quoted: fewer rounds, some figures left out.")
     ] = False,
-    batch: Annotated[int, typer.Option(min=SMALLEST_BATCH, metavar="N", help="Robots that walk at a time.")] = BATCH,
+    batch: Annotated[
+        int, typer.Option(min=SMALLEST_BATCH, metavar="N", help="Robots that walk at a time, a multiple of 4.")
+    ] = BATCH,
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:

@@ -11,12 +11,23 @@ class Interrupted(Exception):
     """Ctrl-C, and what was kept."""
 
 
+_LONGEST = 1000  # characters
+
+
 def user_error(error: Exception) -> str | None:
-    """Return one line for an error that is the user's to mend, None for one of ours."""
+    """Return one readable line for an error that is the user's to mend, None for one of ours."""
+    message = _message(error)
+    if message is None:
+        return None
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+
+
+def _message(error: Exception) -> str | None:
     if hasattr(error, "format_message"):  # usage, from typer
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
-        return " ".join(error.format_message().split()) + hint
+        return error.format_message() + hint
     kinds = [InputError]
     if "mjx_climb" in sys.modules:
         from mjx_climb import ConfigError, RobotError
@@ -27,4 +38,4 @@ def user_error(error: Exception) -> str | None:
         from mjx_climb.rendering import RenderingError
 
         kinds.append(RenderingError)
-    return " ".join(str(error).split()) if isinstance(error, tuple(kinds)) else None
+    return str(error) if isinstance(error, tuple(kinds)) else None

@@ -31,7 +31,7 @@ def export(
 
     \b
     Examples:
-      mjx-climb export results/case_1_2-tune/gains.yaml --update-rate 500
+      mjx-climb export results/case_1_2-tune-gradient-isotropic/gains.yaml --update-rate 500
       mjx-climb export gains.yaml --format csv --out gains.csv
     """
     from mjx_climb import dataset

@@ -11,15 +11,25 @@ from typing import TYPE_CHECKING, Annotated, Literal, TextIO
 
 import typer
 
+from tuning import shipped
+from tuning.command_line import completion
 from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
     from tuning.report.page import Origin
+    from tuning.search import Search
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 
-Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Scenario, a YAML file as in configs/.")]
+Config = Annotated[
+    Path,
+    typer.Argument(
+        metavar="CONFIG",
+        help=f"Scenario: a YAML file, or one that comes with the program ({', '.join(shipped.names())}).",
+        autocompletion=completion.config,
+    ),
+]
 Controller = Annotated[
     ControllerName | None,
     typer.Option(help="Control law in place of the config's.", show_default="the config's"),
@@ -38,7 +48,12 @@ GainsFile = Annotated[
 ]
 Engine = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Dynamics: limb (fast) or mjx (MJX's own stages).", show_default="limb"),
+    typer.Option(
+        metavar="NAME",
+        help="Dynamics: limb (fast) or mjx (MJX's own stages).",
+        show_default="limb",
+        autocompletion=completion.engine,
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
@@ -77,12 +92,38 @@ def scenario_from(config: Path, controller: str | None, changes: list[str] | Non
     from mjx_climb.ground import check_reach
     from mjx_climb.time_step import check_time_step
 
+    config = shipped.found(config)
     scenario = mc.load_scenario(config, changes or ())
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
     check_time_step(scenario, str(config))
     check_reach(scenario, str(config))
     return scenario
+
+
+def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None) -> None:
+    """Refuse a search that has nothing to move, or names gains that are not there, before anything is written.
+
+    Raises:
+        ConfigError: in one line, the config, the file of the search or the options, and what is wrong there.
+    """
+    from mjx_climb.config import ConfigError
+    from tuning.spaces import space
+
+    try:
+        space(scenario, search)
+    except ConfigError as error:
+        about = config if str(error).startswith("control.") else file
+        raise ConfigError(in_options(str(error)) if about is None else f"{about}: {error}") from None
+
+
+def in_options(message: str) -> str:
+    """Return a message on a setting of the search in the words of the command's options: pins.x becomes --pin x."""
+    return re.sub(r"^(?:(pin|bound|weight|limit)s\.?|(starts|iterations|seed)(?=:))", _option, message)
+
+
+def _option(found: re.Match) -> str:
+    return f"--{found[1]} " if found[1] else f"--{found[2]}"
 
 
 def engine_from(name: str | None) -> str:

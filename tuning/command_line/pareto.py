@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from tuning.command_line import options
-from tuning.command_line.ending import Interrupted
+from tuning.command_line import completion, options
+from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.tune import SpaceName
 
 ROWS = 20
@@ -15,10 +15,12 @@ ROWS = 20
 
 def pareto(
     config: options.Config,
-    better: Annotated[str, typer.Option(metavar="METRIC", help="Metric to better.")] = "force_variation",
-    against: Annotated[str, typer.Option(metavar="METRIC", help="Metric that it is traded against.")] = (
-        "base_deviation"
-    ),
+    better: Annotated[
+        str, typer.Option(metavar="METRIC", help="Metric to better.", autocompletion=completion.metric)
+    ] = "force_variation",
+    against: Annotated[
+        str, typer.Option(metavar="METRIC", help="Metric that it is traded against.", autocompletion=completion.metric)
+    ] = ("base_deviation"),
     points: Annotated[int, typer.Option(min=2, max=200, metavar="N", help="Limits along the front.")] = 12,
     space: Annotated[
         SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
@@ -40,10 +42,12 @@ def pareto(
     front with its gains and everything that was walked (front.nc), a picture (front.png, .svg, .pdf) and the gains
     at the knee (gains.yaml). Finished rounds are kept: after Ctrl-C the same command goes on.
 
+    METRIC is any number that run prints, detached_at apart.
+
     \b
     Examples:
-      mjx-climb pareto configs/case_1_2.yaml
-      mjx-climb pareto configs/case_2.yaml --against cost_of_transport --space split
+      mjx-climb pareto case_1_2
+      mjx-climb pareto case_2 --against cost_of_transport --space split
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
@@ -60,7 +64,11 @@ def pareto(
         engine = options.engine_from(engine)
         own = settings.Search() if search is None else settings.load(search)
         wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-        settings.make({"weights": {better: 1.0}, "limits": {against: 1.0}}, "options")  # known metrics
+        options.check_space(scenario, wanted, config, search)
+        settings.make({"weights": {better: 1.0}}, "--better")
+        settings.make({"limits": {against: 1.0}}, "--against")
+        if better == against:
+            raise InputError(f"--against: expected another metric than {better}")
         out = out or Path("results") / f"{config.stem}-pareto"
         scenario = inputs.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))

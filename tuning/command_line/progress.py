@@ -120,17 +120,14 @@ def duration(seconds: float) -> str:
 
 def cache_state() -> str:
     """Return one line on XLA's compilation cache."""
-    import jax
+    from pathlib import Path
 
     from mjx_climb import compilation
 
-    chosen = jax.config.jax_compilation_cache_dir
-    folder = compilation.cache_folder() if chosen is None else chosen
+    folder = compilation.cache_in_use()
     if folder is None:
         return f"compilation cache: off ({compilation.VARIABLE})"
     with contextlib.suppress(OSError):
-        from pathlib import Path
-
         count = len(list(Path(folder).glob("*-cache")))
         return f"compilation cache: {folder}, {count or 'no'} programs"
     return f"compilation cache: {folder}"

@@ -39,11 +39,11 @@ def run(
 
     \b
     Examples:
-      mjx-climb run configs/case_2.yaml
-      mjx-climb run configs/case_1_2.yaml --controller pd --json
-      mjx-climb run configs/case_1_2.yaml --set control.damping=2e3 --set disturbance.cargo.mass=0.5
-      mjx-climb run configs/case_2.yaml --video --compare pd
-      mjx-climb run configs/case_1_2.yaml --snapshots --at 2.5,4.6
+      mjx-climb run case_2
+      mjx-climb run case_1_2 --controller pd --json
+      mjx-climb run case_1_2 --set control.damping=2e3 --set disturbance.cargo.mass=0.5
+      mjx-climb run case_2 --video --compare pd
+      mjx-climb run case_1_2 --snapshots --at 2.5,4.6
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc

@@ -1,6 +1,7 @@
 """`mjx-climb schedule`: which gains to load when."""
 
 import itertools
+import math
 import time
 from fractions import Fraction
 from pathlib import Path
@@ -16,9 +17,14 @@ from tuning.command_line.tune import SpaceName
 def schedule(
     config: options.Config,
     gravity: Annotated[
-        str | None, typer.Option(metavar="G,G,..", help="Gravities, G.", show_default="1e-6,1e-2,1/6,0.38,1")
+        str | None,
+        typer.Option(
+            metavar="G,G,..", help="Gravities, ascending, 1 G = 9.81 m/s^2.", show_default="1e-6,1e-2,1/6,0.38,1"
+        ),
     ] = None,
-    cargo: Annotated[str | None, typer.Option(metavar="KG,..", help="Cargo, kg.", show_default="0,0.5,1")] = None,
+    cargo: Annotated[
+        str | None, typer.Option(metavar="KG,KG,..", help="Masses of the cargo, ascending, kg.", show_default="0,0.5,1")
+    ] = None,
     space: Annotated[
         SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
     ] = None,
@@ -43,8 +49,8 @@ def schedule(
 
     \b
     Examples:
-      mjx-climb schedule configs/case_1_2.yaml
-      mjx-climb schedule configs/case_2.yaml --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
+      mjx-climb schedule case_1_2
+      mjx-climb schedule case_2 --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
     with options.reserved_stdout() as stdout:
         from mjx_climb import dataset, inputs, plots
@@ -58,8 +64,9 @@ def schedule(
         engine = options.engine_from(engine)
         own = settings.Search() if search is None else settings.load(search)
         wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-        levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity)
-        loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo)
+        options.check_space(scenario, wanted, config, search)
+        levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
+        loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)
         out = out or Path("results") / f"{config.stem}-schedule"
         scenario = inputs.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
@@ -116,11 +123,14 @@ def schedule_table(rows):
     return table
 
 
-def _numbers(option: str, text: str) -> list[float]:
+def _numbers(option: str, text: str, *, above: float = -math.inf, least: float = -math.inf) -> list[float]:
     try:
         values = [float(Fraction(part.strip())) for part in text.split(",")]
-    except (ValueError, ZeroDivisionError):
+    except (ValueError, ZeroDivisionError, OverflowError):
         raise InputError(f"{option}: expected numbers with commas between them, got {text!r}") from None
     if any(not low < high for low, high in itertools.pairwise(values)):
         raise InputError(f"{option}: expected ascending numbers, got {text!r}")
+    if not (values[0] > above and values[0] >= least):
+        bound = f"{least:g} or above" if least >= above else f"above {above:g}"
+        raise InputError(f"{option}: expected numbers {bound}, got {text!r}")
     return values

@@ -14,7 +14,10 @@ def schema(
     """Print the JSON schema of scenarios: every key with its type, range, unit and default.
 
     An editor with YAML support (VS Code, Neovim, Emacs: yaml-language-server) completes and checks a scenario whose
-    first line names the file: # yaml-language-server: $schema=scenario.schema.json
+    first line names the file:
+
+    \b
+      # yaml-language-server: $schema=scenario.schema.json
 
     \b
     Examples:

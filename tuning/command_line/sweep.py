@@ -60,8 +60,8 @@ def sweep(
 
     \b
     Examples:
-      mjx-climb sweep configs/case_1_2.yaml --stiffness 1e2:1e6:16 --damping 1e0:1e5:16
-      mjx-climb sweep configs/case_2.yaml --stiffness 1e3:1e5:8 --damping 1e1:1e4:8 --gains best.yaml
+      mjx-climb sweep case_1_2 --stiffness 1e2:1e6:16 --damping 1e0:1e5:16
+      mjx-climb sweep case_2 --stiffness 1e3:1e5:8 --damping 1e1:1e4:8 --gains best.yaml
     """
     stiffness_axis, damping_axis = log_range("--stiffness", stiffness), log_range("--damping", damping)
     with options.reserved_stdout() as stdout:

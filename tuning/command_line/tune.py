@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from tuning.command_line import options
+from tuning import shipped
+from tuning.command_line import completion, options
 from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.robust import tune_robustly
 
@@ -30,21 +31,36 @@ def tune(
     with_inertia: Annotated[bool, typer.Option("--with-inertia", help="Search the virtual inertia as well.")] = False,
     with_joint_gains: Annotated[bool, typer.Option("--with-joint-gains", help="Search kp and kd as well.")] = False,
     starts: Annotated[
-        int | None, typer.Option(metavar="N", help="Starts or population; grid: points per gain.")
+        int | None,
+        typer.Option(metavar="N", help="Starts or population; grid: points per gain.", show_default="the method's"),
     ] = None,
-    iterations: Annotated[int | None, typer.Option(metavar="N", help="Rounds of the search.")] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Of all random draws.", show_default="0")] = None,
-    weight: Annotated[list[str] | None, _pairs("METRIC=W", "Metric to better; replaces the default ones.")] = None,
-    limit: Annotated[list[str] | None, _pairs("METRIC=VALUE", "Limit of a metric, as base_deviation=5e-3.")] = None,
+    iterations: Annotated[
+        int | None, typer.Option(metavar="N", help="Rounds of the search.", show_default="the method's")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of all random draws.", show_default="0")] = None,
+    weight: Annotated[
+        list[str] | None,
+        _pairs("METRIC=W", "Metric to better and its weight, in place of the default three; repeatable."),
+    ] = None,
+    limit: Annotated[
+        list[str] | None, _pairs("METRIC=VALUE", "Limit of a metric, in its unit: base_deviation=5e-3; repeatable.")
+    ] = None,
     bound: Annotated[
-        list[str] | None, _pairs("GAIN=LOW:HIGH", "Bounds of a gain, as stiffness.rotation=1:1e3.")
+        list[str] | None, _pairs("GAIN=LOW:HIGH", "Bounds of a gain, SI units: stiffness.rotation=1:1e3; repeatable.")
     ] = None,
-    pin: Annotated[list[str] | None, _pairs("GAIN=VALUE", "Gain that keeps a value, as damping.z=100.")] = None,
+    pin: Annotated[
+        list[str] | None, _pairs("GAIN=VALUE", "Gain that keeps a value, SI units: damping.z=100; repeatable.")
+    ] = None,
     search: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML; options change them.")
     ] = None,
     ensemble: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Tune for an ensemble of walks, YAML as configs/ensemble.yaml.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Tune for an ensemble of walks: a YAML file, or ensemble, which comes with the program.",
+            autocompletion=completion.ensemble,
+        ),
     ] = None,
     members: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Walks of the ensemble.", show_default="the file's")
@@ -76,11 +92,18 @@ def tune(
     from a seed), mean and worst count, the peak pulling force with them, and a fresh draw judges the result.
 
     \b
+    METRIC: force_variation, peak_foot_force, peak_pull_force (N), peak_joint_torque (N m),
+      cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
+      joint_limit_margin (rad)
+    GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
+      stiffness and inertia likewise; kp, kd
+
+    \b
     Examples:
-      mjx-climb tune configs/case_1_2.yaml
-      mjx-climb tune configs/case_2.yaml --method gradient --space diagonal --limit base_deviation=0.015
-      mjx-climb tune configs/case_1_1.yaml --method cmaes --space split --pin damping.rotation=50
-      mjx-climb tune configs/case_2.yaml --ensemble configs/ensemble.yaml --members 16
+      mjx-climb tune case_1_2
+      mjx-climb tune case_2 --method gradient --space diagonal --limit base_deviation=0.015
+      mjx-climb tune case_1_1 --method cmaes --space split --pin damping.rotation=50
+      mjx-climb tune case_2 --ensemble ensemble --members 16
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
@@ -102,7 +125,7 @@ def tune(
         if members is not None and ensemble is None:
             raise InputError("--members: expected --ensemble with it")
         changed = {} if members is None else {"members": members}
-        drawn = None if ensemble is None else ensembles.load(ensemble, **changed)
+        drawn = None if ensemble is None else ensembles.load(shipped.found(ensemble), **changed)
         given = {
             "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains or None,
             "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
@@ -111,7 +134,11 @@ def tune(
         if ensemble is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
         own = settings.Search() if search is None else settings.load(search)
-        wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "options")
+        try:
+            wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "")
+        except mc.ConfigError as error:
+            raise InputError(options.in_options(str(error).removeprefix(": "))) from None
+        options.check_space(scenario, wanted, config, None if pin or bound else search)
         kind = "tune" if ensemble is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
         scenario = inputs.copied(scenario, out)

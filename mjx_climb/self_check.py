@@ -1,0 +1,164 @@
+"""Physics and derivatives on this machine, against values stored with the package.
+
+What is compared: the metrics of half a second's walk under Eq. 3 (two swings, two touchdowns, cargo, a push, a slope)
+and their forward derivative by stiffness and damping, in double precision; and the accelerations of one state by both
+engines and by MuJoCo's C code. `python -m mjx_climb.self_check` stores the values anew.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from mjx_climb.compilation import compiler_options, enable_cache, pieces_pay
+from mjx_climb.config import Scenario
+from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES, STANDARD_GRAVITY, forward_dynamics
+from mjx_climb.parameters import Gains
+from mjx_climb.robot import load_model
+from mjx_climb.rollout import named, simulator
+from mjx_climb.state import State
+
+MUJOCO = "mujoco"  # among the engines: its C code
+STORED = Path(str(resources.files("mjx_climb"))) / "self_check.json"
+
+# Relative. Another order of the same arithmetic (the other engine all through the walk) moves the values by 3e-14 at
+# most, so other processors stay far below this; a mass or a gain that is off by a millionth moves them far above.
+TOLERANCE = 1e-9
+
+INERTIA, DAMPING, STIFFNESS = 1.0, 100.0, 3000.0
+SCENARIO = Scenario().with_overrides(
+    {
+        "duration": 0.5,
+        "gait.cycle": 1.0,
+        "gravity": (0.3, -0.2, -1.6),
+        "control": {"inertia": INERTIA, "damping": DAMPING, "stiffness": STIFFNESS},
+        "disturbance.cargo": {"mass": 0.5, "start": 0.1},
+        "disturbance.pushes": [{"force": (-2.0, 1.0, 0.0), "start": 0.2, "stop": 0.3}],
+    }
+)
+
+
+class Deviation(NamedTuple):
+    """The value furthest from the stored one: by how much, relative (infinite where either is no number), and which."""
+
+    size: float
+    name: str
+    value: Any
+    stored: Any
+
+
+def measure() -> dict[str, dict[str, Any]]:
+    """Return the values on this machine: `walk` and `gradient` by metric, and accelerations by engine.
+
+    The gradient is the derivative by the logarithm of damping and stiffness together. Accelerations: base linear m/s^2,
+    base angular rad/s^2, joints rad/s^2, world axes.
+    """
+    enable_cache()
+    with jax.enable_x64(True):
+        walk, gradient = _walk()
+        accelerations = {engine: _acceleration(engine) for engine in sorted(ENGINES)}
+    return {"walk": walk, "gradient": gradient, **accelerations, MUJOCO: _mujoco_acceleration()}
+
+
+def deviations(measured: Mapping[str, Mapping], stored: Mapping[str, Mapping]) -> dict[str, Deviation]:
+    """Return for each part of `measure` the value that is furthest from the stored one."""
+    return {part: _furthest(values, stored.get(part, stored["acceleration"])) for part, values in measured.items()}
+
+
+def load() -> dict[str, dict[str, Any]]:
+    """Return the stored values: `walk`, `gradient` and `acceleration`, which is MuJoCo's."""
+    return json.loads(STORED.read_text())
+
+
+def _furthest(values: Mapping[str, Any], stored: Mapping[str, Any]) -> Deviation:
+    pairs = {name: (values.get(name), stored.get(name)) for name in {**stored, **values}}
+    found = [Deviation(_distance(*pair), name, *pair) for name, pair in pairs.items()]
+    return max(found, key=lambda deviation: deviation.size)
+
+
+def _distance(value: Any, stored: Any) -> float:
+    numbers = [v for v in (value, stored) if isinstance(v, float) and math.isfinite(v)]
+    if len(numbers) < 2:
+        return 0.0 if type(value) is type(stored) and value == stored else math.inf
+    return abs(value - stored) / max(abs(stored), 1e-300)
+
+
+def _walk() -> tuple[dict[str, Any], dict[str, float]]:
+    in_pieces = pieces_pay(DEFAULT_ENGINE)
+    simulate = simulator(SCENARIO, in_pieces=in_pieces)
+
+    def walked(logarithm):
+        factor = jnp.broadcast_to(jnp.exp(logarithm), 6)
+        return simulate(Gains(jnp.full(6, INERTIA), DAMPING * factor, STIFFNESS * factor))
+
+    program = jax.jit(
+        lambda at: jax.jvp(walked, (at,), (1.0,)), compiler_options=compiler_options(1, in_pieces=in_pieces)
+    )
+    values, slopes = program(0.0)
+    walk = named({name: value.item() for name, value in values.items()}, ("LF", "LH", "RH", "RF"))
+    return walk, {name: slopes[name].item() for name, value in walk.items() if type(value) is float}
+
+
+def _state() -> tuple[State, np.ndarray, np.ndarray, np.ndarray]:
+    """Return a state, joint torques (12,) N m, foot forces (4, 3) N and a base wrench (6,), all without pattern."""
+    spread = np.sin(np.arange(1.0, 63.0) ** 2)
+    angles, rates, torque, foot_force, wrench, velocity, orientation, _ = np.split(
+        spread, np.cumsum([12, 12, 12, 12, 6, 3, 4])
+    )
+    state = State(
+        base_position=np.array([0.1, -0.2, 0.3]),
+        base_orientation=orientation / np.linalg.norm(orientation),
+        base_linear_velocity=velocity,
+        base_angular_velocity=velocity[::-1].copy(),
+        joint_angles=angles,
+        joint_rates=5 * rates,
+    )
+    return state, torque, 10 * foot_force.reshape(4, 3), 5 * wrench
+
+
+def _acceleration(engine: str) -> dict[str, float]:
+    result = forward_dynamics(*_state(), 0.0, gravity=STANDARD_GRAVITY, engine=engine)
+    return _labelled(np.concatenate([result.base_linear, result.base_angular, result.joints]))
+
+
+def _mujoco_acceleration() -> dict[str, float]:
+    """Return the accelerations by MuJoCo's C code, whose base rates are in the base's own axes."""
+    state, torque, foot_force, wrench = _state()
+    model = load_model("hubrobo_v3_2")
+    data, rotation = mujoco.MjData(model), np.empty(9)
+    mujoco.mju_quat2Mat(rotation, state.base_orientation)
+    rotation = rotation.reshape(3, 3)
+    data.qpos[:] = np.concatenate([state.base_position, state.base_orientation, state.joint_angles])
+    angular = rotation.T @ state.base_angular_velocity
+    data.qvel[:] = np.concatenate([state.base_linear_velocity, angular, state.joint_rates])
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    for site, force in enumerate(foot_force):
+        body = model.site_bodyid[site]
+        mujoco.mj_applyFT(model, data, force, np.zeros(3), data.site_xpos[site], body, data.qfrc_applied)
+    data.qfrc_applied[6:] += torque
+    data.xfrc_applied[1] = wrench
+    mujoco.mj_forward(model, data)
+    return _labelled(np.concatenate([data.qacc[:3], rotation @ data.qacc[3:6], data.qacc[6:]]))
+
+
+def _labelled(acceleration: np.ndarray) -> dict[str, float]:
+    """Return an acceleration (18,) by what moves."""
+    base = [f"base {kind}{axis}" for kind in ("", "r") for axis in "xyz"]
+    joints = [f"{limb} {link}" for limb in ("LF", "LH", "RH", "RF") for link in ("coxa", "femur", "tibia")]
+    return dict(zip([*base, *joints], acceleration.tolist(), strict=True))
+
+
+if __name__ == "__main__":
+    from mjx_climb.dataset import write_text_atomically
+
+    found = measure()
+    kept = {"walk": found["walk"], "gradient": found["gradient"], "acceleration": found[MUJOCO]}
+    write_text_atomically(STORED, json.dumps(kept, indent=1) + "\n")

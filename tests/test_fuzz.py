@@ -1,0 +1,136 @@
+"""A thousand malformed inputs: never a traceback, never a hang, never half a result; one line says what is wrong."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from fuzz import Case, case
+
+import mjx_climb as mc
+import tuning.robust
+import tuning.schedule
+from mjx_climb.rendering import backend
+from tuning import diagnosis, evaluation
+from tuning.benchmarks import measure
+from tuning.command_line import main
+
+ROOT = Path(__file__).parents[1]
+CASES, CHUNK, QUICK = 1000, 50, 250
+PATIENCE = 20  # s for one call; a second is long
+
+
+class Started(Exception):
+    """The input is valid: the computation would begin."""
+
+
+@pytest.fixture
+def valid_input_stops_here(monkeypatch):
+    def start(*_, **__):
+        raise Started
+
+    for module, names in (
+        (mc, ("rollout", "rollout_metrics", "rollout_histories")),
+        (evaluation, ("baseline",)),
+        (tuning.robust, ("pd_of",)),
+        (tuning.schedule, ("pd_of",)),
+        (measure, ("measure",)),
+        (diagnosis, ("examine",)),
+    ):
+        for name in names:
+            monkeypatch.setattr(module, name, start)
+    monkeypatch.setattr(backend, "find", lambda: "egl")
+
+
+def prepare(malformed: Case, folder: Path) -> list[str]:
+    """Write the files of a case and return its arguments."""
+    for name, content in malformed.files.items():
+        if content is None:
+            (folder / name).mkdir()
+        else:
+            (folder / name).write_bytes(content)
+    return [argument.replace("{folder}", str(folder)) for argument in malformed.arguments]
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    """Return all that lies in a folder."""
+    found = sorted(folder.rglob("*"))
+    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in found}
+
+
+@contextlib.contextmanager
+def patience():
+    def late(*_):
+        raise TimeoutError("hangs")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(PATIENCE)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def check_refusal(code, out: str, err: str, arguments: list[str]) -> None:
+    """A refusal is exit code 2, nothing on standard output, and one line that names a place in the input."""
+    assert (code, out) == (2, "")
+    assert err.startswith("mjx-climb: error: ") and err.endswith("\n")
+    assert len(err.splitlines()) == 1, err
+    assert len(err) < 1500
+    said = [words for argument in arguments for words in named(argument) if len(words) > 1]
+    assert re.search(r"--[a-z]|'", err) or any(words in err for words in said)
+
+
+def named(argument: str) -> tuple[str, ...]:
+    """Return the forms in which a message may name an argument."""
+    path = Path("".join(c if c.isprintable() else ascii(c)[1:-1] for c in argument))
+    return f"error: {path}: ", f"error: {path}/", path.name[:40]
+
+
+STARTS = [pytest.param(start, marks=[pytest.mark.slow] * (start >= QUICK)) for start in range(0, CASES, CHUNK)]
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_malformed_input_is_refused(start, valid_input_stops_here, tmp_path, capsys, monkeypatch):
+    refused = 0
+    for number in range(start, start + CHUNK):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        malformed = case(number)
+        arguments = prepare(malformed, folder)
+        before, handler = tree(folder), signal.getsignal(signal.SIGTERM)
+        try:
+            with patience(), pytest.raises(SystemExit) as ended:
+                main(arguments)
+            out, err = capsys.readouterr()
+            if ended.value.code != 0:
+                check_refusal(ended.value.code, out, err, arguments)
+                assert tree(folder) == before
+                refused += 1
+        except Started:
+            capsys.readouterr()
+        except BaseException as error:
+            error.add_note(f"case {number}: {malformed}")
+            raise
+        finally:
+            signal.signal(signal.SIGTERM, handler)
+    assert refused > CHUNK // 2
+
+
+@pytest.mark.parametrize("number", [20, 565])
+def test_malformed_input_to_a_process_of_its_own(number, tmp_path):
+    """What a shell sees is what the other tests see."""
+    arguments = prepare(case(number), tmp_path)
+    before = tree(tmp_path)
+    command = [sys.executable, "-m", "tuning.command_line", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    how = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "timeout": 3 * PATIENCE}
+    done = subprocess.run(command, **how)
+    check_refusal(done.returncode, done.stdout, done.stderr, arguments)
+    assert tree(tmp_path) == before

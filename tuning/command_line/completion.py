@@ -1,0 +1,41 @@
+"""What a shell completes. A key press waits for it, so nothing heavy is imported and the names stand here again."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from tuning import shipped
+
+ENGINES = ("limb", "mjx")
+METRICS = (
+    "peak_foot_force", "force_variation", "peak_pull_force", "peak_joint_torque", "cost_of_transport", "travel",
+    "base_deviation", "min_tsm", "min_gia_margin", "joint_limit_margin",
+)  # fmt: skip
+
+
+def config(incomplete: str) -> list[str]:
+    """Return the shipped scenarios and the YAML files that a word may become."""
+    return [*_beginning(incomplete, shipped.names()), *_files(incomplete)]
+
+
+def ensemble(incomplete: str) -> list[str]:
+    """Return the shipped ensemble and the YAML files that a word may become."""
+    return [*_beginning(incomplete, [shipped.ENSEMBLE]), *_files(incomplete)]
+
+
+def engine(incomplete: str) -> list[str]:
+    """Return the engines that a word may become."""
+    return _beginning(incomplete, ENGINES)
+
+
+def metric(incomplete: str) -> list[str]:
+    """Return the metrics that a word may become."""
+    return _beginning(incomplete, METRICS)
+
+
+def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:
+    return [word for word in words if word.startswith(incomplete)]
+
+
+def _files(incomplete: str) -> list[str]:
+    """Return YAML files of this folder; below other folders the shell itself completes."""
+    return _beginning(incomplete, sorted(str(file) for file in Path().iterdir() if file.suffix in (".yaml", ".yml")))
