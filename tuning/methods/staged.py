@@ -18,7 +18,7 @@ STARTS = 3
 SCALES = np.array([1.0, 0.5])  # of the steps of the starts that race, the best first: a bold one crosses to better
 # valleys, a careful one gets further down its own
 ONE_STAGE = 20  # iterations
-TIED, RACE, ALONE = 12, 12, 56  # iterations of the three stages
+TIED, RACE, ALONE = 12, 10, 64  # iterations of the three stages
 
 # (task, points (B, n), ties (k, n), iterations, rng, phase, scales of the steps (B,)) -> visited points and merits
 Descent = Callable[..., Generator[Request, Evaluation, tuple[np.ndarray, np.ndarray]]]
