@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 
 from mjx_climb import self_check
@@ -25,13 +26,16 @@ def doctor(monkeypatch, capsys):
     engines = dict.fromkeys(["limb", "mjx", "mujoco"], stored.pop("acceleration"))
     monkeypatch.setattr(self_check, "measure", lambda: stored | engines)
     monkeypatch.setattr(backend, "find", lambda: "egl")
+    chosen = jax.config.jax_compilation_cache_dir  # by an earlier test of this process
+    jax.config.update("jax_compilation_cache_dir", None)
 
     def run():
         with pytest.raises(SystemExit) as ended:
             main(["doctor", "--json"])
         return ended.value.code, json.loads(capsys.readouterr().out)
 
-    return run
+    yield run
+    jax.config.update("jax_compilation_cache_dir", chosen)
 
 
 def wrong(found):
