@@ -88,6 +88,8 @@ def save_figure(figure: Figure, path_stem: str | os.PathLike[str], *, dpi: int =
     Raises:
         OutputError: a file cannot be written.
     """
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # it is laid out now; each format would do it again, twice
     paths = []
     for kind, metadata in (("png", None), ("svg", {"Date": None}), ("pdf", {"CreationDate": None})):
         buffer = io.BytesIO()

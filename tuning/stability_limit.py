@@ -18,11 +18,13 @@ import mjx_climb as mc
 from mjx_climb import gait
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.inverse_kinematics import inverse_kinematics
+from mjx_climb.kernels import in_kernels
 from mjx_climb.parameters import batch_last
 from mjx_climb.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.walk import Carry, advance, begin, prepare, structure
 
 _CHUNK = 64  # gain sets per compiled batch
+_EQUATIONS = 400  # in a piece: compiles faster than smaller ones, see `mjx_climb.kernels`
 _FINEST = 48  # values along an axis of a map
 
 
@@ -32,7 +34,7 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
     count = len(flat[0])
     kp, kd = (_joint(gains, name, scenario, count) for name in ("kp", "kd"))
     numbers = _calm(scenario)
-    shape = structure(scenario, engine, smooth=True)
+    shape = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine))
     radii = []
     with jax.enable_x64(True):
         run = _program(shape, scenario.gait.cycle * (1 - scenario.gait.duty))
@@ -67,7 +69,10 @@ def over_map(scenario: mc.Scenario, walks: xr.Dataset, *, engine: str = DEFAULT_
 
 @functools.lru_cache(maxsize=8)
 def _program(shape, swing_time: float):
-    return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=mc.compiler_options(_CHUNK))
+    options = mc.compiler_options(_CHUNK, in_pieces=shape.in_pieces)
+    if shape.in_pieces:
+        options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
+    return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=options)
 
 
 def _six(gains: mc.Gains):
@@ -103,16 +108,23 @@ def _jacobian(shape, swing_time: float, gains, numbers):
         state=dataclasses.replace(carry.state, base_position=base, joint_angles=joints),
         contact=carry.contact._replace(touching=closed),
     )
-    leaves, tree = jax.tree.flatten((carry.state, carry.law))
+    before = (carry.state, carry.law)
+    leaves, tree = jax.tree.flatten(before)
     sizes = [leaf.size // batch for leaf in leaves]
+    rows = jnp.split(jnp.eye(sum(sizes)), np.cumsum(sizes)[:-1], axis=1)
+    each = [
+        jnp.broadcast_to(row.reshape(-1, *leaf.shape[:-1], 1), (len(row), *leaf.shape))
+        for row, leaf in zip(rows, leaves, strict=True)
+    ]
 
-    def stepped(values):  # (s, B)
-        parts = jnp.split(values, np.cumsum(sizes)[:-1])
-        state, law = tree.unflatten([part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)])
-        after, _ = advance(walk, Carry(state, carry.contact, carry.gait, law), step)
-        return jnp.concatenate([leaf.reshape(-1, batch) for leaf in jax.tree.leaves((after.state, after.law))])
+    def stepped(before):
+        after, _ = advance(walk, Carry(before[0], carry.contact, carry.gait, before[1]), step)
+        return after.state, after.law
 
-    start = jnp.concatenate([leaf.reshape(-1, batch) for leaf in leaves])
-    directions = jnp.broadcast_to(jnp.eye(len(start))[:, :, None], (len(start), *start.shape))
-    columns = jax.vmap(lambda v: jax.jvp(stepped, (start,), (v,))[1])(directions)  # (column, row, B)
-    return jnp.transpose(columns, (2, 1, 0))
+    def columns(before, directions):
+        return jax.vmap(lambda direction: jax.jvp(stepped, (before,), (direction,))[1])(directions)
+
+    columns = in_kernels(columns, _EQUATIONS) if shape.in_pieces else columns
+    moved = jax.tree.leaves(columns(before, tree.unflatten(each)))
+    matrix = jnp.concatenate([leaf.reshape(sum(sizes), -1, batch) for leaf in moved], axis=1)  # (column, row, B)
+    return jnp.transpose(matrix, (2, 1, 0))
