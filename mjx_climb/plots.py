@@ -89,7 +89,7 @@ def save_figure(figure: Figure, path_stem: str | os.PathLike[str], *, dpi: int =
         OutputError: a file cannot be written.
     """
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # it is laid out now; each format would do it again, twice
+    figure.set_layout_engine(None)  # it is laid out now; each format would do it again, and draw twice
     paths = []
     for kind, metadata in (("png", None), ("svg", {"Date": None}), ("pdf", {"CreationDate": None})):
         buffer = io.BytesIO()
