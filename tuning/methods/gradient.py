@@ -25,6 +25,7 @@ class Pace(NamedTuple):
     patience: float  # steps without a better point after which a start goes back to its best one
 
 
+SINGLE = Pace(rate=0.7, last=0.03, smooth=0.5, memory=0.9, patience=5)
 TIED = Pace(rate=0.7, last=0.03, smooth=0.5, memory=0.95, patience=np.inf)
 RACE = Pace(rate=0.7, last=0.5, smooth=1.0, memory=0.9, patience=5)
 ALONE = Pace(rate=0.35, last=0.03, smooth=0.3, memory=0.9, patience=5)
@@ -34,7 +35,7 @@ rounds = staged.rounds
 
 def run(task: Task) -> Points:
     """Descend from every start with the axes tied, then free."""
-    return staged.run(task, *(functools.partial(descend, pace=pace) for pace in (TIED, RACE, ALONE)))
+    return staged.run(task, *(functools.partial(descend, pace=pace) for pace in (SINGLE, TIED, RACE, ALONE)))
 
 
 def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray, pace: Pace = TIED):

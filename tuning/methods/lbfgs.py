@@ -20,7 +20,7 @@ rounds = staged.rounds
 
 def run(task: Task) -> Points:
     """Descend from every start with the axes tied, then free."""
-    return staged.run(task, descend, descend, descend)
+    return staged.run(task, *[descend] * 4)
 
 
 def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray):

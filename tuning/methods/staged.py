@@ -37,16 +37,20 @@ def rounds(task: Task) -> int:
     return sum(iterations(task)) + ((task.search.starts or STARTS) > 1)
 
 
-def run(task: Task, tied: Descent, race: Descent, alone: Descent) -> Points:
-    """Choose starts, descend with the axes tied, let the two best race with the axes free, go on with the winner."""
+def run(task: Task, single: Descent, tied: Descent, race: Descent, alone: Descent) -> Points:
+    """Choose starts, descend with the axes tied, let the two best race with the axes free, go on with the winner.
+
+    A space whose axes are tied anyway has a single descent.
+    """
     space = task.problem.space
     rng = np.random.default_rng(task.search.seed)
     first, *others = iterations(task)
     theta = yield from starts.choose(task, task.search.starts or STARTS, rng)
-    phase = "axes tied" if others else "descent"
-    visited = yield from tied(task, theta, space.ties, first, rng, phase, np.ones(len(theta)))
+    scales = np.ones(len(theta))
     if not others:
+        yield from single(task, theta, space.ties, first, rng, "descent", scales)
         return
+    visited = yield from tied(task, theta, space.ties, first, rng, "axes tied", scales)
     free = np.eye(space.size)
     theta = _best(*visited, len(SCALES))
     visited = yield from race(task, theta, free, others[0], rng, "axes free", SCALES[: len(theta)])

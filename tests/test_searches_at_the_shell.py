@@ -1,0 +1,88 @@
+"""The commands that search, from start to end: what they write, that it can be read back, and kills in between."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from tuning import result, tune
+
+ROOT = Path(__file__).parents[1]
+CASE = str(ROOT / "configs" / "case_1_2.yaml")
+SHORT = ["--set", "duration=0.3", "--set", "disturbance.cargo.start=0.1"]
+SEARCHES = {  # arguments, and what the result is in
+    "tune": (["tune", CASE, *SHORT, "--space", "diagonal", "--starts", "2", "--iterations", "2"], "search.nc"),
+    "ensemble": (
+        ["tune", CASE, *SHORT, "--ensemble", "ensemble", "--members", "2", "--starts", "2", "--iterations", "3"],
+        "search.nc",
+    ),
+    "pareto": (["pareto", CASE, *SHORT, "--points", "3"], "front.nc"),
+    "schedule": (["schedule", CASE, *SHORT, "--gravity", "0.1,1", "--cargo", "0.5"], "schedule.nc"),
+}
+pytestmark = pytest.mark.slow
+
+
+def start(*arguments):
+    command = [sys.executable, "-m", "tuning.command_line", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": "off"}
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+
+
+def finish(*arguments):
+    process = start(*arguments)
+    out, errors = process.communicate(timeout=900)
+    assert process.returncode == 0, errors
+    return out
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_a_killed_command_goes_on_with_the_same_result(search, tmp_path):
+    """SIGKILL at a random instant once rounds are kept; what the same command ends with is that of a quiet run."""
+    arguments, holds = SEARCHES[search]
+    killed, quiet = tmp_path / "killed", tmp_path / "quiet"
+    process = start(*arguments, "--out", killed)
+    while len(list(killed.glob("parts/part-*.npz"))) < 2 and process.poll() is None:
+        time.sleep(0.01)
+    time.sleep(np.random.default_rng().uniform(0, 0.2))
+    process.kill()
+    errors = process.communicate()[1]
+    assert process.returncode == -signal.SIGKILL, errors
+    assert list(killed.glob("parts/part-*.npz"))
+    finish(*arguments, "--out", killed)
+    finish(*arguments, "--out", quiet)
+    with xr.open_dataset(killed / holds) as resumed, xr.open_dataset(quiet / holds) as whole:
+        assert set(resumed.variables) == set(whole.variables)
+        for name, values in whole.variables.items():
+            np.testing.assert_array_equal(resumed[name].values, values.values, err_msg=name)
+    assert not (killed / "parts").exists()
+
+
+def test_tuned_gains_go_from_file_to_file(tmp_path):
+    """`tune` writes gains that `run` and `sweep` read; its result alone is enough to run the search again."""
+    arguments, _ = SEARCHES["tune"]
+    told = json.loads(finish(*arguments, "--out", tmp_path / "tune", "--json"))
+    assert told == json.loads((tmp_path / "tune" / "summary.json").read_text())
+    tuned = told["tuned"]["metrics"]
+    assert told["search"]["objective"] < 1 < told["search"]["env_steps"]
+    pictures = [f"{name}.{kind}" for name in ("convergence", "path", "walks") for kind in ("png", "svg", "pdf")]
+    for name in (*pictures, "report.html", "config.yaml", "search.yaml", "map.nc"):
+        assert (tmp_path / "tune" / name).stat().st_size > 100, name
+
+    gains = ["--gains", tmp_path / "tune" / "gains.yaml"]
+    run = json.loads(finish("run", CASE, *SHORT, *gains, "--out", tmp_path / "run", "--json"))
+    walk = run["base_admittance"]["metrics"] if "base_admittance" in run else run
+    grid = ["--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2"]
+    sweep = json.loads(finish("sweep", CASE, *SHORT, *grid, *gains, "--out", tmp_path / "sweep", "--json"))
+    for metrics in (walk, sweep["gains file"]["metrics"]):
+        assert {name: metrics[name] for name in tuned} == tuned
+
+    stored = result.load(tmp_path / "tune" / "search.nc")
+    again = tune.tune(stored.scenario, stored.search)
+    np.testing.assert_array_equal(again.gains.stiffness, stored.gains.stiffness)
