@@ -50,8 +50,10 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: n
     space = task.problem.space
     schedule = optax.cosine_decay_schedule(pace.rate, iterations, alpha=pace.last)
     direction = optax.scale_by_adam(b1=0.8, b2=pace.memory)
-    blank = jax.vmap(direction.init)(np.zeros((len(theta), len(ties)), np.float32))
     update = jax.jit(jax.vmap(direction.update))
+    with jax.enable_x64(False):  # whatever the caller's setting: a search repeats itself bit by bit
+        blank = jax.vmap(direction.init)(np.zeros((len(theta), len(ties)), np.float32))
+        rate = [float(schedule(iteration)) for iteration in range(iterations)]
     state, visited, merits = blank, [], []
     best, slope_there = theta, np.zeros((len(theta), len(ties)))  # of each start so far
     least, value_there = np.full(len(theta), np.inf), np.full(len(theta), np.inf)
@@ -74,8 +76,9 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: n
         scales = np.where(back & np.isfinite(least), BACK * scales, scales)
         state = choose(back, blank, state)
         slope = slope * np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12))
-        steps, state = update(slope.astype(np.float32), state)
-        rates = float(schedule(iteration)) * scales[:, None]
+        with jax.enable_x64(False):
+            steps, state = update(slope.astype(np.float32), state)
+        rates = rate[iteration] * scales[:, None]
         theta = space.clip(theta - rates * np.asarray(steps, float) @ ties)
         homeless = lost & np.isinf(least)
         if homeless.any():

@@ -32,7 +32,8 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: n
     space = task.problem.space
     count, k = len(theta), len(ties)
     memory = optax.scale_by_lbfgs(memory_size=MEMORY)
-    blank = jax.vmap(memory.init)(np.zeros((count, k), np.float32))
+    with jax.enable_x64(False):  # whatever the caller's setting: a search repeats itself bit by bit
+        blank = jax.vmap(memory.init)(np.zeros((count, k), np.float32))
     update = jax.jit(jax.vmap(memory.update))
     state, fresh, visited, merits = blank, np.ones(count, bool), [], []
     trial, place, value = theta.copy(), np.zeros((count, k)), np.full(count, np.inf)  # place: moved along the ties
@@ -53,7 +54,8 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: n
         highest = _all_of(theta >= space.upper, ties)
         outwards = (lowest & (slope > 0)) | (highest & (slope < 0))
         free = np.where(outwards, 0.0, slope).astype(np.float32)
-        directions, stepped = update(free, state, place.astype(np.float32))
+        with jax.enable_x64(False):
+            directions, stepped = update(free, state, place.astype(np.float32))
         state = choose(accepted, stepped, state)
         directions = np.where(outwards, 0.0, np.asarray(directions, float))
         directions = np.where(((directions * free).sum(1) > 0)[:, None], -directions, -free)
