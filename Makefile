@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: sweep test test-slow lint docs clean .venv
+.PHONY: sweep test test-slow lint types docs clean .venv
 
 # The main job: search the paper's case 1.2 for better gains.
 sweep: .venv/.installed
@@ -21,6 +21,9 @@ lint: .venv/.installed-dev
 	$(BIN)/ruff format --check .
 
 # NO_MKDOCS_2_WARNING: the theme's notice about a release that pyproject.toml keeps out.
+types: .venv/.installed-dev
+	$(BIN)/mypy
+
 docs: .venv/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "build/docs/index.html"
@@ -40,5 +43,5 @@ docs: .venv/.installed-docs
 	@touch $@
 
 clean:
-	rm -rf .venv build dist results out .pytest_cache .coverage .ruff_cache .hypothesis
+	rm -rf .venv build dist results out .pytest_cache .coverage .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

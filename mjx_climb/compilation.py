@@ -27,14 +27,14 @@ def cache_folder() -> Path | None:
 
 def cache_in_use() -> str | None:
     """Return the folder that rollouts use: JAX's where the user has set one there, else ours; None where it is off."""
-    chosen = jax.config.jax_compilation_cache_dir
+    chosen: str | None = jax.config.values["jax_compilation_cache_dir"]
     return chosen if chosen is not None else (None if (own := cache_folder()) is None else str(own))
 
 
 def enable_cache() -> None:
     """Switch the cache on, unless the user has chosen one in JAX or switched ours off."""
     path = cache_folder()
-    if path is None or jax.config.jax_compilation_cache_dir is not None:
+    if path is None or jax.config.values["jax_compilation_cache_dir"] is not None:
         return
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

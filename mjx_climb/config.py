@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import (
@@ -188,9 +188,13 @@ class Control(_Section):
 class _Window(_Section):
     """A span of time, start <= t < stop."""
 
+    if TYPE_CHECKING:  # each kind of window has them in its own order
+        start: float
+        stop: float | None
+
     @model_validator(mode="after")
     def _in_order(self) -> _Window:
-        start, stop = self.start, self.stop  # pyright: ignore[reportAttributeAccessIssue]
+        start, stop = self.start, self.stop
         if stop is not None and not start < stop:
             raise _failure(f"a time after start = {start:g} s, or null", key="stop", got=stop)
         return self
@@ -348,7 +352,7 @@ class _Loader(yaml.SafeLoader):
     depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        event = self.peek_event()
+        event = yaml.SafeLoader.peek_event(self)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) or getattr(event, "tag", None):
             raise yaml.MarkedYAMLError(
                 problem="tags, anchors and aliases are not used here", problem_mark=event.start_mark

@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import os
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -116,14 +116,16 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
         name: (dims, getattr(trajectory, name), {"units": units, "long_name": text})
         for name, (dims, units, text) in VARIABLES.items()
     }
-    labels = {
+    labels: dict[str, tuple[Sequence[str], str]] = {
         "limb": (list(trajectory.limbs), "limb"),
         "joint": (JOINTS, "joint, from the base outwards"),
         "axis": (AXES, "axis of the world frame, z up"),
         "six": (SIX, "translations, then rotations"),
         "quaternion": (QUATERNION, "component of the quaternion"),
     }
-    coords = {name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()}
+    coords: dict[str, Any] = {
+        name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()
+    }
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
     attrs = {"title": "walk of a limbed climbing robot", **_provenance(trajectory.scenario)}
     attrs |= {"gains": _to_json(trajectory.gains), "parameters": _to_json(trajectory.numbers)}
@@ -213,7 +215,7 @@ def _to_json(tree: Gains | Parameters) -> str:
     return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in vars(tree).items()})
 
 
-def _from_json(text: str, dtype: np.dtype) -> dict[str, np.ndarray | None]:
+def _from_json(text: str, dtype: np.dtype) -> dict[str, Any]:
     return {n: None if v is None else np.asarray(v, dtype) for n, v in json.loads(text).items()}
 
 

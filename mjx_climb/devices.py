@@ -9,7 +9,7 @@ robot keeps its bits.
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import jax
@@ -31,7 +31,10 @@ def share_size(robots: int, limit: int | None) -> int:
 
 
 def spread(
-    walk: Callable, robots: int, share: int, progress: Callable[[int, int], None] | None
+    walk: Callable[[np.ndarray, SingleDeviceSharding], Mapping[str, jax.Array | np.ndarray]],
+    robots: int,
+    share: int,
+    progress: Callable[[int, int], None] | None,
 ) -> dict[str, np.ndarray]:
     """Return `walk` of the rows 0 to `robots`, in shares of equal size: the last row again where there are too few.
 
@@ -46,7 +49,8 @@ def spread(
     total = min(len(own) * share, robots)
 
     def walk_share(number: int) -> dict[str, np.ndarray]:
-        return jax.tree.map(np.asarray, walk(shares[number], SingleDeviceSharding(_of(devices, number))))
+        walked = walk(shares[number], SingleDeviceSharding(_of(devices, number)))
+        return {name: np.asarray(value) for name, value in walked.items()}
 
     with _threads(devices) as threads:
         walking = {threads[number % len(devices)].submit(walk_share, number): number for number in own}
@@ -60,12 +64,12 @@ def spread(
     return {name: np.concatenate([parts[n][name] for n in range(len(shares))])[:robots] for name in parts[0]}
 
 
-def _of(devices: list, share: int) -> jax.Device:
+def _of(devices: list[jax.Device], share: int) -> jax.Device:
     return devices[share % len(devices)]
 
 
 @contextlib.contextmanager
-def _threads(devices: list) -> Iterator[dict[int, ThreadPoolExecutor]]:
+def _threads(devices: list[jax.Device]) -> Iterator[dict[int, ThreadPoolExecutor]]:
     """Give an executor to each device of this process: the host launches every step of a loop and would keep others
     waiting. CPU devices share the cores among them.
     """
@@ -84,7 +88,9 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _gathered(parts: dict[int, dict[str, np.ndarray]], shares: int, devices: list) -> dict[int, dict[str, np.ndarray]]:
+def _gathered(
+    parts: dict[int, dict[str, np.ndarray]], shares: int, devices: list[jax.Device]
+) -> dict[int, dict[str, np.ndarray]]:
     """Return the shares of all processes, from those of this one; each process has at least one."""
     like = next(iter(parts.values()))
     table = {name: np.zeros((shares, *value.shape), value.dtype) for name, value in like.items()}

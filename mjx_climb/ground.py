@@ -35,7 +35,7 @@ def footholds(scenario: Scenario) -> np.ndarray:
     stance = _stance_feet(robot)[:, None, :2]
     planned = stance + np.arange(_foothold_count(scenario))[:, None] * np.array([gait.stride, 0.0])
     c, s = np.cos(gait.heading), np.sin(gait.heading)
-    return planned @ np.array([[c, s], [-s, c]])
+    return np.asarray(planned @ np.array([[c, s], [-s, c]]))
 
 
 def relief(ground: HeightMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -82,7 +82,7 @@ def _stance_feet(robot: Robot) -> np.ndarray:
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.model.key_qpos[0]
     mujoco.mj_kinematics(robot.model, data)
-    return data.site_xpos.copy()
+    return np.array(data.site_xpos)
 
 
 def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> np.ndarray:
@@ -103,7 +103,7 @@ def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> n
     u, v = row - i, column - j
     low = (1 - v) * grid[i, j] + v * grid[i, j + 1]
     high = (1 - v) * grid[i + 1, j] + v * grid[i + 1, j + 1]
-    return ground.scale * ((1 - u) * low + u * high)
+    return np.asarray(ground.scale * ((1 - u) * low + u * high))
 
 
 @functools.lru_cache(maxsize=8)
@@ -132,7 +132,7 @@ def _csv(file: str) -> np.ndarray:
 
 
 def _npy(file: str) -> np.ndarray:
-    return np.load(file, allow_pickle=False)
+    return np.asarray(np.load(file, allow_pickle=False))
 
 
 def _png(file: str) -> np.ndarray:

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
+from numpy.typing import DTypeLike
 
 from mjx_climb.compilation import compiler_options, pieces_pay
 from mjx_climb.config import Scenario
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.parameters import Gains, Parameters, batch_shape
-from mjx_climb.rollout import given, walk_batch, walk_recorded
+from mjx_climb.rollout import Metrics, given, walk_batch, walk_recorded
 from mjx_climb.sample import Sample
 from mjx_climb.trajectory import Trajectory, to_samples
 from mjx_climb.walk import Structure, structure
@@ -33,7 +34,7 @@ LINES: dict[str, tuple[str, str, str]] = {
 class Stretches(NamedTuple):
     """How a walk is cut up."""
 
-    count: int
+    number: int
     steps: int  # of one stretch; the last may be shorter
 
 
@@ -48,7 +49,7 @@ def rollout_histories(
     gains: Gains | None = None,
     numbers: Parameters | None = None,
     *,
-    dtype=np.float32,
+    dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     engine: str = DEFAULT_ENGINE,
@@ -89,12 +90,12 @@ def _extremes(lines: Mapping[str, Array]) -> dict[str, Array]:
     return {name: jnp.stack([v[rows].min(1), v[rows].max(1)]).transpose(2, 0, 1) for name, v in lines.items()}
 
 
-def _histories_of(structure: Structure, gains: Gains, numbers: Parameters) -> dict[str, Array]:
+def _histories_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
     metrics, lines = walk_recorded(structure, gains, numbers, _lines)
     shape = metrics["diverged"].shape
     return metrics | {name: v.reshape(*shape, *v.shape[1:]) for name, v in _extremes(lines).items()}
 
 
 @functools.cache
-def _compiled(batch: int, in_pieces: bool) -> Callable:
+def _compiled(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
     return jax.jit(_histories_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))

@@ -42,7 +42,7 @@ def identity(scenario: Scenario) -> str:
         ConfigError: a file cannot be read.
     """
 
-    def digest(_, file: str) -> str:
+    def digest(_: str, file: str) -> str:
         contents = sorted((other.name, _content(other)) for other in _needed(Path(file)))
         return hashlib.sha256(repr(contents).encode()).hexdigest()
 

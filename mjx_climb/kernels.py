@@ -9,11 +9,15 @@ them is worked out once.
 
 import functools
 from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import jax
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
+
+_Result = TypeVar("_Result")
+_Parts = dict[int, tuple[jax.Array, int, list[jax.Array]]]
 
 EQUATIONS = 150  # in a piece: with fewer the calls cost more, with more fusion repeats more
 
@@ -26,13 +30,13 @@ _REDUCTIONS = {
 }
 
 
-def in_kernels(function: Callable, equations: int = EQUATIONS) -> Callable:
+def in_kernels(function: Callable[..., _Result], equations: int = EQUATIONS) -> Callable[..., _Result]:
     """Return the function with its equations in pieces of so many, each a kernel of its own.
 
     For values and forward derivatives, on a CPU.
     """
 
-    def cut(*arguments):
+    def cut(*arguments: Any) -> _Result:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         leaves = jax.tree.leaves(arguments)
         closed = jax.make_jaxpr(lambda *values: _evaluated(closed.jaxpr, closed.consts, values))(*leaves)
@@ -43,26 +47,28 @@ def in_kernels(function: Callable, equations: int = EQUATIONS) -> Callable:
             results = _one_kernel(core.jaxpr_as_fun(part))(*(values[variable] for variable in inputs))
             values |= zip(outputs, results, strict=True)
         results = [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in jaxpr.outvars]
-        return jax.tree.unflatten(jax.tree.structure(shape), results)
+        result: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
+        return result
 
     return cut
 
 
-def _one_kernel(function: Callable) -> Callable:
-    def piece(*arguments):
+def _one_kernel(function: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
+    def piece(*arguments: jax.Array) -> list[jax.Array]:
         with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
             return function(*arguments)
 
     jitted = jax.jit(piece)
 
-    def call(*arguments):
+    def call(*arguments: jax.Array) -> list[jax.Array]:
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            return jitted(*arguments)
+            results: list[jax.Array] = jitted(*arguments)
+            return results
 
     return call
 
 
-def _pieces(jaxpr, equations: int) -> list[tuple[list, list, list]]:
+def _pieces(jaxpr: core.Jaxpr, equations: int) -> list[tuple[list[core.Var], list[core.JaxprEqn], list[core.Var]]]:
     """Return inputs, equations and outputs of pieces in order of execution, without what nothing depends on."""
     needed = _variables(jaxpr.outvars)
     living = []
@@ -83,25 +89,25 @@ def _pieces(jaxpr, equations: int) -> list[tuple[list, list, list]]:
     return result[::-1]
 
 
-def _variables(atoms: Sequence) -> dict:
+def _variables(atoms: Sequence[core.Var | core.Literal]) -> dict[core.Var, None]:
     """Return the variables among atoms as the keys of a dict, which keeps their order."""
     return {atom: None for atom in atoms if not isinstance(atom, core.Literal)}
 
 
-def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
+def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
     """Return the results of a jaxpr: no calls, reductions term by term, slices of a concatenation from its parts.
 
     XLA would do the last as well. But what it makes needless must not be the parameter of a kernel: XLA:CPU (jaxlib
     0.10) stops the process at a kernel with a parameter that nothing in it reads.
     """
-    values: dict = {}
+    values: dict[core.Var, Any] = {}
     # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of
-    parts: dict[int, tuple[jax.Array, int, list]] = {}
+    parts: _Parts = {}
 
-    def read(atom):
+    def read(atom: core.Var | core.Literal) -> Any:
         return atom.val if isinstance(atom, core.Literal) else values[atom]
 
-    def evaluated(jaxpr, constants, arguments):
+    def evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
         values.update(zip(jaxpr.constvars, constants, strict=True))
         values.update(zip(jaxpr.invars, arguments, strict=True))
         for equation in jaxpr.eqns:
@@ -128,19 +134,28 @@ def _evaluated(jaxpr, constants: Sequence, arguments: Sequence) -> list:
     return evaluated(jaxpr, constants, arguments)
 
 
-def _reduced(combine: Callable, array, parts: dict, axes: Sequence[int]):
+def _reduced(
+    combine: Callable[[jax.Array, jax.Array], jax.Array], array: jax.Array, parts: _Parts, axes: Sequence[int]
+) -> jax.Array:
     """Return a reduction, term by term: XLA hands large ones to a library, which a kernel cannot call."""
     for axis in sorted(axes, reverse=True):
         ends = [(0, size) for size in array.shape]
         terms = []
         for index in range(array.shape[axis]):
             ends[axis] = (index, index + 1)
-            terms.append(lax.squeeze(_sliced(array, parts, *zip(*ends, strict=True), None), (axis,)))
+            starts, limits = zip(*ends, strict=True)
+            terms.append(lax.squeeze(_sliced(array, parts, starts, limits, None), (axis,)))
         array = functools.reduce(combine, terms)
     return array
 
 
-def _sliced(array, parts: dict, start_indices, limit_indices, strides):
+def _sliced(
+    array: jax.Array,
+    parts: _Parts,
+    start_indices: Sequence[int],
+    limit_indices: Sequence[int],
+    strides: Sequence[int] | None,
+) -> jax.Array:
     """Return a slice of an array, of the one part that holds it where the array is a concatenation."""
     starts, limits = list(start_indices), list(limit_indices)
     while strides is None and id(array) in parts:

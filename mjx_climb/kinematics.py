@@ -57,13 +57,13 @@ def foot_kinematics(frames: LimbFrames, state: State) -> Feet:
 
 def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo_mass: Array) -> Array:
     """Return the centre of mass (3, B) m, world, of the robot with `cargo_mass` (B,) kg at the base's own."""
-    moment = sum(
+    moment: Array = sum(
         (mass * (position + rotate(rotation, center))).sum(1)
         for mass, center, position, rotation in zip(
             robot.link_mass, robot.link_center, frames.position, frames.rotation, strict=True
         )
     )
-    return base_position + moment * (1 / (robot.total_mass + cargo_mass))
+    return base_position + moment * (1 / (cargo_mass + robot.total_mass))
 
 
 def joint_torque_of_foot_force(feet: Feet, foot_force: Array) -> Array:

@@ -8,11 +8,16 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from mjx_climb.config import Scenario
 from mjx_climb.ground import foothold_heights
+
+_Gain = Float[Array, "*batch_axis"] | Float[np.ndarray, "*batch_axis"] | float
+_JointGain = Float[Array, "*batch"] | Float[np.ndarray, "*batch"] | float
 
 
 @jax.tree_util.register_dataclass
@@ -26,11 +31,11 @@ class Gains:
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType({"inertia": 1, "damping": 1, "stiffness": 1})
 
-    inertia: Float[Array, "*batch_axis"] | float  # kg, kg m^2
-    damping: Float[Array, "*batch_axis"] | float  # N s/m, N m s
-    stiffness: Float[Array, "*batch_axis"] | float  # N/m, N m
-    kp: Float[Array, "*batch"] | float | None = None  # N m/rad
-    kd: Float[Array, "*batch"] | float | None = None  # N m s/rad
+    inertia: _Gain  # kg, kg m^2
+    damping: _Gain  # N s/m, N m s
+    stiffness: _Gain  # N/m, N m
+    kp: _JointGain | None = None  # N m/rad
+    kd: _JointGain | None = None  # N m s/rad
 
 
 @jax.tree_util.register_dataclass
@@ -75,7 +80,7 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
     """Return the numbers of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
     contact, control, gait = scenario.contact, scenario.control, scenario.gait
     cargo, pushes = scenario.disturbance.cargo, scenario.disturbance.pushes
-    values = Parameters(
+    values = dict(
         gravity=scenario.gravity,
         contact_stiffness=contact.stiffness,
         contact_damping=contact.damping,
@@ -98,10 +103,10 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         mass_scale=1.0,
     )
     arrays = {}
-    for field in dataclasses.fields(values):
-        array = jnp.asarray(getattr(values, field.name), dtype or jnp.result_type(float))
-        without_pushes = field.name in ("push_force", "push_moment") and array.size == 0
-        arrays[field.name] = array.reshape(0, 3) if without_pushes else array
+    for name, value in values.items():
+        array = jnp.asarray(value, dtype or jnp.result_type(float))
+        without_pushes = name in ("push_force", "push_moment") and array.size == 0
+        arrays[name] = array.reshape(0, 3) if without_pushes else array
     return Parameters(**arrays)
 
 
@@ -137,7 +142,7 @@ def batch_last(
     The batch axes `shape` are flattened to one; what does not vary over them keeps a batch axis of size one.
     """
 
-    def last(value, natural: tuple[int, ...]) -> Array:
+    def last(value: ArrayLike, natural: tuple[int, ...]) -> Array:
         value = jnp.asarray(value, dtype)
         lead = value.shape[: value.ndim - len(natural)]
         if math.prod(lead) != 1:
@@ -145,7 +150,7 @@ def batch_last(
         value = jnp.broadcast_to(value, (*lead, *natural)).reshape(math.prod(lead), *natural)
         return jnp.moveaxis(value, 0, -1)
 
-    def six(value):
+    def six(value: ArrayLike) -> Array:
         value = jnp.asarray(value, dtype)
         return last(value if value.ndim else value[None], (6,))
 

@@ -7,14 +7,16 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
-from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
@@ -65,16 +67,20 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+
 def style() -> AbstractContextManager[None]:
     """Return a context in which matplotlib draws in this module's style: `with plots.style(): ...`."""
     return mpl.rc_context(_STYLE)
 
 
-def _styled(draw: Callable) -> Callable:
+def _styled(draw: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """Run a drawing function in this module's style and leave matplotlib's own as it was."""
 
     @functools.wraps(draw)
-    def styled(*args, **kwargs):
+    def styled(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
         with style():
             return draw(*args, **kwargs)
 
@@ -124,7 +130,7 @@ def _whole(trajectory: Trajectory) -> int:
     return int(finite.size if finite.all() else finite.argmin())
 
 
-def _draw(axes: Axes, trajectory: Trajectory, values: np.ndarray, **style) -> None:
+def _draw(axes: Axes, trajectory: Trajectory, values: np.ndarray, **style: Any) -> None:
     """Draw one line over time, up to where the state stopped being finite.
 
     What comes after a failure may be thousands of times larger: the axes reach at most two spans beyond what
@@ -156,12 +162,12 @@ def _failure_time(trajectory: Trajectory) -> float:
 
 def largest_foot_force(trajectory: Trajectory) -> np.ndarray:
     """Return the largest foot force over time, (T,) N."""
-    return _norm(trajectory.foot_force).max(1)
+    return np.asarray(_norm(trajectory.foot_force).max(1))
 
 
 def _norm(vectors: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):  # a walk that diverges
-        return np.linalg.norm(vectors, axis=-1)
+        return np.asarray(np.linalg.norm(vectors, axis=-1))
 
 
 def detachments(trajectory: Trajectory) -> list[tuple[float, str]]:
@@ -174,21 +180,21 @@ def detachments(trajectory: Trajectory) -> list[tuple[float, str]]:
 def _grip_changes(trajectory: Trajectory) -> np.ndarray:
     """Return the times at which a gripper opens or shuts, s; not those at which it is torn off."""
     support = trajectory.support | trajectory.detached | trajectory.torn_off
-    return trajectory.time[1:][(support[1:] != support[:-1]).any(1)]
+    return np.asarray(trajectory.time[1:][(support[1:] != support[:-1]).any(1)])
 
 
 def _windows(trajectory: Trajectory) -> list[tuple[float, float, str, str]]:
     """Return the disturbances as (start s, stop s, label, colour)."""
     disturbance, end = trajectory.scenario.disturbance, _end(trajectory)
-    windows = []
+    windows: list[tuple[float, float | None, str, str]] = []
     if disturbance.cargo.mass > 0:
         cargo = disturbance.cargo
         windows.append((cargo.start, cargo.stop, f"cargo {cargo.mass:g} kg", CARGO))
     for push in disturbance.pushes:
         parts = [_component(push.force, "N"), _component(push.moment, "N m")]
         windows.append((push.start, push.stop, ", ".join(filter(None, parts)) or "push", PUSH))
-    windows = [(start, end if stop is None else min(stop, end), *rest) for start, stop, *rest in windows]
-    return [window for window in windows if window[0] < window[1]]
+    cut = [(start, end if stop is None else min(stop, end), label, color) for start, stop, label, color in windows]
+    return [window for window in cut if window[0] < window[1]]
 
 
 def _component(vector: Sequence[float], unit: str) -> str:
@@ -229,7 +235,7 @@ def _mark_events(axes: Sequence[Axes], trajectory: Trajectory) -> None:
     for start, stop, label, color in _windows(trajectory):
         for panel in axes:
             panel.axvspan(start, stop, color=color, linewidth=0, zorder=0, gid="disturbance")
-        place = {"xy": ((start + stop) / 2, 1), "xycoords": axes[0].get_xaxis_transform()}
+        place: dict[str, Any] = {"xy": ((start + stop) / 2, 1), "xycoords": axes[0].get_xaxis_transform()}
         text = axes[0].annotate(
             label, **place, xytext=(0, 2), textcoords="offset points", ha="center", va="bottom", fontsize=6.5
         )
@@ -315,9 +321,9 @@ def _limb_colors(trajectory: Trajectory) -> list[str]:
     return [LIMB_COLORS[number % len(LIMB_COLORS)] for number in range(len(trajectory.limbs))]
 
 
-def _legend(figure: Figure, handles: Sequence, title: str | None = None) -> None:
+def _legend(figure: Figure, handles: Sequence[Artist], title: str | None = None) -> None:
     """Put a legend, and a title over it, above the panels, with as many columns as fit."""
-    width = 0.055 * max(len(handle.get_label()) for handle in handles) + 0.35  # inch
+    width = 0.055 * max(len(str(handle.get_label())) for handle in handles) + 0.35  # inch
     figure.legend(
         handles=handles,
         title=title,
@@ -505,13 +511,13 @@ def plot_feet(trajectory: Trajectory) -> Figure:
         above.plot(path[:, 0], path[:, 1], color=color, zorder=3)
         for ahead, _, height in planned[limb]:
             side.plot([ahead - 12, ahead + 12], [height] * 2, color=color, linewidth=2.5, alpha=0.45, gid="foothold")
-        rings = {"marker": "o", "markersize": 7, "linestyle": "none", "markerfacecolor": "none"}
+        rings: dict[str, Any] = {"marker": "o", "markersize": 7, "linestyle": "none", "markerfacecolor": "none"}
         above.plot(*planned[limb, :, :2].T, markeredgecolor=color, **rings, gid="foothold")
     for panel, axis in ((side, 2), (above, 1)):
         panel.plot(base[:, 0], base[:, axis], color=BLACK, linewidth=0.8, zorder=3)
-        for instant, limb in detachments(trajectory):
+        for instant, name in detachments(trajectory):
             if (row := int(np.searchsorted(time, instant))) < rows:
-                torn = feet[row, trajectory.limbs.index(limb)]
+                torn = feet[row, trajectory.limbs.index(name)]
                 _cross(panel, torn[0], torn[axis])
         panel.grid(color="0.9", linewidth=0.4)
         panel.set_axisbelow(True)
@@ -631,10 +637,10 @@ def plot_map(
     a `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
-    handles, label = _draw_map(
-        figure, panel := figure.subplots(), dataset, metric, marks or {}, baseline, baseline_name, x, y
+    handles, label, bar = _draw_map(
+        figure, figure.subplots(), dataset, metric, marks or {}, baseline, baseline_name, x, y
     )
-    panel.collections[0].colorbar.set_label(label)
+    bar.set_label(label)
     _map_legend(figure, handles, 3)
     if title:
         figure.suptitle(title, fontsize=8.5)
@@ -666,7 +672,7 @@ def plot_maps(
     handles = {}
     for metric, panel in zip(metrics, axes.flat, strict=False):
         value = (baselines or {}).get(metric)
-        found, label = _draw_map(figure, panel, dataset, metric, marks or {}, value, baseline_name, x, y)
+        found, label, _ = _draw_map(figure, panel, dataset, metric, marks or {}, value, baseline_name, x, y)
         panel.set_title(label)
         handles.update({handle.get_label(): handle for handle in found})
     for number, panel in enumerate(axes.flat):
@@ -684,7 +690,7 @@ def plot_maps(
     return figure
 
 
-def _map_legend(figure: Figure, handles: Sequence, columns: int) -> None:
+def _map_legend(figure: Figure, handles: Sequence[Artist], columns: int) -> None:
     if handles:
         figure.legend(
             handles=handles, loc="outside lower center", ncols=min(columns, len(handles)), columnspacing=1.2,
@@ -692,13 +698,25 @@ def _map_legend(figure: Figure, handles: Sequence, columns: int) -> None:
         )  # fmt: skip
 
 
-def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x, y) -> tuple[list, str]:
-    """Draw one map with its colour bar; return the handles of its legend and what its colours stand for."""
+def _draw_map(
+    figure: Figure,
+    panel: Axes,
+    dataset: xr.Dataset,
+    metric: str,
+    marks: Mapping[str, tuple[float, float]],
+    baseline: float | None,
+    baseline_name: str,
+    x: str,
+    y: str,
+) -> tuple[list[Artist], str, Colorbar]:
+    """Draw one map with its colour bar; return the handles of its legend, what its colours stand for, and the bar."""
     variable = _grid(dataset, metric, x, y)
     failed = _failed(dataset, x, y)
     values = variable.values.astype(float)
     x_edges, y_edges = (_log_edges(dataset[name].values) for name in (x, y))
     flags = variable.attrs.get("flag_meanings", "").split()
+    colormap: Colormap
+    norm: Normalize
     if flags:
         codes = np.asarray(variable.attrs["flag_values"], float)
         colors = ["0.9", *LIMB_COLORS][: len(flags)]
@@ -725,9 +743,9 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
     panel.set_xlabel(_label(dataset[x], x))
     panel.set_ylabel(_label(dataset[y], y))
 
-    handles = []
+    handles: list[Artist] = []
     if failed.any():
-        shades = colormap(norm(np.nan_to_num(values, nan=norm.vmin)))[..., :3] @ [0.299, 0.587, 0.114]
+        shades = colormap(norm(np.nan_to_num(values, nan=norm.vmin or 0.0)))[..., :3] @ [0.299, 0.587, 0.114]
         dark = (shades < 0.4) & np.isfinite(values)
         hatched: dict[str, Any] = {"facecolor": "none", "hatch": "/////", "linewidth": 0}
         for chosen, color in ((failed & ~dark, "0.15"), (failed & dark, "0.85")):
@@ -763,7 +781,7 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
     bar = figure.colorbar(mesh, ax=panel, extend=extend, pad=0.02, aspect=25)
     bar.outline.set_linewidth(0.6)
     if flags:
-        bar.set_ticks(codes, labels=flags)
+        bar.set_ticks(codes.tolist(), labels=flags)
         bar.ax.minorticks_off()
     elif (
         isinstance(norm, LogNorm) and mesh.get_clim()[1] < 1e3 * mesh.get_clim()[0]
@@ -774,10 +792,10 @@ def _draw_map(figure, panel, dataset, metric, marks, baseline, baseline_name, x,
         bar.update_ticks()
     if baseline is not None and not flags:
         _mark_on_bar(bar, float(baseline), baseline_name)
-    return handles, _label(variable, metric)
+    return handles, _label(variable, metric), bar
 
 
-def _draw_stability_limit(panel, radius: xr.DataArray) -> bool:
+def _draw_stability_limit(panel: Axes, radius: xr.DataArray) -> bool:
     """Draw where a radius (y, x) passes 1 and return whether it does; rows and columns without values are left out."""
     y, x = radius.dims
     radius = radius.dropna(x, how="all").dropna(y, how="all")
@@ -788,9 +806,9 @@ def _draw_stability_limit(panel, radius: xr.DataArray) -> bool:
     return True
 
 
-def _mark_on_bar(bar, value: float, name: str) -> None:
+def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:
     """Draw a line across a colour bar, or an arrow at the end beyond which the value lies."""
-    low, high = bar.mappable.norm.vmin, bar.mappable.norm.vmax
+    low, high = np.asarray(bar.mappable.get_clim(), float)
     arrow = " \N{UPWARDS ARROW}" if value > high else " \N{DOWNWARDS ARROW}" if value < low else ""
     place = min(max(value, low), high)
     bar.ax.axhline(place, color=RED, linewidth=1.4, gid="baseline")
@@ -840,9 +858,9 @@ def _log_edges(centers: np.ndarray) -> np.ndarray:
         raise ValueError("a map needs gains above 0: its axes are logarithmic")
     logs = np.log(np.asarray(centers, float))
     if logs.size == 1:
-        return np.exp(logs[0] + np.array([-0.5, 0.5]))
+        return np.asarray(np.exp(logs[0] + np.array([-0.5, 0.5])))
     middle = (logs[1:] + logs[:-1]) / 2
-    return np.exp(np.concatenate([[2 * logs[0] - middle[0]], middle, [2 * logs[-1] - middle[-1]]]))
+    return np.asarray(np.exp(np.concatenate([[2 * logs[0] - middle[0]], middle, [2 * logs[-1] - middle[-1]]])))
 
 
 def _span(edges: np.ndarray, marks: Sequence[float]) -> tuple[float, float]:

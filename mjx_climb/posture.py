@@ -38,7 +38,9 @@ def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
     return LimbJoints(best, errors)
 
 
-def _newton(model, data, angles: np.ndarray, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _newton(
+    model: mujoco.MjModel, data: mujoco.MjData, angles: np.ndarray, feet: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return joint angles (L, 3) from a start, and the distances (L,) m that are left; all limbs at once."""
     jacobian, columns = np.empty((3, model.nv)), 6 + np.arange(angles.size).reshape(angles.shape)
     angles = angles.copy()

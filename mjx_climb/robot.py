@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import jax
 import mujoco
@@ -61,9 +62,10 @@ class Robot:
     stance_joints: np.ndarray  # (3, L, 1) rad
 
     @property
-    def total_mass(self):
+    def total_mass(self) -> np.ndarray:
         """Mass of base and links, (1,) kg."""
-        return self.base_mass + self.link_mass.sum((0, 1))
+        mass: np.ndarray = self.base_mass + self.link_mass.sum((0, 1))
+        return mass
 
 
 def model_path(name: str | RobotFile) -> Path:
@@ -148,14 +150,15 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             f"{name}: expected the base frame at the base's centre of mass, got an offset {model.body_ipos[1]}"
         )
 
-    def inertia(body, rotation):
+    def inertia(body: int, rotation: np.ndarray) -> np.ndarray:
         principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
-        return principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T
+        return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
 
-    fields = {key: [] for key in ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")}
+    keys = ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")
+    fields: dict[str, list[np.ndarray]] = {key: [] for key in keys}
     for chain in limbs:
         parent_position, parent_rotation = np.zeros(3), np.eye(3)
-        column = {key: [] for key in fields}
+        column: dict[str, Any] = {key: [] for key in keys}
         for body in chain:
             joint = model.body_jntadr[body]
             position = data.xanchor[joint]

@@ -58,9 +58,9 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     trunk = spec.worldbody.add_body(name="base")
     trunk.add_freejoint(name="base")
     _weigh(trunk, body._replace(center=np.zeros(3), inertia=axes.T @ body.inertia @ axes))
-    _box(trunk, np.array([_base_anchor(file, data, chain, axes, body) for chain in chains.values()]))
+    _box(trunk, np.array([_base_anchor(data, chain, axes, body) for chain in chains.values()]))
     for limb, chain in chains.items():
-        _add_limb(source, spec, trunk, limb, chain, file, data, part, axes, body.center)
+        _add_limb(source, trunk, limb, chain, file, data, part, axes, body.center)
     offset = axes.T @ (body.center - data.xpos[base])  # the base's centre of mass in its own link's frame
     _stand(source, spec, offset)
     return spec
@@ -131,7 +131,9 @@ def _base(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, chains: dic
     return int(base)
 
 
-def _no_more(source, file: mujoco.MjModel, part: np.ndarray, base: int, chains: dict[str, list[int]]) -> None:
+def _no_more(
+    source: RobotFile, file: mujoco.MjModel, part: np.ndarray, base: int, chains: dict[str, list[int]]
+) -> None:
     """Refuse a robot with more to it than a base and four limbs of three joints."""
     ours = [joint for chain in chains.values() for joint in chain]
     if len(set(ours)) != len(ours):
@@ -160,7 +162,9 @@ def _link(file: mujoco.MjModel, data: mujoco.MjData, bodies: np.ndarray) -> _Lin
     return _Link(float(total), center, inertia)
 
 
-def _foot(source: RobotFile, file, data, part, limb: str, tibia: int) -> np.ndarray:
+def _foot(
+    source: RobotFile, file: mujoco.MjModel, data: mujoco.MjData, part: np.ndarray, limb: str, tibia: int
+) -> np.ndarray:
     """Return the foot of a limb, in world axes: a site or a body fixed to the last link."""
     name = getattr(source.limbs, limb).foot
     site = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_SITE, name)
@@ -170,10 +174,12 @@ def _foot(source: RobotFile, file, data, part, limb: str, tibia: int) -> np.ndar
     if part[body] != file.jnt_bodyid[tibia]:
         got = f"{name!r}, which is not fixed to it"
         raise _error(source, f"limbs.{limb}.foot", f"a place on the link of joint {file.joint(tibia).name!r}", got)
-    return data.site_xpos[site] if site >= 0 else data.xpos[body]
+    return np.asarray(data.site_xpos[site] if site >= 0 else data.xpos[body])
 
 
-def _axes(source: RobotFile, file, data, limb: str, chain: list[int]) -> list[np.ndarray]:
+def _axes(
+    source: RobotFile, file: mujoco.MjModel, data: mujoco.MjData, limb: str, chain: list[int]
+) -> list[np.ndarray]:
     """Return the axes of a limb's joints, femur and tibia exactly parallel and at right angles to the coxa."""
     coxa, femur, tibia = data.xaxis[chain]
     key = f"limbs.{limb}.joints"
@@ -189,7 +195,7 @@ def _axes(source: RobotFile, file, data, limb: str, chain: list[int]) -> list[np
     return [coxa, femur, np.sign(femur @ tibia) * femur]
 
 
-def _limits(source: RobotFile, file, limb: str, joint: int) -> tuple[float, float]:
+def _limits(source: RobotFile, file: mujoco.MjModel, limb: str, joint: int) -> tuple[float, float]:
     if not file.jnt_limited[joint]:
         return -np.pi, np.pi
     lower, upper = file.jnt_range[joint]
@@ -206,14 +212,24 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
     return quaternion
 
 
-def _weigh(body, link: _Link) -> None:
+def _weigh(body: mujoco.MjsBody, link: _Link) -> None:
     body.explicitinertial = True
     body.mass, body.ipos = link.mass, link.center
     i = link.inertia
     body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
 
 
-def _add_limb(source, spec, trunk, limb, chain, file, data, part, parent_axes, parent_origin) -> None:
+def _add_limb(
+    source: RobotFile,
+    trunk: mujoco.MjsBody,
+    limb: str,
+    chain: list[int],
+    file: mujoco.MjModel,
+    data: mujoco.MjData,
+    part: np.ndarray,
+    parent_axes: np.ndarray,
+    parent_origin: np.ndarray,
+) -> None:
     """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next."""
     joints = _axes(source, file, data, limb, chain)
     foot = _foot(source, file, data, part, limb, chain[-1])
@@ -248,7 +264,7 @@ def _add_limb(source, spec, trunk, limb, chain, file, data, part, parent_axes, p
     body.add_site(name=f"{limb}_foot", pos=parent_axes.T @ (foot - parent_origin), size=[0.004] * 3)
 
 
-def _compile(source: RobotFile, spec) -> mujoco.MjModel:
+def _compile(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
@@ -293,20 +309,20 @@ def _scene() -> mujoco.MjSpec:
     return spec
 
 
-def _shape(body, kind: mujoco.mjtGeom, material: str, **where) -> None:
+def _shape(body: mujoco.MjsBody, kind: mujoco.mjtGeom, material: str, **where: list[float]) -> None:
     body.add_geom(type=kind, material=material, contype=0, conaffinity=0, mass=0, group=1, **where)
 
 
-def _base_anchor(file, data, chain, axes, base: _Link) -> np.ndarray:
-    return axes.T @ (data.xanchor[chain[0]] - base.center)
+def _base_anchor(data: mujoco.MjData, chain: list[int], axes: np.ndarray, base: _Link) -> np.ndarray:
+    return np.asarray(axes.T @ (data.xanchor[chain[0]] - base.center))
 
 
-def _box(body, hips: np.ndarray) -> None:
+def _box(body: mujoco.MjsBody, hips: np.ndarray) -> None:
     half = np.abs(hips).max(0).clip(0.01)
     _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "shell", size=[0.95 * half[0], 0.95 * half[1], 0.2 * half[:2].min()])
 
 
-def _draw(body, name: str, end: np.ndarray) -> None:
+def _draw(body: mujoco.MjsBody, name: str, end: np.ndarray) -> None:
     thick = float(np.clip(0.12 * np.linalg.norm(end), 0.003, 0.014))
     _shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, "servo", size=[1.2 * thick, 1.4 * thick, 0])
     material = {"coxa": "frame", "femur": "shell", "tibia": "frame"}[name]

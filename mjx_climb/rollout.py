@@ -3,13 +3,16 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.sharding import Sharding
+from jax.typing import ArrayLike
+from numpy.typing import DTypeLike
 
 from mjx_climb import devices, smooth_extremes
 from mjx_climb import metrics as metrics_module
@@ -19,15 +22,17 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.kernels import in_kernels
 from mjx_climb.parameters import Gains, Parameters, batch_last, batch_shape, parameters
 from mjx_climb.parameters import gains as gains_of
-from mjx_climb.robot import load_robot
+from mjx_climb.robot import Robot, load_robot
 from mjx_climb.sample import Sample
 from mjx_climb.trajectory import Trajectory, from_samples, to_samples
-from mjx_climb.walk import Structure, advance, begin, prepare, structure, weighing
+from mjx_climb.walk import Carry, Structure, advance, begin, prepare, structure, weighing
 
 Metrics = dict[str, Array]
+Progress = tuple[Carry, metrics_module.Accumulator, dict[str, smooth_extremes.Mean]]
+Tree = TypeVar("Tree", bound=Gains | Parameters)
 
 
-def _floating_dtype(tree) -> jnp.dtype:
+def _floating_dtype(tree: Gains) -> jnp.dtype:
     """Return the precision of a tree's arrays, or the one in force where it holds plain numbers alone."""
     arrays = [leaf for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
     floats = [leaf for leaf in arrays if jnp.issubdtype(leaf.dtype, jnp.floating)]
@@ -47,7 +52,7 @@ def walk_recorded(
     batch = math.prod(shape)
     walk = prepare(structure, *batch_last(gains, numbers, shape, dtype))
 
-    def step(carry, index):
+    def step(carry: Progress, index: Array) -> tuple[Progress, Any]:
         walked, total, means = carry
         walked, sample = advance(walk, walked, index)
         total = metrics_module.accumulate(total, sample, walk.robot, walk.time_step)
@@ -67,18 +72,18 @@ def walk_recorded(
 def _samples_of(structure: Structure, gains: Gains, numbers: Parameters) -> Sample:
     """Walk one robot and return every sample, stacked over time."""
     walk = prepare(structure, *batch_last(gains, numbers, (), _floating_dtype(gains)))
-    step = functools.partial(advance, walk)
+    step: Callable[[Carry, Array], tuple[Carry, Sample]] = functools.partial(advance, walk)
     step = in_kernels(step) if structure.in_pieces else step
     return jax.lax.scan(step, begin(walk, 1), jnp.arange(structure.steps))[1]
 
 
 @functools.cache
-def _compiled_samples(in_pieces: bool) -> Callable:
+def _compiled_samples(in_pieces: bool) -> Callable[..., Sample]:
     return jax.jit(_samples_of, static_argnums=0, compiler_options=compiler_options(1, in_pieces=in_pieces))
 
 
 @functools.cache
-def _compiled_metrics(batch: int, in_pieces: bool) -> Callable:
+def _compiled_metrics(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
     return jax.jit(metrics_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
 
 
@@ -112,8 +117,9 @@ def simulator(
     return simulate
 
 
-def _cast(tree, dtype):
-    return jax.tree.map(lambda value: np.asarray(value, dtype), tree)
+def _cast(tree: Tree, dtype: DTypeLike) -> Tree:
+    cast: Tree = jax.tree.map(lambda value: np.asarray(value, dtype), tree)
+    return cast
 
 
 def rollout(
@@ -121,7 +127,7 @@ def rollout(
     gains: Gains | None = None,
     numbers: Parameters | None = None,
     *,
-    dtype=np.float64,
+    dtype: DTypeLike = np.float64,
     engine: str = DEFAULT_ENGINE,
 ) -> Trajectory:
     """Walk one robot through a scenario and return the full time histories.
@@ -147,13 +153,15 @@ def rollout(
     return from_samples(samples, scenario, gains, numbers, load_robot(scenario.robot).limbs)
 
 
-def _six(gain):
+def _six(gain: ArrayLike) -> np.ndarray:
     """Return a gain with its axis of six, so that scalar gains need no program of their own."""
-    gain = np.atleast_1d(gain)
-    return np.broadcast_to(gain, (*gain.shape[:-1], 6))
+    value = np.atleast_1d(gain)
+    return np.broadcast_to(value, (*value.shape[:-1], 6))
 
 
-def given(scenario: Scenario, gains: Gains | None, numbers: Parameters | None, dtype) -> tuple[Gains, Parameters]:
+def given(
+    scenario: Scenario, gains: Gains | None, numbers: Parameters | None, dtype: DTypeLike
+) -> tuple[Gains, Parameters]:
     """Return gains and parameters as numpy arrays, the scenario's own where None is given."""
     with jax.enable_x64(True):
         gains = gains_of(scenario) if gains is None else gains
@@ -182,13 +190,13 @@ def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
 
 
 @jax.jit
-def _accumulated(samples, robot, time_step):
+def _accumulated(samples: Sample, robot: Robot, time_step: float) -> metrics_module.Accumulator:
     dtype = samples.base_position.dtype
     step = lambda total, sample: (metrics_module.accumulate(total, sample, robot, time_step), None)  # noqa: E731
     return jax.lax.scan(step, metrics_module.start(1, dtype), samples)[0]
 
 
-def named(values: dict, limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
+def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
     """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
     result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
     result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
@@ -200,7 +208,7 @@ def rollout_metrics(
     gains: Gains | None = None,
     numbers: Parameters | None = None,
     *,
-    dtype=np.float32,
+    dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     engine: str = DEFAULT_ENGINE,
@@ -229,7 +237,7 @@ def rollout_metrics(
 
 
 def walk_batch(
-    compiled: Callable[[int, bool], Callable],
+    compiled: Callable[[int, bool], Callable[..., Metrics]],
     structure: Structure,
     inputs: tuple[Gains, *tuple[Gains | Parameters, ...]],
     shape: tuple[int, ...],
@@ -244,25 +252,27 @@ def walk_batch(
     """
     count = math.prod(shape)
     share = devices.share_size(count, batch_size)
-    flat = tuple(_flattened(tree, shape) for tree in inputs)
+    gains, *others = inputs
+    flat, flat_others = _flattened(gains, shape), [_flattened(tree, shape) for tree in others]
     double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(inputs))
     enable_cache()
     walked = functools.partial(compiled(share, structure.in_pieces), structure)
 
-    def walk(rows, sharding):
-        gains, *others = (_rows(tree, rows) for tree in flat)
-        stiffness = np.broadcast_to(gains.stiffness, (share, *gains.stiffness.shape[-1:]))  # batched, come what may
+    def walk(rows: np.ndarray, sharding: Sharding) -> Metrics:
+        some = _rows(flat, rows)
+        stiffness = np.broadcast_to(some.stiffness, (share, *np.shape(some.stiffness)[-1:]))  # batched, come what may
+        some = dataclasses.replace(some, stiffness=stiffness)
         with jax.enable_x64(double):  # holds for one thread
-            return walked(*jax.device_put((dataclasses.replace(gains, stiffness=stiffness), *others), sharding))
+            return walked(*jax.device_put((some, *(_rows(tree, rows) for tree in flat_others)), sharding))
 
     result = devices.spread(walk, count, share, progress)
     return {name: value.reshape((*shape, *value.shape[1:])) for name, value in result.items()}
 
 
-def _flattened(tree, shape: tuple[int, ...]):
+def _flattened(tree: Tree, shape: tuple[int, ...]) -> Tree:
     """Return gains or parameters with one batch axis wherever they vary, before each value's own axes."""
     robots = math.prod(shape)
-    changes = {}
+    changes: dict[str, Any] = {}
     for name, value in vars(tree).items():
         if value is None:
             continue
@@ -275,7 +285,9 @@ def _flattened(tree, shape: tuple[int, ...]):
     return dataclasses.replace(tree, **changes)
 
 
-def _rows(tree, rows: np.ndarray):
+def _rows(tree: Tree, rows: np.ndarray) -> Tree:
     """Return some environments of a flattened tree."""
-    varying = {n: v[rows] for n, v in vars(tree).items() if v is not None and v.ndim > tree.AXES.get(n, 0)}
+    varying: dict[str, Any] = {
+        n: v[rows] for n, v in vars(tree).items() if v is not None and v.ndim > tree.AXES.get(n, 0)
+    }
     return dataclasses.replace(tree, **varying)

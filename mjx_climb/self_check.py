@@ -19,10 +19,10 @@ import numpy as np
 
 from mjx_climb.compilation import compiler_options, enable_cache, pieces_pay
 from mjx_climb.config import Scenario
-from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES, STANDARD_GRAVITY, forward_dynamics
+from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES, forward_dynamics
 from mjx_climb.parameters import Gains
 from mjx_climb.robot import load_model
-from mjx_climb.rollout import named, simulator
+from mjx_climb.rollout import Metrics, named, simulator
 from mjx_climb.state import State
 
 MUJOCO = "mujoco"  # among the engines: its C code
@@ -67,14 +67,17 @@ def measure() -> dict[str, dict[str, Any]]:
     return {"walk": walk, "gradient": gradient, **accelerations, MUJOCO: _mujoco_acceleration()}
 
 
-def deviations(measured: Mapping[str, Mapping], stored: Mapping[str, Mapping]) -> dict[str, Deviation]:
+def deviations(
+    measured: Mapping[str, Mapping[str, Any]], stored: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Deviation]:
     """Return for each part of `measure` the value that is furthest from the stored one."""
     return {part: _furthest(values, stored.get(part, stored["acceleration"])) for part, values in measured.items()}
 
 
 def load() -> dict[str, dict[str, Any]]:
     """Return the stored values: `walk`, `gradient` and `acceleration`, which is MuJoCo's."""
-    return json.loads(STORED.read_text())
+    values: dict[str, dict[str, Any]] = json.loads(STORED.read_text())
+    return values
 
 
 def _furthest(values: Mapping[str, Any], stored: Mapping[str, Any]) -> Deviation:
@@ -87,14 +90,14 @@ def _distance(value: Any, stored: Any) -> float:
     numbers = [v for v in (value, stored) if isinstance(v, float) and math.isfinite(v)]
     if len(numbers) < 2:
         return 0.0 if type(value) is type(stored) and value == stored else math.inf
-    return abs(value - stored) / max(abs(stored), 1e-300)
+    return float(abs(value - stored) / max(abs(stored), 1e-300))
 
 
 def _walk() -> tuple[dict[str, Any], dict[str, float]]:
     in_pieces = pieces_pay(DEFAULT_ENGINE)
     simulate = simulator(SCENARIO, in_pieces=in_pieces)
 
-    def walked(logarithm):
+    def walked(logarithm: jax.Array) -> Metrics:
         factor = jnp.broadcast_to(jnp.exp(logarithm), 6)
         return simulate(Gains(jnp.full(6, INERTIA), DAMPING * factor, STIFFNESS * factor))
 
@@ -106,25 +109,27 @@ def _walk() -> tuple[dict[str, Any], dict[str, float]]:
     return walk, {name: slopes[name].item() for name, value in walk.items() if type(value) is float}
 
 
-def _state() -> tuple[State, np.ndarray, np.ndarray, np.ndarray]:
-    """Return a state, joint torques (12,) N m, foot forces (4, 3) N and a base wrench (6,), all without pattern."""
+def _state() -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
+    """Return values of a state, joint torques (12,) N m, foot forces (4, 3) N and base wrench (6,), without pattern."""
     spread = np.sin(np.arange(1.0, 63.0) ** 2)
     angles, rates, torque, foot_force, wrench, velocity, orientation, _ = np.split(
         spread, np.cumsum([12, 12, 12, 12, 6, 3, 4])
     )
-    state = State(
-        base_position=np.array([0.1, -0.2, 0.3]),
-        base_orientation=orientation / np.linalg.norm(orientation),
-        base_linear_velocity=velocity,
-        base_angular_velocity=velocity[::-1].copy(),
-        joint_angles=angles,
-        joint_rates=5 * rates,
-    )
+    state = {
+        "base_position": np.array([0.1, -0.2, 0.3]),
+        "base_orientation": orientation / np.linalg.norm(orientation),
+        "base_linear_velocity": velocity,
+        "base_angular_velocity": velocity[::-1].copy(),
+        "joint_angles": angles,
+        "joint_rates": 5 * rates,
+    }
     return state, torque, 10 * foot_force.reshape(4, 3), 5 * wrench
 
 
 def _acceleration(engine: str) -> dict[str, float]:
-    result = forward_dynamics(*_state(), 0.0, gravity=STANDARD_GRAVITY, engine=engine)
+    values, torque, foot_force, wrench = _state()
+    state = State(**{name: jnp.asarray(value) for name, value in values.items()})
+    result = forward_dynamics(state, torque, foot_force, wrench, 0.0, engine=engine)
     return _labelled(np.concatenate([result.base_linear, result.base_angular, result.joints]))
 
 
@@ -132,12 +137,11 @@ def _mujoco_acceleration() -> dict[str, float]:
     """Return the accelerations by MuJoCo's C code, whose base rates are in the base's own axes."""
     state, torque, foot_force, wrench = _state()
     model = load_model("hubrobo_v3_2")
-    data, rotation = mujoco.MjData(model), np.empty(9)
-    mujoco.mju_quat2Mat(rotation, state.base_orientation)
-    rotation = rotation.reshape(3, 3)
-    data.qpos[:] = np.concatenate([state.base_position, state.base_orientation, state.joint_angles])
-    angular = rotation.T @ state.base_angular_velocity
-    data.qvel[:] = np.concatenate([state.base_linear_velocity, angular, state.joint_rates])
+    data, rotation = mujoco.MjData(model), np.empty((3, 3))
+    mujoco.mju_quat2Mat(rotation.reshape(9), state["base_orientation"])
+    data.qpos[:] = np.concatenate([state["base_position"], state["base_orientation"], state["joint_angles"]])
+    angular = rotation.T @ state["base_angular_velocity"]
+    data.qvel[:] = np.concatenate([state["base_linear_velocity"], angular, state["joint_rates"]])
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     for site, force in enumerate(foot_force):

@@ -4,17 +4,19 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from numpy.typing import DTypeLike
 
 from mjx_climb.compilation import compiler_options, pieces_pay
 from mjx_climb.config import Scenario
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.parameters import Gains, Parameters, batch_shape
-from mjx_climb.rollout import Metrics, given, metrics_of, walk_batch
+from mjx_climb.rollout import Metrics, Tree, given, metrics_of, walk_batch
 from mjx_climb.walk import Structure, structure
 
 _SLOPE = "slope of "
@@ -34,7 +36,7 @@ def rollout_slopes(
     directions: Gains,
     numbers: Parameters | None = None,
     *,
-    dtype=np.float32,
+    dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     engine: str = DEFAULT_ENGINE,
@@ -55,18 +57,17 @@ def rollout_slopes(
     """
     gains, numbers = given(scenario, gains, numbers, dtype)
     shape = batch_shape(gains, numbers)
-    along = _Directions(**{n: _direction_last(n, v, shape, dtype) for n, v in vars(directions).items()})
+    given_rates = {n: v for n, v in vars(directions).items() if v is not None}
+    along = _Directions(**{n: _direction_last(n, v, shape, dtype) for n, v in given_rates.items()})
     walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
     found = walk_batch(_compiled, walk, (gains, along, numbers), shape, batch_size, progress)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}
     return {name: value for name, value in found.items() if not name.startswith(_SLOPE)}, slopes
 
 
-def _direction_last(name: str, value, shape: tuple[int, ...], dtype):
+def _direction_last(name: str, rates: ArrayLike, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
     """Return rates (k, *batch, ...) as (*shape, k, ...)."""
-    if value is None:
-        return None
-    value = np.asarray(value, dtype)
+    value = np.asarray(rates, dtype)
     own = value.shape[value.ndim - Gains.AXES.get(name, 0) :]
     batch = value.shape[1 : value.ndim - len(own)]
     value = value.reshape(len(value), *[1] * (len(shape) - len(batch)), *batch, *own)
@@ -74,27 +75,28 @@ def _direction_last(name: str, value, shape: tuple[int, ...], dtype):
 
 
 def _slopes_of(structure: Structure, gains: Gains, along: _Directions, numbers: Parameters) -> Metrics:
-    def walked(gains: Gains):
+    def walked(gains: Gains) -> tuple[Metrics, Metrics]:
         metrics = metrics_of(structure, gains, numbers)
         real = {name: value for name, value in metrics.items() if jnp.issubdtype(value.dtype, jnp.floating)}
         return real, {name: value for name, value in metrics.items() if name not in real}
 
-    def slope(direction: _Directions):
+    def slope(direction: _Directions) -> tuple[Metrics, Metrics, Metrics]:
         return jax.jvp(walked, (gains,), (Gains(**vars(direction)),), has_aux=True)
 
-    robots = gains.stiffness.shape[0]
+    robots = jnp.shape(gains.stiffness)[0]
     gains, along = _batched(gains, robots), _batched(along, robots)
     real, slopes, others = jax.vmap(slope, in_axes=1, out_axes=(None, -1, None))(along)
     return real | others | {_SLOPE + name: value for name, value in slopes.items()}
 
 
-def _batched(tree, robots: int):
+def _batched(tree: Tree, robots: int) -> Tree:
     """Return a tree whose values all have the batch axis."""
     values = {name: value for name, value in vars(tree).items() if value is not None}
     own = {name: value.shape[value.ndim - tree.AXES.get(name, 0) :] for name, value in values.items()}
-    return dataclasses.replace(tree, **{n: jnp.broadcast_to(v, (robots, *own[n])) for n, v in values.items()})
+    wide: dict[str, Any] = {n: jnp.broadcast_to(v, (robots, *own[n])) for n, v in values.items()}
+    return dataclasses.replace(tree, **wide)
 
 
 @functools.cache
-def _compiled(batch: int, in_pieces: bool) -> Callable:
+def _compiled(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
     return jax.jit(_slopes_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))

@@ -5,10 +5,11 @@ Trailing axes (limbs, batch) stay contiguous and broadcast, so every function he
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 
-def dot(a: Array, b: Array) -> Array:
+def dot(a: Array | np.ndarray, b: Array) -> Array:
     """Return the scalar product over the leading axis."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -25,17 +26,17 @@ def norm(a: Array) -> Array:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def rotate(matrix: Array, vector: Array) -> Array:
+def rotate(matrix: Array, vector: Array | np.ndarray) -> Array:
     """Return `matrix @ vector`."""
     return matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
 
 
-def rotate_back(matrix: Array, vector: Array) -> Array:
+def rotate_back(matrix: Array | np.ndarray, vector: Array) -> Array:
     """Return `matrix.T @ vector`."""
     return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])
 
 
-def compose(first: Array, second: Array) -> Array:
+def compose(first: Array, second: Array | np.ndarray) -> Array:
     """Return the matrix product `first @ second`."""
     return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
 
@@ -58,7 +59,7 @@ def quaternion_to_matrix(quaternion: Array) -> Array:
     )
 
 
-def quaternion_multiply(a: Array, b: Array) -> Array:
+def quaternion_multiply(a: Array, b: Array | np.ndarray) -> Array:
     """Return the Hamilton product of two quaternions wxyz."""
     return jnp.stack(
         [

@@ -8,11 +8,12 @@ links at the end of a stiff contact are what takes it out of the unit circle. Wh
 
 import functools
 import math
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
-from mjx_climb.config import ConfigError, Scenario
+from mjx_climb.config import ConfigError, RobotFile, Scenario
 from mjx_climb.posture import limb_joints
 from mjx_climb.robot import load_model, load_robot
 
@@ -69,7 +70,7 @@ def check_time_step(scenario: Scenario, source: str = "scenario") -> None:
     )
 
 
-def _systems(scenario: Scenario):
+def _systems(scenario: Scenario) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield mass, stiffness and damping matrix (18, 18) at stance and at the height of every limb's swing."""
     model = load_model(scenario.robot)
     contact, control, walk = scenario.contact, scenario.control, scenario.gait
@@ -86,7 +87,9 @@ def _systems(scenario: Scenario):
 
 
 @functools.lru_cache(maxsize=64)
-def _at(robot, stride: float, step_height: float, swinging: int | None) -> tuple[np.ndarray, np.ndarray]:
+def _at(
+    robot: str | RobotFile, stride: float, step_height: float, swinging: int | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return mass matrix and foot Jacobians (L, 3, 18) at stance, or with one foot lifted half a stride ahead."""
     model = load_model(robot)
     data = mujoco.MjData(model)

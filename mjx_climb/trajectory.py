@@ -1,8 +1,10 @@
 """The full time histories of one robot's walk."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
+from jax import Array
 from jaxtyping import Bool, Float
 
 from mjx_climb.config import Scenario
@@ -58,8 +60,8 @@ def from_samples(
 ) -> Trajectory:
     """Return the trajectory of samples stacked over time, (T, ..., 1) in the layout of the hot path."""
 
-    def public(value):
-        value = np.asarray(value)
+    def public(stacked: Array) -> np.ndarray:
+        value = np.asarray(stacked)
         if value.ndim == 1:
             return value
         return np.swapaxes(value[..., 0], 1, 2) if value.ndim == 4 else value[..., 0]
@@ -71,7 +73,7 @@ def from_samples(
 def to_samples(trajectory: Trajectory) -> Sample:
     """Return the samples of a trajectory, stacked over time in the layout of the hot path: (T, ..., 1)."""
 
-    def hot(name):
+    def hot(name: str) -> Any:
         value = getattr(trajectory, name)
         if name == "time":
             return value

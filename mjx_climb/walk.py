@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb import disturbance, gait
-from mjx_climb.config import Scenario
+from mjx_climb.config import RobotFile, Scenario
 from mjx_climb.contact import Contact, grip
 from mjx_climb.control import LAWS, Law, Measurement, Reference
 from mjx_climb.control.joint_loop import joint_torque
@@ -27,7 +28,7 @@ from mjx_climb.state import State, integrate
 class Structure(NamedTuple):
     """What a compiled walk depends on, numbers apart; hashable."""
 
-    robot: str
+    robot: str | RobotFile
     engine: str
     controller: str
     reading: str
@@ -49,7 +50,7 @@ class Walk(NamedTuple):
     plan: gait.Plan
     law: Law
     forward_dynamics: ForwardDynamics
-    cycle_start: Callable
+    cycle_start: Callable[[gait.Plan, gait.Schedule, Array, Array], tuple[Array, Array]]
     time_step: float
 
 
@@ -80,7 +81,7 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_piece
 
 def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     """Return the walk for gains (6, B) and numbers (..., B): every choice by name is made here, once."""
-    dtype = gains.stiffness.dtype
+    dtype = jnp.result_type(gains.stiffness)
     constants = load_robot(structure.robot)
     robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
@@ -109,7 +110,7 @@ def begin(walk: Walk, batch: int) -> Carry:
     """Return the rest stance with all grippers shut."""
     dtype = walk.plan.base_start.dtype
 
-    def each(value: Array) -> Array:
+    def each(value: Array | np.ndarray) -> Array:
         return jnp.broadcast_to(jnp.asarray(value, dtype), (*value.shape[:-1], batch))
 
     joints, position = each(walk.robot.stance_joints), each(walk.plan.base_start)
@@ -168,7 +169,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         state, torque * share, held.force * share, push * share, cargo * share, numbers.gravity
     )
 
-    mass = robot.total_mass + cargo
+    mass = cargo + robot.total_mass
     com = center_of_mass(robot, frames, state.base_position, cargo)
     net_force, net_moment = net_external_wrench(feet.position, held.force, state.base_position, push)
     # a gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet

@@ -10,9 +10,12 @@ import os
 import platform
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mjx_climb.self_check import Deviation
 
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
 SIMULATION = ("walk", "gradient")
@@ -120,7 +123,7 @@ def simulation() -> list[Part]:
     return [_compared(name, group, self_check.TOLERANCE) for name, group in groups.items()]
 
 
-def _compared(name: str, group: dict, tolerance: float) -> Part:
+def _compared(name: str, group: "Mapping[str, Deviation]", tolerance: float) -> Part:
     largest = max(deviation.size for deviation in group.values())
     findings = tuple(
         f"{source}: {found.name} is {found.value}, stored is {found.stored}"

@@ -7,7 +7,8 @@ Masses are off by one factor for all links (`mjx_climb.Parameters.mass_scale`).
 import dataclasses
 import math
 import os
-from typing import Annotated
+from types import ModuleType
+from typing import Annotated, Any, Self
 
 import jax
 import numpy as np
@@ -30,7 +31,7 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     @model_validator(mode="after")
-    def _ranges_in_order(self):
+    def _ranges_in_order(self) -> Self:
         for name in type(self).model_fields:
             value = getattr(self, name)
             if isinstance(value, tuple) and not value[0] <= value[1]:
@@ -87,7 +88,7 @@ class Ensemble(_Section):
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=110)
 
 
-def load(path: str | os.PathLike[str], **changes) -> Ensemble:
+def load(path: str | os.PathLike[str], **changes: Any) -> Ensemble:
     """Read an ensemble from YAML, with some of its top keys changed; what the file leaves out takes its default.
 
     Raises:
@@ -100,7 +101,7 @@ def load(path: str | os.PathLike[str], **changes) -> Ensemble:
     return make({**(data or {}), **changes}, source)
 
 
-def make(values: dict, source: str = "ensemble") -> Ensemble:
+def make(values: dict[str, Any], source: str = "ensemble") -> Ensemble:
     """Return a validated ensemble.
 
     Raises:
@@ -148,7 +149,8 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
         force = uniform(pushes.force, n)[..., None] * direction
         changes |= {"push_force": force, "push_moment": np.zeros_like(force)}
         changes |= {"push_start": start, "push_stop": start + uniform(pushes.length, n)}
-    return dataclasses.replace(own, **changes)
+    drawn: mc.Parameters = dataclasses.replace(own, **changes)
+    return drawn
 
 
 def _logs(span: tuple[float, float]) -> tuple[float, float]:
@@ -160,10 +162,10 @@ def _tilted(gravity: np.ndarray, azimuth: np.ndarray, angle: np.ndarray) -> np.n
     axis = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
     sine, cosine = np.sin(angle)[..., None], np.cos(angle)[..., None]
     along = (axis * gravity).sum(-1, keepdims=True) * axis
-    return along + cosine * (gravity - along) + sine * np.cross(axis, gravity)
+    return np.asarray(along + cosine * (gravity - along) + sine * np.cross(axis, gravity))
 
 
-def worst_mean(values, share: float, *, larger_is_better: bool = False, numpy=np):
+def worst_mean(values: Any, share: float, *, larger_is_better: bool = False, numpy: ModuleType = np) -> Any:
     """Return the mean over the worst members (axis 0), the conditional value at risk: (members, ...) -> (...)."""
     count = max(1, math.ceil(share * values.shape[0] - 1e-9))
     ordered = numpy.sort(values, axis=0)

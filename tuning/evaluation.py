@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.compilation import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from tuning.objectives import Objective
+from tuning.objectives import Goal
 from tuning.spaces import Space, to_gains64
 
 
@@ -32,13 +32,13 @@ class Evaluation(NamedTuple):
     @property
     def alive(self) -> np.ndarray:
         """Which points walked to the end (B,)."""
-        return np.isfinite(self.descent)
+        return np.asarray(np.isfinite(self.descent))
 
     @property
     def merit(self) -> np.ndarray:
         """One number per point for searches that only compare: value plus penalty, huge where the walk diverged."""
         total = self.value + self.penalty
-        return np.where(np.isfinite(total), total, 1e6)
+        return np.asarray(np.where(np.isfinite(total), total, 1e6))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Problem:
 
     scenario: mc.Scenario
     space: Space
-    objective: Objective
+    objective: Goal
     numbers: mc.Parameters | None = None
     members: int = 1
     dtype: type = np.float32
@@ -66,19 +66,24 @@ class Problem:
     ) -> Evaluation:
         """Walk with the gains of B points and judge them, with slopes along some directions."""
         theta = np.asarray(theta, float)
-        walk = {"dtype": self.dtype, "engine": self.engine, "smooth": True}
+        walk: dict[str, Any] = {"dtype": self.dtype, "engine": self.engine, "smooth": True}
         if directions is None:
             metrics = mc.rollout_metrics(self.scenario, to_gains64(self.space, theta), self.numbers, **walk)
             with jax.enable_x64(np.dtype(self.dtype) == np.float64):
                 judged = _judged(self.objective, metrics)[1]
-            none = np.zeros((len(theta), 0), self.dtype)
-            return jax.tree.map(np.asarray, Evaluation(gradient=none, sharp=none, **judged))
+            none: np.ndarray = np.zeros((len(theta), 0), self.dtype)
+            return _on_host(Evaluation(gradient=none, sharp=none, **judged))
         metrics, slopes = mc.rollout_slopes(
             self.scenario, *_along(self.space, theta, np.asarray(directions, float)), self.numbers, **walk
         )
         with jax.enable_x64(np.dtype(self.dtype) == np.float64):
             (gradient, sharp), judged = _judged_slopes(self.objective, metrics, slopes)
-        return jax.tree.map(np.asarray, Evaluation(gradient=gradient.T, sharp=sharp.T, **judged))
+        return _on_host(Evaluation(gradient=gradient.T, sharp=sharp.T, **judged))
+
+
+def _on_host(found: Evaluation) -> Evaluation:
+    arrays: Evaluation = jax.tree.map(np.asarray, found)
+    return arrays
 
 
 def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[mc.Gains, mc.Gains]:
@@ -90,13 +95,16 @@ def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[mc.
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _judged(objective: Objective, metrics: Mapping[str, Array]):
+def _judged(objective: Goal, metrics: Mapping[str, Array]) -> tuple[tuple[Array, Array], dict[str, Any]]:
     """Return descent and value plus penalty, (B,) each, to be differentiated; and what is reported beside them."""
     score = objective.score(metrics)
+
     # an objective may have judged the members together: its scores have lost their axis then
-    mean = lambda value: value.mean(0) if value.ndim > 1 else value  # noqa: E731
+    def mean(value: Array | np.ndarray) -> Array:
+        return jnp.asarray(value.mean(0) if value.ndim > 1 else value)
+
     dtype = score.value.dtype
-    reported = {
+    reported: dict[str, Any] = {
         "value": mean(score.value),
         "descent": mean(score.descent),
         "penalty": mean(score.penalty),
@@ -107,12 +115,16 @@ def _judged(objective: Objective, metrics: Mapping[str, Array]):
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _judged_slopes(objective: Objective, metrics: Mapping[str, Array], slopes: Mapping[str, Array]):
+def _judged_slopes(
+    objective: Goal, metrics: Mapping[str, Array], slopes: Mapping[str, Array]
+) -> tuple[tuple[Array, Array], dict[str, Any]]:
     """Return the slopes (k, B) of `_judged`'s first two from those of the metrics, and what is reported."""
     others = {name: value for name, value in metrics.items() if name not in slopes}
     real = {name: metrics[name] for name in slopes}
-    judged = functools.partial(_judged, objective)
-    push = lambda slope: jax.jvp(lambda m: judged({**m, **others}), (real,), (slope,), has_aux=True)  # noqa: E731
+
+    def push(slope: Mapping[str, Array]) -> tuple[Any, tuple[Array, Array], dict[str, Any]]:
+        return jax.jvp(lambda m: _judged(objective, {**m, **others}), (real,), (slope,), has_aux=True)
+
     _, sloped, reported = jax.vmap(push, out_axes=(None, 0, None))(slopes)
     return sloped, reported
 

@@ -3,6 +3,8 @@
 import csv
 import io
 import json
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +42,7 @@ def write_csv(gains: mc.Gains) -> str:
 
 def write_json(gains: mc.Gains) -> str:
     """Return the gains as JSON: each gain with its unit and a value for each axis."""
-    tree: dict[str, dict] = {}
+    tree: dict[str, dict[str, dict[str, Any]]] = {}
     for name, axis, value, unit in rows(gains):
         entry = tree.setdefault(name, {"units": {}, "values": {}})
         entry["units"][axis], entry["values"][axis] = unit, value
@@ -59,7 +61,7 @@ def read_json(text: str) -> mc.Gains:
     return _gains([(name, axis, value) for name, entry in tree.items() for axis, value in entry["values"].items()])
 
 
-def _gains(table) -> mc.Gains:
+def _gains(table: Iterable[tuple[str, str, float]]) -> mc.Gains:
     values = {(name, axis): value for name, axis, value in table}
-    axes = {name: np.array([values[name, axis] for axis in SIX]) for name in UNITS}
-    return mc.Gains(**axes, **{name: values[name, "joints"] for name in JOINT_UNITS if (name, "joints") in values})
+    gains: dict[str, Any] = {name: np.array([values[name, axis] for axis in SIX]) for name in UNITS}
+    return mc.Gains(**gains | {name: values[name, "joints"] for name in JOINT_UNITS if (name, "joints") in values})

@@ -5,10 +5,12 @@ import importlib.metadata
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import xarray as xr
+from numpy.typing import DTypeLike
 
 import mjx_climb as mc
 from mjx_climb import inputs
@@ -45,7 +47,7 @@ def claim(
     *,
     out: Path,
     batch_size: int | None = None,
-    dtype=np.float32,
+    dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
 ) -> int:
     """Prepare the folder of a sweep and return how many of its walks are there already; arguments as of `sweep`.
@@ -67,7 +69,7 @@ def sweep(
     *,
     progress: Callable[[int, int], None] | None = None,
     batch_size: int | None = None,
-    dtype=np.float32,
+    dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
 ) -> xr.Dataset:
@@ -101,18 +103,21 @@ def sweep(
     shape = tuple(values.size for values in axes.values())
     walks = math.prod(shape)
     size = batch_size or default_batch_size(walks, scenario.steps)
-    kept = None if out is None else Parts(out, _identity(scenario, *axes.values(), size, dtype, engine))
+    kept = None
+    if out is not None:
+        kept = Parts(out, _identity(scenario, axes["stiffness"], axes["damping"], size, dtype, engine))
 
     k, d = (values.reshape(-1, 1) for values in np.meshgrid(*axes.values(), indexing="ij"))
     inertia = np.asarray(scenario.control.inertia, float)
     count = math.ceil(walks / size)
     walk = mc.rollout_histories if walks <= HISTORIES else mc.rollout_metrics
-    parts = [None if kept is None else kept.load(number) for number in range(count)]
-    done = sum(min(size, walks - number * size) for number, part in enumerate(parts) if part is not None)
+    found = {} if kept is None else {number: kept.load(number) for number in range(count)}
+    parts = {number: part for number, part in found.items() if part is not None}
+    done = sum(min(size, walks - number * size) for number in parts)
     if progress is not None:
         progress(done, walks)
-    for number, part in enumerate(parts):
-        if part is not None:
+    for number in range(count):
+        if number in parts:
             continue
         # the last part is filled up with its last robot: every part has the shape that was compiled
         rows = np.minimum(np.arange(number * size, (number + 1) * size), walks - 1)
@@ -123,7 +128,7 @@ def sweep(
         done += min(size, walks - number * size)
         if progress is not None:
             progress(done, walks)
-    whole = {name: np.concatenate([part[name] for part in parts])[:walks] for name in parts[0]}
+    whole = {name: np.concatenate([parts[n][name] for n in range(count)])[:walks] for name in parts[0]}
     whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
     dataset = sweep_dataset({name: whole[name] for name in mc.METRICS}, axes, scenario)
     dataset = dataset.assign(_histories(whole, scenario))
@@ -161,9 +166,11 @@ def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dat
     return dataset.isel(values.argmin(dim=...))
 
 
-def _identity(scenario, stiffness, damping, size, dtype, engine) -> dict:
+def _identity(
+    scenario: mc.Scenario, stiffness: np.ndarray, damping: np.ndarray, size: int, dtype: DTypeLike, engine: str
+) -> dict[str, Any]:
     """Return all that determines the numbers of a sweep, bit by bit."""
-    versions = {}
+    versions: dict[str, str | None] = {}
     for name, distribution in PACKAGES.items():
         try:
             versions[name] = importlib.metadata.version(distribution)

@@ -1,6 +1,7 @@
 """Maps: what walks over a grid of stiffness and damping are worth, and where the closed loop is unstable."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import numpy as np
@@ -9,7 +10,6 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning import objectives, stability_limit
-from tuning.objectives import Objective
 from tuning.search import Search
 from tuning.tune import problem_of
 
@@ -51,9 +51,9 @@ def best_cell(judged: xr.Dataset, metric: str = "objective") -> xr.Dataset | Non
     return judged.isel(values.argmin(dim=...)) if np.isfinite(values).any() else None
 
 
-def score_of(objective: Objective, metrics: Mapping) -> objectives.Score:
+def score_of(objective: objectives.Goal, metrics: Mapping[str, Any]) -> objectives.Score:
     """Judge metrics that a rollout gave, None or NaN for what is not defined; a walk that let go is infeasible."""
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.asarray(np.nan if value is None else value)
         for name, value in metrics.items()
         if not isinstance(value, str) and name != "detached_limb"
@@ -62,4 +62,5 @@ def score_of(objective: Objective, metrics: Mapping) -> objectives.Score:
     with jax.enable_x64(True):
         score = objective.score(arrays)
     held = ~np.isfinite(arrays["detached_at"].astype(float))
-    return objectives.Score(*(np.asarray(v) for v in score[:3]), feasible=np.asarray(score.feasible) & held)
+    value, descent, penalty, feasible = (np.asarray(part) for part in score)
+    return objectives.Score(value, descent, penalty, feasible & held)

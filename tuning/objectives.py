@@ -7,7 +7,7 @@ extremes, plus the penalty. `feasible` says whether every constraint holds.
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -31,10 +31,10 @@ _SCALES = {"joint_limit_margin": 0.1, "min_tsm": 0.01, "min_gia_margin": 1.0}  #
 class Score(NamedTuple):
     """The judgement of points, (...) each."""
 
-    value: Array
-    descent: Array
-    penalty: Array  # with true extremes
-    feasible: Array  # bool
+    value: Array | np.ndarray
+    descent: Array | np.ndarray
+    penalty: Array | np.ndarray  # with true extremes
+    feasible: Array | np.ndarray  # bool
 
 
 class Term(NamedTuple):
@@ -54,6 +54,21 @@ class Limit(NamedTuple):
     scale: float | tuple[float, ...]
     margin: float
     reason: str
+
+
+@runtime_checkable
+class Goal(Protocol):
+    """What points are judged by."""
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """What no metric may pass."""
+
+    def score(self, metrics: Metrics) -> Score:
+        """Judge points by their metrics."""
+
+
+Judge = Callable[[Metrics], Array] | Goal  # what a user may give: a function in place of the terms, or all of it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,14 +98,15 @@ class Objective:
         return Score(value, smooth + penalty, penalty, feasible)
 
     def _weighted(self, metrics: Metrics, *, smooth: bool) -> Array:
-        total, weights = 0.0, 0.0
+        total: Array | float = 0.0
+        weights = 0.0
         for term in self.terms:
             name = PREFIX + term.metric if smooth and PREFIX + term.metric in metrics else term.metric
             baseline = term.baseline if name == term.metric else term.smooth_baseline
             ratio = metrics[name] / _by_row(baseline)
             total += term.weight * (2 - ratio if term.metric in LARGER_IS_BETTER else ratio)
             weights += term.weight
-        return total / weights
+        return jnp.asarray(total / weights)
 
 
 def _penalty(over: Array) -> Array:
@@ -101,9 +117,8 @@ def _penalty(over: Array) -> Array:
 
 def violation(limit: Limit, value: Array) -> Array:
     """Return by how much a limit is passed, relative to its scale; negative inside."""
-    bound = _by_row(limit.value)
-    over = bound - value if limit.metric in LARGER_IS_BETTER else value - bound
-    return over / _by_row(limit.scale)
+    over = value - _by_row(limit.value)
+    return (-over if limit.metric in LARGER_IS_BETTER else over) / _by_row(limit.scale)
 
 
 def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:
@@ -137,7 +152,7 @@ def objective(
                 f"weights.{metric}: expected a metric that pd has here, got {baseline[metric]:g} under pd"
             )
         terms.append(Term(metric, weight, baseline[metric], smooth))
-    limits = []
+    limits: list[Limit] = []
 
     def limit(metric: str, value: float, margin: float, reason: str) -> None:
         scale = _SCALES.get(metric) or abs(value) or 1.0
@@ -157,5 +172,5 @@ def objective(
     if search.no_worse_than_pd:
         for term in terms:
             if term.metric not in search.limits:
-                limit(term.metric, term.baseline, _PD_MARGIN, "no worse than pd")
+                limit(term.metric, baseline[term.metric], _PD_MARGIN, "no worse than pd")
     return Objective(tuple(terms), tuple(limits), function)

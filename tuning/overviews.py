@@ -1,7 +1,10 @@
 """Pictures over many walks: gains judged on an ensemble, a Pareto front, a gain schedule."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -21,7 +24,7 @@ def _scaled(variable: xr.DataArray) -> tuple[float, str]:
     return factor, "" if unit == "1" else f" [{unit}]"
 
 
-def plot_judged(judged: xr.Dataset, metrics=("force_variation", "peak_pull_force")) -> Figure:
+def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation", "peak_pull_force")) -> Figure:
     """Draw which share of the unseen walks stays below a value, a curve for each set of gains.
 
     A dot marks the mean, a diamond the mean of the worst 5 %. A gripper lets go beyond the
@@ -131,7 +134,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
         axes[-1].set_xscale("log")
         axes[-1].set_xlabel("gravity [G]")
         axes[-1].legend(
-            handles=[Line2D([], [], color="0.3", linestyle=d, label=w) for w, d in (("tuned", "-"), ("config", ":"))],
+            handles=[Line2D([], [], color="0.3", ls=d, label=w) for w, d in (("tuned", "-"), ("config", ":"))],
             fontsize=6.5,
         )
         plots._legend(
@@ -141,7 +144,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     return figure
 
 
-def _log_scale(panel) -> None:
+def _log_scale(panel: Axes) -> None:
     """Make the y axis logarithmic, a decade at least: less would make mountains of what does not matter."""
     panel.set_yscale("log")
     low, high = panel.get_ylim()
@@ -153,7 +156,7 @@ def _log_scale(panel) -> None:
     panel.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _line(panel, x, y, sound, color: str, dash: str) -> None:
+def _line(panel: Axes, x: np.ndarray, y: np.ndarray, sound: np.ndarray | None, color: str, dash: str) -> None:
     panel.plot(x, y, dash, color=color)
     if sound is not None:
         panel.plot(x[sound], y[sound], "o", color=color, ms=3)

@@ -176,7 +176,7 @@ def margin_fluctuation(baseline: mc.Trajectory, proposed: mc.Trajectory, _: Case
 
 def cost_of_transport(baseline: mc.Trajectory, proposed: mc.Trajectory, published: Case) -> Verdict:
     """The cost of transport falls."""
-    cost = [mc.metrics(walk)["cost_of_transport"] for walk in (baseline, proposed)]
+    cost: list[Any] = [mc.metrics(walk)["cost_of_transport"] for walk in (baseline, proposed)]
     paper = [published.baseline_cost, published.proposed_cost]
     stated = f"in the paper {_went(paper, '')}" if None not in paper else ""
     if not stated and published.baseline_fails and published.proposed_cost is not None:
@@ -226,11 +226,11 @@ CLAIMS: dict[str, Claim] = {
 def judge(name: str, baseline: Walk, proposed: Walk, published: Case) -> Verdict:
     """Return the verdict on one claim; on walks that diverged there is none."""
     claim = CLAIMS[name]
-    walks = [walk.whole if claim.whole else walk.trajectory for walk in (baseline, proposed)]
-    for who, walk in zip(("baseline", "proposed controller"), walks, strict=True):
+    before, after = (walk.whole if claim.whole else walk.trajectory for walk in (baseline, proposed))
+    for who, walk in (("baseline", before), ("proposed controller", after)):
         if not (np.isfinite(walk.base_position).all() and np.isfinite(walk.foot_force).all()):
             return Verdict(None, {}, f"Nothing can be said: the walk of the {who} diverges.")
-    verdict = claim.judge(*walks, published)
+    verdict = claim.judge(before, after, published)
     if claim.whole and (baseline.unlimited or proposed.unlimited):
         return verdict._replace(sentence=f"{verdict.sentence[:-1]} (grippers that never let go).")
     return verdict
@@ -241,7 +241,7 @@ def judge_all(walks: Mapping[str, Walk], published: Case) -> dict[str, dict[str,
 
     Where the paper's baseline fails, `detachment_actual` judges the baseline whose reference follows the actual base.
     """
-    verdicts = {reading: {} for reading in READINGS}
+    verdicts: dict[str, dict[str, Verdict]] = {reading: {} for reading in READINGS}
     for reading, found in verdicts.items():
         for name in CLAIMS:
             found[name] = judge(name, walks[BASELINE], walks[reading], published)
@@ -312,7 +312,7 @@ def _falls(before: float, after: float) -> bool:
 # Words
 
 
-def _pair(values: Sequence) -> dict[str, Any]:
+def _pair(values: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(("baseline", "proposed"), values, strict=True))
 
 
@@ -332,7 +332,7 @@ def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def _went(values: Sequence, unit: str) -> str:
+def _went(values: Sequence[Any], unit: str) -> str:
     """Return "from a to b unit (+c %)"."""
     change = _change(values)
     percent = "" if change is None else f" ({100 * change:+.1f} %)"

@@ -6,7 +6,9 @@ was walked on the way is a candidate; the front is what nothing else beats in bo
 """
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -18,8 +20,9 @@ from mjx_climb.dataset import METRIC_NAMES, SIX
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.plots import LARGER_IS_BETTER
 from tuning import tune
+from tuning.evaluation import Evaluation, Problem
 from tuning.methods import Task, gradient
-from tuning.objectives import Limit
+from tuning.objectives import Limit, Objective
 from tuning.rounds import Rounds, Told
 from tuning.search import Search
 from tuning.spaces import to_gains64
@@ -28,6 +31,7 @@ CANDIDATES = 64  # random points, the scenario's own gains among them
 STAGES = 3  # descents; between them every row starts again from the best point within its limit
 ITERATIONS = 6  # of a descent
 POINTS = 12  # limits along the front
+_Archive = dict[str, list[np.ndarray]]
 _MARGIN = 0.002  # relative: where the penalty of a row's limit begins, inside it
 
 
@@ -41,7 +45,7 @@ def front(
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Told | None = None,
-    **changes,
+    **changes: Any,
 ) -> xr.Dataset:
     """Search the Pareto front of two metrics.
 
@@ -69,13 +73,14 @@ def front(
     settings = tune.changed(settings, {**changes, "weights": {better: 1.0}, "no_worse_than_pd": False})
     problem = tune.problem_of(scenario, settings, engine=engine)
     space, plain = problem.space, problem.objective
+    assert isinstance(plain, Objective)
     rng = np.random.default_rng(settings.seed)
     identity = {**tune._identity(problem, settings, None), "front": [better, against, points]}
     stages = [space.ties] + [np.eye(space.size) if len(space.ties) < space.size else space.ties] * (STAGES - 1)
     rounds = Rounds(1 + STAGES * ITERATIONS, progress, out, identity)
-    archive: dict[str, list[np.ndarray]] = {"theta": [], "x": [], "y": [], "held": []}
+    archive: _Archive = {"theta": [], "x": [], "y": [], "held": []}
 
-    def keep(theta: np.ndarray, found) -> None:
+    def keep(theta: np.ndarray, found: Evaluation) -> None:
         others = [_slack(limit, found) <= 0 for limit in plain.limits if limit.metric != against]
         held = np.all([found.alive, *others], axis=0)
         for name, values in zip(archive, (theta, found.metrics[against], found.metrics[better], held), strict=True):
@@ -117,30 +122,29 @@ def knee(x: np.ndarray, y: np.ndarray) -> int:
 def gains_of(result: xr.Dataset, index: int) -> mc.Gains:
     """Return the gains of one point of the front."""
     row = result.isel(front=index)
-    extra = {name: row[name].values for name in ("kp", "kd") if name in row}
-    return mc.Gains(*(row[name].values for name in ("inertia", "damping", "stiffness")), **extra)
+    return mc.Gains(**{name: row[name].values for name in (*mc.Gains.AXES, "kp", "kd") if name in row})
 
 
 def _sign(metric: str) -> float:
     return -1.0 if metric in LARGER_IS_BETTER else 1.0
 
 
-def _slack(limit: Limit, found) -> np.ndarray:
+def _slack(limit: Limit, found: Evaluation) -> np.ndarray:
     over = (found.metrics[limit.metric] - limit.value) * _sign(limit.metric)
-    return over / limit.scale
+    return np.asarray(over / limit.scale)
 
 
-def _joined(archive, better, against) -> tuple[np.ndarray, ...]:
+def _joined(archive: _Archive, better: str, against: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points, and both metrics with the smaller better, infinite where a constraint is broken."""
     theta, x, y, held = (np.concatenate(archive[name]) for name in ("theta", "x", "y", "held"))
     held = held & np.isfinite(x) & np.isfinite(y)
     return theta, np.where(held, _sign(against) * x, np.inf), np.where(held, _sign(better) * y, np.inf)
 
 
-def _limits(archive, better, against, own_limits, points) -> np.ndarray:
+def _limits(archive: _Archive, better: str, against: str, own_limits: Sequence[Limit], points: int) -> np.ndarray:
     """Return the rows' limits (points,) on `against`, in its own sign."""
     _, x, y = _joined(archive, better, against)
-    widest = [_sign(against) * limit.value for limit in own_limits if limit.metric == against]
+    widest = [_sign(against) * float(np.asarray(limit.value)) for limit in own_limits if limit.metric == against]
     within = np.isfinite(x) & (x <= min(widest, default=np.inf))
     if not within.any():
         raise ConfigError("limits: expected a walk that meets them all, got none of the first points")
@@ -150,10 +154,10 @@ def _limits(archive, better, against, own_limits, points) -> np.ndarray:
     if not low < high:
         high = low + 0.1 * abs(low)
     spaced = np.geomspace if low > 0 else np.linspace
-    return _sign(against) * spaced(low, high, points)
+    return np.asarray(_sign(against) * spaced(low, high, points))
 
 
-def _best_within(archive, limits, better, against) -> np.ndarray:
+def _best_within(archive: _Archive, limits: np.ndarray, better: str, against: str) -> np.ndarray:
     """Return for each limit the best point within it (points, n), else the one that comes closest to it."""
     theta, x, y = _joined(archive, better, against)
     rows = []
@@ -163,7 +167,17 @@ def _best_within(archive, limits, better, against) -> np.ndarray:
     return theta[rows]
 
 
-def _dataset(scenario, settings, problem, archive, limits, better, against, env_steps, engine) -> xr.Dataset:
+def _dataset(
+    scenario: mc.Scenario,
+    settings: Search,
+    problem: Problem,
+    archive: _Archive,
+    limits: np.ndarray,
+    better: str,
+    against: str,
+    env_steps: int,
+    engine: str,
+) -> xr.Dataset:
     theta, x, y = _joined(archive, better, against)
     candidates = nondominated(x, y)
     candidates = candidates[np.isfinite(y[candidates])]
@@ -180,7 +194,7 @@ def _dataset(scenario, settings, problem, archive, limits, better, against, env_
     on = on[np.isfinite(costs[1][on])]
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
     own = [mc.rollout_metrics(s, dtype=np.float64, engine=engine) for s in (scenario, pd)]
-    data = {name: (("front", "six"), values[on]) for name, values in six.items()}
+    data: dict[str, Any] = {name: (("front", "six"), values[on]) for name, values in six.items()}
     data |= {name: ("front", values[on]) for name, values in extra.items()}
     for name in mc.METRICS:
         about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}

@@ -6,6 +6,7 @@ import shutil
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ FOLDER = "parts"
 class Parts:
     """The parts that belong to one computation; another one finds the folder taken."""
 
-    def __init__(self, out: Path, identity: Mapping):
+    def __init__(self, out: Path, identity: Mapping[str, Any]):
         """Claim `out`/parts for the computation that `identity` (plain JSON values) determines bit by bit.
 
         Raises:
@@ -50,7 +51,8 @@ class Parts:
     def save(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Keep a part: it is there as a whole or not at all."""
         buffer = io.BytesIO()
-        np.savez(buffer, **arrays)
+        contents: dict[str, Any] = dict(arrays)
+        np.savez(buffer, **contents)
         write_bytes_atomically(self._file(number), buffer.getvalue())
 
     def count(self) -> int:
@@ -63,7 +65,7 @@ def clear(out: Path) -> None:
     shutil.rmtree(Path(out) / FOLDER, ignore_errors=True)
 
 
-def _read(file: Path) -> dict | None:
+def _read(file: Path) -> dict[str, Any] | None:
     """Return a stored identity: None where there is none, empty where it is damaged."""
     try:
         stored = json.loads(file.read_text())

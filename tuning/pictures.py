@@ -2,8 +2,10 @@
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
 
 from mjx_climb import plots
 from tuning.result import Result
@@ -47,7 +49,10 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         columns = [i for i, name in enumerate(names) if name.split(".")[0] == kind]
         ways[kind] = np.exp(theta[:, columns].mean(1))
     control = found.scenario.control
-    mean = lambda value: float(np.exp(np.mean(np.log(value))))  # noqa: E731
+
+    def mean(gain: ArrayLike) -> float:
+        return float(np.exp(np.mean(np.log(gain))))
+
     marks = {
         "tuned": (mean(found.gains.stiffness), mean(found.gains.damping)),
         "config": (mean(control.stiffness), mean(control.damping)),
@@ -63,7 +68,8 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         panel.plot(
             ways["stiffness"][~descending], ways["damping"][~descending], ".", color="0.1", markersize=2, zorder=3
         )
-        handles = [*figure.legends[0].legend_handles, Line2D([], [], color="0.1", linewidth=0.7, label="descents")]
+        handles: list[Artist] = [handle for handle in figure.legends[0].legend_handles if handle is not None]
+        handles.append(Line2D([], [], color="0.1", linewidth=0.7, label="descents"))
         handles.append(Line2D([], [], color="0.1", marker=".", markersize=2, linestyle="none", label="other points"))
         figure.legends[0].remove()
         plots._map_legend(figure, handles if descending.any() else [*handles[:-2], handles[-1]], 3)

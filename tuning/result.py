@@ -3,7 +3,9 @@
 import dataclasses
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,7 +16,7 @@ from mjx_climb.config import ConfigError
 from mjx_climb.dataset import METRIC_NAMES
 from tuning import search as search_settings
 from tuning.search import Search
-from tuning.spaces import to_gains64
+from tuning.spaces import Space, to_gains64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +45,9 @@ class Result:
         return dataset.save(self.history, path)
 
 
-def from_history(scenario: mc.Scenario, search: Search, space, arrays: dict, *, interrupted: bool) -> Result:
+def from_history(
+    scenario: mc.Scenario, search: Search, space: Space, arrays: Mapping[str, np.ndarray], *, interrupted: bool
+) -> Result:
     """Return the result of the points judged so far.
 
     The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
@@ -55,13 +59,15 @@ def from_history(scenario: mc.Scenario, search: Search, space, arrays: dict, *, 
         raise ValueError("expected a judged point, got none")
     count = len(arrays["value"])
     best = best_of(arrays)
-    data = {"theta": (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})}
+    data: dict[str, Any] = {
+        "theta": (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})
+    }
     for name, values in arrays.items():
         if name == "theta":
             continue
         units = mc.METRICS.get(name, "1")
         data[name] = ("point", values, {"units": units, "long_name": METRIC_NAMES.get(name, name.replace("_", " "))})
-    attrs = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
+    attrs: dict[str, Any] = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
     attrs["interrupted"] = int(interrupted)
     history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
     theta = np.asarray(arrays["theta"][best], float)
@@ -70,7 +76,7 @@ def from_history(scenario: mc.Scenario, search: Search, space, arrays: dict, *, 
     return _of(history, scenario, search, gains, best)
 
 
-def best_of(arrays) -> int:
+def best_of(arrays: Mapping[str, np.ndarray]) -> int:
     """Return the index of the best point."""
     value, penalty, feasible = (np.asarray(arrays[name]) for name in ("value", "penalty", "feasible"))
     ranked = np.where(feasible, value, np.inf) if feasible.any() else value + penalty
@@ -78,7 +84,7 @@ def best_of(arrays) -> int:
     return int(np.argmin(ranked))
 
 
-def _of(history: xr.Dataset, scenario, search, gains, best: int) -> Result:
+def _of(history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Gains, best: int) -> Result:
     names = [name for name in mc.METRICS if name in history]
     return Result(
         scenario=scenario,
@@ -104,7 +110,7 @@ def load(path: str | os.PathLike[str]) -> Result:
     history = dataset.load(path)
     if "search" not in history.attrs:
         raise ConfigError(f"{os.fspath(path)}: expected the result of a search, got another dataset")
-    gains = {name: None if v is None else np.asarray(v) for name, v in json.loads(history.attrs["gains"]).items()}
+    gains = {name: np.asarray(v) for name, v in json.loads(history.attrs["gains"]).items() if v is not None}
     arrays = {name: history[name].values for name in ("value", "penalty", "feasible")}
     settings = search_settings.parse(history.attrs["search"], os.fspath(path))
     return _of(history, dataset.scenario_of(history), settings, mc.Gains(**gains), best_of(arrays))

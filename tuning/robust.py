@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -60,8 +60,10 @@ class RobustObjective:
 
     def score(self, metrics: Metrics) -> Score:
         """Judge metrics (members, B) and return scores (B,)."""
-        value = smooth = total = 0.0
-        penalty, feasible = 0.0, ~metrics["diverged"].any(0)
+        value: Array | float = 0.0
+        smooth: Array | float = 0.0
+        penalty: Array | float = 0.0
+        total, feasible = 0.0, ~metrics["diverged"].any(0)
         for term in self.terms:
             ratios = self._ratios(metrics[term.metric], term, term.mean, term.worst)
             name = PREFIX + term.metric if PREFIX + term.metric in metrics else term.metric
@@ -77,18 +79,18 @@ class RobustObjective:
             slack = objectives.violation(limit, metrics[limit.metric])
             penalty += self._worst(objectives._penalty(slack + limit.margin))
             feasible &= (slack <= 0).all(0)
-        value, smooth = value / total, smooth / total
-        penalty = jnp.broadcast_to(jnp.asarray(penalty, value.dtype), value.shape)
-        return Score(value, smooth + penalty, penalty, feasible & jnp.isfinite(value))
+        mean = jnp.asarray(value / total)
+        whole = jnp.broadcast_to(jnp.asarray(penalty, mean.dtype), mean.shape)
+        return Score(mean, smooth / total + whole, whole, feasible & jnp.isfinite(mean))
 
     def _worst(self, values: Array, *, larger_is_better: bool = False) -> Array:
-        return ensembles.worst_mean(values, self.worst.share, larger_is_better=larger_is_better, numpy=jnp)
+        return jnp.asarray(ensembles.worst_mean(values, self.worst.share, larger_is_better=larger_is_better, numpy=jnp))
 
     def _ratios(self, values: Array, term: RobustTerm, mean: float, worst: float) -> tuple[Array, Array]:
         """Return mean and worst relative to pd's, smaller is better."""
         larger = term.metric in LARGER_IS_BETTER
-        ratios = values.mean(0) / mean, self._worst(values, larger_is_better=larger) / worst
-        return tuple(2 - ratio for ratio in ratios) if larger else ratios
+        of_mean, of_worst = values.mean(0) / mean, self._worst(values, larger_is_better=larger) / worst
+        return (2 - of_mean, 2 - of_worst) if larger else (of_mean, of_worst)
 
     def _mixed(self, mean: Array, worst: Array) -> Array:
         return (1 - self.worst.weight) * mean + self.worst.weight * worst
@@ -156,8 +158,8 @@ def search(
     *,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
-    progress: Callable | None = None,
-    **changes,
+    progress: Callable[[tune.Progress], None] | None = None,
+    **changes: Any,
 ) -> Result:
     """Search the gains that do best over an ensemble; `tuning.tune.tune` with its walks and the robust objective.
 
@@ -211,7 +213,7 @@ def judge(
         parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in mc.METRICS})
         if progress is not None:
             progress(min(start + CHUNK, members) * (len(gains) + 1), total)
-    data = {
+    data: dict[str, Any] = {
         name: (
             ("gains", "member"),
             np.concatenate([part[name] for part in parts]).T,
@@ -229,7 +231,7 @@ def judge(
     for name, (values, units, text) in drawn.items():
         values = np.broadcast_to(np.reshape(values, -1), members)
         data[name] = ("member", values, {"units": units, "long_name": text})
-    attrs = {"title": "gains judged on a draw that no search saw", **dataset._provenance(scenario)}
+    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset._provenance(scenario)}
     attrs["ensemble"] = fresh.to_yaml()
     attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
     return xr.Dataset(data, {"gains": [*gains, "pd"], "member": np.arange(members)}, attrs)
@@ -237,7 +239,8 @@ def judge(
 
 def failed(judged: xr.Dataset) -> xr.DataArray:
     """Return which walks would lose a gripper, or diverge, dimensions (`gains`, `member`)."""
-    return (judged["peak_pull_force"] > judged.attrs["holding_limit"]) | judged["diverged"].astype(bool)
+    lost: xr.DataArray = judged["peak_pull_force"] > judged.attrs["holding_limit"]
+    return lost | judged["diverged"].astype(bool)
 
 
 def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:
@@ -252,7 +255,7 @@ def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:
     held = judged.isel(member=~judged["diverged"].astype(bool).any("gains").values)
     if not held.sizes["member"]:
         raise ValueError("expected a member of the draw in which nothing diverges, got none")
-    data = {}
+    data: dict[str, Any] = {}
     for name in mc.METRICS:
         if name in ("detached_at", "detached_limb", "diverged"):
             continue

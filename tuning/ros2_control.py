@@ -28,7 +28,8 @@ joint_damping 0 and filter_coefficient 1 leave Eq. 3 as it is. Leave a sensor_fi
 
 def six(gains: mc.Gains) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return inertia, damping and stiffness of one set of gains, each (6,)."""
-    return tuple(np.broadcast_to(np.asarray(getattr(gains, name), float), 6) for name in mc.Gains.AXES)
+    inertia, damping, stiffness = (np.broadcast_to(np.asarray(getattr(gains, n), float), 6) for n in mc.Gains.AXES)
+    return inertia, damping, stiffness
 
 
 def poles(gains: mc.Gains, rate: float) -> np.ndarray:
@@ -39,26 +40,26 @@ def poles(gains: mc.Gains, rate: float) -> np.ndarray:
     # z^2 - (2 - d - k) z + (1 - d) in s = 1 - z: s^2 - (d + k) s + k, whose small root loses no digits so
     root = np.sqrt(((d + k) ** 2 - 4 * k).astype(complex))
     large = (d + k + root) / 2
-    return 1 - np.stack([k / large, large], axis=-1)
+    return np.asarray(1 - np.stack([k / large, large], axis=-1))
 
 
 def stable(gains: mc.Gains, rate: float) -> np.ndarray:
     """Return for each axis (6,) whether both poles lie inside the unit circle: `h^2 K / M + 2 h D / M < 4` (Jury)."""
     inertia, damping, stiffness = six(gains)
-    return (stiffness / rate + 2 * damping) / (rate * inertia) < 4
+    return np.asarray((stiffness / rate + 2 * damping) / (rate * inertia) < 4)
 
 
 def lowest_rate(gains: mc.Gains) -> np.ndarray:
     """Return for each axis (6,) the update rate in Hz above which it is stable."""
     inertia, damping, stiffness = six(gains)
     d, k = damping / inertia, stiffness / inertia
-    return (d + np.sqrt(d * d + 4 * k)) / 4
+    return np.asarray((d + np.sqrt(d * d + 4 * k)) / 4)
 
 
 def smallest_inertia(gains: mc.Gains, rate: float) -> np.ndarray:
     """Return for each axis (6,) the virtual inertia above which it is stable at a rate, damping and stiffness kept."""
     _, damping, stiffness = six(gains)
-    return (stiffness / rate + 2 * damping) / (4 * rate)
+    return np.asarray((stiffness / rate + 2 * damping) / (4 * rate))
 
 
 def check(gains: mc.Gains, rate: float, source: str) -> None:

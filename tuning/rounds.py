@@ -1,14 +1,14 @@
 """Batches of points judged one after the other outside of `tuning.tune.tune`: kept on disk, counted, reported."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tuning import tune
 from tuning.evaluation import Evaluation, Problem
-from tuning.methods.task import Request
+from tuning.methods.task import Descent
 from tuning.parts import Parts
 
 Told = Callable[[int, int, str], None]  # rounds done, rounds in all, phase
@@ -25,13 +25,15 @@ class Rounds:
     """Judges batches; with a folder, those that it holds from an interrupted run of the same thing are not walked."""
 
     def __init__(
-        self, in_all: int, progress: Told | None = None, out: Path | None = None, identity: dict | None = None
+        self, in_all: int, progress: Told | None = None, out: Path | None = None, identity: dict[str, Any] | None = None
     ):
         self.done, self.in_all, self.env_steps = 0, in_all, 0
         self._progress, self._out = progress, out
         self._kept = None if out is None else Parts(out, identity or {})
 
-    def evaluate(self, problem: Problem, theta: np.ndarray, phase: str, directions=None) -> Evaluation:
+    def evaluate(
+        self, problem: Problem, theta: np.ndarray, phase: str, directions: np.ndarray | None = None
+    ) -> Evaluation:
         """Return what some points are worth."""
         stored = None if self._kept is None else self._kept.load(self.done)
         found = None if stored is None else tune._restored(stored, theta, self._out)
@@ -45,11 +47,11 @@ class Rounds:
             self._progress(self.done, self.in_all, phase)
         return found
 
-    def descend(self, problem: Problem, points: Generator) -> list[Round]:
+    def descend(self, problem: Problem, points: Descent) -> list[Round]:
         """Follow a descent (see `tuning.methods.gradient.descend`) to its end and return all that it visited."""
         visited = []
         try:
-            request: Request = next(points)
+            request = next(points)
             while True:
                 found = self.evaluate(problem, request.theta, request.phase, request.directions)
                 visited.append(Round(request.theta, found))

@@ -9,6 +9,7 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
@@ -23,7 +24,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.parameters import gains as gains_of
 from tuning import objectives, spaces, tune
-from tuning.evaluation import Problem
+from tuning.evaluation import Evaluation, Problem
 from tuning.methods import Task, gradient
 from tuning.objectives import Limit, Objective, Term
 from tuning.robust import pd_of
@@ -37,6 +38,7 @@ CARGO = (0.0, 0.5, 1.0)  # kg
 CANDIDATES = 24  # random points per operating point
 ITERATIONS = (10, 8)  # of the two descents
 GAINS = ("inertia", "damping", "stiffness")
+_Part = TypeVar("_Part", Term, Limit)
 
 
 def schedule(
@@ -48,7 +50,7 @@ def schedule(
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Told | None = None,
-    **changes,
+    **changes: Any,
 ) -> xr.Dataset:
     """Tune gains for every pair of gravity and cargo.
 
@@ -93,7 +95,7 @@ def schedule(
 
     best, merit = np.tile(own, (points, 1)), np.full(points, np.inf)
 
-    def take(theta: np.ndarray, found, places: np.ndarray) -> None:
+    def take(theta: np.ndarray, found: Evaluation, places: np.ndarray) -> None:
         """Keep the best point of every operating point."""
         ranks = np.where(found.feasible, found.value, 1e3 + found.merit)
         for row, place in enumerate(places):
@@ -107,7 +109,6 @@ def schedule(
 
     here = np.arange(points)
     pairs = np.repeat(here, points), np.tile(here, points)  # operating point, whose gains
-    crossed = None
     for number, iterations in enumerate(ITERATIONS):
         ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
         walks, phase = at(here), f"descent {number + 1} of {len(ITERATIONS)}"
@@ -144,8 +145,8 @@ def objective_at(scenario: mc.Scenario, settings: Search, baseline: dict[str, fl
 def _rows(rows: Sequence[Objective]) -> Objective:
     """Return one objective for a batch whose rows have their own."""
 
-    def joined(kind, items):
-        merged = {name: tuple(getattr(item, name) for item in items) for name in kind._fields}
+    def joined(kind: type[_Part], items: Sequence[_Part]) -> _Part:
+        merged: dict[str, Any] = {name: tuple(getattr(item, name) for item in items) for name in kind._fields}
         same = {name: values[0] for name, values in merged.items() if isinstance(values[0], str)}
         same |= {name: merged[name][0] for name in ("weight", "margin") if name in merged}
         return kind(**{**merged, **same})
@@ -163,10 +164,23 @@ def _numbers(scenario: mc.Scenario, gravity: Sequence[float], cargo: Sequence[fl
     level, load = np.meshgrid(gravity, cargo, indexing="ij")
     with jax.enable_x64(True):
         own = jax.tree.map(np.asarray, mc.parameters(scenario))
-    return dataclasses.replace(own, gravity=G * level.reshape(-1, 1) * down, cargo_mass=load.reshape(-1))
+    varied: mc.Parameters = dataclasses.replace(own, gravity=G * level.reshape(-1, 1) * down, cargo_mass=load.ravel())
+    return varied
 
 
-def _dataset(scenario, settings, space, numbers, gravity, cargo, theta, merit, transfer, spent, engine) -> xr.Dataset:
+def _dataset(
+    scenario: mc.Scenario,
+    settings: Search,
+    space: spaces.Space,
+    numbers: mc.Parameters,
+    gravity: Sequence[float],
+    cargo: Sequence[float],
+    theta: np.ndarray,
+    merit: np.ndarray,
+    transfer: np.ndarray,
+    spent: int,
+    engine: str,
+) -> xr.Dataset:
     shape = (len(gravity), len(cargo))
     gains = to_gains64(space, theta)
     values = {n: np.broadcast_to(getattr(gains, n), (len(theta), 6)) for n in GAINS}
@@ -179,7 +193,7 @@ def _dataset(scenario, settings, space, numbers, gravity, cargo, theta, merit, t
         "pd": (pd, own),
     }
     metrics = [mc.rollout_metrics(s, g, numbers, dtype=np.float64, engine=engine) for s, g in walks.values()]
-    data = {name: (("gravity", "cargo", "six"), values[name].reshape(*shape, 6)) for name in GAINS}
+    data: dict[str, Any] = {name: (("gravity", "cargo", "six"), values[name].reshape(*shape, 6)) for name in GAINS}
     data |= {name: (("gravity", "cargo"), v.reshape(shape)) for name, v in extra.items()}
     data["value"] = (("gravity", "cargo"), np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
     data["feasible"] = (("gravity", "cargo"), (merit < 1e3).reshape(shape), {"units": "1"})
@@ -210,14 +224,15 @@ def lookup(table: xr.Dataset, gravity: float, cargo: float) -> mc.Gains:
         cargo: kg.
     """
 
-    def between(values: np.ndarray) -> np.ndarray:
+    def between(name: str) -> np.ndarray:
+        values = table[name].values
         logs = np.log(values.reshape(table.sizes["gravity"], table.sizes["cargo"], -1))
         loads, levels = table["cargo"].values, np.log(table["gravity"].values)
         at_cargo = [[np.interp(cargo, loads, logs[g, :, i]) for i in range(logs.shape[2])] for g in range(len(logs))]
         return np.exp([np.interp(math.log(gravity), levels, column) for column in np.transpose(at_cargo)])
 
-    extra = {name: between(table[name].values)[0] for name in ("kp", "kd") if name in table}
-    return mc.Gains(*(between(table[name].values) for name in GAINS), **extra)
+    extra = {name: between(name)[0] for name in ("kp", "kd") if name in table}
+    return mc.Gains(**{name: between(name) for name in GAINS}, **extra)
 
 
 def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
@@ -232,13 +247,13 @@ def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
     return float(table["gravity"][g]), float(table["cargo"][c]), float(worst[g, c])
 
 
-def rows(table: xr.Dataset) -> list[dict]:
+def rows(table: xr.Dataset) -> list[dict[str, Any]]:
     """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd."""
     result = []
     for g in range(table.sizes["gravity"]):
         for c in range(table.sizes["cargo"]):
             point = table.isel(gravity=g, cargo=c)
-            row = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
+            row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
             for name in (*GAINS, "kp", "kd"):
                 if name in point:
                     values = np.unique(np.round(point[name].values.ravel(), 12))

@@ -1,7 +1,7 @@
 """The settings of a search: what is searched, how, and for what; validated, and enough to repeat it."""
 
 import os
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -70,7 +70,7 @@ class Search(BaseModel):
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=110)
 
 
-def make(values: dict, source: str = "search") -> Search:
+def make(values: dict[str, Any], source: str = "search") -> Search:
     """Return validated settings.
 
     Raises:

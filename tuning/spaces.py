@@ -6,6 +6,7 @@ likewise `inertia`; and `kp`, `kd`.
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
@@ -72,7 +73,7 @@ class Space:
 
     def clip(self, theta: np.ndarray) -> np.ndarray:
         """Return the nearest points inside the bounds."""
-        return np.clip(theta, self.lower, self.upper)
+        return np.asarray(np.clip(theta, self.lower, self.upper))
 
     @property
     def ties(self) -> np.ndarray:
@@ -113,7 +114,8 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
         wanted = []
     translations_only = control.controller == "end_effector_admittance"
     known = {"kp", "kd"} if search.joint_gains else set()
-    names, lower, upper, fixed, places = [], [], [], [], {}
+    names, lower, upper, fixed = [], [], [], []
+    places: dict[str, int | list[int]] = {}
 
     def add(name: str, keys: list[str]) -> int:
         """Place one number; keys go from the general to the particular."""
@@ -171,15 +173,16 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
 def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> mc.Gains:
     """Return the gains of points in double precision, whatever JAX is set to."""
     with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, space.to_gains(theta))
+        gains: mc.Gains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(theta)))
+        return gains
 
 
 def _hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     strata = np.argsort(rng.random((lower.size, count)), axis=1).T
-    return lower + (upper - lower) * (strata + rng.random((count, lower.size))) / count
+    return np.asarray(lower + (upper - lower) * (strata + rng.random((count, lower.size))) / count)
 
 
-def _bounds(keys: list[str], search: Search, defaults: dict) -> tuple[float, float]:
+def _bounds(keys: list[str], search: Search, defaults: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
     """Return the bounds of a gain: the user's before the defaults, each from the particular key to the general."""
     return next(source[key] for source in (search.bounds, defaults) for key in reversed(keys) if key in source)
 

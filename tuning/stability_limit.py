@@ -8,11 +8,14 @@ for any positive gains.
 
 import dataclasses
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb import gait
@@ -21,11 +24,13 @@ from mjx_climb.inverse_kinematics import inverse_kinematics
 from mjx_climb.kernels import in_kernels
 from mjx_climb.parameters import batch_last
 from mjx_climb.spatial import quaternion_to_matrix, rotate_back
-from mjx_climb.walk import Carry, advance, begin, prepare, structure
+from mjx_climb.state import State
+from mjx_climb.walk import Carry, Structure, advance, begin, prepare, structure
 
 _CHUNK = 64  # gain sets per compiled batch
 _EQUATIONS = 400  # in a piece: compiles faster than smaller ones, see `mjx_climb.kernels`
 _FINEST = 48  # values along an axis of a map
+_Varied = tuple[State, Any]  # of the robot and of the law
 
 
 def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEFAULT_ENGINE) -> np.ndarray:
@@ -40,7 +45,8 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
         run = _program(shape, scenario.gait.cycle * (1 - scenario.gait.duty))
         for start in range(0, count, _CHUNK):
             rows = np.minimum(np.arange(start, start + _CHUNK), count - 1)
-            part = mc.Gains(*(value[rows] for value in flat), kp[rows], kd[rows])
+            inertia, damping, stiffness = (value[rows] for value in flat)
+            part = mc.Gains(inertia, damping, stiffness, kp[rows], kd[rows])
             matrices = np.asarray(run(part, numbers))
             finite = np.isfinite(matrices).all((1, 2))
             radius = np.full(len(rows), np.inf)
@@ -68,18 +74,18 @@ def over_map(scenario: mc.Scenario, walks: xr.Dataset, *, engine: str = DEFAULT_
 
 
 @functools.lru_cache(maxsize=8)
-def _program(shape, swing_time: float):
+def _program(shape: Structure, swing_time: float) -> Callable[[mc.Gains, mc.Parameters], jax.Array]:
     options = mc.compiler_options(_CHUNK, in_pieces=shape.in_pieces)
     if shape.in_pieces:
         options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
     return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=options)
 
 
-def _six(gains: mc.Gains):
+def _six(gains: mc.Gains) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
     return gains.inertia, gains.damping, gains.stiffness
 
 
-def _joint(gains, name, scenario, count) -> np.ndarray:
+def _joint(gains: mc.Gains, name: str, scenario: mc.Scenario, count: int) -> np.ndarray:
     value = getattr(gains, name)
     return np.broadcast_to(np.asarray(getattr(scenario.control, name) if value is None else value, float), count)
 
@@ -89,12 +95,14 @@ def _calm(scenario: mc.Scenario) -> mc.Parameters:
     with jax.enable_x64(True):
         numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
     zero = {name: np.zeros_like(getattr(numbers, name)) for name in ("gravity", "cargo_mass")}
-    return dataclasses.replace(numbers, **zero, push_force=numbers.push_force * 0, push_moment=numbers.push_moment * 0)
+    zero |= {name: getattr(numbers, name) * 0 for name in ("push_force", "push_moment")}
+    calm: mc.Parameters = dataclasses.replace(numbers, **zero)
+    return calm
 
 
-def _jacobian(shape, swing_time: float, gains, numbers):
+def _jacobian(shape: Structure, swing_time: float, gains: mc.Gains, numbers: mc.Parameters) -> jax.Array:
     """Return the matrices (B, s, s) that map a small change of state over one step."""
-    batch = gains.stiffness.shape[0]
+    batch = jnp.shape(gains.stiffness)[0]
     walk = prepare(shape, *batch_last(gains, numbers, (batch,), jnp.result_type(float)))
     carry = begin(walk, batch)
     step = jnp.asarray(round(swing_time / 2 / shape.time_step))
@@ -117,14 +125,15 @@ def _jacobian(shape, swing_time: float, gains, numbers):
         for row, leaf in zip(rows, leaves, strict=True)
     ]
 
-    def stepped(before):
+    def stepped(before: _Varied) -> _Varied:
         after, _ = advance(walk, Carry(before[0], carry.contact, carry.gait, before[1]), step)
         return after.state, after.law
 
-    def columns(before, directions):
-        return jax.vmap(lambda direction: jax.jvp(stepped, (before,), (direction,))[1])(directions)
+    def columns(before: _Varied, directions: _Varied) -> _Varied:
+        along: _Varied = jax.vmap(lambda direction: jax.jvp(stepped, (before,), (direction,))[1])(directions)
+        return along
 
     columns = in_kernels(columns, _EQUATIONS) if shape.in_pieces else columns
-    moved = jax.tree.leaves(columns(before, tree.unflatten(each)))
+    moved = jax.tree.leaves(columns(before, jax.tree.unflatten(tree, each)))
     matrix = jnp.concatenate([leaf.reshape(sum(sizes), -1, batch) for leaf in moved], axis=1)  # (column, row, B)
     return jnp.transpose(matrix, (2, 1, 0))

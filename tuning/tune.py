@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -26,7 +26,8 @@ from mjx_climb.parameters import batch_shape
 from mjx_climb.robot import model_path
 from tuning import evaluation, objectives, result, spaces
 from tuning.evaluation import Evaluation, Problem
-from tuning.methods import METHODS, Task
+from tuning.methods import METHODS, Request, Task
+from tuning.objectives import Goal, Judge
 from tuning.parts import Parts
 from tuning.result import Result
 from tuning.search import Search
@@ -51,12 +52,12 @@ def tune(
     scenario: mc.Scenario,
     search: Search | None = None,
     *,
-    objective: Callable[[Mapping], jax.Array] | None = None,
+    objective: Judge | None = None,
     numbers: mc.Parameters | None = None,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
-    **settings,
+    **settings: Any,
 ) -> Result:
     """Search the gains of a scenario's controller.
 
@@ -85,7 +86,7 @@ def tune(
     method = METHODS[search.method]
     kept = None if out is None else Parts(out, _identity(problem, search, objective))
     rounds_in_all, points = method.rounds(task), method.run(task)
-    arrays: dict[str, list] = {}
+    arrays: dict[str, list[np.ndarray]] = {}
     spent, number, interrupted = 0, 0, False
     try:
         request = next(points)
@@ -114,7 +115,7 @@ def tune(
     return result.from_history(scenario, search, problem.space, joined, interrupted=interrupted)
 
 
-def changed(search: Search | None, settings: Mapping) -> Search:
+def changed(search: Search | None, settings: Mapping[str, Any]) -> Search:
     """Return settings with some keys replaced, validated."""
     from tuning.search import make
 
@@ -123,10 +124,17 @@ def changed(search: Search | None, settings: Mapping) -> Search:
     return make({**({} if search is None else search.model_dump()), **settings})
 
 
-def problem_of(scenario, search, function=None, numbers=None, engine=DEFAULT_ENGINE) -> Problem:
+def problem_of(
+    scenario: mc.Scenario,
+    search: Search,
+    function: Judge | None = None,
+    numbers: mc.Parameters | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> Problem:
     """Return what the settings ask to search: space, objective relative to pd, and walks."""
     space = spaces.space(scenario, search)
-    if hasattr(function, "score"):
+    target: Goal
+    if isinstance(function, Goal):
         target = function
     else:
         target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine), function)
@@ -138,11 +146,11 @@ def problem_of(scenario, search, function=None, numbers=None, engine=DEFAULT_ENG
 def start_of(problem: Problem) -> np.ndarray:
     """Return the scenario's own gains as a point of the space."""
     control = problem.scenario.control
-    gains = mc.Gains(control.inertia, control.damping, control.stiffness, control.kp, max(control.kd, 1e-12))
-    return problem.space.from_gains(gains)
+    six = {name: np.asarray(getattr(control, name), float) for name in mc.Gains.AXES}
+    return problem.space.from_gains(mc.Gains(**six, kp=control.kp, kd=max(control.kd, 1e-12)))
 
 
-def _append(arrays, request, found: Evaluation, number: int, spent: int) -> None:
+def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evaluation, number: int, spent: int) -> None:
     count = len(request.theta)
     columns = {
         "theta": np.asarray(request.theta, float),
@@ -161,7 +169,16 @@ def _append(arrays, request, found: Evaluation, number: int, spent: int) -> None
         arrays.setdefault(name, []).append(values)
 
 
-def _progress(arrays, found, request, number, rounds, spent, walked, took) -> Progress:
+def _progress(
+    arrays: Mapping[str, list[np.ndarray]],
+    found: Evaluation,
+    request: Request,
+    number: int,
+    rounds: int,
+    spent: int,
+    walked: bool,
+    took: float,
+) -> Progress:
     feasible = [np.where(f, v, np.nan) for f, v in zip(arrays["feasible"], arrays["value"], strict=True)]
     every = np.concatenate(feasible)
     best = float(np.nanmin(every)) if np.isfinite(every).any() else float("nan")
@@ -175,16 +192,17 @@ def _stored(found: Evaluation, theta: np.ndarray) -> dict[str, np.ndarray]:
     return {"theta": theta, **fields, **{f"metric_{name}": value for name, value in found.metrics.items()}}
 
 
-def _restored(stored: dict, theta: np.ndarray, out) -> Evaluation:
+def _restored(stored: dict[str, np.ndarray], theta: np.ndarray, out: Path | None) -> Evaluation:
     if not np.array_equal(stored["theta"], theta):
         raise OutputError(f"{out}: expected the rounds of this search, got others (remove {out}/parts to start again)")
     metrics = {name.removeprefix("metric_"): value for name, value in stored.items() if name.startswith("metric_")}
-    return Evaluation(**{name: stored[name] for name in Evaluation._fields if name != "metrics"}, metrics=metrics)
+    fields: dict[str, Any] = {name: stored[name] for name in Evaluation._fields if name != "metrics"}
+    return Evaluation(**fields, metrics=metrics)
 
 
-def _identity(problem: Problem, search: Search, function) -> dict:
+def _identity(problem: Problem, search: Search, function: Judge | None) -> dict[str, Any]:
     """Return all that determines a search, bit by bit."""
-    versions = {}
+    versions: dict[str, str | None] = {}
     for name, distribution in {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}.items():
         try:
             versions[name] = importlib.metadata.version(distribution)
@@ -207,8 +225,8 @@ def _identity(problem: Problem, search: Search, function) -> dict:
     }
 
 
-def _source(function: Callable) -> str:
-    if hasattr(function, "score"):
+def _source(function: Judge) -> str:
+    if isinstance(function, Goal):
         return repr(function)
     try:
         return inspect.getsource(function)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -10,7 +11,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning import grid, maps, objectives, stability_limit
 from tuning.evaluation import Evaluation, Problem
-from tuning.objectives import Objective
+from tuning.objectives import Goal, Judge, Score
 from tuning.result import Result
 from tuning.tune import problem_of
 
@@ -24,7 +25,7 @@ GRID = 12  # cells along each axis of the map
 class Verification:
     """What the tests found; by coordinate of the space where there is one number per gain."""
 
-    metrics: dict  # of the walk alone, float64, hard detachment
+    metrics: dict[str, Any]  # of the walk alone, float64, hard detachment
     value: float  # of that walk
     search_value: float
     broken_limits: list[str]  # in words
@@ -43,7 +44,9 @@ class Verification:
         return not self.broken_limits
 
 
-def map_of(found: Result, *, progress: Callable[[int, int], None] | None = None, engine: str = DEFAULT_ENGINE):
+def map_of(
+    found: Result, *, progress: Callable[[int, int], None] | None = None, engine: str = DEFAULT_ENGINE
+) -> xr.Dataset | None:
     """Return the metrics over an isotropic grid of stiffness and damping, with the objective as `objective`.
 
     A variable `spectral_radius` tells where the closed loop is unstable.
@@ -54,8 +57,8 @@ def map_of(found: Result, *, progress: Callable[[int, int], None] | None = None,
         rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
         if not rows:
             return None
-        ends = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
-        box[kind] = np.geomspace(*ends, GRID)
+        low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
+        box[kind] = np.geomspace(low, high, GRID)
     walks = grid.sweep(found.scenario, box["stiffness"], box["damping"], progress=progress, engine=engine)
     judged = maps.with_objective(walks, found.scenario, found.search, engine=engine)
     return maps.with_stability(judged, found.scenario, engine=engine)
@@ -64,9 +67,9 @@ def map_of(found: Result, *, progress: Callable[[int, int], None] | None = None,
 def verify(
     found: Result,
     *,
-    metrics: Mapping | None = None,
+    metrics: Mapping[str, Any] | None = None,
     walks: xr.Dataset | None = None,
-    function: Callable | None = None,
+    function: Judge | None = None,
     engine: str = DEFAULT_ENGINE,
 ) -> Verification:
     """Test a result.
@@ -91,10 +94,15 @@ def verify(
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
     best = None if walks is None else maps.best_cell(walks)
-    six = [np.broadcast_to(np.asarray(v, float), (1, 6)) for v in _gains(found.gains)]
-    joint = [None if v is None else np.reshape(v, 1) for v in (found.gains.kp, found.gains.kd)]
-    radius = float(stability_limit.spectral_radius(found.scenario, mc.Gains(*six, *joint), engine=engine)[0])
-    number = lambda v: float(v) if np.isfinite(v) else None  # noqa: E731
+    held = {name: value for name, value in vars(found.gains).items() if value is not None}
+    alone_gains = mc.Gains(
+        **{n: np.broadcast_to(np.asarray(v, float), (1, 6) if n in mc.Gains.AXES else (1,)) for n, v in held.items()}
+    )
+    radius = float(stability_limit.spectral_radius(found.scenario, alone_gains, engine=engine)[0])
+
+    def number(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
     return Verification(
         metrics=dict(metrics),
         value=float(alone.value),
@@ -111,17 +119,13 @@ def verify(
     )
 
 
-def _gains(gains: mc.Gains):
-    return gains.inertia, gains.damping, gains.stiffness
-
-
 def _shape(change: np.ndarray) -> str:
     if not np.isfinite(change).all() or change.max() > CLIFF:
         return "cliff"
     return "plateau" if np.abs(change).max() < PLATEAU else "slope"
 
 
-def _broken(objective: Objective, metrics: Mapping) -> list[str]:
+def _broken(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     if metrics["diverged"]:
         return ["the walk diverged"]
     broken = []
@@ -134,7 +138,15 @@ def _broken(objective: Objective, metrics: Mapping) -> list[str]:
     return broken
 
 
-def _warnings(found, problem: Problem, around: Evaluation, shape, best, radius, alone) -> list[str]:
+def _warnings(
+    found: Result,
+    problem: Problem,
+    around: Evaluation,
+    shape: Mapping[str, str],
+    best: xr.Dataset | None,
+    radius: float,
+    alone: Score,
+) -> list[str]:
     space, lines = problem.space, []
     if not found.feasible:
         lines.append("no point of the search keeps every limit: these gains are the nearest to it")

@@ -3,11 +3,13 @@
 import json
 import math
 from collections.abc import Mapping
+from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def plain(value):
+def plain(value: Any) -> Any:
     """Return a value as JSON has it: numbers of numpy's as Python's, None for what is not finite."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
@@ -18,12 +20,12 @@ def plain(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def to_json(value) -> str:
+def to_json(value: Any) -> str:
     """Return JSON text, strictly so: no NaN."""
     return json.dumps(plain(value), indent=2, allow_nan=False)
 
 
-def number(value) -> str:
+def number(value: float | str | None) -> str:
     """Return a value of a metric for a table."""
     if value is None:
         return "-"
@@ -32,7 +34,7 @@ def number(value) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
-def gain(gains: Mapping | None, key: str) -> str:
+def gain(gains: Mapping[str, ArrayLike] | None, key: str) -> str:
     """Return a gain, one or six of them, for a table."""
     if gains is None:
         return "-"
@@ -47,9 +49,13 @@ def unit(name: str) -> str:
     return "" if METRICS[name] == "1" else METRICS[name]
 
 
-def change(value, base) -> str:
+def change(value: float | str | None, base: float | str | None) -> str:
     """Return the change against a baseline, in per cent without the sign."""
-    if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (value, base)) or not base:
+    if not (_is_number(value) and _is_number(base) and base):
         return ""
     percent = 100 * (value / base - 1)
     return f"{percent:+.1f}" if abs(percent) < 100 else f"{percent:+.0f}"
+
+
+def _is_number(value: float | str | None) -> TypeGuard[float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -42,7 +42,7 @@ def build_virtual_model(gains: Gains, time_step: float) -> Law:
     """
     transition = discretize(gains, time_step)
 
-    def command(state: VirtualState, measurement: Measurement, reference: Reference):
+    def command(state: VirtualState, measurement: Measurement, reference: Reference) -> tuple[VirtualState, Command]:
         rotation = quaternion_to_matrix(reference.base_orientation)
         state = advance(transition, state, -_in_reference_axes(rotation, measurement.wrench))
         turn = quaternion_from_rotation_vector(state.displacement[3:])
@@ -58,7 +58,7 @@ def build_measured_pose(gains: Gains, time_step: float) -> Law:
     base's own velocity. Rotations are twice the vector part of the quaternion.
     """
 
-    def command(state, measurement: Measurement, reference: Reference):
+    def command(state: tuple[()], measurement: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
         rotation = quaternion_to_matrix(reference.base_orientation)
         turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measurement.base_orientation)
         turn = jnp.where(turn[0] < 0, -turn, turn)

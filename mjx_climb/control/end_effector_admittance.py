@@ -22,7 +22,7 @@ def build(gains: Gains, time_step: float) -> Law:
     transition = discretize(translations, time_step)
     no_shift = jnp.zeros_like(gains.stiffness)
 
-    def command(state: VirtualState, measurement: Measurement, reference: Reference):
+    def command(state: VirtualState, measurement: Measurement, reference: Reference) -> tuple[VirtualState, Command]:
         rotation = quaternion_to_matrix(reference.base_orientation)[:, :, None]
         state = advance(transition, state, rotate_back(rotation, measurement.foot_force))
         state = jax.tree.map(lambda value: jnp.where(measurement.support, value, 0.0), state)

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from mjx_climb.control.law import Command, Law
+from mjx_climb.control.law import Command, Law, Measurement, Reference
 from mjx_climb.parameters import Gains
 
 
@@ -11,7 +11,7 @@ def build(gains: Gains, time_step: float) -> Law:
     del time_step
     no_shift = jnp.zeros_like(gains.stiffness)
 
-    def command(state, measurement, reference):
-        return state, Command(*reference, base_displacement=no_shift)
+    def command(state: tuple[()], measurement: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
+        return state, Command(*reference, no_shift)
 
     return Law(initial=(), command=command)

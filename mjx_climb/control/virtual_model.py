@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from mjx_climb.parameters import Gains
 
@@ -29,7 +30,7 @@ class Transition(NamedTuple):
     vf: Array
 
 
-def rest(like: Array) -> VirtualState:
+def rest(like: ArrayLike) -> VirtualState:
     """Return the state of a virtual mass at rest, in the shape of `like`."""
     return VirtualState(jnp.zeros_like(like), jnp.zeros_like(like))
 
@@ -58,7 +59,7 @@ def discretize(gains: Gains, time_step: float) -> Transition:
         vf=bxv / determinant * mobility,
     )
 
-    def double(_, t: Transition) -> Transition:
+    def double(_: Array, t: Transition) -> Transition:
         return Transition(
             xx=2 * t.xx + t.xx * t.xx + t.xv * t.vx,
             xv=2 * t.xv + (t.xx + t.vv) * t.xv,
@@ -68,7 +69,8 @@ def discretize(gains: Gains, time_step: float) -> Transition:
             vf=2 * t.vf + t.vx * t.xf + t.vv * t.vf,
         )
 
-    return jax.lax.fori_loop(0, _DOUBLINGS, double, first)
+    whole: Transition = jax.lax.fori_loop(0, _DOUBLINGS, double, first)
+    return whole
 
 
 def advance(transition: Transition, state: VirtualState, force: Array) -> VirtualState:

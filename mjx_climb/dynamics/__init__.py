@@ -10,6 +10,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from mjx_climb.dynamics import limb_engine, mjx_engine
 from mjx_climb.robot import Robot, load_robot
@@ -26,12 +27,12 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 def forward_dynamics(
     state: State,
-    tau: Array,
-    foot_force: Array,
-    base_wrench: Array,
-    cargo_mass: Array | float,
+    tau: ArrayLike,
+    foot_force: ArrayLike,
+    base_wrench: ArrayLike,
+    cargo_mass: ArrayLike,
     *,
-    gravity: Array | tuple[float, float, float] = STANDARD_GRAVITY,
+    gravity: ArrayLike | tuple[float, float, float] = STANDARD_GRAVITY,
     robot: str | Robot = "hubrobo_v3_2",
     engine: str = DEFAULT_ENGINE,
 ) -> Acceleration:
@@ -51,16 +52,26 @@ def forward_dynamics(
         KeyError: no such engine.
     """
     robot = load_robot(robot) if isinstance(robot, str) else robot
-    return _forward_dynamics(state, tau, foot_force, base_wrench, cargo_mass, gravity, robot, engine)
+    result: Acceleration = _forward_dynamics(state, tau, foot_force, base_wrench, cargo_mass, gravity, robot, engine)
+    return result
 
 
 @functools.partial(jax.jit, static_argnames="engine")
-def _forward_dynamics(state, tau, foot_force, base_wrench, cargo_mass, gravity, robot, engine) -> Acceleration:
+def _forward_dynamics(
+    state: State,
+    tau: ArrayLike,
+    foot_force: ArrayLike,
+    base_wrench: ArrayLike,
+    cargo_mass: ArrayLike,
+    gravity: ArrayLike | tuple[float, float, float],
+    robot: Robot,
+    engine: str,
+) -> Acceleration:
     dtype = jnp.result_type(state.base_position)
     shape = state.base_position.shape[:-1]
     limbs = len(robot.limbs)
 
-    def flat(value, *tail):
+    def flat(value: ArrayLike | tuple[float, ...], *tail: int) -> Array:
         return jnp.broadcast_to(jnp.asarray(value, dtype), (*shape, *tail)).reshape(-1, *tail)
 
     hot = batch_last(

@@ -6,9 +6,11 @@ and 6 x 3 couplings between them. Composite inertias and Newton-Euler run per li
 chapters 5 and 6). Everything is elementwise over (limb, batch). World axes; moments about the base's centre of mass.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.kinematics import LimbFrames, base_wrench_of_foot_force, limb_frames
@@ -24,7 +26,7 @@ class Inertia(NamedTuple):
     moment: Array  # (3, ...) kg m
     rotational: Array  # (6, ...) kg m^2
 
-    def __add__(self, other: "Inertia") -> "Inertia":
+    def plus(self, other: "Inertia") -> "Inertia":
         return Inertia(self.mass + other.mass, self.moment + other.moment, self.rotational + other.rotational)
 
 
@@ -34,7 +36,7 @@ class Wrench(NamedTuple):
     force: Array  # (3, ...) N
     moment: Array  # (3, ...) N m
 
-    def __add__(self, other: "Wrench") -> "Wrench":
+    def plus(self, other: "Wrench") -> "Wrench":
         return Wrench(self.force + other.force, self.moment + other.moment)
 
 
@@ -45,7 +47,7 @@ def symmetric_times(symmetric: Array, vector: Array) -> Array:
     return jnp.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z])
 
 
-def rotated_inertia(rotation: Array, inertia: Array) -> Array:
+def rotated_inertia(rotation: Array, inertia: Array | np.ndarray) -> Array:
     """Return `R I R^T` of a symmetric I (3, 3, ...), as xx, yy, zz, xy, xz, yz."""
     product = compose(rotation, inertia)
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -115,18 +117,21 @@ def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array
         forces.append(Wrench(force, moment + cross(center, force)))
 
     composite, bias = inertias[2], forces[2]
-    joint_bias, joint_mass, coupling = [None] * 3, {}, [None] * 3
+    joint_bias: dict[int, Array] = {}
+    joint_mass: dict[tuple[int, int], Array] = {}
+    coupling: dict[int, Wrench] = {}
     motions = [(frames.rotation[k][:, 2], cross(frames.position[k], frames.rotation[k][:, 2])) for k in range(3)]
     for joint in (2, 1, 0):
         if joint < 2:
-            composite, bias = composite + inertias[joint], bias + forces[joint]
+            composite, bias = composite.plus(inertias[joint]), bias.plus(forces[joint])
         angular, linear = motions[joint]
         joint_bias[joint] = dot(angular, bias.moment) + dot(linear, bias.force)
         coupling[joint] = momentum(composite, linear, angular)
         for other in range(joint + 1):
             angular, linear = motions[other]
             joint_mass[other, joint] = dot(angular, coupling[joint].moment) + dot(linear, coupling[joint].force)
-    return Limbs(composite, bias, jnp.stack(joint_bias), joint_mass, coupling)
+    joint_biases = jnp.stack([joint_bias[joint] for joint in range(3)])
+    return Limbs(composite, bias, joint_biases, joint_mass, [coupling[joint] for joint in range(3)])
 
 
 class Factor(NamedTuple):
@@ -171,10 +176,12 @@ def solve_base(linear: Array, mixed: Array, rotational: Array, force: Array, mom
     return solve(first, force) - rotate(columns, angular), angular
 
 
-def build(robot: Robot):
+def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], Acceleration]:
     """Return the forward dynamics of a robot in the layout of the hot path: see `ForwardDynamics`."""
 
-    def forward_dynamics(state: State, torque, foot_force, base_wrench, cargo_mass, gravity) -> Acceleration:
+    def forward_dynamics(
+        state: State, torque: Array, foot_force: Array, base_wrench: Array, cargo_mass: Array, gravity: Array
+    ) -> Acceleration:
         rotation = quaternion_to_matrix(state.base_orientation)
         frames = limb_frames(robot, rotation, state.joint_angles)
         limbs = limb_dynamics(robot, frames, state, gravity)

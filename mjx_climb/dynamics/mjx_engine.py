@@ -3,10 +3,12 @@
 import contextlib
 import functools
 import io
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import mujoco
+from jax import Array
 
 with contextlib.redirect_stdout(io.StringIO()):  # mjx prints which optional backends are missing
     from mujoco import mjx
@@ -32,7 +34,9 @@ def _put_model(model: mujoco.MjModel, x64: bool) -> tuple[mjx.Model, mjx.Data]:
         return mjx.put_model(model), mjx.make_data(model)
 
 
-def _accelerations(model, data, qpos, qvel, force, cargo_mass, gravity):
+def _accelerations(
+    model: mjx.Model, data: mjx.Data, qpos: Array, qvel: Array, force: Array, cargo_mass: Array, gravity: Array
+) -> Array:
     """Return MuJoCo's qacc (18,) of one robot: linear in world axes, angular in base axes, joints."""
     model = model.replace(
         body_mass=model.body_mass.at[_BASE].add(cargo_mass),
@@ -45,15 +49,17 @@ def _accelerations(model, data, qpos, qvel, force, cargo_mass, gravity):
     data = smooth.factor_m(model, data)
     data = smooth.com_vel(model, data)
     data = smooth.rne(model, data)
-    return smooth.solve_m(model, data, force - data.qfrc_bias)
+    return jnp.asarray(smooth.solve_m(model, data, force - data.qfrc_bias))
 
 
-def build(robot: Robot):
+def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], Acceleration]:
     """Return MJX's forward dynamics of a robot in the layout of the hot path: see `ForwardDynamics`."""
 
-    def forward_dynamics(state: State, torque, foot_force, base_wrench, cargo_mass, gravity) -> Acceleration:
+    def forward_dynamics(
+        state: State, torque: Array, foot_force: Array, base_wrench: Array, cargo_mass: Array, gravity: Array
+    ) -> Acceleration:
         dtype = state.base_position.dtype
-        model, data = _put_model(robot.model, bool(jax.config.jax_enable_x64))
+        model, data = _put_model(robot.model, jnp.result_type(float) == jnp.float64)
         model, data = (
             jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
             for tree in (model, data)

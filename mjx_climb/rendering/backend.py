@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 import warnings
+from typing import Any
 
 PACKAGES = {"egl": "libegl1 and libgl1", "osmesa": "libosmesa6"}  # Debian, Ubuntu
 SYSTEMS_OWN = {"Linux": ("glx",), "Darwin": ("cgl",), "Windows": ("wgl",)}
@@ -105,7 +106,7 @@ def find() -> str:
     )
 
 
-def context(width: int, height: int):
+def context(width: int, height: int) -> Any:
     """Return a current OpenGL context, with `make_current` and `free`, for images of this size.
 
     Raises:

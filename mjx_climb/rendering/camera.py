@@ -72,7 +72,7 @@ class Follower:
             target = np.stack([np.interp(trajectory.time[rows], self._time, line) for line in self._path.T], -1)
             distance = np.linalg.norm(points - target[:, None], axis=-1)
             spans.append(distance[np.isfinite(distance) & (distance < TALLEST)].max(initial=0.2))
-        return max(spans)
+        return float(max(spans))
 
     def at(self, time: float) -> View:
         """Return the view at a time, s."""
@@ -84,4 +84,4 @@ def _smoothed(path: np.ndarray, window: int) -> np.ndarray:
     """Return the moving average of a path (T, 3) over `window` rows, its ends held."""
     padded = np.pad(path, ((window // 2, window - window // 2), (0, 0)), mode="edge")
     sums = np.cumsum(padded, axis=0)
-    return (sums[window:] - sums[:-window]) / window
+    return np.asarray((sums[window:] - sums[:-window]) / window)

@@ -29,7 +29,7 @@ class Canvas:
     def __enter__(self) -> "Canvas":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._context.free()
         self._gl.free()
 

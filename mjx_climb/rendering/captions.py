@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import matplotlib
@@ -106,8 +107,8 @@ class Caption:
         ]
         push = float(np.linalg.norm(trajectory.push[row, :3]))
         if push:
-            rgb = tuple(int(255 * channel) for channel in marks.PUSH)
-            lines.append((f"push {_newtons(push)}", rgb, _font(round(unit), bold=True)))
+            red, green, blue = (int(255 * channel) for channel in marks.PUSH)
+            lines.append((f"push {_newtons(push)}", (red, green, blue), _font(round(unit), bold=True)))
         torn = [name for time, name in self._torn if time <= trajectory.time[row]]
         if torn:
             lines.append((f"{', '.join(torn)} torn off", ALARM, _font(round(unit), bold=True)))
@@ -130,7 +131,7 @@ class Caption:
         self._box(draw, left, top, width, height)
         x, y, swatch = left + 0.7 * unit, top + 0.55 * unit, 2.2 * unit
 
-        def entry(rgb, words: str) -> None:
+        def entry(rgb: Iterable[float], words: str) -> None:
             nonlocal y
             fill = tuple(int(255 * channel) for channel in rgb)
             middle = y + 0.6 * unit

@@ -1,6 +1,7 @@
 """Pictures of one walk, or of several side by side in sync: a film's frames, or a strip of snapshots."""
 
 import contextlib
+import functools
 from collections.abc import Iterable, Iterator, Sequence
 
 import mujoco
@@ -58,8 +59,8 @@ class Shot:
             picture = self._canvas.draw(
                 self._data,
                 view,
-                lambda scene, t=trajectory, r=row: marks.around(scene, t, r, self._every),
-                lambda scene, t=trajectory, r=row: marks.forces(scene, t, r, self._scale),
+                functools.partial(marks.around, trajectory=trajectory, row=row, every=self._every),
+                functools.partial(marks.forces, trajectory=trajectory, row=row, scale=self._scale),
             )
             panels.append(caption.draw(picture, row, view, self._focal / view.distance))
         for panel in panels[1:]:

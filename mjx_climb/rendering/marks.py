@@ -1,10 +1,11 @@
 """What is drawn into the scene beside the robot: forces, grips, foot paths, cargo and pushes, as MuJoCo's geoms."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import mujoco
 import numpy as np
 from matplotlib.colors import to_rgb
+from numpy.typing import ArrayLike
 
 from mjx_climb.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, VERMILLION
 from mjx_climb.rendering.replay import whole
@@ -126,14 +127,21 @@ def _cross(scene: mujoco.MjvScene, foot: np.ndarray) -> None:
         _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.004, foot - across, foot + across, rgb, emission=0.8)
 
 
-def _arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: Sequence[float], width: float = 1) -> None:
+def _arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: ArrayLike, width: float = 1) -> None:
     if SHORTEST < np.linalg.norm(end - start) < 10 * LONGEST:  # longer: the walk has long failed
         # half of the light is its own: shaded, and still of the legend's colour
         dim = 0.5 * np.asarray(rgb)
         _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, width * SHAFT, start, end, dim, emission=1.3)
 
 
-def _add(scene, kind, size, position, rgb, rotation=None) -> None:
+def _add(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    size: ArrayLike,
+    position: ArrayLike,
+    rgb: Iterable[float],
+    rotation: np.ndarray | None = None,
+) -> None:
     def shape(geom: mujoco.MjvGeom) -> None:
         matrix = np.eye(3).ravel() if rotation is None else rotation
         mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(position, float), matrix, _rgba(rgb))
@@ -141,7 +149,15 @@ def _add(scene, kind, size, position, rgb, rotation=None) -> None:
     _next(scene, shape)
 
 
-def _connect(scene, kind, width, start, end, rgb, emission=0.0) -> None:
+def _connect(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    width: float,
+    start: np.ndarray,
+    end: np.ndarray,
+    rgb: Iterable[float],
+    emission: float = 0.0,
+) -> None:
     def shape(geom: mujoco.MjvGeom) -> None:
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _rgba(rgb))
         mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
@@ -152,7 +168,7 @@ def _connect(scene, kind, width, start, end, rgb, emission=0.0) -> None:
     _next(scene, shape)
 
 
-def _rgba(rgb: Sequence[float]) -> np.ndarray:
+def _rgba(rgb: Iterable[float]) -> np.ndarray:
     return np.array([*rgb, 1.0], np.float32)
 
 

@@ -122,7 +122,7 @@ def _noise(random: np.random.Generator, size: int, power: float, shortest: int =
     waves[0, 0] = np.inf
     spectrum = np.fft.rfft2(random.standard_normal((size, size))) / waves**power * (waves < size / shortest)
     noise = np.fft.irfft2(spectrum, (size, size))
-    return noise / noise.std()
+    return np.asarray(noise / noise.std())
 
 
 def _rock(random: np.random.Generator) -> np.ndarray:
@@ -157,14 +157,14 @@ def _relief(random: np.random.Generator, boulders: float, grips: np.ndarray) -> 
     weights = 1 / (squares + 1e-3) ** 2
     ground = (weights * grips[:, 2]).sum(-1) / weights.sum(-1) - SINK
     if not boulders:
-        return ground
+        return np.asarray(ground)
     distance = np.sqrt(squares.min(-1))
     away = np.clip((distance - 0.16) / 0.5, 0, 1) ** 1.5
     lumps = np.abs(_noise(random, CELLS, 2.0, 4)) + 0.25 * np.abs(_noise(random, CELLS, 1.2, 3))
     fine = np.abs(_noise(random, CELLS, 1.0))
     # close by only downwards: the feet stand on the grips
     near = -0.004 * fine * np.clip(distance / 0.03, 0, 1)
-    return ground + np.where(away > 0, 0, near) + away * boulders * 0.5 * lumps + near * (away > 0)
+    return np.asarray(ground + np.where(away > 0, 0, near) + away * boulders * 0.5 * lumps + near * (away > 0))
 
 
 def _handrails(spec: mujoco.MjSpec, center: np.ndarray) -> None:

@@ -4,6 +4,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -61,7 +62,7 @@ def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
 
 
 @contextlib.contextmanager
-def _window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator:
+def _window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
     """Open MuJoCo's viewer without its panels; on leaving, wait until its thread has ended.
 
     A process that ends before the thread that draws dies of a segmentation fault.

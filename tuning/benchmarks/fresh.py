@@ -42,7 +42,7 @@ def main() -> None:
     else:
         function, shift = programs.gradient(2, batch, steps, engine)
         run = lambda: jax.block_until_ready(function(shift))  # noqa: E731
-    seconds = []
+    seconds: list[float] = []
     for _ in range(2):
         run()
         if not seconds:

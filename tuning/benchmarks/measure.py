@@ -7,12 +7,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tuning.benchmarks import fresh, operations
 
 Timed = tuple[int, Callable[[], object]]  # env-steps, and what does them
+Seconds = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -60,12 +62,12 @@ def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float | None:
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
-def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -> dict[str, object]:
+def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -> dict[str, Any]:
     """Return every figure of the benchmark by name; `say` is told what goes on.
 
     Times are in s; ratios say how many times faster this program is than the peer, or what a gradient costs in values.
     """
-    result: dict[str, object] = {"engine": engine, "batch": batch, "steps": plan.steps, "rounds": plan.rounds}
+    result: dict[str, Any] = {"engine": engine, "batch": batch, "steps": plan.steps, "rounds": plan.rounds}
     with _cache() as cache:
         say("compiling in fresh processes")
         value = fresh.measure("value", batch, plan.steps, engine, cache)
@@ -73,11 +75,11 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
         gradient = fresh.measure("gradient", batch, plan.steps // 2, engine, cache)
         result |= _compiled(value, warm, gradient)
         say("compiling the rest")
-        ours, single, peers = _work(engine, batch, plan)
+        ours, single, peers, close = _work(engine, batch, plan)
         with ThreadPoolExecutor(threads()) as pool:
             list(pool.map(lambda timed: timed[1](), [*ours.values(), *single.values()]))
         with contextlib.ExitStack() as stack:
-            stack.callback(peers.pop("close"))
+            stack.callback(close)
             say("closed loops and their peers, in turns")
             rates = in_turns(plan.rounds, {**ours, **peers})
             single_rates = in_turns(plan.rounds, {**single, "numpy_loop": _numpy_loop(plan.steps)})
@@ -102,8 +104,10 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
     return result | _machine()
 
 
-def _work(engine: str, batch: int, plan: Plan):
-    """Return what this program runs in turns, with a batch and with one robot, and the peers of the former."""
+def _work(
+    engine: str, batch: int, plan: Plan
+) -> tuple[dict[str, Timed], dict[str, Timed], dict[str, Timed], Callable[[], object]]:
+    """Return what this program runs in turns, with a batch and with one robot; the former's peers; what ends them."""
     import jax
 
     from mjx_climb import devices
@@ -111,17 +115,17 @@ def _work(engine: str, batch: int, plan: Plan):
 
     steps, share = plan.steps, devices.share_size(batch, None)
 
-    def in_shares(function, shift):
+    def in_shares(function: Callable[[jax.Array], object], shift: jax.Array) -> Callable[[], object]:
         """Return what walks a batch as rollouts do: on a CPU in small shares on all cores."""
 
-        def walk(rows, sharding):
+        def walk(rows: np.ndarray, sharding: jax.sharding.Sharding) -> dict[str, np.ndarray]:
             jax.block_until_ready(function(jax.device_put(shift, sharding)))
             return {"rows": rows}
 
         return lambda: devices.spread(walk, batch, share, None)
 
     few, fewer = steps // 2, steps // 4  # a gradient's cost per step does not depend on their number
-    ours = {
+    ours: dict[str, Timed] = {
         "closed_loop": (batch * steps, programs.walk(batch, steps, engine)),
         "mjx": (batch * few, programs.walk(batch, few, "mjx")),
         "value": (batch * few, in_shares(*programs.value(share, few, engine))),
@@ -131,16 +135,15 @@ def _work(engine: str, batch: int, plan: Plan):
         work = in_shares(*programs.gradient(tangents, share, length, engine))
         ours[f"gradient_{tangents}"] = (batch * length, work)
     whole = 40 * steps  # 8 s: one robot is walked for its whole walk
-    single = {"single": (whole, programs.walk(1, whole, engine))}
+    single: dict[str, Timed] = {"single": (whole, programs.walk(1, whole, engine))}
     case, gains = programs.scenario(steps), programs.gains(batch)
     bare = mujoco_rollout.Peer(case, batch, steps, threads())
     steered = mujoco_batch.Peer(case, gains, threads())
-    peers = {
+    peers: dict[str, Timed] = {
         "mujoco_c": (batch * steps, bare.run),
         "mujoco_batch": (batch * few, lambda: steered.run(few)),
-        "close": bare.close,
     }
-    return ours, single, peers
+    return ours, single, peers, bare.close
 
 
 def _numpy_loop(steps: int) -> Timed:
@@ -150,7 +153,7 @@ def _numpy_loop(steps: int) -> Timed:
     return steps, lambda: peer.run(steps)
 
 
-def _compiled(value, warm, gradient) -> dict[str, float]:
+def _compiled(value: Seconds, warm: Seconds, gradient: Seconds) -> dict[str, float]:
     """Return compile times, tracing included: what a first call takes longer than the next."""
     return {
         "compile_value_s": value["first"] - value["again"],
@@ -186,7 +189,8 @@ def _operations(engine: str, batch: int, steps: int) -> dict[str, float]:
 
     function, shift = programs.value(batch, steps // 2, engine)
     compiled = function.lower(shift).compile()
-    cost, memory = compiled.cost_analysis(), compiled.memory_analysis()
+    cost: dict[str, float] = compiled.cost_analysis() or {}
+    memory: Any = compiled.memory_analysis()
     return {
         "flops_per_env_step": cost.get("flops", 0.0) / batch,
         "flops_per_env_step_by_hand": operations.BY_HAND,
@@ -228,7 +232,7 @@ def _cache() -> Iterator[str]:
     import jax
     from jax.experimental.compilation_cache import compilation_cache
 
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     with tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True) as folder:
         jax.config.update("jax_compilation_cache_dir", folder)
         compilation_cache.reset_cache()

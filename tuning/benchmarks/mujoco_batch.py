@@ -64,4 +64,4 @@ class Peer:
                 watch(step, walker, qpos, qvel)
             b.step(stage=mujoco.mjtStage.mjSTAGE_VEL)
         self.step += steps
-        return qpos
+        return np.asarray(qpos)

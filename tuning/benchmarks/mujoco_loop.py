@@ -50,4 +50,4 @@ class Peer:
                 watch(step, walker, d.qpos[None], d.qvel[None])
             mujoco.mj_step2(m, d)
         self.step += steps
-        return d.qpos
+        return np.asarray(d.qpos)

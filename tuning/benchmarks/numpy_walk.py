@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import expm
 
 import mjx_climb as mc
+from mjx_climb.config import Cargo, Push
 from mjx_climb.robot import model_path
 
 FEET = ("LF_foot", "LH_foot", "RH_foot", "RF_foot")
@@ -46,7 +47,7 @@ class Disturbance:
     """Cargo and pushes over time, the same for all robots."""
 
     def __init__(self, scenario: mc.Scenario):
-        def window(part) -> tuple[float, float]:
+        def window(part: Cargo | Push) -> tuple[float, float]:
             stop = math.inf if part.stop is None else round(part.stop / scenario.time_step)
             return round(part.start / scenario.time_step), stop
 
@@ -102,7 +103,15 @@ class Walker:
         self.foot_force = np.zeros_like(self.anchor)
         self.torque = np.zeros_like(self.anchor)
 
-    def __call__(self, step: int, base, foot, foot_velocity, angles, rates) -> None:
+    def __call__(
+        self,
+        step: int,
+        base: np.ndarray,
+        foot: np.ndarray,
+        foot_velocity: np.ndarray,
+        angles: np.ndarray,
+        rates: np.ndarray,
+    ) -> None:
         """Work out the foot forces and joint torques of a step.
 
         Takes base position (3, N) m, feet (3, 4, N) m and their velocities, joint angles (3, 4, N) rad and rates.
@@ -176,7 +185,7 @@ def _turned_back(rotation_vector: np.ndarray, vectors: np.ndarray) -> np.ndarray
     versine = np.where(small, 0.5, (1 - np.cos(angle)) / divisor**2)
     axis = np.broadcast_to(rotation_vector[:, None], vectors.shape)
     turned = cross(axis, vectors)
-    return vectors - sine * turned + versine * cross(axis, turned)
+    return np.asarray(vectors - sine * turned + versine * cross(axis, turned))
 
 
 def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.ndarray:

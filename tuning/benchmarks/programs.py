@@ -1,12 +1,15 @@
 """What the benchmark runs of this program: closed loops, metrics included, and their forward gradients."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
 import mjx_climb as mc
+from mjx_climb.rollout import Metrics
 
 TIME_STEP = 0.001  # s
 
@@ -25,7 +28,7 @@ def gains(batch: int) -> dict[str, np.ndarray]:
     return {"inertia": np.ones((batch, 6)), "damping": np.full((batch, 6), 1e3), "stiffness": stiffness}
 
 
-def walk(batch: int, steps: int, engine: str, dtype=np.float32) -> Callable[[], object]:
+def walk(batch: int, steps: int, engine: str, dtype: DTypeLike = np.float32) -> Callable[[], object]:
     """Return a function that walks a batch by `mjx_climb.rollout_metrics`, as a sweep does."""
     case, values = scenario(steps), mc.Gains(**gains(batch))
     return lambda: mc.rollout_metrics(case, values, dtype=dtype, engine=engine)
@@ -41,18 +44,20 @@ def gradient(tangents: int, batch: int, steps: int, engine: str) -> tuple[jax.st
     function = _shifted(batch, steps, engine)
     directions = np.kron(np.eye(2), np.ones((1, 6))) if tangents == 2 else np.eye(12)
 
-    def pushed(shift: jax.Array):
-        push = lambda direction: jax.jvp(function, (shift,), (direction[:, None] + jnp.zeros_like(shift),))  # noqa: E731
+    def pushed(shift: jax.Array) -> tuple[Metrics, Metrics]:
+        def push(direction: jax.Array) -> tuple[Metrics, Metrics]:
+            return jax.jvp(function, (shift,), (direction[:, None] + jnp.zeros_like(shift),))
+
         return jax.vmap(push, out_axes=(None, 0))(jnp.asarray(directions, shift.dtype))
 
     return _jit(pushed, batch, engine), jnp.zeros((12, batch), jnp.float32)
 
 
-def _shifted(batch: int, steps: int, engine: str) -> Callable:
+def _shifted(batch: int, steps: int, engine: str) -> Callable[[jax.Array], Metrics]:
     metrics = mc.simulator(scenario(steps), engine=engine, in_pieces=mc.pieces_pay(engine))
     given = {name: np.asarray(values, np.float32) for name, values in gains(batch).items()}
 
-    def shifted(shift: jax.Array):
+    def shifted(shift: jax.Array) -> Metrics:
         factor = jnp.exp(shift).T
         damping, stiffness = given["damping"] * factor[:, :6], given["stiffness"] * factor[:, 6:]
         return metrics(mc.Gains(given["inertia"], damping, stiffness))
@@ -60,5 +65,5 @@ def _shifted(batch: int, steps: int, engine: str) -> Callable:
     return shifted
 
 
-def _jit(function: Callable, batch: int, engine: str) -> jax.stages.Wrapped:
+def _jit(function: Callable[..., Any], batch: int, engine: str) -> jax.stages.Wrapped:
     return jax.jit(function, compiler_options=mc.compiler_options(batch, in_pieces=mc.pieces_pay(engine)))

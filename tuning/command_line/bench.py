@@ -1,6 +1,7 @@
 """`mjx-climb bench`: how fast, against what."""
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -83,15 +84,15 @@ def bench(
             print(report.to_json(result), file=stdout)
 
 
-def _table(result: dict) -> "Table":
+def _table(result: Mapping[str, Any]) -> "Table":
     from rich import box
     from rich.table import Table
 
     from tuning.command_line import report
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
-    for name, justify in (("measure", "left"), ("value", "right"), ("unit", "left"), ("goal on two cores", "left")):
-        table.add_column(name, justify=justify, no_wrap=True)
+    for name in ("measure", "value", "unit", "goal on two cores"):
+        table.add_column(name, justify="right" if name == "value" else "left", no_wrap=True)
     for key, label, unit, goal in ROWS:
         table.add_row(label, report.number(result[key]), unit, goal)
     return table

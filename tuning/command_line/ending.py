@@ -27,8 +27,8 @@ def _message(error: Exception) -> str | None:
     if hasattr(error, "format_message"):  # usage, from typer
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
-        return error.format_message() + hint
-    kinds = [InputError]
+        return f"{error.format_message()}{hint}"
+    kinds: list[type[Exception]] = [InputError]
     if "mjx_climb" in sys.modules:
         from mjx_climb import ConfigError, RobotError
         from mjx_climb.dataset import OutputError

@@ -122,7 +122,7 @@ def in_options(message: str) -> str:
     return re.sub(r"^(?:(pin|bound|weight|limit)s\.?|(starts|iterations|seed)(?=:))", _option, message)
 
 
-def _option(found: re.Match) -> str:
+def _option(found: re.Match[str]) -> str:
     return f"--{found[1]} " if found[1] else f"--{found[2]}"
 
 

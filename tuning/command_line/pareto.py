@@ -2,13 +2,17 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tuning.command_line import completion, options
 from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.tune import SpaceName
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.table import Table
 
 ROWS = 20
 
@@ -82,8 +86,10 @@ def pareto(
 
         try:
             with meter.stage("front", unit="rounds") as show:
-                how = {"better": better, "against": against, "points": points}
-                front = fronts.front(scenario, wanted, **how, engine=engine, out=out, progress=told)
+                front = fronts.front(
+                    scenario, wanted, better=better, against=against, points=points, engine=engine, out=out,
+                    progress=told,
+                )  # fmt: skip
             chosen = fronts.knee(front[against].values, front[better].values)
             dataset.save(front, out / "front.nc")
             comment = f"mjx-climb pareto {config.name}: {better} against {against}, the knee of the front"
@@ -94,8 +100,7 @@ def pareto(
             again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
             again += f"--points {points}{options.engine_option(engine)} --out again"
             with meter.stage("report"):
-                on_front = mc.Gains(*(front[n].values for n in ("inertia", "damping", "stiffness")),
-                                    **{n: front[n].values for n in ("kp", "kd") if n in front})  # fmt: skip
+                on_front = mc.Gains(**{n: front[n].values for n in (*mc.Gains.AXES, "kp", "kd") if n in front})
                 written = pages.page(
                     front, chosen, mc.rollout_histories(scenario, on_front, engine=engine),
                     {name: mc.rollout(s, engine=engine) for name, s in (("pd", pd), ("config", scenario))},
@@ -126,7 +131,7 @@ def pareto(
             print(report.to_json({"front": rows, "knee": chosen, **reference}), file=stdout)
 
 
-def front_table(front, chosen: int):
+def front_table(front: "xr.Dataset", chosen: int) -> "Table":
     """Return the table of a front, some twenty points of it, with the config's gains and pd below."""
     from tuning.command_line.report import _table
 
@@ -138,7 +143,7 @@ def front_table(front, chosen: int):
     return table
 
 
-def front_rows(front, chosen: int) -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
+def front_rows(front: "xr.Dataset", chosen: int) -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
     """Return the same as columns and sections of text."""
     import numpy as np
 

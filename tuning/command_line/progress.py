@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+Stage = Callable[..., contextlib.AbstractContextManager[Callable[..., None]]]
+
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
 WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers
@@ -28,21 +30,21 @@ class Compilation:
         monitoring.register_event_duration_secs_listener(self._duration)
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         from jax import monitoring
 
         monitoring.unregister_event_listener(self._event)
         monitoring.unregister_event_duration_listener(self._duration)
 
-    def _event(self, event: str, **_) -> None:
+    def _event(self, event: str, **_: str | int) -> None:
         self._from_cache |= event == FROM_CACHE
 
-    def _duration(self, event: str, seconds: float, **_) -> None:
+    def _duration(self, event: str, duration_secs: float, **_: str | int) -> None:
         if event != COMPILED:
             return
         source = "loading compiled programs from the cache" if self._from_cache else "compiling"
         self._from_cache = False
-        if seconds > WORTH_A_WORD:
+        if duration_secs > WORTH_A_WORD:
             now = time.perf_counter()
             self.seconds[source] = self.seconds.get(source, 0.0) + now - self.since
             self.since = now

@@ -1,7 +1,7 @@
 """Metrics in words, tables and JSON."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 from rich import box
@@ -12,6 +12,7 @@ from tuning.words import change, gain, number, to_json, unit
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from tuning.report.comparison import Compared
 
 __all__ = ["change", "gain", "number", "to_json", "unit"]
 
@@ -26,7 +27,7 @@ def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
     return made
 
 
-def verdict(trajectory: "mc.Trajectory", metrics: Mapping) -> str:
+def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
     """Return in one line how the walk went."""
     if metrics["diverged"]:
         rows = [trajectory.base_position, trajectory.joint_rates, trajectory.foot_force, trajectory.joint_torque]
@@ -46,7 +47,7 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def walk_table(metrics: Mapping) -> Table:
+def walk_table(metrics: Mapping[str, Any]) -> Table:
     """Return the table of one walk."""
     table = _table("metric", "value", "unit")
     for name, value in metrics.items():
@@ -54,14 +55,15 @@ def walk_table(metrics: Mapping) -> Table:
     return table
 
 
-def comparison_table(walks: Mapping[str, tuple[Mapping | None, Mapping]], baseline: str, width: int) -> Table:
+def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
     """Return walks side by side, each with its change against the baseline where `width` characters have room.
 
     Arguments:
         walks: by name, gains (None for a controller without) and metrics; the baseline is one of them.
         width: of the terminal.
     """
-    gains, metrics = ({name: walk[part] for name, walk in walks.items()} for part in (0, 1))
+    gains = {name: held for name, (held, _) in walks.items()}
+    metrics = {name: values for name, (_, values) in walks.items()}
     compared = [name for name in walks if name != baseline and width >= 38 + 19 * (len(walks) - 1)]
     table = _table(
         "metric", "unit", *(t for name in walks for t in [name, f"vs {baseline} %"][: 1 + (name in compared)])
@@ -79,7 +81,7 @@ def comparison_table(walks: Mapping[str, tuple[Mapping | None, Mapping]], baseli
     return table
 
 
-def gains_table(walks: Mapping[str, tuple[Mapping | None, Mapping]]) -> Table:
+def gains_table(walks: "Compared") -> Table:
     """Return the gains of walks, axis by axis."""
     table = _table("metric", *(name for name in walks if walks[name][0] is not None))
     table.columns[0].header = "gain"

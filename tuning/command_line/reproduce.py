@@ -11,6 +11,8 @@ from tuning.command_line import options
 from tuning.command_line.ending import Interrupted
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     import mjx_climb as mc
     from tuning import paper
     from tuning.command_line.progress import Meter
@@ -24,7 +26,7 @@ class Reproduction(NamedTuple):
 
     published: "paper.Case"
     walks: "dict[str, paper.Walk]"  # by method
-    metrics: dict[str, dict]  # by method; of the walk with the holding limit
+    metrics: dict[str, dict[str, Any]]  # by method; of the walk with the holding limit
     verdicts: "dict[str, dict[str, paper.Verdict]]"  # by reading and claim
 
 
@@ -217,13 +219,13 @@ def metrics_grid(found: Mapping[str, Reproduction]) -> Grid:
     return Grid(columns, sections)
 
 
-def _cell(metric: str, metrics: Mapping) -> str:
+def _cell(metric: str, metrics: Mapping[str, Any]) -> str:
     if metric == "detached_at" and metrics[metric] is None and not metrics["diverged"]:
         return "holds"
     return _short(metrics[metric])
 
 
-def _short(value) -> str:
+def _short(value: float | str | None) -> str:
     from tuning.command_line import report
 
     return report.number(value).replace("e+0", "e")
@@ -284,7 +286,7 @@ def sentences(found: Mapping[str, Reproduction]) -> dict[str, list[str]]:
     }
 
 
-def show(found: Mapping[str, Reproduction], console) -> None:
+def show(found: Mapping[str, Reproduction], console: "Console") -> None:
     """Print the tables and sentences."""
     from rich import box
     from rich.table import Table

@@ -3,15 +3,20 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TextIO
 
 from tuning.command_line import options
 from tuning.command_line.ending import Interrupted
 
 if TYPE_CHECKING:
+    import xarray as xr
+    from rich.table import Table
+
     import mjx_climb as mc
     from tuning.ensemble import Ensemble
+    from tuning.result import Result
     from tuning.search import Search
+    from tuning.tune import Progress
 
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
          "base_deviation", "joint_limit_margin")  # fmt: skip
@@ -19,7 +24,7 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
 
 def tune_robustly(
     scenario: "mc.Scenario", wanted: "Search", ensemble: "Ensemble", judges: int, out: Path, engine: str,
-    name: str, line: Callable, stdout, *, json: bool,
+    name: str, line: "Callable[[Progress], str]", stdout: TextIO, *, json: bool,
 ) -> None:  # fmt: skip
     """Search, judge the result beside the config's gains and pd, and write both."""
     from mjx_climb import dataset, inputs, plots
@@ -35,7 +40,7 @@ def tune_robustly(
     console.print(progress.cache_state(), soft_wrap=True)
     meter = progress.Meter(console)
 
-    def round_done(now) -> None:
+    def round_done(now: "Progress") -> None:
         nonlocal kept
         kept = now.rounds
         show(now.rounds, now.rounds_in_all, line(now))
@@ -91,7 +96,7 @@ def tune_robustly(
         print(text, file=stdout)
 
 
-def robust_table(summed):
+def robust_table(summed: "xr.Dataset") -> "Table":
     """Return mean and worst of the main metrics, each with its change against the config's gains."""
     from tuning.command_line.report import _table
 
@@ -104,7 +109,7 @@ def robust_table(summed):
     return table
 
 
-def robust_rows(summed) -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
+def robust_rows(summed: "xr.Dataset") -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
     """Return the same as columns and sections of text."""
     from tuning.words import change, number, unit
 
@@ -122,7 +127,7 @@ def robust_rows(summed) -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
     return columns, sections
 
 
-def _plain(summed, found) -> dict:
+def _plain(summed: "xr.Dataset", found: "Result") -> dict[str, Any]:
     names = summed["gains"].values.tolist()
     result = {
         name: {

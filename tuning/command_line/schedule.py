@@ -5,13 +5,16 @@ import math
 import time
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tuning.command_line import options
 from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.tune import SpaceName
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def schedule(
@@ -80,8 +83,9 @@ def schedule(
 
         try:
             with meter.stage("schedule", unit="rounds") as show:
-                how = {"gravity": levels, "cargo": loads, "engine": engine, "out": out, "progress": told}
-                table = schedules.schedule(scenario, wanted, **how)
+                table = schedules.schedule(
+                    scenario, wanted, gravity=levels, cargo=loads, engine=engine, out=out, progress=told
+                )
             dataset.save(table, out / "schedule.nc")
             dataset.write_text_atomically(out / "schedule.csv", schedules.to_csv(table))
             dataset.write_text_atomically(out / "schedule.yaml", schedules.to_yaml(table))
@@ -109,7 +113,7 @@ def schedule(
             print(report.to_json(schedules.rows(table)), file=stdout)
 
 
-def schedule_table(rows):
+def schedule_table(rows: list[dict[str, Any]]) -> "Table":
     """Return the table of a schedule: gains, and force variation against pd."""
     from tuning.command_line.report import _table, change, gain, number
 

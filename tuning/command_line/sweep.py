@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,8 +13,10 @@ from tuning.command_line.ending import InputError, Interrupted
 
 if TYPE_CHECKING:
     import numpy as np
+    import xarray as xr
 
     import mjx_climb as mc
+    from tuning.report.comparison import Compared
 
 LARGEST_AXIS = 100_000
 SMALLEST, LARGEST = 1e-30, 1e30  # what single precision holds, with room for squares of moderate gains
@@ -80,7 +82,7 @@ def sweep(
             raise InputError("--controller: expected a law with gains to sweep, got pd")
         out = out or Path("results") / f"{config.stem}-sweep"
         axes = (stiffness_axis, damping_axis)
-        how = {"batch_size": batch_size, "engine": engine, "out": out}
+        how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "out": out}
         kept, walks = grid.claim(scenario, *axes, **how), math.prod(map(len, axes))
         own, scenario = inputs.copied(own, out), inputs.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
@@ -118,7 +120,7 @@ def sweep(
             trajectories = {name: trajectories[name] for name in order}
             compared = {name: (_gains(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()}
             edges = [] if best is None else at_edge(result, best)
-            summary: dict[str, dict | None] = {"best": None}
+            summary: dict[str, dict[str, Any] | None] = {"best": None}
             summary |= {name: {"gains": values, "metrics": metrics} for name, (values, metrics) in compared.items()}
             failed = (result["detached_limb"] >= 0) | result["diverged"].astype(bool)
             summary["grid"] = {"walks": walks, "failed": int(failed.sum()), "best_at_edge_of": edges}
@@ -217,12 +219,12 @@ def log_range(option: str, text: str) -> "np.ndarray":
     return values
 
 
-def at_edge(result, best) -> list[str]:
+def at_edge(result: "xr.Dataset", best: "xr.Dataset") -> list[str]:
     """Return the axes on whose end the best cell lies."""
     return [name for name in ("stiffness", "damping") if best[name].item() in result[name].values[[0, -1]]]
 
 
-def _announcement(scenario: "mc.Scenario", axes, kept: int) -> str:
+def _announcement(scenario: "mc.Scenario", axes: "tuple[np.ndarray, np.ndarray]", kept: int) -> str:
     import jax
 
     stiffness, damping = axes
@@ -232,7 +234,7 @@ def _announcement(scenario: "mc.Scenario", axes, kept: int) -> str:
     return text + (f"; {kept} are there already" if kept else "")
 
 
-def _gains(trajectory: "mc.Trajectory") -> dict | None:
+def _gains(trajectory: "mc.Trajectory") -> dict[str, Any] | None:
     """Return the gains of a walk, None where its controller has none."""
     if trajectory.scenario.control.controller == "pd":
         return None
@@ -247,9 +249,7 @@ def _on_six_axes(scenario: "mc.Scenario") -> "mc.Gains":
     import mjx_climb as mc
 
     control = scenario.control
-    return mc.Gains(
-        *(np.broadcast_to(np.asarray(g, float), 6) for g in (control.inertia, control.damping, control.stiffness))
-    )
+    return mc.Gains(**{n: np.broadcast_to(np.asarray(getattr(control, n), float), 6) for n in mc.Gains.AXES})
 
 
 def _label(name: str, own: "mc.Scenario") -> str:
@@ -259,14 +259,15 @@ def _label(name: str, own: "mc.Scenario") -> str:
     return "paper" if name == "config" and paper else name
 
 
-def _marks(compared: Mapping, own: "mc.Scenario") -> dict[str, tuple[float, float]]:
+def _marks(compared: "Compared", own: "mc.Scenario") -> dict[str, tuple[float, float]]:
     """Return stiffness and damping of the walks that have one of each, by their name for people."""
     import numpy as np
 
     marks = {}
     for name, (gains, _) in compared.items():
         if gains is not None and all(np.unique(gains[key]).size == 1 for key in ("stiffness", "damping")):
-            marks[_label(name, own)] = tuple(float(np.ravel(gains[key])[0]) for key in ("stiffness", "damping"))
+            stiffness, damping = (float(np.ravel(gains[key])[0]) for key in ("stiffness", "damping"))
+            marks[_label(name, own)] = stiffness, damping
     return marks
 
 
@@ -277,7 +278,14 @@ def _again(stiffness: str, damping: str, batch_size: int | None, engine: str) ->
     return f"mjx-climb sweep config.yaml {chosen} --out again"
 
 
-def _draw(result, trajectories: Mapping, compared: Mapping, own: "mc.Scenario", marks: Mapping, out: Path) -> None:
+def _draw(
+    result: "xr.Dataset",
+    trajectories: "dict[str, mc.Trajectory]",
+    compared: "Compared",
+    own: "mc.Scenario",
+    marks: Mapping[str, tuple[float, float]],
+    out: Path,
+) -> None:
     """Write the walks over time, and the maps on a sheet and one by one."""
     import numpy as np
 

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -12,13 +12,19 @@ from tuning.command_line import completion, options
 from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.robust import tune_robustly
 
+if TYPE_CHECKING:
+    import mjx_climb as mc
+    from tuning.result import Result
+    from tuning.tune import Progress
+    from tuning.verification import Verification
+
 MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 SpaceName = Literal["isotropic", "split", "diagonal"]
 
 JUDGES = 128  # walks of each set of gains in the fresh draw
 
 
-def _pairs(metavar: str, text: str):
+def _pairs(metavar: str, text: str) -> Any:
     return typer.Option(metavar=metavar, help=text, show_default=False)
 
 
@@ -185,7 +191,7 @@ def tune(
                 name: (None if name == "pd" else _gains(walks[name].scenario), metrics[name])
                 for name in ("tuned", "config", "pd")
             }
-            summary = {name: {"gains": g, "metrics": m} for name, (g, m) in compared.items()}
+            summary: dict[str, dict[str, Any]] = {n: {"gains": g, "metrics": m} for n, (g, m) in compared.items()}
             summary["search"] = {
                 **wanted.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
                 "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
@@ -238,11 +244,11 @@ def tune(
             print(text, file=stdout)
 
 
-def _gains(scenario) -> dict:
+def _gains(scenario: "mc.Scenario") -> dict[str, Any]:
     return {name: getattr(scenario.control, name) for name in ("inertia", "damping", "stiffness", "kp", "kd")}
 
 
-def _line(now) -> str:
+def _line(now: "Progress") -> str:
     slope = f", gradient {now.gradient_norm:.2g}" if now.gradient_norm == now.gradient_norm else ""
     best = f"{now.best:.4f}" if now.best == now.best else "none feasible yet"
     return (
@@ -251,7 +257,7 @@ def _line(now) -> str:
     )
 
 
-def _verdict(checked, found) -> list[str]:
+def _verdict(checked: "Verification", found: "Result") -> list[str]:
     """Return the outcome of the tests in a few lines."""
     limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
     lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]

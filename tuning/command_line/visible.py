@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +14,7 @@ from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from tuning.command_line.progress import Stage
 
 Video = Annotated[bool, typer.Option("--video", help="Render the walk to walk.mp4 (H.264); works without a display.")]
 Snapshots = Annotated[
@@ -50,7 +51,7 @@ class Pictures:
     size: tuple[int, int] | None  # pixels
 
     def write(
-        self, walks: "Sequence[mc.Trajectory]", folder: Path, stage: Callable, labels: Sequence[str] | None = None
+        self, walks: "Sequence[mc.Trajectory]", folder: Path, stage: "Stage", labels: Sequence[str] | None = None
     ) -> list[str]:
         """Render walks side by side into a folder and return the names of the files."""
         from mjx_climb import rendering

@@ -1,14 +1,14 @@
 """Adam with a cosine schedule, projected on the bounds, many starts in one batch."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import optax
 
 from tuning.methods import staged
-from tuning.methods.task import Points, Request, Task
+from tuning.methods.task import Descent, Points, Request, Task
 
 CLIP = 5.0  # norm of a gradient; the objective is 1 for pd
 FALL = 10.0  # by how many times its value (1 for pd) a point is worse than the best where the loop has gone unstable
@@ -38,7 +38,16 @@ def run(task: Task) -> Points:
     return staged.run(task, *(functools.partial(descend, pace=pace) for pace in (SINGLE, TIED, RACE, ALONE)))
 
 
-def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray, pace: Pace = TIED):
+def descend(
+    task: Task,
+    theta: np.ndarray,
+    ties: np.ndarray,
+    iterations: int,
+    rng: np.random.Generator,
+    phase: str,
+    scales: np.ndarray,
+    pace: Pace = TIED,
+) -> Descent:
     """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
 
     Good gains often lie close to a cliff, beyond which the loop is unstable. A step over it (the walk diverges, or its
@@ -87,6 +96,6 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: n
     return np.array(visited), np.array(merits)
 
 
-def choose(rows: np.ndarray, yes, no):
+def choose(rows: np.ndarray, yes: Any, no: Any) -> Any:
     """Return the rows of one pytree where `rows` (B,) is true and those of another elsewhere."""
     return jax.tree.map(lambda y, n: np.where(rows.reshape(-1, *[1] * (np.ndim(y) - 1)), y, n), yes, no)

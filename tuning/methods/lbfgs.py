@@ -6,7 +6,7 @@ import optax
 
 from tuning.methods import staged
 from tuning.methods.gradient import choose
-from tuning.methods.task import Points, Request, Task
+from tuning.methods.task import Descent, Points, Request, Task
 
 MEMORY = 8
 FIRST_STEP = 1.0  # length of the first step, in the logarithm of the gains
@@ -23,7 +23,15 @@ def run(task: Task) -> Points:
     return staged.run(task, *[descend] * 4)
 
 
-def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: np.ndarray):
+def descend(
+    task: Task,
+    theta: np.ndarray,
+    ties: np.ndarray,
+    iterations: int,
+    rng: np.random.Generator,
+    phase: str,
+    scales: np.ndarray,
+) -> Descent:
     """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
 
     Each round judges one trial point per start. A trial that diverges is a step too long; a start that is dead from
@@ -84,4 +92,4 @@ def descend(task: Task, theta, ties, iterations: int, rng, phase: str, scales: n
 
 def _all_of(flags: np.ndarray, ties: np.ndarray) -> np.ndarray:
     """Return (B, k) whether a flag (B, n) is set for every coordinate that a row of ties moves."""
-    return (flags.astype(float) @ ties.T) >= ties.sum(1)
+    return np.asarray((flags.astype(float) @ ties.T) >= ties.sum(1))

@@ -33,7 +33,9 @@ def run(task: Task) -> Points:
         sampler = optuna.samplers.TPESampler(seed=task.search.seed, multivariate=True, constant_liar=True)
     study = optuna.create_study(sampler=sampler)
     floats = optuna.distributions.FloatDistribution
-    box = {name: floats(low, high) for name, low, high in zip(space.names, space.lower, space.upper, strict=True)}
+    box: dict[str, optuna.distributions.BaseDistribution] = {
+        name: floats(low, high) for name, low, high in zip(space.names, space.lower, space.upper, strict=True)
+    }
     study.enqueue_trial(dict(zip(space.names, task.start.tolist(), strict=True)))
     for _ in range(rounds(task)):
         trials = [study.ask(box) for _ in range(task.search.starts or BATCH)]

@@ -6,13 +6,12 @@ than two that walk half as far, but which of them is known only after some steps
 stage only.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 
 import numpy as np
 
-from tuning.evaluation import Evaluation
 from tuning.methods import starts
-from tuning.methods.task import Points, Request, Task
+from tuning.methods.task import Descent, Points, Task
 
 STARTS = 3
 SCALES = np.array([1.0, 0.5])  # of the steps of the starts that race, the best first: a bold one crosses to better
@@ -20,8 +19,8 @@ SCALES = np.array([1.0, 0.5])  # of the steps of the starts that race, the best 
 ONE_STAGE = 20  # iterations
 TIED, RACE, ALONE = 12, 10, 64  # iterations of the three stages
 
-# (task, points (B, n), ties (k, n), iterations, rng, phase, scales of the steps (B,)) -> visited points and merits
-Descent = Callable[..., Generator[Request, Evaluation, tuple[np.ndarray, np.ndarray]]]
+# (task, points (B, n), ties (k, n), iterations, rng, phase, scales of the steps (B,))
+Descend = Callable[..., Descent]
 
 
 def iterations(task: Task) -> tuple[int, ...]:
@@ -37,7 +36,7 @@ def rounds(task: Task) -> int:
     return sum(iterations(task)) + ((task.search.starts or STARTS) > 1)
 
 
-def run(task: Task, single: Descent, tied: Descent, race: Descent, alone: Descent) -> Points:
+def run(task: Task, single: Descend, tied: Descend, race: Descend, alone: Descend) -> Points:
     """Choose starts, descend with the axes tied, let the two best race with the axes free, go on with the winner.
 
     A space whose axes are tied anyway has a single descent.
@@ -61,4 +60,4 @@ def _best(visited: np.ndarray, merits: np.ndarray, count: int) -> np.ndarray:
     """Return the best point of each of the best starts (count, n), the best first."""
     best, rows = np.argmin(merits, axis=0), np.arange(merits.shape[1])
     order = np.argsort(merits[best, rows], kind="stable")[:count]
-    return visited[best, rows][order]
+    return np.asarray(visited[best, rows][order])

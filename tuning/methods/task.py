@@ -31,6 +31,7 @@ class Request(NamedTuple):
 
 
 Points = Generator[Request, Evaluation, None]
+Descent = Generator[Request, Evaluation, tuple[np.ndarray, np.ndarray]]  # all points visited, and their merits
 
 
 class Method(NamedTuple):

@@ -1,11 +1,13 @@
 """Walks side by side: a table, and what it says in words."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from tuning.report.page import Table
 from tuning.words import change, gain, number, unit
 
-Compared = Mapping[str, tuple[dict | None, dict]]  # gains (None for a controller without) and metrics by name
+Values = Mapping[str, Any]
+Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
 
 
 def table(compared: Compared, caption: str) -> Table:
@@ -38,7 +40,7 @@ def gains_table(compared: Compared) -> Table:
     return Table("Gains by axis", ["", "unit", *held], sections)
 
 
-def against(metric: str, value, others: Mapping) -> str:
+def against(metric: str, value: float | None, others: Values) -> str:
     """Return "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
     whose = {"paper": "the paper's gains", "config": "the config's gains"}
     text = f"{number(value)} {unit(metric)}".strip()
@@ -48,7 +50,7 @@ def against(metric: str, value, others: Mapping) -> str:
     return text
 
 
-def held(metrics: Mapping) -> str:
+def held(metrics: Values) -> str:
     """Return in words whether the grippers held."""
     if metrics["diverged"]:
         return "the simulation diverges"
@@ -57,7 +59,7 @@ def held(metrics: Mapping) -> str:
     return "every gripper holds"
 
 
-def worsened(metrics: Mapping, baseline: Mapping, least: float = 5.0) -> list[str]:
+def worsened(metrics: Values, baseline: Values, least: float = 5.0) -> list[str]:
     """Return what got worse than under the baseline by at least so many per cent, as "base_deviation +414 %"."""
     from mjx_climb.plots import LARGER_IS_BETTER
 

@@ -95,7 +95,7 @@ def grid_points(
         values = shown[name].transpose(*reversed(_AXES)).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
             scales[name] = _scale(values, failed, baseline.get(name), larger=name in LARGER_IS_BETTER)
-    values = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
+    listed = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
     stored = [
         i * shown.sizes["damping"] + j
         for i, k in enumerate(shown["stiffness"].values)
@@ -109,10 +109,10 @@ def grid_points(
         "left_out": walks - flat.sizes["cell"],
         "axes": [_axis(shown[name], name) for name in _AXES],
         "gains": {name: _values(flat[name]) for name in _AXES},
-        "values": values,
-        "texts": {n: _text(shown[n], n) for n in values if n not in mc.METRICS},
+        "values": listed,
+        "texts": {n: _text(shown[n], n) for n in listed if n not in mc.METRICS},
         "scales": scales,
-        "failed": [_failure({n: values[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
+        "failed": [_failure({n: listed[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
         "begin": begin["stiffness"] * shown.sizes["damping"] + begin["damping"],
         "stored": stored,
@@ -201,7 +201,7 @@ def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger
     As on the pictures, but what is far worse than the baseline shares one colour: better ones are to be told apart.
     """
     norm, _ = plots._robust_norm(values, failed, base)
-    low, high, log = norm.vmin, norm.vmax, isinstance(norm, mpl.colors.LogNorm)
+    low, high, log = float(norm.vmin or 0.0), float(norm.vmax or 0.0), isinstance(norm, mpl.colors.LogNorm)
     if base is not None and low < base < high and not log:
         reach = max(2 * (high - base if larger else base - low), 0.5 * abs(base))
         low, high = (max(low, base - reach), high) if larger else (low, min(high, base + reach))
@@ -230,14 +230,14 @@ def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:
             "values": _values(variable)}  # fmt: skip
 
 
-def _values(variable: xr.DataArray) -> list:
+def _values(variable: xr.DataArray) -> list[Any]:
     """Return values as JSON has them, with the digits that their precision holds; limbs by name."""
     values = variable.values
     if "flag_meanings" in variable.attrs:
         names = [None, *variable.attrs["flag_meanings"].split()[1:]]
         return [names[int(value) + 1] for value in values]
     if values.dtype.kind == "b" or variable.name in ("diverged", "feasible"):
-        return values.astype(bool).tolist()
+        return list(values.astype(bool).tolist())
     digits = 7 if values.dtype == np.float32 else 10
     return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in values.astype(float)]
 

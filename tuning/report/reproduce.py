@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tuning import paper
 from tuning.report.explorer import explorer
@@ -12,7 +13,7 @@ SHOWN = ("pd", "virtual model", "measured pose")
 
 def page(
     cases: Mapping[str, Mapping[str, paper.Walk]],
-    metrics: Mapping[str, Mapping[str, Mapping]],
+    metrics: Mapping[str, Mapping[str, Mapping[str, Any]]],
     verdicts: Mapping[str, Mapping[str, Mapping[str, paper.Verdict]]],
     tables: Sequence[Table],
     notes: Sequence[str],

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -13,7 +14,7 @@ from tuning.report.explorer import MOST_CELLS, coarser_grid, explorer, grid_poin
 from tuning.report.page import Origin, Page
 
 
-def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how) -> xr.Dataset:
+def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how: Any) -> xr.Dataset:
     """Return a sweep that has time histories: itself, or of a larger one a coarser grid with the best cell in it."""
     if all(name in result for name in LINES):
         return result

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from tuning.report import comparison
@@ -48,11 +50,11 @@ def page(
     points = None
     if over is not None:
         control = found.scenario.control
-        places = {"tuned": found.gains, "config": control}
+        places: dict[str, Any] = {"tuned": found.gains, "config": control}
         marks = {n: (_mean(gains.stiffness), _mean(gains.damping)) for n, gains in places.items()}
         value = over["objective"].where(over["feasible"])
         best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel(stiffness=0, damping=0)
-        points = grid_points(over, over, metrics["pd"] | {"objective": 1.0}, marks, best)
+        points = grid_points(over, over, {**metrics["pd"], "objective": 1.0}, marks, best)
     around = [
         [c, _percent(checked.less[c]), _percent(checked.more[c]), checked.shape[c], number(checked.slopes[c])]
         for c in checked.shape
@@ -109,7 +111,7 @@ def robust_page(
     )
 
 
-def _mean(gain) -> float:
+def _mean(gain: ArrayLike) -> float:
     """Return the geometric mean over the axes."""
     return float(np.exp(np.mean(np.log(gain))))
 
@@ -118,6 +120,6 @@ def _percent(value: float | None) -> str:
     return "breaks a limit" if value is None else f"{100 * value:+.2f}"
 
 
-def _worse(metrics: Mapping, baseline: Mapping) -> list[str]:
+def _worse(metrics: comparison.Values, baseline: comparison.Values) -> list[str]:
     worse = comparison.worsened(metrics, baseline)
     return [f"Worse than pd: {', '.join(worse)}."] if worse else []
