@@ -13,11 +13,10 @@ from typing import Annotated, Any, Self
 import jax
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 import mjx_climb as mc
-from mjx_climb import config
-from mjx_climb.config import ConfigError
+from tuning import settings
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -94,11 +93,8 @@ def load(path: str | os.PathLike[str], **changes: Any) -> Ensemble:
     Raises:
         ConfigError: in one line, key and what is wrong.
     """
-    source = os.fsdecode(path)
-    data = config._parse(config._read(source), source)
-    if not isinstance(data, dict | None):
-        raise ConfigError(f"{source}: expected a mapping")
-    return make({**(data or {}), **changes}, source)
+    data, source = settings.read(path)
+    return make({**data, **changes}, source)
 
 
 def make(values: dict[str, Any], source: str = "ensemble") -> Ensemble:
@@ -107,14 +103,7 @@ def make(values: dict[str, Any], source: str = "ensemble") -> Ensemble:
     Raises:
         ConfigError: in one line, key and what is wrong.
     """
-    try:
-        return Ensemble(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        reason = message[:1].lower() + message[1:]
-        raise ConfigError(f"{source}: {key + ': ' if key else ''}{reason}") from None
+    return settings.validated(Ensemble, values, source)
 
 
 def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:

@@ -4,11 +4,10 @@ import os
 from typing import Annotated, Any, Literal, get_args
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 import mjx_climb as mc
-from mjx_climb import config
-from mjx_climb.config import ConfigError
+from tuning import settings
 
 Method = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 Layout = Literal["isotropic", "split", "diagonal"]
@@ -76,14 +75,7 @@ def make(values: dict[str, Any], source: str = "search") -> Search:
     Raises:
         ConfigError: in one line, key and what is wrong.
     """
-    try:
-        return Search(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        reason = message[:1].lower() + message[1:]
-        raise ConfigError(f"{source}: {key + ': ' if key else ''}{reason}") from None
+    return settings.validated(Search, values, source)
 
 
 def load(path: str | os.PathLike[str]) -> Search:
@@ -92,13 +84,9 @@ def load(path: str | os.PathLike[str]) -> Search:
     Raises:
         ConfigError: in one line, what is wrong.
     """
-    source = os.fsdecode(path)
-    return parse(config._read(source), source)
+    return make(*settings.read(path))
 
 
 def parse(text: str, source: str = "search") -> Search:
     """Return the settings that a YAML text holds."""
-    data = config._parse(text, source)
-    if not isinstance(data, dict | None):
-        raise ConfigError(f"{source}: expected a mapping")
-    return make(data or {}, source)
+    return make(settings.mapping(text, source), source)

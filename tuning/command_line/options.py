@@ -101,6 +101,20 @@ def scenario_from(config: Path, controller: str | None, changes: list[str] | Non
     return scenario
 
 
+def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", config: Path) -> "Search":
+    """Return the settings of a search from its file and `--space`, checked against the scenario.
+
+    Raises:
+        ConfigError: settings that make no sense, by themselves or for the scenario.
+    """
+    from tuning import search as settings
+
+    own = settings.Search() if file is None else settings.load(file)
+    wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
+    check_space(scenario, wanted, config, file)
+    return wanted
+
+
 def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None) -> None:
     """Refuse a search that has nothing to move, or names gains that are not there, before anything is written.
 

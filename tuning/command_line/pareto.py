@@ -66,9 +66,7 @@ def pareto(
         begin, kept = time.perf_counter(), 0
         scenario = options.scenario_from(config, controller, changes)
         engine = options.engine_from(engine)
-        own = settings.Search() if search is None else settings.load(search)
-        wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-        options.check_space(scenario, wanted, config, search)
+        wanted = options.search_from(search, space, scenario, config)
         settings.make({"weights": {better: 1.0}}, "--better")
         settings.make({"limits": {against: 1.0}}, "--against")
         if better == against:

@@ -59,15 +59,12 @@ def schedule(
         from mjx_climb import dataset, inputs, plots
         from tuning import overviews, parts
         from tuning import schedule as schedules
-        from tuning import search as settings
         from tuning.command_line import progress, report
 
         begin, kept = time.perf_counter(), 0
         scenario = options.scenario_from(config, controller, changes)
         engine = options.engine_from(engine)
-        own = settings.Search() if search is None else settings.load(search)
-        wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-        options.check_space(scenario, wanted, config, search)
+        wanted = options.search_from(search, space, scenario, config)
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
         loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)
         out = out or Path("results") / f"{config.stem}-schedule"

@@ -2,8 +2,9 @@
 
 import dataclasses
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 SpaceName = Literal["isotropic", "split", "diagonal"]
+Value = TypeVar("Value")
 
 JUDGES = 128  # walks of each set of gains in the fresh draw
 
@@ -272,27 +274,25 @@ def _verdict(checked: "Verification", found: "Result") -> list[str]:
 
 
 def _mapping(option: str, pairs: list[str] | None) -> dict[str, float] | None:
-    if not pairs:
-        return None
-    result = {}
-    for pair in pairs:
-        key, _, value = pair.partition("=")
-        try:
-            result[key.strip()] = float(value)
-        except ValueError:
-            raise InputError(f"{option}: expected NAME=NUMBER, got {pair!r}") from None
-    return result
+    return _parsed(option, "NUMBER", float, pairs)
 
 
 def _ranges(pairs: list[str] | None) -> dict[str, tuple[float, float]] | None:
-    if not pairs:
-        return None
+    return _parsed("--bound", "LOW:HIGH", _ends, pairs)
+
+
+def _ends(text: str) -> tuple[float, float]:
+    low, high = (float(end) for end in text.split(":"))
+    return low, high
+
+
+def _parsed(option: str, wanted: str, read: Callable[[str], Value], pairs: list[str] | None) -> dict[str, Value] | None:
+    """Return the values of NAME=VALUE pairs, None without any."""
     result = {}
-    for pair in pairs:
+    for pair in pairs or []:
         key, _, value = pair.partition("=")
         try:
-            low, high = (float(end) for end in value.split(":"))
+            result[key.strip()] = read(value)
         except ValueError:
-            raise InputError(f"--bound: expected NAME=LOW:HIGH, got {pair!r}") from None
-        result[key.strip()] = (low, high)
-    return result
+            raise InputError(f"{option}: expected NAME={wanted}, got {pair!r}") from None
+    return result or None
