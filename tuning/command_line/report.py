@@ -82,14 +82,17 @@ def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
 
 
 def gains_table(walks: "Compared") -> Table:
-    """Return the gains of walks, axis by axis."""
+    """Return the gains of walks, axis by axis where the axes differ."""
     table = _table("metric", *(name for name in walks if walks[name][0] is not None))
     table.columns[0].header = "gain"
     held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
     for key in ("stiffness", "damping", "inertia"):
         six = {name: np.broadcast_to(np.asarray(gains[key], float), 6) for name, gains in held.items()}
+        if all(np.ptp(values) == 0 for values in six.values()):
+            table.add_row(key, *(f"{values[0]:.4g}" for values in six.values()))
+            continue
         for axis, label in enumerate(("x", "y", "z", "rx", "ry", "rz")):
-            table.add_row(f"{key} {label}", *(f"{six[name][axis]:.4g}" for name in held), end_section=axis == 5)
+            table.add_row(f"{key} {label}", *(f"{values[axis]:.4g}" for values in six.values()), end_section=axis == 5)
     for key in ("kp", "kd"):
         table.add_row(key, *(f"{gains[key]:.4g}" for gains in held.values()))
     return table
