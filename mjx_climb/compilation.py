@@ -8,7 +8,9 @@ import os
 from pathlib import Path
 
 import jax
+import numpy as np
 import platformdirs
+from numpy.typing import DTypeLike
 
 from mjx_climb.dynamics import ELEMENTWISE
 
@@ -43,6 +45,16 @@ def enable_cache() -> None:
 def pieces_pay(engine: str) -> bool:
     """Return whether walks with this engine are compiled in pieces, see `mjx_climb.kernels`."""
     return jax.default_backend() == "cpu" and engine in ELEMENTWISE
+
+
+def kernel_pays(engine: str, dtype: DTypeLike) -> bool:
+    """Return whether walks with this engine are compiled as one GPU kernel, see `mjx_climb.gpu_kernel`.
+
+    It is for NVIDIA's GPUs from compute capability 8.0 on; in float64 its values do not find room in the registers.
+    """
+    capability = str(getattr(jax.devices()[0], "compute_capability", "0")).split(".")[0]
+    new_enough = jax.default_backend() == "gpu" and capability.isdigit() and int(capability) >= 8
+    return new_enough and engine in ELEMENTWISE and np.dtype(dtype) == np.float32
 
 
 def compiler_options(batch: int, *, in_pieces: bool = False) -> dict[str, str | int]:

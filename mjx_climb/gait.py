@@ -160,5 +160,4 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
         old, new = foothold_height(plan, now.cycle), foothold_height(plan, now.cycle + 1)
         end = jnp.where(phase < 0.5, old, new)
         lift = end + (jnp.maximum(old, new) + plan.step_height - end) * lift
-    swing = swing.at[2].add(lift) if is_flat(plan) else _raised(swing, lift)
-    return jnp.where(now.closed, grip_point, swing)
+    return jnp.where(now.closed, grip_point, _raised(swing, lift))

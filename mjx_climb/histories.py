@@ -62,7 +62,8 @@ def rollout_histories(
     """
     inputs = given(scenario, gains, numbers, dtype)
     walk = structure(scenario, engine, in_pieces=pieces_pay(engine))
-    return walk_batch(_compiled, walk, inputs, batch_shape(*inputs), batch_size, progress)
+    compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
+    return walk_batch(compiled, walk, inputs, batch_shape(*inputs), batch_size, progress)
 
 
 def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:

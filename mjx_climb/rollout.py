@@ -16,9 +16,10 @@ from numpy.typing import DTypeLike
 
 from mjx_climb import devices, smooth_extremes
 from mjx_climb import metrics as metrics_module
-from mjx_climb.compilation import compiler_options, enable_cache, pieces_pay
+from mjx_climb.compilation import compiler_options, enable_cache, kernel_pays, pieces_pay
 from mjx_climb.config import Scenario
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.gpu_kernel import over_robots
 from mjx_climb.kernels import in_kernels
 from mjx_climb.parameters import Gains, Parameters, batch_last, batch_shape, parameters
 from mjx_climb.parameters import gains as gains_of
@@ -52,9 +53,9 @@ def walk_recorded(
     batch = math.prod(shape)
     walk = prepare(structure, *batch_last(gains, numbers, shape, dtype))
 
-    def step(carry: Progress, index: Array) -> tuple[Progress, Any]:
+    def step(carry: Progress, _: None) -> tuple[Progress, Any]:
         walked, total, means = carry
-        walked, sample = advance(walk, walked, index)
+        walked, sample = advance(walk, walked, total.steps)
         total = metrics_module.accumulate(total, sample, walk.robot, walk.time_step)
         means = smooth_extremes.accumulate(means, sample, walk.robot) if structure.smooth else means
         return (walked, total, means), record(sample)
@@ -62,7 +63,7 @@ def walk_recorded(
     means = smooth_extremes.start(batch, dtype) if structure.smooth else {}
     start = (begin(walk, batch), metrics_module.start(batch, dtype), means)
     step = in_kernels(step) if structure.in_pieces else step
-    (_, total, means), records = jax.lax.scan(step, start, jnp.arange(structure.steps))
+    (_, total, means), records = jax.lax.scan(step, start, length=structure.steps)
     result = metrics_module.finish(total, walk.numbers.gravity, walk.numbers.heading)
     for name, value in smooth_extremes.finish(means).items():
         result[name] = jnp.where(total.finite, value, jnp.nan)
@@ -85,6 +86,16 @@ def _compiled_samples(in_pieces: bool) -> Callable[..., Sample]:
 @functools.cache
 def _compiled_metrics(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
     return jax.jit(metrics_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
+
+
+def _metrics_in_kernel(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
+    """Walk robots of one batch axis as `metrics_of` does, as a single GPU kernel."""
+    return over_robots(functools.partial(metrics_of, structure), [_varying(gains), _varying(numbers)])(gains, numbers)
+
+
+@functools.cache
+def _compiled_kernel() -> Callable[..., Metrics]:
+    return jax.jit(_metrics_in_kernel, static_argnums=0)
 
 
 def simulator(
@@ -233,11 +244,16 @@ def rollout_metrics(
     """
     inputs = given(scenario, gains, numbers, dtype)
     walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
-    return walk_batch(_compiled_metrics, walk, inputs, batch_shape(*inputs), batch_size, progress)
+    in_kernel = kernel_pays(engine, dtype)
+
+    def program(robots: int) -> Callable[..., Metrics]:
+        return _compiled_kernel() if in_kernel else _compiled_metrics(robots, walk.in_pieces)
+
+    return walk_batch(program, walk, inputs, batch_shape(*inputs), batch_size, progress)
 
 
 def walk_batch(
-    compiled: Callable[[int, bool], Callable[..., Metrics]],
+    compiled: Callable[[int], Callable[..., Metrics]],
     structure: Structure,
     inputs: tuple[Gains, *tuple[Gains | Parameters, ...]],
     shape: tuple[int, ...],
@@ -246,7 +262,7 @@ def walk_batch(
 ) -> dict[str, np.ndarray]:
     """Return what a batched program gives for a batch, walked in parts on all devices; see `rollout_metrics`.
 
-    `compiled` gives the program for so many robots, steps in pieces or not. It takes the structure and the inputs,
+    `compiled` gives the program for so many robots. It takes the structure and the inputs,
     trees of arrays whose batch axes broadcast to `shape`, with one batch axis instead, and returns a dict of arrays
     with the batch as their first axis.
     """
@@ -256,7 +272,7 @@ def walk_batch(
     flat, flat_others = _flattened(gains, shape), [_flattened(tree, shape) for tree in others]
     double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(inputs))
     enable_cache()
-    walked = functools.partial(compiled(share, structure.in_pieces), structure)
+    walked = functools.partial(compiled(share), structure)
 
     def walk(rows: np.ndarray, sharding: Sharding) -> Metrics:
         some = _rows(flat, rows)
@@ -290,4 +306,10 @@ def _rows(tree: Tree, rows: np.ndarray) -> Tree:
     varying: dict[str, Any] = {
         n: v[rows] for n, v in vars(tree).items() if v is not None and v.ndim > tree.AXES.get(n, 0)
     }
+    return dataclasses.replace(tree, **varying)
+
+
+def _varying(tree: Tree) -> Tree:
+    """Return in place of each value of a flattened tree whether it varies from robot to robot."""
+    varying: dict[str, Any] = {n: jnp.ndim(v) > tree.AXES.get(n, 0) for n, v in vars(tree).items() if v is not None}
     return dataclasses.replace(tree, **varying)

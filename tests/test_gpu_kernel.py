@@ -1,0 +1,97 @@
+"""The GPU kernel of a walk, carried out on the CPU, against the same walk by XLA; and its compilation for GPUs."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.compilation import kernel_pays
+from mjx_climb.gpu_kernel import over_robots
+from mjx_climb.parameters import Gains, Parameters
+from mjx_climb.rollout import metrics_of
+from mjx_climb.walk import structure
+
+ROBOTS = 140  # a block and a part of one
+STEPS = 120
+PUSH = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
+FOOTHOLDS = {"LF": [0.0, 0.02], "RH": [0.015, 0.0, 0.03]}
+# every law, both references of the base, flat and uneven ground, pushes, cargo, another heading
+CASES = {
+    "virtual_model": ({"disturbance.pushes": [PUSH], "gait.heading": 0.4, "contact.holding_limit": 4.0}, False),
+    "measured_pose": ({"gait.base_reference": "actual", "disturbance.cargo": {"mass": 1.0, "start": 0.02}}, True),
+    "end_effector": ({"ground.footholds": FOOTHOLDS, "disturbance.pushes": [PUSH, PUSH]}, False),
+    "pd": ({"ground.footholds": FOOTHOLDS, "gait.base_reference": "actual"}, False),
+}
+
+
+def walk_of(case, law, steps, dtype):
+    """Return one robot's walk as a function of gains and numbers, these, and which of them vary from robot to robot."""
+    overrides, smooth = CASES[law]
+    scenario = case("case_1_2", law, overrides.items())
+    rng = np.random.default_rng(7)
+    spread = lambda *shape: 10.0 ** rng.uniform(-0.2, 0.2, (ROBOTS, *shape))  # noqa: E731
+    gains = Gains(10 * spread(6), 1e3 * spread(6), np.full(6, 1e4))
+    numbers = dataclasses.replace(
+        mc.parameters(scenario), gravity=np.array([0, 0, -1.0]) * spread(1), mass_scale=spread()
+    )
+    arguments = jax.tree.map(lambda value: np.asarray(value, dtype), (gains, numbers))
+    varying = [
+        dataclasses.replace(tree, **{n: v.ndim > axes.get(n, 0) for n, v in vars(tree).items() if v is not None})
+        for tree, axes in zip(arguments, (Gains.AXES, Parameters.AXES), strict=True)
+    ]
+    shape = structure(scenario, "limb", smooth=smooth)._replace(steps=steps)
+    return functools.partial(metrics_of, shape), arguments, varying
+
+
+@pytest.mark.parametrize(
+    "law", ["virtual_model", pytest.param("measured_pose", marks=pytest.mark.slow), "end_effector"]
+)
+def test_the_kernel_walks_as_xla_does(case, law):
+    """Float64 metrics of 140 robots that differ in gains, gravity and mass agree to 1e-9 of their size."""
+    walk, arguments, varying = walk_of(case, law, STEPS, np.float64)
+    whole = {"xla_disable_hlo_passes": "fusion"}  # compiles sooner
+    found = jax.jit(over_robots(walk, varying, interpret=True), compiler_options=whole)(*arguments)
+    expected = jax.jit(walk, compiler_options=whole)(*arguments)
+    assert found.keys() == expected.keys()
+    assert len(np.unique(expected["peak_foot_force"])) == ROBOTS
+    if law == "virtual_model":
+        assert 0 < np.sum(expected["detached_limb"] >= 0) < ROBOTS
+    for name, values in expected.items():
+        assert found[name].dtype == values.dtype, name
+        np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("law", CASES)
+def test_the_kernel_is_compiled_for_gpus(case, law):
+    """Every operation of a walk has its form in Triton, and the walk of 8000 steps is one kernel."""
+    with jax.enable_x64(False):
+        walk, arguments, varying = walk_of(case, law, 8000, np.float32)
+        lowered = jax.jit(over_robots(walk, varying)).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
+    assert lowered.count("__gpu$xla.gpu.triton") == 1
+    assert "stablehlo.while" not in lowered
+
+
+def test_elements_known_beforehand_and_halves():
+    """Zeros and ones of constants, rounding of halves to even, reductions and a loop agree with `jax.vmap`."""
+    matrix = np.array([[1.0, 0.0, -1.0], [0.0, 0.5, 1.0], [2.0, 0.0, 1.0]])
+
+    def function(vector, scale):
+        turned = (matrix * vector).sum(1) * scale
+        halves = jnp.round(jnp.concatenate([vector, turned, -vector]))
+        sums = jax.lax.fori_loop(0, 3, lambda _, total: total + halves, halves * matrix[0, 1])
+        return {"sums": sums, "largest": turned.max(), "any": (turned > 1.0).any(), "known": jnp.ones(2)}
+
+    vectors = np.random.default_rng(1).integers(-6, 7, (ROBOTS, 3)) / 2.0
+    found = jax.jit(over_robots(function, [True, False], interpret=True))(vectors, 0.5)
+    expected = jax.vmap(function, (0, None))(vectors, 0.5)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+
+
+def test_the_kernel_is_for_gpus():
+    """On a CPU walks are compiled in pieces."""
+    assert not kernel_pays("limb", np.float32)
