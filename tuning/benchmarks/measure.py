@@ -23,19 +23,28 @@ class Plan:
 
     rounds: int
     steps: int  # of the closed loop in a round
+    peer_steps: int  # of MuJoCo's peers, on the CPU
     tangents: tuple[int, ...]  # of the gradients
     batches: tuple[int, ...]  # for growth with the batch; none: left out
     lengths: tuple[int, ...]  # steps, for growth with time; none: left out
 
     @staticmethod
     def full(batch: int) -> "Plan":
-        """Return the plan whose figures are to be quoted."""
-        return Plan(5, 200, (2, 12), tuple(batch * k // 4 for k in (1, 2, 4, 8, 16)), (50, 100, 200, 400))
+        """Return the plan whose figures are to be quoted: on a GPU the closed loop walks for 8 s."""
+        steps = 200 if _on_cpu() else 8000
+        batches, lengths = (batch * k // 4 for k in (1, 2, 4, 8, 16)), (steps * k // 4 for k in (1, 2, 4, 8))
+        return Plan(5, steps, 200, (2, 12), tuple(batches), tuple(lengths))
 
     @staticmethod
     def quick(batch: int) -> "Plan":
         """Return a plan for a first look, which spares what takes long to compile: those figures are None."""
-        return Plan(3, 100, (2,), (), ())
+        return Plan(3, 100 if _on_cpu() else 4000, 100, (2,), (), ())
+
+
+def _on_cpu() -> bool:
+    import jax
+
+    return jax.default_backend() == "cpu"
 
 
 def threads() -> int:
@@ -82,7 +91,7 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
             stack.callback(close)
             say("closed loops and their peers, in turns")
             rates = in_turns(plan.rounds, {**ours, **peers})
-            single_rates = in_turns(plan.rounds, {**single, "numpy_loop": _numpy_loop(plan.steps)})
+            single_rates = in_turns(plan.rounds, {**single, "numpy_loop": _numpy_loop(plan.peer_steps)})
         say("growth")
         result |= _growth(engine, batch, plan)
         result |= _operations(engine, batch, plan.steps)
@@ -134,14 +143,14 @@ def _work(
         length = few if tangents == 2 else fewer
         work = in_shares(*programs.gradient(tangents, share, length, engine))
         ours[f"gradient_{tangents}"] = (batch * length, work)
-    whole = 40 * steps  # 8 s: one robot is walked for its whole walk
+    whole = round(8.0 / programs.TIME_STEP)  # one robot is walked for its whole walk
     single: dict[str, Timed] = {"single": (whole, programs.walk(1, whole, engine))}
     case, gains = programs.scenario(steps), programs.gains(batch)
-    bare = mujoco_rollout.Peer(case, batch, steps, threads())
+    bare = mujoco_rollout.Peer(case, batch, plan.peer_steps, threads())
     steered = mujoco_batch.Peer(case, gains, threads())
     peers: dict[str, Timed] = {
-        "mujoco_c": (batch * steps, bare.run),
-        "mujoco_batch": (batch * few, lambda: steered.run(few)),
+        "mujoco_c": (batch * plan.peer_steps, bare.run),
+        "mujoco_batch": (batch * plan.peer_steps // 2, lambda: steered.run(plan.peer_steps // 2)),
     }
     return ours, single, peers, bare.close
 
