@@ -6,6 +6,7 @@ import importlib.metadata
 import json
 import os
 import subprocess
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -298,7 +299,28 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memory
         finally:
             partial.unlink(missing_ok=True)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path, or no name
-        reason = (getattr(error, "strerror", None) or str(error)).lower()
-        place = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
-        raise OutputError(f"{place}: expected a file that can be written, got {reason}") from None
+        raise _refused(path, "a file that can be written", error) from None
     return path
+
+
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Check, before a long computation, that a folder is there or can be made and takes files; leave nothing in it.
+
+    Raises:
+        OutputError: it does not, or cannot.
+    """
+    folder = Path(path).absolute()
+    for place in (folder, *folder.parents):
+        try:
+            tempfile.TemporaryFile(dir=place).close()
+            return
+        except FileNotFoundError:
+            continue  # to be made in the folder above
+        except (OSError, ValueError) as error:
+            raise _refused(path, "a folder that can be written to", error) from None
+
+
+def _refused(path: str | os.PathLike[str], expected: str, error: OSError | ValueError) -> OutputError:
+    reason = (getattr(error, "strerror", None) or str(error)).lower()
+    place = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
+    return OutputError(f"{place}: expected {expected}, got {reason}")

@@ -54,7 +54,11 @@ def rollout_slopes(
 
     Returns:
         The metrics (*batch), and the slopes (k, *batch) of those that are real numbers.
+
+    Raises:
+        ValueError: `kp` or `kd` in the gains and not in the directions, or the reverse.
     """
+    _check_same_gains(gains, directions)
     gains, numbers = given(scenario, gains, numbers, dtype)
     shape = batch_shape(gains, numbers)
     given_rates = {n: v for n, v in vars(directions).items() if v is not None}
@@ -64,6 +68,15 @@ def rollout_slopes(
     found = walk_batch(compiled, walk, (gains, along, numbers), shape, batch_size, progress)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}
     return {name: value for name, value in found.items() if not name.startswith(_SLOPE)}, slopes
+
+
+def _check_same_gains(gains: Gains, directions: Gains) -> None:
+    for name, rates in vars(directions).items():
+        value = getattr(gains, name)
+        if value is None and rates is not None:
+            raise ValueError(f"directions.{name}: expected None, as gains.{name} is, got rates")
+        if value is not None and rates is None:
+            raise ValueError(f"directions.{name}: expected rates of change, as gains.{name} is given, got None")
 
 
 def _direction_last(name: str, rates: ArrayLike, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:

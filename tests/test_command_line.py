@@ -13,7 +13,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from tuning import gains_file, grid
+from tuning import evaluation, gains_file, grid, schedule
 from tuning.command_line import main, options, progress, report
 from tuning.command_line.ending import InputError
 from tuning.command_line.sweep import log_range
@@ -117,6 +117,9 @@ BAD = [
     ("schedule {config} --cargo=-1,1", "--cargo: expected numbers 0 or above"),
     ("schedule {config} --cargo 1e400/3", "--cargo: expected numbers with commas"),
     ("schema --out=", ".: expected a file that can be written"),
+    ("tune {config} --out {files}/file/below", "file/below: expected a folder that can be written to"),
+    ("pareto {config} --out {files}/file", "file: expected a folder that can be written to"),
+    ("schedule {config} --out {files}/file", "file: expected a folder that can be written to"),
 ]
 
 
@@ -125,12 +128,50 @@ def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeyp
     monkeypatch.chdir(tmp_path)
     for name in ("rollout", "rollout_metrics", "rollout_histories"):  # refused before anything is computed
         monkeypatch.setattr(mc, name, lambda *_, **__: pytest.fail("computed"))
+    monkeypatch.setattr(evaluation, "baseline", lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: pytest.fail("computed"))
     code, out, err = call(*(word.format(config=CONFIG, files=files) for word in line.split()))
     assert (code, out) == (2, "")
     assert err.startswith("mjx-climb: error: ")
     assert len(err.splitlines()) == 1
     assert expected.format(files=files) in err
     assert not list(tmp_path.iterdir())
+
+
+HAS_NONE = "cost_of_transport: expected a metric that pd has"
+WEIGHTLESS = [*SHORT, "--set", "gravity=[0,0,0]"]
+UNWEIGHABLE = {  # in free fall no transport has a cost relative to the weight
+    "tune": (["tune", CONFIG, *WEIGHTLESS], f"error: --weight {HAS_NONE} here, got nan under pd"),
+    "search file": (
+        ["tune", CONFIG, *WEIGHTLESS, "--search", "search.yaml"],
+        f"error: search.yaml: weights.{HAS_NONE}",
+    ),
+    "ensemble": (
+        ["tune", CONFIG, *WEIGHTLESS, "--ensemble", "ensemble", "--members", "2"],
+        f"error: --weight {HAS_NONE} in every member, got nan in the mean",
+    ),
+    "pareto": (
+        ["pareto", CONFIG, *WEIGHTLESS, "--better", "cost_of_transport"],
+        f"error: --better: weights.{HAS_NONE}",
+    ),
+    "schedule": (
+        ["schedule", CONFIG, *SHORT, "--gravity", "1e-300", "--cargo", "0"],
+        f"case_1_2.yaml: weights.{HAS_NONE} here",
+    ),
+}
+
+
+@pytest.mark.parametrize("search", UNWEIGHABLE)
+def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(search, call, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    if search == "search file":
+        (tmp_path / "search.yaml").write_text("weights: {cost_of_transport: 1.0}")
+    before = set(tmp_path.iterdir())
+    arguments, expected = UNWEIGHABLE[search]
+    code, out, err = call(*arguments)
+    assert (code, out) == (2, "")
+    assert expected in err.splitlines()[-1]
+    assert set(tmp_path.iterdir()) == before
 
 
 def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):

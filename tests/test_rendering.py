@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb import rendering
+from mjx_climb import plots, rendering
 from mjx_climb.dataset import OutputError
-from mjx_climb.rendering import backend, camera, canvas, film, marks, replay, surroundings
+from mjx_climb.rendering import backend, camera, canvas, film, marks, replay, surroundings, viewer
 from mjx_climb.robot import load_model
 from mjx_climb.trajectory import Trajectory
 from tuning.command_line import main
@@ -400,15 +400,18 @@ def watched(scene, trajectory, row, scale):
     shown.append((time.perf_counter(), trajectory.time[row], scene.ngeom - before))
 
 marks.forces = watched
-rendering.view(tests.walk_of(tests.PRESSED, duration=2.0), rounds=1)
-walked = [now for now in shown if 0.2 < now[1] < 1.8]
-(start, first, _), (end, last, _) = walked[0], walked[-1]
-print(len(walked), (last - first) / (end - start), min(arrows for _, _, arrows in walked))
+pressed, unloaded = (tests.walk_of(force, duration=2.0) for force in (tests.PRESSED, tests.UNLOADED))
+rendering.view(pressed, unloaded, rounds=1)
+second = next(i for i, now in enumerate(shown) if i and now[1] < shown[i - 1][1])
+for walk in (shown[:second], shown[second:]):
+    walked = [now for now in walk if 0.2 < now[1] < 1.8]
+    (start, first, _), (end, last, _) = walked[0], walked[-1]
+    print(len(walked), (last - first) / (end - start), *sorted({arrows for _, _, arrows in walked}))
 """
 
 
 @pytest.mark.slow
-def test_the_viewer_plays_a_walk_in_real_time_shows_its_forces_and_ends():
+def test_the_viewer_plays_walks_in_turn_in_real_time_shows_their_forces_and_ends():
     """On a display of its own, without a graphics card; a process that ends before the viewer's thread would crash."""
     if shutil.which("xvfb-run") is None:
         pytest.skip("xvfb is not installed")
@@ -421,10 +424,30 @@ def test_the_viewer_plays_a_walk_in_real_time_shows_its_forces_and_ends():
         timeout=120,
     )
     assert run.returncode == 0, run.stderr
-    pictures, speed, arrows = map(float, run.stdout.split())
-    assert pictures > 5
-    assert speed == pytest.approx(1, abs=0.1)
-    assert arrows == 4
+    for line, expected in zip(run.stdout.splitlines(), (4, 0), strict=True):
+        pictures, speed, arrows = map(float, line.split())
+        assert pictures > 5
+        assert speed == pytest.approx(1, abs=0.1)
+        assert arrows == expected
+
+
+@pytest.mark.slow
+def test_view_and_compare_show_both_walks(monkeypatch, tmp_path):
+    shown = []
+    monkeypatch.setattr(backend, "require_display", lambda: None)
+    monkeypatch.setattr(plots, "save_figure", lambda *_: None)
+    monkeypatch.setattr(rendering, "view", lambda *walks: shown.extend(w.scenario.control.controller for w in walks))
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(CONFIG), "--set", "duration=0.1", "--view", "--compare", "pd", "--out", str(tmp_path)])
+    signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == 0
+    assert shown == ["pd", "base_admittance"]
+
+
+def test_the_viewer_says_whose_walk_it_shows():
+    names, values = viewer._words(walk_of(PRESSED), 0)
+    assert dict(zip(names.splitlines(), values.splitlines(), strict=True))["controller"] == "base admittance"
 
 
 @pytest.mark.parametrize("at", ["-1", "0.1,9", "soon", "", "nan"])

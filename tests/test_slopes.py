@@ -1,6 +1,7 @@
 """Slopes of a batch, whatever the shares and the batch axes."""
 
 import dataclasses
+import re
 
 import jax
 import numpy as np
@@ -14,6 +15,22 @@ ROBOTS, MEMBERS, DIRECTIONS = 3, 2, 2
 @pytest.fixture(scope="module")
 def scenario(case):
     return case("case_1_2", "virtual_model", (("duration", 0.2), ("disturbance.cargo.start", 0.05)))
+
+
+@pytest.mark.parametrize(
+    ("of_gains", "of_directions", "said"),
+    [
+        ({}, {"kp": 1.0}, "directions.kp: expected None, as gains.kp is, got rates"),
+        ({"kd": 0.2}, {}, "directions.kd: expected rates of change, as gains.kd is given, got None"),
+        ({"kp": 50.0, "kd": 0.2}, {"kp": 1.0}, "directions.kd: expected rates of change"),
+    ],
+)
+def test_directions_have_the_gains_that_the_gains_have(scenario, of_gains, of_directions, said):
+    gains = mc.Gains(np.ones((ROBOTS, 6)), np.full((ROBOTS, 6), 1e2), np.full((ROBOTS, 6), 3e3), **of_gains)
+    rates = {name: np.full((DIRECTIONS, 1), value) for name, value in of_directions.items()}
+    six = np.ones((DIRECTIONS, 1, 6))
+    with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+        mc.rollout_slopes(scenario, gains, mc.Gains(six, six, six, **rates))
 
 
 def test_slopes_of_a_batch_agree_with_central_differences(scenario):

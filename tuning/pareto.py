@@ -70,7 +70,7 @@ def front(
     """
     if better == against:
         raise ConfigError(f"against: expected another metric than {better}")
-    settings = tune.changed(settings, {**changes, "weights": {better: 1.0}, "no_worse_than_pd": False})
+    settings = bettering(better, tune.changed(settings, changes))
     problem = tune.problem_of(scenario, settings, engine=engine)
     space, plain = problem.space, problem.objective
     assert isinstance(plain, Objective)
@@ -102,6 +102,11 @@ def front(
         for step in visited:
             keep(step.theta, step.found)
     return _dataset(scenario, settings, problem, archive, limits, better, against, rounds.env_steps, engine)
+
+
+def bettering(metric: str, settings: Search) -> Search:
+    """Return settings that weigh one metric alone, relative to pd's."""
+    return tune.changed(settings, {"weights": {metric: 1.0}, "no_worse_than_pd": False})
 
 
 def nondominated(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Robust tuning: gains for an ensemble of walks, judged on a draw that the search never saw."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -168,10 +169,24 @@ def search(
     if settings is None and "weights" not in changes:
         changes["weights"] = ROBUST_WEIGHTS
     settings = tune.changed(settings, changes)
-    numbers = ensembles.draw(scenario, ensemble)
-    baseline = {name: value.reshape(-1) for name, value in pd_of(scenario, numbers, engine=engine).items()}
-    goal = objective(scenario, settings, ensemble, baseline)
-    return tune.tune(scenario, settings, objective=goal, numbers=numbers, engine=engine, out=out, progress=progress)
+    target, numbers = goal(scenario, ensemble, settings, engine), ensembles.draw(scenario, ensemble)
+    return tune.tune(scenario, settings, objective=target, numbers=numbers, engine=engine, out=out, progress=progress)
+
+
+def goal(scenario: mc.Scenario, ensemble: Ensemble, settings: Search, engine: str = DEFAULT_ENGINE) -> RobustObjective:
+    """Return what a search over an ensemble minimises; pd walks through the members first.
+
+    Raises:
+        ConfigError: see `objective`.
+    """
+    return objective(scenario, settings, ensemble, _baseline(scenario, ensemble, engine))
+
+
+@functools.lru_cache(maxsize=8)
+def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str) -> dict[str, np.ndarray]:
+    """Return the metrics (members,) of pd with their smooth companions."""
+    walked = pd_of(scenario, ensembles.draw(scenario, ensemble), engine=engine)
+    return {name: value.reshape(-1) for name, value in walked.items()}
 
 
 def judge(

@@ -5,6 +5,7 @@ Then every point tries the gains of all others, takes them where they are better
 """
 
 import dataclasses
+import functools
 import io
 import math
 from collections.abc import Sequence
@@ -71,14 +72,9 @@ def schedule(
     Raises:
         ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
     """
-    for name, values, least in (("gravity", gravity, 0.0), ("cargo", cargo, -1e-12)):
-        if not len(values) or not np.isfinite(values).all() or min(values) <= least or (np.diff(values) <= 0).any():
-            raise ConfigError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
     settings = tune.changed(settings, changes)
-    numbers = _numbers(scenario, gravity, cargo)
-    points = len(gravity) * len(cargo)
-    baseline = pd_of(scenario, numbers, engine=engine)
-    each = [objective_at(scenario, settings, {n: float(v[p]) for n, v in baseline.items()}) for p in range(points)]
+    each, numbers = goals(scenario, settings, gravity, cargo, engine), _numbers(scenario, gravity, cargo)
+    points = len(each)
     space, rng = spaces.space(scenario, settings), np.random.default_rng(settings.seed)
     dtype = np.dtype(settings.precision).type
     problem = Problem(scenario, space, _rows(each), dtype=dtype, engine=engine)
@@ -124,6 +120,34 @@ def schedule(
 
 
 _VARIED = ("gravity", "cargo_mass")
+
+
+def goals(
+    scenario: mc.Scenario,
+    settings: Search,
+    gravity: Sequence[float] = GRAVITIES,
+    cargo: Sequence[float] = CARGO,
+    engine: str = DEFAULT_ENGINE,
+) -> list[Objective]:
+    """Return the objectives of all operating points, the cargo running fastest; pd walks at each first.
+
+    Raises:
+        ConfigError: see `schedule`.
+    """
+    for name, values, least in (("gravity", gravity, 0.0), ("cargo", cargo, -1e-12)):
+        if not len(values) or not np.isfinite(values).all() or min(values) <= least or (np.diff(values) <= 0).any():
+            raise ConfigError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
+    baseline = _baseline(scenario, tuple(gravity), tuple(cargo), engine)
+    points = range(len(gravity) * len(cargo))
+    return [objective_at(scenario, settings, {name: float(v[p]) for name, v in baseline.items()}) for p in points]
+
+
+@functools.lru_cache(maxsize=8)
+def _baseline(
+    scenario: mc.Scenario, gravity: tuple[float, ...], cargo: tuple[float, ...], engine: str
+) -> dict[str, np.ndarray]:
+    """Return the metrics of pd at all operating points (P,) with their smooth companions."""
+    return pd_of(scenario, _numbers(scenario, gravity, cargo), engine=engine)
 
 
 def objective_at(scenario: mc.Scenario, settings: Search, baseline: dict[str, float]) -> Objective:

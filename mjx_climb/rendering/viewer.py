@@ -12,35 +12,38 @@ import numpy as np
 from mjx_climb.rendering import film, marks, surroundings
 from mjx_climb.rendering.backend import require_display
 from mjx_climb.rendering.camera import Follower
+from mjx_climb.rendering.captions import controller
 from mjx_climb.rendering.replay import pose, row_at
 from mjx_climb.trajectory import Trajectory
 
-PAUSE = 1.0  # s, at the end of the walk, before it starts again
+PAUSE = 1.0  # s, at the end of a walk, before the next one starts
 GROUND_ALPHA = 0.6  # pulling forces point into the ground
 
 
-def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
-    """Show a walk in MuJoCo's viewer, in real time and over and over, until its window is closed.
+def view(*trajectories: Trajectory, rounds: int | None = None) -> None:
+    """Show walks one after the other in MuJoCo's viewer, in real time and over and over, until its window is closed.
 
     Arguments:
-        trajectory: the walk.
-        rounds: how often it is shown; None: until the window is closed.
+        trajectories: walks of one robot; they share the scale of the forces.
+        rounds: how often they are shown; None: until the window is closed.
 
     Raises:
         RenderingError: no display, or no window can be opened on it.
+        ValueError: no walk, or walks of different robots.
     """
+    film.check(trajectories, None, film.SIZE)
     require_display()
-    scenario = trajectory.scenario
-    middle = trajectory.base_reference[[0, -1], :2].mean(0)
-    gravity = np.asarray(scenario.gravity)
-    model = surroundings.model(scenario.robot, gravity, marks.grip_points(trajectory), middle)
+    scenario = trajectories[0].scenario
+    middle = trajectories[0].base_reference[[0, -1], :2].mean(0)
+    grips = np.concatenate([marks.grip_points(trajectory) for trajectory in trajectories])
+    model = surroundings.model(scenario.robot, np.asarray(scenario.gravity), grips, middle)
     model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
     model.light("sun").castshadow = False  # such a ground takes none
     data = mujoco.MjData(model)
-    scale, every = marks.scale([trajectory]), max(round(film.PATH_STEP / scenario.time_step), 1)
-    start = Follower([trajectory], float(model.vis.global_.fovy), 1.5).at(0.0)
-    length = film.length([trajectory])
-    pose(model, data, trajectory, 0)
+    scale, every = marks.scale(trajectories), max(round(film.PATH_STEP / scenario.time_step), 1)
+    start = Follower(trajectories, float(model.vis.global_.fovy), 1.5).at(0.0)
+    length = film.length(trajectories)
+    pose(model, data, trajectories[0], 0)
     with _window(model, data) as window:
         with window.lock():
             window.cam.lookat[:], window.cam.distance = start.target, start.distance
@@ -48,8 +51,9 @@ def view(trajectory: Trajectory, *, rounds: int | None = None) -> None:
         begin = time.perf_counter()
         while window.is_running():
             shown, now = divmod(time.perf_counter() - begin, length + PAUSE)
-            if rounds is not None and shown >= rounds:
+            if rounds is not None and shown >= rounds * len(trajectories):
                 break
+            trajectory = trajectories[int(shown) % len(trajectories)]
             row = row_at(trajectory, now)
             with window.lock():
                 pose(model, data, trajectory, row)
@@ -82,7 +86,8 @@ def _words(trajectory: Trajectory, row: int) -> tuple[str, str]:
     """Return names and values to write into the window."""
     forces = np.linalg.norm(trajectory.foot_force[row], axis=-1)
     limb = int(forces.argmax())
-    names, values = ["time", "largest force"], [f"{trajectory.time[row]:.2f} s", f"{forces[limb]:.1f} N"]
+    names = ["controller", "time", "largest force"]
+    values = [controller(trajectory.scenario), f"{trajectory.time[row]:.2f} s", f"{forces[limb]:.1f} N"]
     values[-1] += f" at {trajectory.limbs[limb]}" if forces[limb] else ""
     torn = [name for name, lost in zip(trajectory.limbs, trajectory.detached[row], strict=True) if lost]
     if torn:

@@ -5,14 +5,14 @@ import numpy as np
 from mujoco import rollout
 
 import mjx_climb as mc
-from mjx_climb.robot import model_path
+from mjx_climb.robot import load_spec
 
 
 class Peer:
     """Robots that fall freely from the rest stance."""
 
     def __init__(self, scenario: mc.Scenario, count: int, steps: int, threads: int):
-        self.model = mujoco.MjModel.from_xml_path(str(model_path(scenario.robot)))
+        self.model = load_spec(scenario.robot).compile()
         self.model.opt.gravity[:] = scenario.gravity
         self.model.opt.timestep = scenario.time_step
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

@@ -1,7 +1,7 @@
 """The walk under base admittance as a MuJoCo user would write it in NumPy, for the peers of the benchmark.
 
 A second implementation: gait, grip, Eq. 3 of the paper and inverse kinematics share no code with `mjx_climb`, whose
-scenario and MJCF alone they read. Arrays are components first, limbs second, robots last, all contiguous.
+scenario and MuJoCo model alone they read. Arrays are components first, limbs second, robots last, all contiguous.
 """
 
 import math
@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 import mjx_climb as mc
 from mjx_climb.config import Cargo, Push
-from mjx_climb.robot import model_path
+from mjx_climb.robot import load_spec
 
 FEET = ("LF_foot", "LH_foot", "RH_foot", "RF_foot")
 BASE = 1  # body
@@ -21,7 +21,7 @@ BASE = 1  # body
 
 def load(scenario: mc.Scenario) -> mujoco.MjModel:
     """Return the scenario's robot under its gravity, with a sensor for the velocity of each foot."""
-    spec = mujoco.MjSpec.from_file(str(model_path(scenario.robot)))
+    spec = load_spec(scenario.robot)
     for foot in FEET:
         spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot)
     model = spec.compile()
@@ -159,20 +159,20 @@ class Walker:
     def inverse_kinematics(self, foot: np.ndarray) -> np.ndarray:
         """Return the joint angles (3, 4, N) rad for feet in the base frame; nearest reach where there is none."""
         g = self.limb_geometry
-        c, s = g["cosine"], g["sine"]
-        dx, dy, z = foot - g["hip"]
-        x, y, z = c * dx + s * dy, c * dy - s * dx, z - g["femur_up"]
+        x, y, z = (axis[0] * foot[0] + axis[1] * foot[1] + axis[2] * foot[2] for axis in g["axes"])
+        x, y, z = x - g["origin"][0], y - g["origin"][1], z - g["origin"][2]
         reach = np.hypot(x, y)
         angles = np.empty_like(foot)
         angles[0] = np.arctan2(y, x) - np.arcsin(g["lateral"] / reach)
         x = np.sqrt(reach**2 - g["lateral"] ** 2) - g["femur_out"]
         a, b = g["femur_length"], g["tibia_length"]
         square = x * x + z * z
-        # law of cosines for the bend at the knee, which points down, and for the angle at the femur's joint
+        # law of cosines for the bend at the knee and for the angle at the femur's joint
         bend = np.arccos(np.clip((square - a * a - b * b) / (2 * a * b), -1, 1))
         inner = np.arccos(np.clip((square + a * a - b * b) / (2 * a * np.sqrt(square)), -1, 1))
-        angles[1] = np.arctan2(z, x) + inner
-        angles[2] = -bend - g["tibia_angle"]
+        angles[1] = g["femur_sign"] * np.arctan2(z, x) - g["inner_sign"] * inner
+        angles[2] = g["bend_sign"] * bend
+        angles += g["zero"]
         return angles
 
 
@@ -201,26 +201,41 @@ def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.nd
 
 
 def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndarray]:
-    """Return what the inverse kinematics needs, read off a model whose femur and tibia turn about the coxa's -y."""
-    geometry = {}
+    """Return what the inverse kinematics needs, read off the rest stance; the last axes are limbs and robots (4, 1).
+
+    A limb's own axes there: out from the coxa's axis towards the foot, to the side along the parallel axes of femur and
+    tibia, up along the coxa's.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+    mujoco.mj_kinematics(model, data)
     rows = []
     for limb in limbs:
-        coxa, femur, tibia = (model.body(f"{limb}_{part}") for part in ("coxa", "femur", "tibia"))
-        foot = model.site(f"{limb}_foot").pos
+        joints = [model.joint(f"{limb}_{part}").id for part in ("coxa", "femur", "tibia")]
+        coxa, femur, tibia = data.xanchor[joints]
+        foot = data.site(f"{limb}_foot").xpos
+        up, femur_axis, tibia_axis = data.xaxis[joints]
+        out = np.cross(up, femur_axis)
+        out *= np.sign(out @ (foot - coxa))
+        axes = np.stack([out, np.cross(up, out), up])
+        (x, _, z), (u, _, w) = axes @ (tibia - femur), axes @ (foot - tibia)
+        # a turn about the side lowers
+        femur_sign, tibia_sign = -np.sign(axes[1] @ femur_axis), -np.sign(axes[1] @ tibia_axis)
+        thigh, bend = np.arctan2(z, x), np.arctan2(x * w - z * u, x * u + z * w)
+        zero = data.qpos[model.jnt_qposadr[joints]] - [0, femur_sign * thigh, tibia_sign * bend]
         rows.append(
             {
-                "hip": coxa.pos,
-                "cosine": coxa.quat[0] ** 2 - coxa.quat[3] ** 2,
-                "sine": 2 * coxa.quat[0] * coxa.quat[3],
-                # the femur's frame is the coxa's turned by 90 degrees about x
-                "lateral": femur.pos[1] - tibia.pos[2] - foot[2],
-                "femur_out": femur.pos[0],
-                "femur_up": femur.pos[2],
-                "femur_length": tibia.pos[0],
-                "tibia_length": np.hypot(foot[0], foot[1]),
-                "tibia_angle": np.arctan2(foot[1], foot[0]),
+                "axes": axes,
+                "origin": axes @ coxa + [0, 0, up @ (femur - coxa)],
+                "lateral": axes[1] @ (foot - coxa),
+                "femur_out": out @ (femur - coxa),
+                "femur_length": np.hypot(x, z),
+                "tibia_length": np.hypot(u, w),
+                "femur_sign": femur_sign,
+                "inner_sign": femur_sign * np.sign(bend),
+                "bend_sign": tibia_sign * np.sign(bend),
+                "zero": zero,
             }
         )
-    for name in rows[0]:
-        geometry[name] = np.stack([row[name] for row in rows], axis=-1)[..., None]
-    return geometry
+    return {name: np.stack([row[name] for row in rows], axis=-1)[..., None] for name in rows[0]}

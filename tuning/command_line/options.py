@@ -17,6 +17,7 @@ from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from mjx_climb.config import ConfigError
     from tuning.report.page import Origin
     from tuning.search import Search
 
@@ -127,8 +128,27 @@ def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: P
     try:
         space(scenario, search)
     except ConfigError as error:
-        about = config if str(error).startswith("control.") else file
-        raise ConfigError(in_options(str(error)) if about is None else f"{about}: {error}") from None
+        raise _placed(error, config if str(error).startswith("control.") else file) from None
+
+
+@contextlib.contextmanager
+def weighing(place: Path | str | None) -> Iterator[None]:
+    """Name where the weights stand, None for `--weight`, when one is refused.
+
+    Raises:
+        ConfigError: in one line, the place, and what is wrong there.
+    """
+    from mjx_climb.config import ConfigError
+
+    try:
+        yield
+    except ConfigError as error:
+        raise _placed(error, place) from None
+
+
+def _placed(error: "ConfigError", place: Path | str | None) -> "ConfigError":
+    """Return an error on a setting that names its file, or the options where that is None."""
+    return type(error)(in_options(str(error)) if place is None else f"{place}: {error}")
 
 
 def in_options(message: str) -> str:

@@ -56,7 +56,7 @@ def pareto(
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
         from mjx_climb import dataset, inputs, plots
-        from tuning import gains_file, overviews, parts
+        from tuning import gains_file, overviews, parts, tune
         from tuning import pareto as fronts
         from tuning import search as settings
         from tuning.command_line import progress, report
@@ -72,10 +72,13 @@ def pareto(
         if better == against:
             raise InputError(f"--against: expected another metric than {better}")
         out = out or Path("results") / f"{config.stem}-pareto"
-        scenario = inputs.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
+        dataset.check_folder(out)
         console = report.console(stderr=True)
         meter = progress.Meter(console)
+        with meter.stage("baseline"), options.weighing("--better"):
+            tune.problem_of(scenario, fronts.bettering(better, wanted), engine=engine)
+        scenario = inputs.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
 
         def told(done: int, total: int, phase: str) -> None:
             nonlocal kept

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     import mjx_climb as mc
+    from tuning.command_line.progress import Meter
     from tuning.ensemble import Ensemble
     from tuning.result import Result
     from tuning.search import Search
@@ -24,7 +25,7 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
 
 def tune_robustly(
     scenario: "mc.Scenario", wanted: "Search", ensemble: "Ensemble", judges: int, out: Path, engine: str,
-    name: str, line: "Callable[[Progress], str]", stdout: TextIO, *, json: bool,
+    name: str, line: "Callable[[Progress], str]", meter: "Meter", stdout: TextIO, *, json: bool,
 ) -> None:  # fmt: skip
     """Search, judge the result beside the config's gains and pd, and write both."""
     from mjx_climb import dataset, inputs, plots
@@ -36,9 +37,6 @@ def tune_robustly(
 
     begin, kept = time.perf_counter(), 0
     dataset.write_text_atomically(out / "ensemble.yaml", ensemble.to_yaml())
-    console = report.console(stderr=True)
-    console.print(progress.cache_state(), soft_wrap=True)
-    meter = progress.Meter(console)
 
     def round_done(now: "Progress") -> None:
         nonlocal kept
@@ -82,6 +80,7 @@ def tune_robustly(
     except KeyboardInterrupt:
         raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
 
+    console = meter.console
     tables = console if json else report.console(file=stdout)
     tables.print(robust_table(summed))
     tables.print(verdict, soft_wrap=True)

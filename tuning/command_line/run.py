@@ -97,4 +97,4 @@ def run(
             from mjx_climb import rendering
 
             with contextlib.suppress(KeyboardInterrupt):  # one more way to close the window
-                rendering.view(trajectory)
+                rendering.view(*walks)

@@ -68,10 +68,13 @@ def schedule(
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
         loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)
         out = out or Path("results") / f"{config.stem}-schedule"
-        scenario = inputs.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
+        dataset.check_folder(out)
         console = report.console(stderr=True)
         meter = progress.Meter(console)
+        with meter.stage("baseline"), options.weighing(search or config):
+            schedules.goals(scenario, wanted, levels, loads, engine)
+        scenario = inputs.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
 
         def told(done: int, total: int, phase: str) -> None:
             nonlocal kept

@@ -149,15 +149,23 @@ def tune(
         options.check_space(scenario, wanted, config, None if pin or bound else search)
         kind = "tune" if ensemble is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
+        dataset.check_folder(out)
+        console = report.console(stderr=True)
+        console.print(progress.cache_state(), soft_wrap=True)
+        meter = progress.Meter(console)
+        with meter.stage("baseline"), options.weighing(None if weight else search):
+            if drawn is None:
+                tuning_tune.problem_of(scenario, wanted, engine=engine)
+            else:
+                robust_search.goal(scenario, drawn, wanted, engine)
         scenario = inputs.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
         dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
         if drawn is not None:
-            return tune_robustly(scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, stdout, json=json)
+            return tune_robustly(
+                scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, meter, stdout, json=json
+            )
 
-        console = report.console(stderr=True)
-        console.print(progress.cache_state(), soft_wrap=True)
-        meter = progress.Meter(console)
         kept = 0
 
         def round_done(now: tuning_tune.Progress) -> None:

@@ -39,7 +39,13 @@ Size = Annotated[
         show_default="1280x720; two walks 960x720; a snapshot 800x600",
     ),
 ]
-View = Annotated[bool, typer.Option("--view", help="Replay the walk in MuJoCo's viewer, until its window is closed.")]
+View = Annotated[
+    bool,
+    typer.Option(
+        "--view",
+        help="Replay the walk in MuJoCo's viewer, with --compare both in turn, until its window is closed.",
+    ),
+]
 
 
 @dataclasses.dataclass(frozen=True)
