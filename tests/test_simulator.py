@@ -1,9 +1,12 @@
 """The three ways to run a walk agree, and transform as JAX functions do."""
 
+import typing
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beartype.door import is_bearable
 
 import mjx_climb as mc
 
@@ -81,3 +84,11 @@ def test_no_array_over_time(scenario, simulate):
     text = str(jax.make_jaxpr(simulate)(mc.Gains(1.0, 1e4, np.full((3, 6), 4e5))))
     assert f"[{scenario.steps}]" in text  # the list
     assert f"[{scenario.steps}," not in text
+
+
+def test_parameters_hold_what_they_are_annotated_with(scenario):
+    """Arrays of JAX and of numpy."""
+    ours = mc.parameters(scenario)
+    hints = {name: hint for name, hint in typing.get_type_hints(mc.Parameters).items() if name != "AXES"}
+    for numbers in (ours, jax.tree.map(np.asarray, ours)):
+        assert [name for name, hint in hints.items() if not is_bearable(getattr(numbers, name), hint)] == []
