@@ -1,12 +1,13 @@
 """What the world does to the base: cargo and pushes, each in its window of time."""
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.parameters import Parameters
 
 
-def _active(start: Array, stop: Array, step: Array, time_step: float) -> Array:
+def _active(start: Array | np.ndarray, stop: Array | np.ndarray, step: Array, time_step: float) -> Array:
     """Tell whether a step lies in [start, stop), both rounded to whole steps."""
     return (step >= jnp.round(start / time_step)) & (step < jnp.round(stop / time_step))
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.robot import Robot
@@ -109,7 +110,7 @@ def accumulate(total: Accumulator, sample: Sample, robot: Robot, time_step: floa
     )
 
 
-def finish(total: Accumulator, gravity: Array, heading: Array) -> dict[str, Array]:
+def finish(total: Accumulator, gravity: Array | np.ndarray, heading: Array | np.ndarray) -> dict[str, Array]:
     """Return the metrics (B,) of a walk under `gravity` (3, B) m/s^2 along `heading` (B,) rad.
 
     Travel is the way made along the heading.

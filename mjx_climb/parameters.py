@@ -43,6 +43,7 @@ class Gains:
 class Parameters:
     """Numbers of a scenario in SI units, each with any leading batch axes that broadcast with the gains'.
 
+    Arrays of JAX, or of numpy, which keep double precision whatever JAX's own setting.
     `AXES` tells how many axes one environment's value has, where it is no scalar.
     """
 
@@ -50,26 +51,26 @@ class Parameters:
         {"gravity": 1, "foothold_height": 2, "push_force": 2, "push_moment": 2, "push_start": 1, "push_stop": 1}
     )
 
-    gravity: Array  # (3,) m/s^2
-    contact_stiffness: Array  # N/m
-    contact_damping: Array  # N s/m
-    holding_limit: Array  # N, infinite where a gripper cannot be torn off
-    kp: Array  # N m/rad
-    kd: Array  # N m s/rad
-    stride: Array  # m
-    step_height: Array  # m
-    cycle: Array  # s
-    duty: Array  # 1
-    heading: Array  # rad
-    foothold_height: Array  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
-    cargo_mass: Array  # kg
-    cargo_start: Array  # s
-    cargo_stop: Array  # s
-    push_force: Array  # (pushes, 3) N
-    push_moment: Array  # (pushes, 3) N m
-    push_start: Array  # (pushes,) s
-    push_stop: Array  # (pushes,) s
-    mass_scale: Array  # 1, of all masses and inertias of the robot; the cargo's not
+    gravity: Array | np.ndarray  # (3,) m/s^2
+    contact_stiffness: Array | np.ndarray  # N/m
+    contact_damping: Array | np.ndarray  # N s/m
+    holding_limit: Array | np.ndarray  # N, infinite where a gripper cannot be torn off
+    kp: Array | np.ndarray  # N m/rad
+    kd: Array | np.ndarray  # N m s/rad
+    stride: Array | np.ndarray  # m
+    step_height: Array | np.ndarray  # m
+    cycle: Array | np.ndarray  # s
+    duty: Array | np.ndarray  # 1
+    heading: Array | np.ndarray  # rad
+    foothold_height: Array | np.ndarray  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
+    cargo_mass: Array | np.ndarray  # kg
+    cargo_start: Array | np.ndarray  # s
+    cargo_stop: Array | np.ndarray  # s
+    push_force: Array | np.ndarray  # (pushes, 3) N
+    push_moment: Array | np.ndarray  # (pushes, 3) N m
+    push_start: Array | np.ndarray  # (pushes,) s
+    push_stop: Array | np.ndarray  # (pushes,) s
+    mass_scale: Array | np.ndarray  # 1, of all masses and inertias of the robot; the cargo's not
 
 
 def _or_infinite(value: float | None) -> float:

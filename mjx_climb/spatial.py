@@ -19,7 +19,7 @@ def cross(a: Array, b: Array) -> Array:
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def norm(a: Array) -> Array:
+def norm(a: Array | np.ndarray) -> Array:
     """Return the Euclidean length over the leading axis, with derivative zero at the zero vector."""
     square = jnp.sum(a * a, axis=0)
     positive = square > 0
@@ -41,7 +41,7 @@ def compose(first: Array, second: Array | np.ndarray) -> Array:
     return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
 
 
-def rotation_about_z(angle: Array) -> Array:
+def rotation_about_z(angle: Array | np.ndarray) -> Array:
     """Return the rotation matrix about z, `(3, 3, ...)`, for an angle in rad."""
     c, s, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, zero + 1])])
@@ -92,7 +92,7 @@ def quaternion_from_rotation_vector(vector: Array) -> Array:
     return jnp.concatenate([real[None], scale * vector])
 
 
-def quaternion_about_z(angle: Array) -> Array:
+def quaternion_about_z(angle: Array | np.ndarray) -> Array:
     """Return the quaternion wxyz of a rotation about z by an angle in rad."""
     zero = jnp.zeros_like(angle)
     return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])

@@ -100,7 +100,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     )
 
 
-def weighing(robot: Robot, scale: Array) -> Robot:
+def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
     """Return the robot with all masses and inertias times `scale` (B,)."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     return dataclasses.replace(robot, **{name: getattr(robot, name) * scale for name in names})
@@ -166,7 +166,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
     share = 1 / numbers.mass_scale
     acceleration = walk.forward_dynamics(
-        state, torque * share, held.force * share, push * share, cargo * share, numbers.gravity
+        state, torque * share, held.force * share, push * share, cargo * share, jnp.asarray(numbers.gravity)
     )
 
     mass = cargo + robot.total_mass

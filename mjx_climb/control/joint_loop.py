@@ -1,5 +1,6 @@
 """The joints' own loop, the same under every law."""
 
+import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.parameters import Parameters
@@ -7,4 +8,4 @@ from mjx_climb.parameters import Parameters
 
 def joint_torque(numbers: Parameters, target: Array, joint_angles: Array, joint_rates: Array) -> Array:
     """Return `tau = kp (phi_des - phi) - kd phidot`, (3, L, B) N m; the desired rate is zero."""
-    return numbers.kp * (target - joint_angles) - numbers.kd * joint_rates
+    return jnp.asarray(numbers.kp * (target - joint_angles) - numbers.kd * joint_rates)
