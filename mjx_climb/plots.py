@@ -23,10 +23,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from mjx_climb.config import HeightMap
-from mjx_climb.dataset import AXES, JOINTS, write_bytes_atomically
-from mjx_climb.metrics import METRICS
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.files.dataset import AXES, JOINTS, write_bytes_atomically
+from mjx_climb.rollouts.trajectory import Trajectory
+from mjx_climb.scenario.model import HeightMap
+from mjx_climb.walk.metrics import METRICS
 
 COLUMN = 3.5  # inch, width of a column
 
@@ -476,7 +476,7 @@ def plot_feet(trajectory: Trajectory) -> Figure:
     Bars and rings are the footholds that the gait plans; a red cross is where a gripper was torn off, and soon after
     that the picture ends.
     """
-    from mjx_climb.ground import foothold_heights, footholds
+    from mjx_climb.quantities.ground import foothold_heights, footholds
 
     scenario, time = trajectory.scenario, trajectory.time
     rows = min(_whole(trajectory), int(np.searchsorted(time, _failure_time(trajectory) + 0.1)))
@@ -540,7 +540,7 @@ def plot_feet(trajectory: Trajectory) -> Figure:
 
 def _draw_relief(figure: Figure, panel: Axes, ground: HeightMap, along: Callable[[np.ndarray], np.ndarray]) -> None:
     """Draw a height map from above, with a colour bar."""
-    from mjx_climb.ground import relief
+    from mjx_climb.quantities.ground import relief
 
     x, y, heights = relief(ground)
     corners = along(np.stack(np.meshgrid(x, y), -1))

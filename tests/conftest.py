@@ -14,8 +14,8 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.robot import load_robot
-from mjx_climb.state import State, integrate
+from mjx_climb.dynamics.state import State, integrate
+from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
 

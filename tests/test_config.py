@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_climb.config import Cargo, ConfigError, Push, Scenario, load_scenario
+from mjx_climb.scenario.model import Cargo, ConfigError, Push, Scenario, load_scenario
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -288,7 +288,7 @@ def test_every_key_says_what_it_is():
 
 def test_config_is_light():
     """A command line that only reads a scenario must not wait for JAX."""
-    source = sys.modules["mjx_climb.config"].__file__
+    source = sys.modules["mjx_climb.scenario.model"].__file__
     code = (
         "import runpy, sys\n"
         f"runpy.run_path({source!r}, run_name='config')\n"

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import dataset as ds
+from mjx_climb.files import dataset as ds
 
 SCENARIO = mc.Scenario().with_overrides(
     {

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb import robot as robot_module
-from mjx_climb.kinematics import foot_kinematics, limb_frames
-from mjx_climb.robot import load_model, load_robot, model_path, robot_from_model
-from mjx_climb.spatial import quaternion_to_matrix
-from mjx_climb.state import State, batch_last
+from mjx_climb.dynamics.kinematics import foot_kinematics, limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.dynamics.state import State, batch_last
+from mjx_climb.robot import constants
+from mjx_climb.robot.constants import load_model, load_robot, model_path, robot_from_model
 
 REFERENCE = json.loads((Path(__file__).parent / "reference" / "dynamics_vectors.json").read_text())
 CASES = REFERENCE["cases"]
@@ -122,7 +122,7 @@ def stacked(acceleration):
 def test_a_mass_changed_in_the_mjcf_changes_everywhere(engine, states, forces, monkeypatch, tmp_path):
     """A robot file with a heavier base and tibia: total mass and accelerations are those of MuJoCo on that file."""
     (tmp_path / "heavier.xml").write_text(HEAVIER)
-    monkeypatch.setattr(robot_module, "model_path", lambda name: tmp_path / f"{name}.xml")
+    monkeypatch.setattr(constants, "model_path", lambda name: tmp_path / f"{name}.xml")
     robot = load_robot("heavier")
     assert robot.total_mass[0] == pytest.approx(MASS + 0.9 - 0.4417225774 + 0.4 - 0.220163242967499, rel=1e-12)
     ours = dynamics(states, *forces, 0.0, engine, "heavier")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.compilation import kernel_pays
-from mjx_climb.gpu_kernel import over_robots
-from mjx_climb.parameters import Gains, Parameters
-from mjx_climb.rollout import metrics_of
-from mjx_climb.walk import structure
+from mjx_climb.compilation.gpu_kernel import over_robots
+from mjx_climb.compilation.options import kernel_pays
+from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.rollouts.rollout import metrics_of
+from mjx_climb.walk.step import structure
 
 ROBOTS = 140  # a block and a part of one
 STEPS = 120

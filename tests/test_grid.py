@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.dataset import OutputError
+from mjx_climb.files.dataset import OutputError
 from tuning import gains_file, grid, parts
 
 ROOT = Path(__file__).parents[1]

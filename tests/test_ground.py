@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.ground import check_reach, foothold_heights, footholds
+from mjx_climb.quantities.ground import check_reach, foothold_heights, footholds
 
 STEPS = {"LF": [0.0, 0.02], "LH": [0.01, -0.01], "RH": [0.0, 0.015, 0.03], "RF": [-0.01]}
 CALM = {"duration": 3.2, "gait.cycle": 1.6, "gait.stride": 0.02, "time_step": 0.001}

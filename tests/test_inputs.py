@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb import dataset, inputs
-from mjx_climb.ground import foothold_heights
-from mjx_climb.robot import load_robot
+from mjx_climb.files import dataset, scenario_files
+from mjx_climb.quantities.ground import foothold_heights
+from mjx_climb.robot.constants import load_robot
 from tests.test_robot_file import keys, urdf
 from tuning.command_line import main
 
@@ -48,9 +48,9 @@ def config(tmp_path):
 
 
 def kept(scenario, folder):
-    """Write what a command keeps of its inputs."""
-    scenario = inputs.copied(scenario, folder)
-    dataset.write_text_atomically(folder / "config.yaml", inputs.portable_yaml(scenario, folder))
+    """Write what a command keeps of its scenario_files."""
+    scenario = scenario_files.copied(scenario, folder)
+    dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(scenario, folder))
     return scenario
 
 
@@ -85,7 +85,7 @@ def test_an_mjcf_takes_includes_and_meshes_along(tmp_path):
     )
     _, reach = urdf(0)
     scenario = mc.Scenario.model_validate(keys(mine / "models" / "robot.xml", reach))
-    copy = Path(inputs.copied(scenario, tmp_path / "out").robot.file)
+    copy = Path(scenario_files.copied(scenario, tmp_path / "out").robot.file)
     shutil.rmtree(mine)
     assert copy == tmp_path / "out" / "inputs" / "robot" / "models" / "robot.xml"
     assert mujoco.MjModel.from_xml_path(str(copy)).nmesh == 1
@@ -93,18 +93,18 @@ def test_an_mjcf_takes_includes_and_meshes_along(tmp_path):
 
 def test_a_scenario_without_files_keeps_nothing(tmp_path):
     scenario = mc.Scenario()
-    assert inputs.copied(scenario, tmp_path / "out") == scenario
+    assert scenario_files.copied(scenario, tmp_path / "out") == scenario
     assert not (tmp_path / "out").exists()
-    assert inputs.identity(scenario) == inputs.portable_yaml(scenario, tmp_path) == scenario.to_yaml()
+    assert scenario_files.identity(scenario) == scenario_files.portable_yaml(scenario, tmp_path) == scenario.to_yaml()
 
 
 def test_identity_is_of_the_contents_not_of_the_place(config, tmp_path):
     scenario = mc.load_scenario(config)
-    before = inputs.identity(scenario)
-    copy = inputs.copied(scenario, tmp_path / "out")
-    assert inputs.identity(copy) == before
+    before = scenario_files.identity(scenario)
+    copy = scenario_files.copied(scenario, tmp_path / "out")
+    assert scenario_files.identity(copy) == before
     Path(copy.ground.map.file).write_text("0,0.002\n0.004,0.001\n")
-    assert inputs.identity(copy) != before
+    assert scenario_files.identity(copy) != before
 
 
 def test_datasets_name_the_files_beside_them(config, tmp_path):

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.inverse_kinematics import inverse_kinematics, limb_geometry
-from mjx_climb.kinematics import limb_frames
-from mjx_climb.robot import load_robot
-from mjx_climb.spatial import rotate, rotate_back
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.dynamics.spatial import rotate, rotate_back
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 
 ROBOT = load_robot("hubrobo_v3_2")
 GEOMETRY = limb_geometry(ROBOT)

@@ -9,7 +9,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.plots import LARGER_IS_BETTER
-from mjx_climb.smooth_extremes import PREFIX
+from mjx_climb.walk.smooth_extremes import PREFIX
 from tuning import search, spaces
 from tuning.objectives import Limit, Objective, Term
 

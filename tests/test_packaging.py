@@ -15,7 +15,7 @@ import pytest
 import mjx_climb as mc
 
 ROOT = Path(__file__).parents[1]
-ASSETS = ("mjx_climb/robots/*.xml", "mjx_climb/*.json", "tuning/report/page.*")  # beside the code
+ASSETS = ("mjx_climb/robot/models/*.xml", "mjx_climb/checks/*.json", "tuning/report/page.*")  # beside the code
 
 pytestmark = pytest.mark.slow
 
@@ -106,7 +106,7 @@ def test_installed_code_finds_its_own_files(programs, tmp_path):
         "from pathlib import Path\n"
         "import mjx_climb, tuning\n"
         "from mjx_climb import self_check\n"
-        "from mjx_climb.robot import load_robot\n"
+        "from mjx_climb.robot.constants import load_robot\n"
         "from tuning import ensemble, shipped\n"
         "from tuning.report import page\n"
         f"home = Path({str(programs.parent)!r})\n"

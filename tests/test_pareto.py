@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb import dataset
-from mjx_climb.config import ConfigError
+from mjx_climb.files import dataset
+from mjx_climb.scenario.model import ConfigError
 from tuning import overviews, pareto
 from tuning.shipped import config_path
 

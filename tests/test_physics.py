@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.kinematics import center_of_mass, foot_kinematics, limb_frames
-from mjx_climb.robot import load_model, load_robot
-from mjx_climb.spatial import quaternion_to_matrix
-from mjx_climb.state import State
+from mjx_climb.dynamics.kinematics import center_of_mass, foot_kinematics, limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.dynamics.state import State
+from mjx_climb.robot.constants import load_model, load_robot
 
 MODEL = load_model("hubrobo_v3_2")
 # all four grip from 0.4 s to 10 s, standing on the spot

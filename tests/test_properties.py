@@ -17,15 +17,15 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.config import ConfigError, Scenario, _Dumper
-from mjx_climb.contact import Contact, grip
 from mjx_climb.control import LAWS, Measurement, Reference
 from mjx_climb.control.virtual_model import VirtualState, advance, discretize
-from mjx_climb.inverse_kinematics import inverse_kinematics, limb_geometry
-from mjx_climb.kinematics import Feet, limb_frames
-from mjx_climb.parameters import Gains
-from mjx_climb.robot import load_robot
-from mjx_climb.spatial import rotate_back
+from mjx_climb.dynamics.kinematics import Feet, limb_frames
+from mjx_climb.dynamics.spatial import rotate_back
+from mjx_climb.quantities.parameters import Gains
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario.model import ConfigError, Scenario, _Dumper
+from mjx_climb.walk.contact import Contact, grip
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 
 # ------------------------------------------------------------------------------------------------------------
 # Scenarios

@@ -16,10 +16,10 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb import plots, rendering
-from mjx_climb.dataset import OutputError
+from mjx_climb.files.dataset import OutputError
 from mjx_climb.rendering import backend, camera, canvas, film, marks, replay, surroundings, viewer
-from mjx_climb.robot import load_model
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.robot.constants import load_model
+from mjx_climb.rollouts.trajectory import Trajectory
 from tuning.command_line import main
 
 CONFIG = Path(__file__).parents[1] / "configs" / "case_1_2.yaml"

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.histories import LINES, histories
+from mjx_climb.rollouts.histories import LINES, histories
 from tuning import paper, pareto, result, search, verification
 from tuning.command_line.options import without_folders
 from tuning.report import comparison, explorer, page, reproduce, tune

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.config import ConfigError
-from mjx_climb.sample import Sample
+from mjx_climb.scenario.model import ConfigError
+from mjx_climb.walk.sample import Sample
 from tuning import paper, shipped
 from tuning.command_line import main, reproduce
 from tuning.paper import CASES

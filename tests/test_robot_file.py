@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.inverse_kinematics import inverse_kinematics, limb_geometry
-from mjx_climb.kinematics import limb_frames
-from mjx_climb.robot import load_model, load_robot
-from mjx_climb.time_step import growth, largest_time_step
+from mjx_climb.checks.time_step import growth, largest_time_step
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 
 LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
 IMU = 'name="imu_mount" type="fixed"><parent link="trunk"/><child link="imu"/><origin xyz="0.02 0 0.03"/>'
@@ -265,7 +265,7 @@ def test_a_relative_path_starts_at_the_config(written, tmp_path, monkeypatch):
 
 def test_an_mjcf_is_a_file_like_any_other(tmp_path):
     """HubRobo's own MJCF as a user's: the robot is the one that comes by name."""
-    from mjx_climb.robot import model_path
+    from mjx_climb.robot.constants import model_path
 
     limbs = {
         limb: {"joints": [f"{limb}_{link}" for link in ("coxa", "femur", "tibia")], "foot": f"{limb}_foot",

@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.config import ConfigError
-from mjx_climb.smooth_extremes import PREFIX
+from mjx_climb.scenario.model import ConfigError
+from mjx_climb.walk.smooth_extremes import PREFIX
 from tuning import ensemble as ensembles
 from tuning import robust, search, tune
 from tuning.ensemble import Ensemble

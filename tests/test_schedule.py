@@ -9,8 +9,8 @@ import xarray as xr
 import yaml
 
 import mjx_climb as mc
-from mjx_climb import dataset
-from mjx_climb.config import ConfigError
+from mjx_climb.files import dataset
+from mjx_climb.scenario.model import ConfigError
 from tuning import overviews, schedule
 from tuning.shipped import config_path
 

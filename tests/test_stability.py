@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.stability import gia_margin, net_external_wrench, tumble_stability_margin
+from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
 jax.config.update("jax_enable_x64", True)
 

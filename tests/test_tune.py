@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.config import ConfigError
-from mjx_climb.parameters import gains as gains_of
+from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.scenario.model import ConfigError
 from tuning import evaluation, objectives, result, search, spaces
 from tuning.evaluation import Evaluation, Problem
 from tuning.methods import METHODS, Task

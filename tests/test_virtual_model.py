@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm, expm_frechet
 
 from mjx_climb.control.virtual_model import VirtualState, advance, discretize
-from mjx_climb.parameters import Gains
+from mjx_climb.quantities.parameters import Gains
 
 STEP = 1e-3
 GAINS = {  # M, D, K

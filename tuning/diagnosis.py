@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mjx_climb.self_check import Deviation
+    from mjx_climb.checks.self_check import Deviation
 
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
 SIMULATION = ("walk", "gradient")
@@ -65,8 +65,7 @@ def versions() -> Part:
 def devices() -> Part:
     """Return what the simulations run on."""
     import jax
-
-    from mjx_climb.devices import usable_cores
+    from mjx_climb.options.devices import usable_cores
 
     found = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()]
     facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
@@ -75,11 +74,11 @@ def devices() -> Part:
 
 def cache() -> Part:
     """Return the state of XLA's compilation cache."""
-    from mjx_climb import compilation
+    from mjx_climb.compilation import options
 
-    folder = compilation.cache_in_use()
+    folder = options.cache_in_use()
     if folder is None:
-        text = f"off ({compilation.VARIABLE}): every start compiles again"
+        text = f"off ({options.VARIABLE}): every start compiles again"
         return Part("cache", text, {"on": False, "folder": None})
     sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
     facts = {"on": True, "folder": folder, "programs": len(sizes), "bytes": sum(sizes), "writable": True}
@@ -89,7 +88,7 @@ def cache() -> Part:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        remedy = f"set {compilation.VARIABLE} to a folder that can be, or to off"
+        remedy = f"set {options.VARIABLE} to a folder that can be, or to off"
         reason = (error.strerror or str(error)).lower()
         finding = f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}"
         return Part("cache", text, {**facts, "writable": False}, (finding,))
@@ -111,7 +110,7 @@ def renderer() -> Part:
 
 def simulation() -> list[Part]:
     """Return how far walk, gradient and dynamics on this machine are from the stored values."""
-    from mjx_climb import self_check
+    from mjx_climb.checks import self_check
 
     with warnings.catch_warnings():
         # what `cache` has found already

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.dataset import SIX
+from mjx_climb.files.dataset import SIX
 from tuning.ros2_control import six
 
 UNITS = {  # of translations, of rotations

@@ -13,11 +13,11 @@ import xarray as xr
 from numpy.typing import DTypeLike
 
 import mjx_climb as mc
-from mjx_climb import inputs
-from mjx_climb.dataset import PACKAGES, sweep_dataset
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.histories import LINES, stretches
-from mjx_climb.robot import model_path
+from mjx_climb.files import scenario_files
+from mjx_climb.files.dataset import PACKAGES, sweep_dataset
+from mjx_climb.robot.constants import model_path
+from mjx_climb.rollouts.histories import LINES, stretches
 from tuning.parts import Parts
 
 HISTORIES = 256  # walks up to which a grid keeps time histories
@@ -75,8 +75,9 @@ def sweep(
 ) -> xr.Dataset:
     """Walk the whole grid and return the metrics over (stiffness, damping).
 
-    A grid of up to `HISTORIES` walks keeps time histories as well: for each name in `mjx_climb.histories.LINES` the
-    least and the largest value in each stretch of time, over (stiffness, damping, extreme, stretch).
+    A grid of up to `HISTORIES` walks keeps time histories as well: for each name in
+    `mjx_climb.rollouts.histories.LINES` the least and the largest value in each stretch of time, over (stiffness,
+    damping, extreme, stretch).
 
     Arguments:
         scenario: what walks where; its control section gives the inertia and the joint gains.
@@ -177,7 +178,7 @@ def _identity(
         except importlib.metadata.PackageNotFoundError:
             versions[name] = None
     return {
-        "scenario": inputs.identity(scenario),
+        "scenario": scenario_files.identity(scenario),
         "stiffness": np.asarray(stiffness, float).tolist(),
         "damping": np.asarray(damping, float).tolist(),
         "dtype": np.dtype(dtype).name,

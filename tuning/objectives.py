@@ -14,9 +14,9 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.config import ConfigError
 from mjx_climb.plots import LARGER_IS_BETTER
-from mjx_climb.smooth_extremes import PREFIX
+from mjx_climb.scenario.model import ConfigError
+from mjx_climb.walk.smooth_extremes import PREFIX
 from tuning.search import Search
 
 Metrics = Mapping[str, Array]

@@ -14,11 +14,11 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import dataset
-from mjx_climb.config import ConfigError
-from mjx_climb.dataset import METRIC_NAMES, SIX
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.files import dataset
+from mjx_climb.files.dataset import METRIC_NAMES, SIX
 from mjx_climb.plots import LARGER_IS_BETTER
+from mjx_climb.scenario.model import ConfigError
 from tuning import tune
 from tuning.evaluation import Evaluation, Problem
 from tuning.methods import Task, gradient

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjx_climb.dataset import OutputError, write_bytes_atomically, write_text_atomically
+from mjx_climb.files.dataset import OutputError, write_bytes_atomically, write_text_atomically
 
 FOLDER = "parts"
 

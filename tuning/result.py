@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import dataset
-from mjx_climb.config import ConfigError
-from mjx_climb.dataset import METRIC_NAMES
+from mjx_climb.files import dataset
+from mjx_climb.files.dataset import METRIC_NAMES
+from mjx_climb.scenario.model import ConfigError
 from tuning import search as search_settings
 from tuning.search import Search
 from tuning.spaces import Space, to_gains64

@@ -14,14 +14,14 @@ import xarray as xr
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb import dataset
-from mjx_climb.compilation import enable_cache
-from mjx_climb.config import ConfigError
-from mjx_climb.dataset import METRIC_NAMES
+from mjx_climb.compilation.options import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.parameters import batch_shape
+from mjx_climb.files import dataset
+from mjx_climb.files.dataset import METRIC_NAMES
 from mjx_climb.plots import LARGER_IS_BETTER
-from mjx_climb.smooth_extremes import PREFIX
+from mjx_climb.quantities.parameters import batch_shape
+from mjx_climb.scenario.model import ConfigError
+from mjx_climb.walk.smooth_extremes import PREFIX
 from tuning import ensemble as ensembles
 from tuning import objectives, tune
 from tuning.ensemble import Ensemble, Worst

@@ -18,12 +18,12 @@ import xarray as xr
 import yaml
 
 import mjx_climb as mc
-from mjx_climb import dataset
-from mjx_climb.config import ConfigError
-from mjx_climb.dataset import METRIC_NAMES, SIX
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
-from mjx_climb.parameters import gains as gains_of
+from mjx_climb.files import dataset
+from mjx_climb.files.dataset import METRIC_NAMES, SIX
+from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.scenario.model import ConfigError
 from tuning import objectives, spaces, tune
 from tuning.evaluation import Evaluation, Problem
 from tuning.methods import Task, gradient

@@ -15,9 +15,9 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.config import ConfigError
-from mjx_climb.dataset import SIX
-from mjx_climb.parameters import gains as gains_of
+from mjx_climb.files.dataset import SIX
+from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.scenario.model import ConfigError
 from tuning.search import Search
 
 SIX_AXES = ("inertia", "damping", "stiffness")

@@ -18,17 +18,17 @@ import xarray as xr
 from jax.typing import ArrayLike
 
 import mjx_climb as mc
-from mjx_climb import gait
+from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.inverse_kinematics import inverse_kinematics
-from mjx_climb.kernels import in_kernels
-from mjx_climb.parameters import batch_last
-from mjx_climb.spatial import quaternion_to_matrix, rotate_back
-from mjx_climb.state import State
-from mjx_climb.walk import Carry, Structure, advance, begin, prepare, structure
+from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
+from mjx_climb.dynamics.state import State
+from mjx_climb.quantities.parameters import batch_last
+from mjx_climb.walk import gait
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics
+from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
 
 _CHUNK = 64  # gain sets per compiled batch
-_EQUATIONS = 400  # in a piece: compiles faster than smaller ones, see `mjx_climb.kernels`
+_EQUATIONS = 400  # in a piece: compiles faster than smaller ones, see `mjx_climb.compilation.cpu_pieces`
 _FINEST = 48  # values along an axis of a map
 _Varied = tuple[State, Any]  # of the robot and of the law
 

@@ -19,11 +19,11 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb import inputs
-from mjx_climb.dataset import PACKAGES, OutputError
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.parameters import batch_shape
-from mjx_climb.robot import model_path
+from mjx_climb.files import scenario_files
+from mjx_climb.files.dataset import PACKAGES, OutputError
+from mjx_climb.quantities.parameters import batch_shape
+from mjx_climb.robot.constants import model_path
 from tuning import evaluation, objectives, result, spaces
 from tuning.evaluation import Evaluation, Problem
 from tuning.methods import METHODS, Request, Task
@@ -214,7 +214,7 @@ def _identity(problem: Problem, search: Search, function: Judge | None) -> dict[
         arrays = (np.ascontiguousarray(value) for value in jax.tree.leaves(numbers))
         digest = hashlib.sha256(b"".join(repr(a.shape).encode() + a.tobytes() for a in arrays)).hexdigest()
     return {
-        "scenario": inputs.identity(problem.scenario),
+        "scenario": scenario_files.identity(problem.scenario),
         "search": search.to_yaml(),
         "objective": None if function is None else _source(function),
         "numbers": digest,

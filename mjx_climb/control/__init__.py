@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from mjx_climb.control import base_admittance, end_effector_admittance, pd
 from mjx_climb.control.law import Command, Law, Measurement, Reference
-from mjx_climb.parameters import Gains
+from mjx_climb.quantities.parameters import Gains
 
 # (controller, reading of the paper's equation) -> build; gains are (6, B)
 LAWS: dict[tuple[str, str], Callable[[Gains, float], Law]] = {

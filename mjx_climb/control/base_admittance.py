@@ -9,8 +9,7 @@ from jax import Array
 
 from mjx_climb.control.law import Command, Law, Measurement, Reference
 from mjx_climb.control.virtual_model import VirtualState, advance, discretize, rest
-from mjx_climb.parameters import Gains
-from mjx_climb.spatial import (
+from mjx_climb.dynamics.spatial import (
     quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -18,6 +17,7 @@ from mjx_climb.spatial import (
     rotate,
     rotate_back,
 )
+from mjx_climb.quantities.parameters import Gains
 
 
 def _in_reference_axes(rotation: Array, vector: Array) -> Array:

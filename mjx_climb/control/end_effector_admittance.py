@@ -10,8 +10,8 @@ import jax.numpy as jnp
 
 from mjx_climb.control.law import Command, Law, Measurement, Reference
 from mjx_climb.control.virtual_model import VirtualState, advance, discretize, rest
-from mjx_climb.parameters import Gains
-from mjx_climb.spatial import quaternion_to_matrix, rotate, rotate_back
+from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate, rotate_back
+from mjx_climb.quantities.parameters import Gains
 
 _LIMBS = 4
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.parameters import Parameters
+from mjx_climb.quantities.parameters import Parameters
 
 
 def joint_torque(numbers: Parameters, target: Array, joint_angles: Array, joint_rates: Array) -> Array:

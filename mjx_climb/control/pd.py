@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from mjx_climb.control.law import Command, Law, Measurement, Reference
-from mjx_climb.parameters import Gains
+from mjx_climb.quantities.parameters import Gains
 
 
 def build(gains: Gains, time_step: float) -> Law:

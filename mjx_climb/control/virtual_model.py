@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from mjx_climb.parameters import Gains
+from mjx_climb.quantities.parameters import Gains
 
 _DOUBLINGS = 24
 

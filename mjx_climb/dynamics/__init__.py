@@ -13,8 +13,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from mjx_climb.dynamics import limb_engine, mjx_engine
-from mjx_climb.robot import Robot, load_robot
-from mjx_climb.state import Acceleration, State, batch_last, joints_to_limbs, limbs_to_joints
+from mjx_climb.dynamics.state import Acceleration, State, batch_last, joints_to_limbs, limbs_to_joints
+from mjx_climb.robot.constants import Robot, load_robot
 
 # state, joint torque (3, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.kinematics import LimbFrames, base_wrench_of_foot_force, limb_frames
-from mjx_climb.robot import Robot
-from mjx_climb.spatial import compose, cross, dot, quaternion_to_matrix, rotate, rotate_back
-from mjx_climb.state import Acceleration, State
+from mjx_climb.dynamics.kinematics import LimbFrames, base_wrench_of_foot_force, limb_frames
+from mjx_climb.dynamics.spatial import compose, cross, dot, quaternion_to_matrix, rotate, rotate_back
+from mjx_climb.dynamics.state import Acceleration, State
+from mjx_climb.robot.constants import Robot
 
 
 class Inertia(NamedTuple):

@@ -14,15 +14,15 @@ with contextlib.redirect_stdout(io.StringIO()):  # mjx prints which optional bac
     from mujoco import mjx
     from mujoco.mjx._src import smooth
 
-from mjx_climb.kinematics import (
+from mjx_climb.dynamics.kinematics import (
     base_wrench_of_foot_force,
     foot_kinematics,
     joint_torque_of_foot_force,
     limb_frames,
 )
-from mjx_climb.robot import Robot
-from mjx_climb.spatial import quaternion_to_matrix, rotate, rotate_back
-from mjx_climb.state import Acceleration, State, joints_to_limbs, limbs_to_joints
+from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate, rotate_back
+from mjx_climb.dynamics.state import Acceleration, State, joints_to_limbs, limbs_to_joints
+from mjx_climb.robot.constants import Robot
 
 _BASE = 1
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from mjx_climb.rendering.replay import whole
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.rollouts.trajectory import Trajectory
 
 AZIMUTH, ELEVATION = 122.0, -27.0  # degrees, at heading zero: ahead of the robot and to its right
 MICROGRAVITY = 0.02  # m/s^2; below, there is no down

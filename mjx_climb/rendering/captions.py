@@ -9,12 +9,12 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mjx_climb.config import Scenario
 from mjx_climb.plots import detachments
 from mjx_climb.rendering import marks
 from mjx_climb.rendering.camera import MICROGRAVITY, View
 from mjx_climb.rendering.replay import whole
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.rollouts.trajectory import Trajectory
+from mjx_climb.scenario.model import Scenario
 
 WHITE, DIM, DARK, ALARM = (255, 255, 255), (205, 208, 212), (16, 18, 22, 168), (255, 120, 110)
 LAWS = {

@@ -12,7 +12,7 @@ from mjx_climb.rendering.camera import Follower
 from mjx_climb.rendering.canvas import Canvas
 from mjx_climb.rendering.captions import Caption, controller
 from mjx_climb.rendering.replay import pose, row_at
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.rollouts.trajectory import Trajectory
 
 PATH_STEP = 0.04  # s, between points of a foot's path
 FPS, SIZE, PAIR_SIZE = 25, (1280, 720), (960, 720)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from mjx_climb.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, VERMILLION
 from mjx_climb.rendering.replay import whole
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.rollouts.trajectory import Trajectory
 
 LONGEST = 0.24  # m, of the largest arrow
 SHORTEST = 0.004  # m, shorter ones are left out

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.rollouts.trajectory import Trajectory
 
 
 def whole(trajectory: Trajectory) -> int:

@@ -5,8 +5,8 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from mjx_climb.config import RobotFile
-from mjx_climb.robot import load_spec
+from mjx_climb.robot.constants import load_spec
+from mjx_climb.scenario.model import RobotFile
 
 GROUND = "relief"  # the geom's name
 REACH = 1.8  # m, half the width of the ground that has relief

@@ -14,7 +14,7 @@ from mjx_climb.rendering.backend import require_display
 from mjx_climb.rendering.camera import Follower
 from mjx_climb.rendering.captions import controller
 from mjx_climb.rendering.replay import pose, row_at
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.rollouts.trajectory import Trajectory
 
 PAUSE = 1.0  # s, at the end of a walk, before the next one starts
 GROUND_ALPHA = 0.6  # pulling forces point into the ground

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mjx_climb.dataset import OutputError, write_bytes_atomically
+from mjx_climb.files.dataset import OutputError, write_bytes_atomically
 from mjx_climb.rendering import film
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.rollouts.trajectory import Trajectory
 
 QUALITY = "20"  # x264's constant rate factor: smaller is better and larger
 

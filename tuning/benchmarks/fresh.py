@@ -31,7 +31,7 @@ def measure(what: str, batch: int, steps: int, engine: str, cache: str) -> dict[
 def main() -> None:
     import jax
 
-    from mjx_climb.compilation import enable_cache
+    from mjx_climb.compilation.options import enable_cache
     from tuning.benchmarks import programs
 
     what, batch, steps, engine = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]

@@ -119,7 +119,7 @@ def _work(
     """Return what this program runs in turns, with a batch and with one robot; the former's peers; what ends them."""
     import jax
 
-    from mjx_climb import devices
+    from mjx_climb.compilation import devices
     from tuning.benchmarks import mujoco_batch, mujoco_rollout, programs
 
     steps, share = plan.steps, devices.share_size(batch, None)

@@ -5,7 +5,7 @@ import numpy as np
 from mujoco import rollout
 
 import mjx_climb as mc
-from mjx_climb.robot import load_spec
+from mjx_climb.robot.constants import load_spec
 
 
 class Peer:

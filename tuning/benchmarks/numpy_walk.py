@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import expm
 
 import mjx_climb as mc
-from mjx_climb.config import Cargo, Push
-from mjx_climb.robot import load_spec
+from mjx_climb.robot.constants import load_spec
+from mjx_climb.scenario.model import Cargo, Push
 
 FEET = ("LF_foot", "LH_foot", "RH_foot", "RF_foot")
 BASE = 1  # body

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 import mjx_climb as mc
-from mjx_climb.rollout import Metrics
+from mjx_climb.rollouts.rollout import Metrics
 
 TIME_STEP = 0.001  # s
 

@@ -34,7 +34,7 @@ def export(
       mjx-climb export results/case_1_2-tune-gradient-isotropic/gains.yaml --update-rate 500
       mjx-climb export gains.yaml --format csv --out gains.csv
     """
-    from mjx_climb import dataset
+    from mjx_climb.files import dataset
     from tuning import gains_file, gains_tables, ros2_control
     from tuning.command_line.ending import InputError
 

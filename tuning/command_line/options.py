@@ -17,7 +17,7 @@ from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
-    from mjx_climb.config import ConfigError
+    from mjx_climb.scenario.model import ConfigError
     from tuning.report.page import Origin
     from tuning.search import Search
 
@@ -90,8 +90,8 @@ def origin(name: str, again: str, config: str) -> "Origin":
 def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, before any gains file."""
     import mjx_climb as mc
-    from mjx_climb.ground import check_reach
-    from mjx_climb.time_step import check_time_step
+    from mjx_climb.checks.time_step import check_time_step
+    from mjx_climb.quantities.ground import check_reach
 
     config = shipped.found(config)
     scenario = mc.load_scenario(config, changes or ())
@@ -122,7 +122,7 @@ def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: P
     Raises:
         ConfigError: in one line, the config, the file of the search or the options, and what is wrong there.
     """
-    from mjx_climb.config import ConfigError
+    from mjx_climb.scenario.model import ConfigError
     from tuning.spaces import space
 
     try:
@@ -138,7 +138,7 @@ def weighing(place: Path | str | None) -> Iterator[None]:
     Raises:
         ConfigError: in one line, the place, and what is wrong there.
     """
-    from mjx_climb.config import ConfigError
+    from mjx_climb.scenario.model import ConfigError
 
     try:
         yield

@@ -55,7 +55,8 @@ def pareto(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, inputs, plots
+        from mjx_climb import plots
+        from mjx_climb.files import dataset, scenario_files
         from tuning import gains_file, overviews, parts, tune
         from tuning import pareto as fronts
         from tuning import search as settings
@@ -77,8 +78,8 @@ def pareto(
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing("--better"):
             tune.problem_of(scenario, fronts.bettering(better, wanted), engine=engine)
-        scenario = inputs.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
+        scenario = scenario_files.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
         def told(done: int, total: int, phase: str) -> None:
             nonlocal kept
@@ -106,7 +107,8 @@ def pareto(
                     front, chosen, mc.rollout_histories(scenario, on_front, engine=engine),
                     {name: mc.rollout(s, engine=engine) for name, s in (("pd", pd), ("config", scenario))},
                     page.Table("The front", *front_rows(front, chosen), 1), scenario,
-                    origin=options.origin(config.stem, again, inputs.portable_yaml(scenario, out)), seed=wanted.seed,
+                    origin=options.origin(config.stem, again, scenario_files.portable_yaml(scenario, out)),
+                    seed=wanted.seed,
                     pictures={"The front, and all that was walked on the way.": out / "front.svg"},
                 )  # fmt: skip
                 page.write(written, out)

@@ -94,7 +94,7 @@ class Meter:
             bar.update(task, description=f"{name}: walking")
 
         def advanced(done: int, total: int, text: str | None = None) -> None:
-            compilation.since = now = time.perf_counter()
+            options.since = now = time.perf_counter()
             left = estimate.update(done, total, now)
             text = text or f"{name}: {done} of {total} {unit}"
             text += f", about {duration(left)} left" if left else ""
@@ -106,7 +106,7 @@ class Meter:
         with Compilation(compiled) as compilation, bar:
             yield advanced
         text = f"{name}: {duration(time.perf_counter() - begin)}"
-        spent = [f"{duration(seconds)} {source}" for source, seconds in compilation.seconds.items()]
+        spent = [f"{duration(seconds)} {source}" for source, seconds in options.seconds.items()]
         self.console.print(text + (f", of which {' and '.join(spent)}" if spent else ""))
 
 
@@ -124,11 +124,11 @@ def cache_state() -> str:
     """Return one line on XLA's compilation cache."""
     from pathlib import Path
 
-    from mjx_climb import compilation
+    from mjx_climb.compilation import options
 
-    folder = compilation.cache_in_use()
+    folder = options.cache_in_use()
     if folder is None:
-        return f"compilation cache: off ({compilation.VARIABLE})"
+        return f"compilation cache: off ({options.VARIABLE})"
     with contextlib.suppress(OSError):
         count = len(list(Path(folder).glob("*-cache")))
         return f"compilation cache: {folder}, {count or 'no'} programs"

@@ -59,7 +59,8 @@ def reproduce(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, plots
+        from mjx_climb import plots
+        from mjx_climb.files import dataset
         from tuning import paper, shipped
         from tuning.command_line import progress, report
         from tuning.report import page

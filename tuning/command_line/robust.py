@@ -28,8 +28,9 @@ def tune_robustly(
     name: str, line: "Callable[[Progress], str]", meter: "Meter", stdout: TextIO, *, json: bool,
 ) -> None:  # fmt: skip
     """Search, judge the result beside the config's gains and pd, and write both."""
-    from mjx_climb import dataset, inputs, plots
-    from mjx_climb.parameters import gains as gains_of
+    from mjx_climb import plots
+    from mjx_climb.files import dataset, scenario_files
+    from mjx_climb.quantities.parameters import gains as gains_of
     from tuning import gains_file, overviews, parts, pictures, robust
     from tuning.command_line import progress, report
     from tuning.report import page
@@ -71,7 +72,8 @@ def tune_robustly(
             again = "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again"
             written = pages.robust_page(
                 found, page.Table("On the walks of a fresh draw", *robust_rows(summed), 3), f"{verdict}.",
-                origin=options.origin(name, again + options.engine_option(engine), inputs.portable_yaml(scenario, out)),
+                origin=options.origin(name, again + options.engine_option(engine),
+                                      scenario_files.portable_yaml(scenario, out)),
                 pictures={"How the search converged.": out / "convergence.svg",
                           "Share of the fresh walks below a value.": out / "judged.svg"},
             )  # fmt: skip

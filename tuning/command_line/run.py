@@ -47,8 +47,9 @@ def run(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, inputs, plots
-        from mjx_climb.robot import load_robot
+        from mjx_climb import plots
+        from mjx_climb.files import dataset, scenario_files
+        from mjx_climb.robot.constants import load_robot
         from tuning import gains_file
         from tuning.command_line import progress, report
 
@@ -60,9 +61,9 @@ def run(
         pictures = visible.pictures_from(video, snapshots, at, size, view, scenario)
         baseline = visible.compared(scenario, compare)
         out = out or Path("results") / f"{config.stem}-{scenario.control.controller}"
-        scenario = inputs.copied(scenario, out)
-        baseline = None if baseline is None else inputs.copied(baseline, out)
-        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
+        scenario = scenario_files.copied(scenario, out)
+        baseline = None if baseline is None else scenario_files.copied(baseline, out)
+        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
         console = report.console(stderr=True)
         console.print(progress.cache_state(), soft_wrap=True)

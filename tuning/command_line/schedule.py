@@ -56,7 +56,8 @@ def schedule(
       mjx-climb schedule case_2 --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
     with options.reserved_stdout() as stdout:
-        from mjx_climb import dataset, inputs, plots
+        from mjx_climb import plots
+        from mjx_climb.files import dataset, scenario_files
         from tuning import overviews, parts
         from tuning import schedule as schedules
         from tuning.command_line import progress, report
@@ -73,8 +74,8 @@ def schedule(
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(search or config):
             schedules.goals(scenario, wanted, levels, loads, engine)
-        scenario = inputs.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
+        scenario = scenario_files.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
         def told(done: int, total: int, phase: str) -> None:
             nonlocal kept

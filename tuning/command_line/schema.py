@@ -26,7 +26,7 @@ def schema(
     import json
 
     import mjx_climb as mc
-    from mjx_climb import dataset
+    from mjx_climb.files import dataset
 
     tree = {"$schema": "https://json-schema.org/draft/2020-12/schema", **mc.Scenario.model_json_schema()}
     text = json.dumps(tree, indent=2) + "\n"

@@ -68,7 +68,7 @@ def sweep(
     stiffness_axis, damping_axis = log_range("--stiffness", stiffness), log_range("--damping", damping)
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, inputs
+        from mjx_climb.files import dataset, scenario_files
         from tuning import gains_file, grid, parts, stability_limit
         from tuning.command_line import progress, report
         from tuning.report import page
@@ -84,8 +84,8 @@ def sweep(
         axes = (stiffness_axis, damping_axis)
         how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "out": out}
         kept, walks = grid.claim(scenario, *axes, **how), math.prod(map(len, axes))
-        own, scenario = inputs.copied(own, out), inputs.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
+        own, scenario = scenario_files.copied(own, out), scenario_files.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
         console = report.console(stderr=True)
         console.print(_announcement(scenario, axes, kept), soft_wrap=True)
@@ -145,7 +145,9 @@ def sweep(
                     scenario,
                     warnings=[f"The best lies on the edge of the grid: widen --{name}." for name in edges],
                     origin=options.origin(
-                        config.stem, _again(stiffness, damping, batch_size, engine), inputs.portable_yaml(scenario, out)
+                        config.stem,
+                        _again(stiffness, damping, batch_size, engine),
+                        scenario_files.portable_yaml(scenario, out),
                     ),
                     pictures={
                         "The walks over time: red crosses mark a torn gripper, shading a disturbance.": out

@@ -115,7 +115,8 @@ def tune(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import dataset, inputs, plots
+        from mjx_climb import plots
+        from mjx_climb.files import dataset, scenario_files
         from tuning import ensemble as ensembles
         from tuning import gains_file, parts, pictures, verification
         from tuning import robust as robust_search
@@ -158,8 +159,8 @@ def tune(
                 tuning_tune.problem_of(scenario, wanted, engine=engine)
             else:
                 robust_search.goal(scenario, drawn, wanted, engine)
-        scenario = inputs.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", inputs.portable_yaml(scenario, out))
+        scenario = scenario_files.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
         dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
         if drawn is not None:
             return tune_robustly(
@@ -231,7 +232,7 @@ def tune(
                     found, checked, over, {name: walks[name] for name in compared}, compared,
                     outcome=[line[0].upper() + line[1:] for line in _verdict(checked, found)],
                     origin=options.origin(
-                        config.stem, again + options.engine_option(engine), inputs.portable_yaml(scenario, out)
+                        config.stem, again + options.engine_option(engine), scenario_files.portable_yaml(scenario, out)
                     ),
                     pictures=pictures_shown,
                 )  # fmt: skip

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from mjx_climb.config import ConfigError
+from mjx_climb.scenario.model import ConfigError
 from tuning.methods.task import Points, Request, Task
 
 BATCH = 16

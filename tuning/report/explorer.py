@@ -10,9 +10,9 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
-from mjx_climb.dataset import METRIC_NAMES
-from mjx_climb.histories import LINES, histories, stretches
+from mjx_climb.files.dataset import METRIC_NAMES
 from mjx_climb.plots import LARGER_IS_BETTER
+from mjx_climb.rollouts.histories import LINES, histories, stretches
 from tuning.words import gain, plain
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
@@ -33,7 +33,7 @@ def explorer(
     Arguments:
         title: above it.
         walks: by name; they share the scenario but for the controller.
-        metrics: of the walks, as `mjx_climb.metrics` gives them.
+        metrics: of the walks, as `mjx_climb.walk.metrics` gives them.
         baseline: the walk that all others are compared with; disturbances and grip changes are its own.
         shown: walks that are drawn at first; all where None.
         points: many walks to choose from, see `grid_points`.

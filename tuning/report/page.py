@@ -11,7 +11,7 @@ import jinja2
 from markupsafe import Markup
 
 import mjx_climb as mc
-from mjx_climb import dataset
+from mjx_climb.files import dataset
 from tuning.words import plain
 
 NAME = "report.html"

@@ -7,7 +7,7 @@ from typing import Any
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.histories import LINES
+from mjx_climb.rollouts.histories import LINES
 from tuning import grid
 from tuning.report import comparison
 from tuning.report.explorer import MOST_CELLS, coarser_grid, explorer, grid_points

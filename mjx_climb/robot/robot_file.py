@@ -6,8 +6,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from mjx_climb.config import RobotFile
-from mjx_climb.posture import limb_joints
+from mjx_climb.robot.posture import limb_joints
+from mjx_climb.scenario.model import RobotFile
 
 LIMBS = ("LF", "LH", "RH", "RF")
 LINKS = ("coxa", "femur", "tibia")

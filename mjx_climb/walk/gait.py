@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.parameters import Parameters
-from mjx_climb.robot import Robot
-from mjx_climb.spatial import quaternion_about_z, quaternion_multiply, rotate, rotation_about_z
+from mjx_climb.dynamics.spatial import quaternion_about_z, quaternion_multiply, rotate, rotation_about_z
+from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.robot.constants import Robot
 
 
 @jax.tree_util.register_dataclass

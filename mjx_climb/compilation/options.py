@@ -43,12 +43,12 @@ def enable_cache() -> None:
 
 
 def pieces_pay(engine: str) -> bool:
-    """Return whether walks with this engine are compiled in pieces, see `mjx_climb.kernels`."""
+    """Return whether walks with this engine are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`."""
     return jax.default_backend() == "cpu" and engine in ELEMENTWISE
 
 
 def kernel_pays(engine: str, dtype: DTypeLike) -> bool:
-    """Return whether walks with this engine are compiled as one GPU kernel, see `mjx_climb.gpu_kernel`.
+    """Return whether walks with this engine are compiled as one GPU kernel, see `mjx_climb.compilation.gpu_kernel`.
 
     It is for NVIDIA's GPUs from compute capability 8.0 on; in float64 its values do not find room in the registers.
     """

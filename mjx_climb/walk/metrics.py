@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.robot import Robot
-from mjx_climb.sample import Sample
-from mjx_climb.spatial import norm
+from mjx_climb.dynamics.spatial import norm
+from mjx_climb.robot.constants import Robot
+from mjx_climb.walk.sample import Sample
 
 METRICS: dict[str, str] = {
     "peak_foot_force": "N",

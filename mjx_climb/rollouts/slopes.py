@@ -12,12 +12,12 @@ import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import DTypeLike
 
-from mjx_climb.compilation import compiler_options, pieces_pay
-from mjx_climb.config import Scenario
+from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.parameters import Gains, Parameters, batch_shape
-from mjx_climb.rollout import Metrics, Tree, given, metrics_of, walk_batch
-from mjx_climb.walk import Structure, structure
+from mjx_climb.quantities.parameters import Gains, Parameters, batch_shape
+from mjx_climb.rollouts.rollout import Metrics, Tree, given, metrics_of, walk_batch
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.step import Structure, structure
 
 _SLOPE = "slope of "
 

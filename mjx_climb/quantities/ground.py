@@ -7,9 +7,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from mjx_climb.config import ConfigError, HeightMap, Scenario
-from mjx_climb.posture import limb_joints
-from mjx_climb.robot import Robot, load_robot
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.posture import limb_joints
+from mjx_climb.scenario.model import ConfigError, HeightMap, Scenario
 
 
 def foothold_heights(scenario: Scenario) -> np.ndarray:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import mujoco
 
-from mjx_climb.config import ConfigError, Scenario
-from mjx_climb.dataset import write_bytes_atomically
+from mjx_climb.files.dataset import write_bytes_atomically
+from mjx_climb.scenario.model import ConfigError, Scenario
 
 FOLDER = "inputs"
 

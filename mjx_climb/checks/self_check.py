@@ -2,7 +2,7 @@
 
 What is compared: the metrics of half a second's walk under Eq. 3 (two swings, two touchdowns, cargo, a push, a slope)
 and their forward derivative by stiffness and damping, in double precision; and the accelerations of one state by both
-engines and by MuJoCo's C code. `python -m mjx_climb.self_check` stores the values anew.
+engines and by MuJoCo's C code. `python -m mjx_climb.checks.self_check` stores the values anew.
 """
 
 import json
@@ -17,16 +17,16 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from mjx_climb.compilation import compiler_options, enable_cache, pieces_pay
-from mjx_climb.config import Scenario
+from mjx_climb.compilation.options import compiler_options, enable_cache, pieces_pay
 from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES, forward_dynamics
-from mjx_climb.parameters import Gains
-from mjx_climb.robot import load_model
-from mjx_climb.rollout import Metrics, named, simulator
-from mjx_climb.state import State
+from mjx_climb.dynamics.state import State
+from mjx_climb.quantities.parameters import Gains
+from mjx_climb.robot.constants import load_model
+from mjx_climb.rollouts.rollout import Metrics, named, simulator
+from mjx_climb.scenario.model import Scenario
 
 MUJOCO = "mujoco"  # among the engines: its C code
-STORED = Path(str(resources.files("mjx_climb"))) / "self_check.json"
+STORED = Path(str(resources.files("mjx_climb"))) / "checks" / "self_check.json"
 
 # Relative. Another order of the same arithmetic (the other engine all through the walk) moves the values by 3e-14 at
 # most, so other processors stay far below this; a mass or a gain that is off by a millionth moves them far above.
@@ -161,7 +161,7 @@ def _labelled(acceleration: np.ndarray) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    from mjx_climb.dataset import write_text_atomically
+    from mjx_climb.files.dataset import write_text_atomically
 
     found = measure()
     kept = {"walk": found["walk"], "gradient": found["gradient"], "acceleration": found[MUJOCO]}

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.robot import Robot
-from mjx_climb.spatial import compose, cross, dot, rotate
-from mjx_climb.state import State
+from mjx_climb.dynamics.spatial import compose, cross, dot, rotate
+from mjx_climb.dynamics.state import State
+from mjx_climb.robot.constants import Robot
 
 
 class LimbFrames(NamedTuple):

@@ -7,9 +7,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from mjx_climb.config import Scenario
-from mjx_climb.parameters import Gains, Parameters
-from mjx_climb.sample import Sample
+from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.sample import Sample
 
 
 @dataclasses.dataclass(frozen=True)

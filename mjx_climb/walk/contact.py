@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.kinematics import Feet
-from mjx_climb.parameters import Parameters
-from mjx_climb.spatial import norm
+from mjx_climb.dynamics.kinematics import Feet
+from mjx_climb.dynamics.spatial import norm
+from mjx_climb.quantities.parameters import Parameters
 
 
 class Contact(NamedTuple):

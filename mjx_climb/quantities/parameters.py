@@ -13,8 +13,8 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from mjx_climb.config import Scenario
-from mjx_climb.ground import foothold_heights
+from mjx_climb.quantities.ground import foothold_heights
+from mjx_climb.scenario.model import Scenario
 
 _Gain = Float[Array, "*batch_axis"] | Float[np.ndarray, "*batch_axis"] | float
 _JointGain = Float[Array, "*batch"] | Float[np.ndarray, "*batch"] | float

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from mjx_climb.config import ConfigError, RobotFile, Scenario
-from mjx_climb.posture import limb_joints
-from mjx_climb.robot import load_model, load_robot
+from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot.posture import limb_joints
+from mjx_climb.scenario.model import ConfigError, RobotFile, Scenario
 
 _ROUNDING = 1e-9
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)

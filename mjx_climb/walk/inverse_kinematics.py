@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.robot import Robot, RobotError
-from mjx_climb.spatial import rotate_back
+from mjx_climb.dynamics.spatial import rotate_back
+from mjx_climb.robot.constants import Robot, RobotError
 
 _PARALLEL = 1e-9
 

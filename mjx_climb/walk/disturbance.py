@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.parameters import Parameters
+from mjx_climb.quantities.parameters import Parameters
 
 
 def _active(start: Array | np.ndarray, stop: Array | np.ndarray, step: Array, time_step: float) -> Array:

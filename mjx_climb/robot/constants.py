@@ -10,8 +10,8 @@ import jax
 import mujoco
 import numpy as np
 
-from mjx_climb.config import RobotFile
-from mjx_climb.robot_file import RobotError, model_of, spec_of
+from mjx_climb.robot.robot_file import RobotError, model_of, spec_of
+from mjx_climb.scenario.model import RobotFile
 
 __all__ = [
     "JOINTS_PER_LIMB",
@@ -76,7 +76,7 @@ def model_path(name: str | RobotFile) -> Path:
     """
     if isinstance(name, RobotFile):
         return Path(name.file)
-    folder = Path(str(resources.files("mjx_climb"))) / "robots"
+    folder = Path(str(resources.files("mjx_climb"))) / "robot" / "models"
     path = folder / f"{name}.xml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))

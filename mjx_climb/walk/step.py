@@ -9,20 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb import disturbance, gait
-from mjx_climb.config import RobotFile, Scenario
-from mjx_climb.contact import Contact, grip
 from mjx_climb.control import LAWS, Law, Measurement, Reference
 from mjx_climb.control.joint_loop import joint_torque
 from mjx_climb.dynamics import ENGINES, ForwardDynamics
-from mjx_climb.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
-from mjx_climb.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
-from mjx_climb.parameters import Gains, Parameters
-from mjx_climb.robot import Robot, load_robot
-from mjx_climb.sample import Sample
-from mjx_climb.spatial import norm, quaternion_to_matrix, rotate_back
-from mjx_climb.stability import gia_margin, net_external_wrench, tumble_stability_margin
-from mjx_climb.state import State, integrate
+from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
+from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
+from mjx_climb.dynamics.state import State, integrate
+from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.scenario.model import RobotFile, Scenario
+from mjx_climb.walk import disturbance, gait
+from mjx_climb.walk.contact import Contact, grip
+from mjx_climb.walk.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
 
 class Structure(NamedTuple):
@@ -37,7 +37,7 @@ class Structure(NamedTuple):
     steps: int
     time_step: float
     smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
-    in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.kernels`
+    in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`
 
 
 class Walk(NamedTuple):

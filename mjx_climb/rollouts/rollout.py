@@ -14,19 +14,20 @@ from jax.sharding import Sharding
 from jax.typing import ArrayLike
 from numpy.typing import DTypeLike
 
-from mjx_climb import devices, smooth_extremes
-from mjx_climb import metrics as metrics_module
-from mjx_climb.compilation import compiler_options, enable_cache, kernel_pays, pieces_pay
-from mjx_climb.config import Scenario
+from mjx_climb.compilation import devices
+from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.gpu_kernel import over_robots
+from mjx_climb.compilation.options import compiler_options, enable_cache, kernel_pays, pieces_pay
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.gpu_kernel import over_robots
-from mjx_climb.kernels import in_kernels
-from mjx_climb.parameters import Gains, Parameters, batch_last, batch_shape, parameters
-from mjx_climb.parameters import gains as gains_of
-from mjx_climb.robot import Robot, load_robot
-from mjx_climb.sample import Sample
-from mjx_climb.trajectory import Trajectory, from_samples, to_samples
-from mjx_climb.walk import Carry, Structure, advance, begin, prepare, structure, weighing
+from mjx_climb.quantities.parameters import Gains, Parameters, batch_last, batch_shape, parameters
+from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.rollouts.trajectory import Trajectory, from_samples, to_samples
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk import metrics as metrics_module
+from mjx_climb.walk import smooth_extremes
+from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure, weighing
 
 Metrics = dict[str, Array]
 Progress = tuple[Carry, metrics_module.Accumulator, dict[str, smooth_extremes.Mean]]
@@ -107,7 +108,7 @@ def simulator(
         scenario: what walks where; its control gains are not used, its other numbers are the default parameters.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
         smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics have
-            smooth companions, see `mjx_climb.smooth_extremes`.
+            smooth companions, see `mjx_climb.walk.smooth_extremes`.
         in_pieces: several times faster on a CPU (see `mjx_climb.pieces_pay`), for values and forward derivatives alone:
             XLA stops the process at some other transformations of such a program.
 

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 from jax import Array
 from jax.lax import stop_gradient
 
-from mjx_climb.robot import Robot
-from mjx_climb.sample import Sample
-from mjx_climb.spatial import norm
+from mjx_climb.dynamics.spatial import norm
+from mjx_climb.robot.constants import Robot
+from mjx_climb.walk.sample import Sample
 
 PREFIX = "smooth_"
 MAXIMA = ("peak_foot_force", "peak_pull_force", "peak_joint_torque", "base_deviation")

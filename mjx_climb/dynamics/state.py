@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from mjx_climb.robot import JOINTS_PER_LIMB
-from mjx_climb.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_normalize
+from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_normalize
+from mjx_climb.robot.constants import JOINTS_PER_LIMB
 
 
 @jax.tree_util.register_dataclass

@@ -12,14 +12,14 @@ from jax import Array
 from jaxtyping import Float
 from numpy.typing import DTypeLike
 
-from mjx_climb.compilation import compiler_options, pieces_pay
-from mjx_climb.config import Scenario
+from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.parameters import Gains, Parameters, batch_shape
-from mjx_climb.rollout import Metrics, given, walk_batch, walk_recorded
-from mjx_climb.sample import Sample
-from mjx_climb.trajectory import Trajectory, to_samples
-from mjx_climb.walk import Structure, structure
+from mjx_climb.quantities.parameters import Gains, Parameters, batch_shape
+from mjx_climb.rollouts.rollout import Metrics, given, walk_batch, walk_recorded
+from mjx_climb.rollouts.trajectory import Trajectory, to_samples
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.step import Structure, structure
 
 STRETCHES = 200
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mjx_climb.config import ConfigError, Scenario
-from mjx_climb.metrics import METRICS
-from mjx_climb.parameters import Gains, Parameters
-from mjx_climb.robot import load_robot
-from mjx_climb.trajectory import Trajectory
+from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.trajectory import Trajectory
+from mjx_climb.scenario.model import ConfigError, Scenario
+from mjx_climb.walk.metrics import METRICS
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 

@@ -1,0 +1,1 @@
+"""What may differ from one robot of a batch to the next: gains, parameters, the ground."""

@@ -1,0 +1,1 @@
+"""Robots: their constants, read from MJCF and URDF, and the postures of their limbs."""

@@ -1,0 +1,1 @@
+"""Whole walks: one robot with its histories, batches with their metrics and slopes."""

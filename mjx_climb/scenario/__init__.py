@@ -1,0 +1,1 @@
+"""What walks where, under which controller and disturbance: a validated YAML file."""

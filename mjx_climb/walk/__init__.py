@@ -1,0 +1,1 @@
+"""One step of a walk, in the layout of the hot path: gait, contact, control, disturbance, samples and metrics."""
