@@ -1,17 +1,38 @@
-"""mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control."""
+"""mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control.
 
-from mjx_climb import mujoco_import  # noqa: F401  (first: it imports MuJoCo)
-from mjx_climb.compilation.options import compiler_options, pieces_pay
-from mjx_climb.dynamics import ENGINES, forward_dynamics
-from mjx_climb.dynamics.state import Acceleration, State
-from mjx_climb.quantities.parameters import Gains, Parameters, parameters
-from mjx_climb.robot.constants import RobotError
-from mjx_climb.rollouts.histories import rollout_histories
-from mjx_climb.rollouts.rollout import metrics, rollout, rollout_metrics, simulator
-from mjx_climb.rollouts.slopes import rollout_slopes
-from mjx_climb.rollouts.trajectory import Trajectory
-from mjx_climb.scenario.model import ConfigError, Scenario, load_scenario
-from mjx_climb.walk.metrics import METRICS
+Names are imported when they are first used, so that the command line and the reading of scenarios start at once.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mjx_climb.compilation.options import compiler_options, pieces_pay
+    from mjx_climb.dynamics import ENGINES, forward_dynamics
+    from mjx_climb.dynamics.state import Acceleration, State
+    from mjx_climb.quantities.parameters import Gains, Parameters, parameters
+    from mjx_climb.robot.constants import RobotError
+    from mjx_climb.rollouts.histories import rollout_histories
+    from mjx_climb.rollouts.rollout import metrics, rollout, rollout_metrics, simulator
+    from mjx_climb.rollouts.slopes import rollout_slopes
+    from mjx_climb.rollouts.trajectory import Trajectory
+    from mjx_climb.scenario.model import ConfigError, Scenario, load_scenario
+    from mjx_climb.walk.metrics import METRICS
+
+_PUBLIC = {
+    "compilation.options": ("compiler_options", "pieces_pay"),
+    "dynamics": ("ENGINES", "forward_dynamics"),
+    "dynamics.state": ("Acceleration", "State"),
+    "quantities.parameters": ("Gains", "Parameters", "parameters"),
+    "robot.constants": ("RobotError",),
+    "rollouts.histories": ("rollout_histories",),
+    "rollouts.rollout": ("metrics", "rollout", "rollout_metrics", "simulator"),
+    "rollouts.slopes": ("rollout_slopes",),
+    "rollouts.trajectory": ("Trajectory",),
+    "scenario.model": ("ConfigError", "Scenario", "load_scenario"),
+    "walk.metrics": ("METRICS",),
+}
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
     "ENGINES",
@@ -36,3 +57,15 @@ __all__ = [
     "rollout_slopes",
     "simulator",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -5,8 +5,11 @@ MuJoCo loads that OpenGL as it is imported, and ends in a traceback where it can
 
 import ctypes
 import ctypes.util
+import importlib
 import os
 import sys
+from types import ModuleType
+from typing import Any
 
 LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 KNOWN = ("", "glfw", "glx", *"enable enabled on true 1 disable disabled off false 0".split())
@@ -24,17 +27,16 @@ def _unusable(wanted: str) -> bool:
     return False
 
 
-def import_mujoco() -> None:
+def import_mujoco() -> ModuleType:
     """Import MuJoCo; without OpenGL where MUJOCO_GL asks for one that is not there."""
     value = os.environ.get(_VARIABLE)
     if value is None or "mujoco" in sys.modules or not _unusable(value.lower().strip()):
-        import mujoco
-    else:
-        os.environ[_VARIABLE] = "disable"
-        try:
-            import mujoco  # noqa: F401
-        finally:
-            os.environ[_VARIABLE] = value
+        return importlib.import_module("mujoco")
+    os.environ[_VARIABLE] = "disable"
+    try:
+        return importlib.import_module("mujoco")
+    finally:
+        os.environ[_VARIABLE] = value
 
 
-import_mujoco()
+mujoco: Any = import_mujoco()

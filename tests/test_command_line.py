@@ -13,11 +13,13 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from tuning import evaluation, gains_file, grid, schedule
 from tuning.command_line import main, options, progress, report
 from tuning.command_line.ending import InputError
 from tuning.command_line.sweep import log_range
+from tuning.gains import gains_file
+from tuning.problem import evaluation
 from tuning.report import page
+from tuning.searches import grid, schedule
 
 ROOT = Path(__file__).parents[1]
 CONFIG = str(ROOT / "configs" / "case_1_2.yaml")

@@ -14,10 +14,10 @@ import typer
 
 import mjx_climb as mc
 from mjx_climb.control import LAWS
-from tuning import search
 from tuning.command_line import app, options
 from tuning.command_line import tune as tune_command
-from tuning.methods import METHODS
+from tuning.problem import search
+from tuning.searches.methods import METHODS
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

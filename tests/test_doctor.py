@@ -12,8 +12,7 @@ import pytest
 
 from mjx_climb.checks import self_check
 from mjx_climb.rendering import RenderingError, backend
-from tuning import diagnosis
-from tuning.command_line import main
+from tuning.command_line import diagnosis, main
 
 ROOT = Path(__file__).parents[1]
 PARTS = ["versions", "devices", "cache", "renderer", "dynamics", "walk", "gradient"]

@@ -12,12 +12,12 @@ import pytest
 from fuzz import Case, case
 
 import mjx_climb as mc
-import tuning.robust
-import tuning.schedule
+import tuning.searches.robust
+import tuning.searches.schedule
 from mjx_climb.rendering import backend
-from tuning import diagnosis, evaluation
 from tuning.benchmarks import measure
-from tuning.command_line import main
+from tuning.command_line import diagnosis, main
+from tuning.problem import evaluation
 
 ROOT = Path(__file__).parents[1]
 CASES, CHUNK, QUICK = 1000, 50, 250
@@ -36,8 +36,8 @@ def valid_input_stops_here(monkeypatch):
     for module, names in (
         (mc, ("rollout", "rollout_metrics", "rollout_histories")),
         (evaluation, ("baseline",)),
-        (tuning.robust, ("pd_of",)),
-        (tuning.schedule, ("pd_of",)),
+        (tuning.searches.robust, ("pd_of",)),
+        (tuning.searches.schedule, ("pd_of",)),
         (measure, ("measure",)),
         (diagnosis, ("examine",)),
     ):

@@ -13,7 +13,8 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
-from tuning import gains_file, grid, parts
+from tuning.gains import gains_file
+from tuning.searches import finished_parts, grid
 
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / "configs" / "case_1_2.yaml"
@@ -59,7 +60,7 @@ def test_killed_sweep_resumes_bit_by_bit(scenario, whole, tmp_path):
     script = f"""
 import os, signal, numpy as np, mjx_climb as mc
 from pathlib import Path
-from tuning import grid
+from tuning.searches import grid
 scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.2"])
 def die(done, total):
     if done:
@@ -76,7 +77,7 @@ grid.sweep(scenario, np.array({STIFFNESS.tolist()}), np.array({DAMPING.tolist()}
     )
     assert seen == [(4, 6), (6, 6)]
     xr.testing.assert_identical(resumed.drop_attrs(), whole.drop_attrs())
-    parts.clear(tmp_path)
+    finished_parts.clear(tmp_path)
     assert not any(tmp_path.iterdir())
 
 
@@ -94,16 +95,16 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path):
         with pytest.raises(OutputError, match=f"differs in {differs} ") as refused:
             grid.claim(*arguments, out=tmp_path, **options)
         assert str(tmp_path) in str(refused.value)
-    (tmp_path / parts.FOLDER / "identity.json").write_text("{")
+    (tmp_path / finished_parts.FOLDER / "identity.json").write_text("{")
     with pytest.raises(OutputError):
         grid.claim(scenario, STIFFNESS, DAMPING, out=tmp_path)
 
 
 def test_damaged_part_is_walked_again(tmp_path):
-    kept = parts.Parts(tmp_path, {"a": 1.5})
+    kept = finished_parts.Parts(tmp_path, {"a": 1.5})
     kept.save(0, {"x": np.arange(3)})
     np.testing.assert_array_equal(kept.load(0)["x"], np.arange(3))
-    file = next((tmp_path / parts.FOLDER).glob("*.npz"))
+    file = next((tmp_path / finished_parts.FOLDER).glob("*.npz"))
     os.truncate(file, file.stat().st_size // 2)
     assert kept.load(0) is None
     assert kept.load(1) is None
@@ -180,7 +181,7 @@ def test_bad_gains_file(text, expected, tmp_path):
 _LONG_SWEEP = f"""
 import numpy as np, sys, mjx_climb as mc
 from pathlib import Path
-from tuning import grid
+from tuning.searches import grid
 scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.2"])
 print("begun", flush=True)
 grid.sweep(scenario, np.array({STIFFNESS.tolist()}), np.array({DAMPING.tolist()}), batch_size=1, out=Path(sys.argv[1]),

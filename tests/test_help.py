@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 import mjx_climb as mc
-from tuning import search, shipped
+from mjx_climb.scenario import shipped
 from tuning.command_line import app, completion, main
+from tuning.problem import search
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = [command.name for command in app.registered_commands]

@@ -6,7 +6,8 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
-from tuning import grid, maps, stability_limit
+from tuning.judged import maps, stability_limit
+from tuning.searches import grid
 
 STABLE, UNSTABLE = 5e3, 1.9e4  # N s/m, of the measured pose with M = 1 at 1 ms, as seen on walks
 

@@ -10,8 +10,8 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.plots import LARGER_IS_BETTER
 from mjx_climb.walk.smooth_extremes import PREFIX
-from tuning import search, spaces
-from tuning.objectives import Limit, Objective, Term
+from tuning.problem import search, spaces
+from tuning.problem.objectives import Limit, Objective, Term
 
 CASES = ("case_1_1", "case_1_2", "case_2")
 # a whole cycle in 0.4 s: each limb lets go, swings and grips; cargo and pushes come while it does

@@ -105,9 +105,10 @@ def test_installed_code_finds_its_own_files(programs, tmp_path):
     program = (
         "from pathlib import Path\n"
         "import mjx_climb, tuning\n"
-        "from mjx_climb import self_check\n"
+        "from mjx_climb.checks import self_check\n"
         "from mjx_climb.robot.constants import load_robot\n"
-        "from tuning import ensemble, shipped\n"
+        "from mjx_climb.scenario import shipped\n"
+        "from tuning.problem import ensemble\n"
         "from tuning.report import page\n"
         f"home = Path({str(programs.parent)!r})\n"
         "places = [mjx_climb.__file__, tuning.__file__, shipped.config_path('case_2.yaml'), self_check.STORED]\n"

@@ -6,8 +6,9 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.model import ConfigError
-from tuning import overviews, pareto
-from tuning.shipped import config_path
+from mjx_climb.scenario.shipped import config_path
+from tuning.report import ensemble_pictures
+from tuning.searches import pareto
 
 
 @pytest.fixture
@@ -57,4 +58,4 @@ def test_front_and_resume(few, tmp_path):
     for name in ("theta", "walked_force_variation", "force_variation", "stiffness"):
         np.testing.assert_array_equal(resumed[name], whole[name])
     dataset.save(whole, tmp_path / "front.nc")
-    assert overviews.plot_front(dataset.load(tmp_path / "front.nc")).axes
+    assert ensemble_pictures.plot_front(dataset.load(tmp_path / "front.nc")).axes

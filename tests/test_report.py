@@ -11,10 +11,12 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.rollouts.histories import LINES, histories
-from tuning import paper, pareto, result, search, verification
 from tuning.command_line.options import without_folders
+from tuning.judged import paper, verification
+from tuning.problem import search
 from tuning.report import comparison, explorer, page, reproduce, tune
 from tuning.report import pareto as pareto_page
+from tuning.searches import pareto, result
 
 CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
 AXES = ["--stiffness", "1e2:1e4:3", "--damping", "1e1:1e3:3"]

@@ -10,11 +10,12 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.scenario import shipped
 from mjx_climb.scenario.model import ConfigError
 from mjx_climb.walk.sample import Sample
-from tuning import paper, shipped
 from tuning.command_line import main, reproduce
-from tuning.paper import CASES
+from tuning.judged import paper
+from tuning.judged.paper import CASES
 
 STEPS = 2000
 TIME = 1e-3 * np.arange(STEPS)

@@ -9,11 +9,12 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.smooth_extremes import PREFIX
-from tuning import ensemble as ensembles
-from tuning import robust, search, tune
-from tuning.ensemble import Ensemble
-from tuning.shipped import config_path
+from tuning.problem import ensemble as ensembles
+from tuning.problem import search
+from tuning.problem.ensemble import Ensemble
+from tuning.searches import robust, tune
 
 FAST = ["duration=0.3"]
 SHORT_PUSHES = {"start": (0.05, 0.1), "length": (0.05, 0.1)}

@@ -11,8 +11,9 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.model import ConfigError
-from tuning import overviews, schedule
-from tuning.shipped import config_path
+from mjx_climb.scenario.shipped import config_path
+from tuning.report import ensemble_pictures
+from tuning.searches import schedule
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +106,7 @@ def test_tables(table, tmp_path):
     read = yaml.safe_load(schedule.to_yaml(table))["operating_points"]
     assert read[0]["force_variation"].keys() == {"tuned", "config", "pd"}
     dataset.save(table, tmp_path / "schedule.nc")
-    assert overviews.plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes
+    assert ensemble_pictures.plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes
 
 
 @pytest.mark.parametrize("bad", [{"gravity": (1.0, 0.1)}, {"gravity": (0.0, 1.0)}, {"cargo": ()}, {"cargo": (-1.0,)}])

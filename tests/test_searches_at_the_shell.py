@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tuning import result, tune
+from tuning.searches import result, tune
 
 ROOT = Path(__file__).parents[1]
 CASE = str(ROOT / "configs" / "case_1_2.yaml")

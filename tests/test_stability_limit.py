@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from tuning import stability_limit
+from tuning.judged import stability_limit
 
 
 @pytest.mark.slow

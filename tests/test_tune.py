@@ -15,10 +15,11 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.scenario.model import ConfigError
-from tuning import evaluation, objectives, result, search, spaces
-from tuning.evaluation import Evaluation, Problem
-from tuning.methods import METHODS, Task
-from tuning.tune import problem_of, start_of, tune
+from tuning.problem import evaluation, objectives, search, spaces
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.searches import result
+from tuning.searches.methods import METHODS, Task
+from tuning.searches.tune import problem_of, start_of, tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.05}
 
@@ -255,7 +256,7 @@ def test_ctrl_c_ends_with_the_best_so_far(scenario, tmp_path):
 _KILLED = """
 import sys
 import mjx_climb as mc
-from tuning.tune import tune
+from tuning.searches.tune import tune
 scenario = mc.load_scenario(sys.argv[1])
 print("begun", flush=True)
 tune(scenario, iterations=3, out=sys.argv[2], progress=lambda now: print(now.rounds, flush=True))

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from mjx_climb.compilation.options import compiler_options, enable_cache, pieces_pay
 from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES, forward_dynamics
 from mjx_climb.dynamics.state import State
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.robot.constants import load_model
 from mjx_climb.rollouts.rollout import Metrics, named, simulator

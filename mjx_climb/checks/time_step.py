@@ -3,16 +3,16 @@
 Held by contact springs and joint loop alone (no admittance law, no gravity), the robot is a linear system near each
 posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D v)`, then `x += h v`. Light
 links at the end of a stiff contact are what takes it out of the unit circle. What a law adds is in
-`tuning.stability_limit`.
+`tuning.judged.stability_limit`.
 """
 
 import functools
 import math
 from collections.abc import Iterator
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import ConfigError, RobotFile, Scenario

@@ -7,12 +7,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import mujoco
 from jax import Array
-
-with contextlib.redirect_stdout(io.StringIO()):  # mjx prints which optional backends are missing
-    from mujoco import mjx
-    from mujoco.mjx._src import smooth
 
 from mjx_climb.dynamics.kinematics import (
     base_wrench_of_foot_force,
@@ -22,7 +17,12 @@ from mjx_climb.dynamics.kinematics import (
 )
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate, rotate_back
 from mjx_climb.dynamics.state import Acceleration, State, joints_to_limbs, limbs_to_joints
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import Robot
+
+with contextlib.redirect_stdout(io.StringIO()):  # mjx prints which optional backends are missing
+    from mujoco import mjx
+    from mujoco.mjx._src import smooth
 
 _BASE = 1
 

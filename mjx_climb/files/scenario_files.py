@@ -8,9 +8,8 @@ import hashlib
 import os
 from pathlib import Path
 
-import mujoco
-
 from mjx_climb.files.dataset import write_bytes_atomically
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.scenario.model import ConfigError, Scenario
 
 FOLDER = "inputs"

@@ -4,9 +4,9 @@ import functools
 import math
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import ConfigError, HeightMap, Scenario

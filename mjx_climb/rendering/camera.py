@@ -3,9 +3,9 @@
 import dataclasses
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering.replay import whole
 from mjx_climb.rollouts.trajectory import Trajectory
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering import backend
 from mjx_climb.rendering.camera import View
 

@@ -4,9 +4,9 @@ import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Sequence
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering import marks, surroundings
 from mjx_climb.rendering.camera import Follower
 from mjx_climb.rendering.canvas import Canvas

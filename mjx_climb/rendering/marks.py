@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
-import mujoco
 import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, VERMILLION
 from mjx_climb.rendering.replay import whole
 from mjx_climb.rollouts.trajectory import Trajectory

@@ -1,8 +1,8 @@
 """A walk as rows to show: which rows, and the pose of the model in them."""
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rollouts.trajectory import Trajectory
 
 

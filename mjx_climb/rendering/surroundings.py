@@ -2,9 +2,9 @@
 
 import dataclasses
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_spec
 from mjx_climb.scenario.model import RobotFile
 

@@ -6,9 +6,9 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering import film, marks, surroundings
 from mjx_climb.rendering.backend import require_display
 from mjx_climb.rendering.camera import Follower

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.robot_file import RobotError, model_of, spec_of
 from mjx_climb.scenario.model import RobotFile
 

@@ -2,8 +2,9 @@
 
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
+
+from mjx_climb.mujoco_import import mujoco
 
 _ITERATIONS = 60
 _STARTS = 5  # of femur and tibia each, spread over their limits

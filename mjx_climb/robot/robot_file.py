@@ -3,9 +3,9 @@
 import itertools
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import RobotFile
 

@@ -5,11 +5,11 @@ The walk's control law and grip come from `numpy_walk`. It works out no metrics.
 
 from collections.abc import Callable, Mapping
 
-import mujoco
 import numpy as np
 from mujoco import batch
 
 import mjx_climb as mc
+from mjx_climb.mujoco_import import mujoco
 from tuning.benchmarks.numpy_walk import BASE, FEET, Disturbance, Walker, cross, load
 
 # after this step, with the walk's forces and the state (qpos, qvel) at its start

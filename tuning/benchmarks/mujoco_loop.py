@@ -5,10 +5,10 @@ The walk's control law and grip come from `numpy_walk`. It works out no metrics.
 
 from collections.abc import Mapping
 
-import mujoco
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.mujoco_import import mujoco
 from tuning.benchmarks.mujoco_batch import Watch
 from tuning.benchmarks.numpy_walk import BASE, FEET, Disturbance, Walker, cross, load
 

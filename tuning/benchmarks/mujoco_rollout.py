@@ -1,10 +1,10 @@
 """Peer: `mujoco.rollout` of the bare dynamics on threads, from the rest stance, without any controller or grip."""
 
-import mujoco
 import numpy as np
 from mujoco import rollout
 
 import mjx_climb as mc
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_spec
 
 

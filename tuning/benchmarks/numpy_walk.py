@@ -7,11 +7,11 @@ scenario and MuJoCo model alone they read. Arrays are components first, limbs se
 import math
 from collections.abc import Mapping
 
-import mujoco
 import numpy as np
 from scipy.linalg import expm
 
 import mjx_climb as mc
+from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_spec
 from mjx_climb.scenario.model import Cargo, Push
 

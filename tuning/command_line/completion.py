@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from tuning import shipped
+from mjx_climb.scenario import shipped
 
 ENGINES = ("limb", "mjx")
 METRICS = (

@@ -24,7 +24,7 @@ def doctor(json: options.Json = False) -> None:
       mjx-climb doctor --json
     """
     with options.reserved_stdout() as stdout:
-        from tuning import diagnosis
+        from tuning.command_line import diagnosis
 
         begin = time.perf_counter()
         parts = diagnosis.examine()

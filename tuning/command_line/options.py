@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Literal, TextIO
 
 import typer
 
-from tuning import shipped
+from mjx_climb.scenario import shipped
 from tuning.command_line import completion
 from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
     from mjx_climb.scenario.model import ConfigError
+    from tuning.problem.search import Search
     from tuning.report.page import Origin
-    from tuning.search import Search
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 
@@ -108,7 +108,7 @@ def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", c
     Raises:
         ConfigError: settings that make no sense, by themselves or for the scenario.
     """
-    from tuning import search as settings
+    from tuning.problem import search as settings
 
     own = settings.Search() if file is None else settings.load(file)
     wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
@@ -123,7 +123,7 @@ def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: P
         ConfigError: in one line, the config, the file of the search or the options, and what is wrong there.
     """
     from mjx_climb.scenario.model import ConfigError
-    from tuning.spaces import space
+    from tuning.problem.spaces import space
 
     try:
         space(scenario, search)

@@ -57,12 +57,13 @@ def pareto(
         import mjx_climb as mc
         from mjx_climb import plots
         from mjx_climb.files import dataset, scenario_files
-        from tuning import gains_file, overviews, parts, tune
-        from tuning import pareto as fronts
-        from tuning import search as settings
         from tuning.command_line import progress, report
-        from tuning.report import page
+        from tuning.gains import gains_file
+        from tuning.problem import search as settings
+        from tuning.report import ensemble_pictures, page
         from tuning.report import pareto as pages
+        from tuning.searches import finished_parts, tune
+        from tuning.searches import pareto as fronts
 
         begin, kept = time.perf_counter(), 0
         scenario = options.scenario_from(config, controller, changes)
@@ -96,7 +97,7 @@ def pareto(
             dataset.save(front, out / "front.nc")
             comment = f"mjx-climb pareto {config.name}: {better} against {against}, the knee of the front"
             gains_file.save(fronts.gains_of(front, chosen), out / "gains.yaml", comment)
-            plots.save_figure(overviews.plot_front(front), out / "front")
+            plots.save_figure(ensemble_pictures.plot_front(front), out / "front")
             dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
             pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
             again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
@@ -112,7 +113,7 @@ def pareto(
                     pictures={"The front, and all that was walked on the way.": out / "front.svg"},
                 )  # fmt: skip
                 page.write(written, out)
-            parts.clear(out)
+            finished_parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
 
@@ -150,7 +151,7 @@ def front_rows(front: "xr.Dataset", chosen: int) -> tuple[list[str], list[tuple[
     """Return the same as columns and sections of text."""
     import numpy as np
 
-    from tuning.words import gain, number, unit
+    from tuning.report.numbers import gain, number, unit
 
     better, against = front.attrs["better"], front.attrs["against"]
     columns = ["", *(f"{name} {unit(name)}".strip() for name in (against, better)), "stiffness", "damping"]

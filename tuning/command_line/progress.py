@@ -94,7 +94,7 @@ class Meter:
             bar.update(task, description=f"{name}: walking")
 
         def advanced(done: int, total: int, text: str | None = None) -> None:
-            options.since = now = time.perf_counter()
+            compilation.since = now = time.perf_counter()
             left = estimate.update(done, total, now)
             text = text or f"{name}: {done} of {total} {unit}"
             text += f", about {duration(left)} left" if left else ""
@@ -106,7 +106,7 @@ class Meter:
         with Compilation(compiled) as compilation, bar:
             yield advanced
         text = f"{name}: {duration(time.perf_counter() - begin)}"
-        spent = [f"{duration(seconds)} {source}" for source, seconds in options.seconds.items()]
+        spent = [f"{duration(seconds)} {source}" for source, seconds in compilation.seconds.items()]
         self.console.print(text + (f", of which {' and '.join(spent)}" if spent else ""))
 
 

@@ -8,7 +8,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from tuning.words import change, gain, number, to_json, unit
+from tuning.report.numbers import change, gain, number, to_json, unit
 
 if TYPE_CHECKING:
     import mjx_climb as mc

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     import mjx_climb as mc
-    from tuning import paper
     from tuning.command_line.progress import Meter
+    from tuning.judged import paper
 
 FIGURE = ("pd", "virtual_model", "measured_pose")  # the baseline and the proposed controller
 READS = {"virtual_model": "virtual model", "measured_pose": "measured pose"}
@@ -61,8 +61,9 @@ def reproduce(
         import mjx_climb as mc
         from mjx_climb import plots
         from mjx_climb.files import dataset
-        from tuning import paper, shipped
+        from mjx_climb.scenario import shipped
         from tuning.command_line import progress, report
+        from tuning.judged import paper
         from tuning.report import page
         from tuning.report import reproduce as pages
 
@@ -143,7 +144,7 @@ def stem(case: str) -> str:
 def walked(scenario: "mc.Scenario", meter: "Meter", label: str) -> "paper.Walk":
     """Walk a scenario and, if a gripper lets go, once more with grippers that never do."""
     import mjx_climb as mc
-    from tuning import paper
+    from tuning.judged import paper
 
     with meter.stage(label):
         trajectory = mc.rollout(scenario)
@@ -160,7 +161,7 @@ def walked(scenario: "mc.Scenario", meter: "Meter", label: str) -> "paper.Walk":
 def as_json(found: Reproduction) -> dict[str, Any]:
     """Return one case as plain values."""
     import mjx_climb as mc
-    from tuning import paper
+    from tuning.judged import paper
 
     runs = {}
     for method, walk in found.walks.items():
@@ -191,7 +192,7 @@ def as_json(found: Reproduction) -> dict[str, Any]:
 
 def claim_text(name: str) -> str:
     """Return a claim in words."""
-    from tuning import paper
+    from tuning.judged import paper
 
     if name == "detachment_actual":
         return f"{paper.CLAIMS['detachment'].text} (base reference from the actual base)"
@@ -200,8 +201,8 @@ def claim_text(name: str) -> str:
 
 def metrics_grid(found: Mapping[str, Reproduction]) -> Grid:
     """Return all metrics of all walks, with the paper's numbers."""
-    from tuning import paper
     from tuning.command_line import report
+    from tuning.judged import paper
 
     columns = ["metric", "unit", "paper, baseline", "paper, proposed", *(m.title for m in paper.METHODS.values())]
     sections = []
@@ -254,7 +255,7 @@ def _word(verdict: "paper.Verdict") -> str:
 
 def overall(found: Mapping[str, Reproduction]) -> list[str]:
     """Return one line for each reading: which claims hold, and where."""
-    from tuning import paper
+    from tuning.judged import paper
 
     lines = []
     for reading, title in READS.items():

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
     import mjx_climb as mc
     from tuning.command_line.progress import Meter
-    from tuning.ensemble import Ensemble
-    from tuning.result import Result
-    from tuning.search import Search
-    from tuning.tune import Progress
+    from tuning.problem.ensemble import Ensemble
+    from tuning.problem.search import Search
+    from tuning.searches.result import Result
+    from tuning.searches.tune import Progress
 
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
          "base_deviation", "joint_limit_margin")  # fmt: skip
@@ -31,10 +31,11 @@ def tune_robustly(
     from mjx_climb import plots
     from mjx_climb.files import dataset, scenario_files
     from mjx_climb.quantities.parameters import gains as gains_of
-    from tuning import gains_file, overviews, parts, pictures, robust
     from tuning.command_line import progress, report
-    from tuning.report import page
+    from tuning.gains import gains_file
+    from tuning.report import ensemble_pictures, page, search_pictures
     from tuning.report import tune as pages
+    from tuning.searches import finished_parts, robust
 
     begin, kept = time.perf_counter(), 0
     dataset.write_text_atomically(out / "ensemble.yaml", ensemble.to_yaml())
@@ -63,8 +64,8 @@ def tune_robustly(
         text = report.to_json(_plain(summed, found))
         dataset.write_text_atomically(out / "summary.json", text + "\n")
         with meter.stage("drawing", compiles=False):
-            plots.save_figure(pictures.plot_convergence(found), out / "convergence")
-            plots.save_figure(overviews.plot_judged(judged), out / "judged")
+            plots.save_figure(search_pictures.plot_convergence(found), out / "convergence")
+            plots.save_figure(ensemble_pictures.plot_judged(judged), out / "judged")
         names = summed["gains"].values.tolist()
         failed = ", ".join(f"{n} {share:.0%}" for n, share in zip(names, summed["failed"].values, strict=True))
         verdict = f"{judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}"
@@ -78,7 +79,7 @@ def tune_robustly(
                           "Share of the fresh walks below a value.": out / "judged.svg"},
             )  # fmt: skip
             page.write(written, out)
-        parts.clear(out)
+        finished_parts.clear(out)
     except KeyboardInterrupt:
         raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
 
@@ -112,7 +113,7 @@ def robust_table(summed: "xr.Dataset") -> "Table":
 
 def robust_rows(summed: "xr.Dataset") -> tuple[list[str], list[tuple[str, list[list[str]]]]]:
     """Return the same as columns and sections of text."""
-    from tuning.words import change, number, unit
+    from tuning.report.numbers import change, number, unit
 
     names = summed["gains"].values.tolist()
     columns = ["metric", "unit", "of the members", names[0], "vs config %", *names[1:]]

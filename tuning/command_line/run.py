@@ -50,8 +50,8 @@ def run(
         from mjx_climb import plots
         from mjx_climb.files import dataset, scenario_files
         from mjx_climb.robot.constants import load_robot
-        from tuning import gains_file
         from tuning.command_line import progress, report
+        from tuning.gains import gains_file
 
         scenario = options.scenario_from(config, controller, changes)
         if gains is not None:

@@ -58,9 +58,10 @@ def schedule(
     with options.reserved_stdout() as stdout:
         from mjx_climb import plots
         from mjx_climb.files import dataset, scenario_files
-        from tuning import overviews, parts
-        from tuning import schedule as schedules
         from tuning.command_line import progress, report
+        from tuning.report import ensemble_pictures
+        from tuning.searches import finished_parts
+        from tuning.searches import schedule as schedules
 
         begin, kept = time.perf_counter(), 0
         scenario = options.scenario_from(config, controller, changes)
@@ -90,8 +91,8 @@ def schedule(
             dataset.save(table, out / "schedule.nc")
             dataset.write_text_atomically(out / "schedule.csv", schedules.to_csv(table))
             dataset.write_text_atomically(out / "schedule.yaml", schedules.to_yaml(table))
-            plots.save_figure(overviews.plot_schedule(table), out / "schedule")
-            parts.clear(out)
+            plots.save_figure(ensemble_pictures.plot_schedule(table), out / "schedule")
+            finished_parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
 

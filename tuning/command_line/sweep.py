@@ -69,10 +69,12 @@ def sweep(
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
         from mjx_climb.files import dataset, scenario_files
-        from tuning import gains_file, grid, parts, stability_limit
         from tuning.command_line import progress, report
+        from tuning.gains import gains_file
+        from tuning.judged import stability_limit
         from tuning.report import page
         from tuning.report import sweep as pages
+        from tuning.searches import finished_parts, grid
 
         begin = time.perf_counter()
         own = options.scenario_from(config, controller, changes)
@@ -156,7 +158,7 @@ def sweep(
                     },
                 )
                 page.write(written, out)
-            parts.clear(out)
+            finished_parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(
                 f"{kept} of {walks} walks are kept in {out}; the same command goes on from there"

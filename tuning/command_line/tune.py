@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
-from tuning import shipped
+from mjx_climb.scenario import shipped
 from tuning.command_line import completion, options
 from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.robust import tune_robustly
 
 if TYPE_CHECKING:
     import mjx_climb as mc
-    from tuning.result import Result
-    from tuning.tune import Progress
-    from tuning.verification import Verification
+    from tuning.judged.verification import Verification
+    from tuning.searches.result import Result
+    from tuning.searches.tune import Progress
 
 MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 SpaceName = Literal["isotropic", "split", "diagonal"]
@@ -117,14 +117,16 @@ def tune(
         import mjx_climb as mc
         from mjx_climb import plots
         from mjx_climb.files import dataset, scenario_files
-        from tuning import ensemble as ensembles
-        from tuning import gains_file, parts, pictures, verification
-        from tuning import robust as robust_search
-        from tuning import search as settings
-        from tuning import tune as tuning_tune
         from tuning.command_line import progress, report
-        from tuning.report import page
+        from tuning.gains import gains_file
+        from tuning.judged import verification
+        from tuning.problem import ensemble as ensembles
+        from tuning.problem import search as settings
+        from tuning.report import page, search_pictures
         from tuning.report import tune as pages
+        from tuning.searches import finished_parts
+        from tuning.searches import robust as robust_search
+        from tuning.searches import tune as tuning_tune
 
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes)
@@ -211,13 +213,13 @@ def tune(
             text = report.to_json(summary)
             dataset.write_text_atomically(out / "summary.json", text + "\n")
             with meter.stage("drawing", compiles=False):
-                plots.save_figure(pictures.plot_convergence(found), out / "convergence")
+                plots.save_figure(search_pictures.plot_convergence(found), out / "convergence")
                 plots.save_figure(
                     plots.plot_comparison({n: walks[n] for n in ("pd", "config", "tuned")}), out / "walks"
                 )
                 if over is not None:
                     dataset.save(over, out / "map.nc")
-                    plots.save_figure(pictures.plot_path(found, over), out / "path")
+                    plots.save_figure(search_pictures.plot_path(found, over), out / "path")
             with meter.stage("report", compiles=False):
                 pictures_shown = {
                     "How the search converged.": out / "convergence.svg",
@@ -237,7 +239,7 @@ def tune(
                     pictures=pictures_shown,
                 )  # fmt: skip
                 page.write(written, out)
-            parts.clear(out)
+            finished_parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
 

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from tuning.report.numbers import change, gain, number, unit
 from tuning.report.page import Table
-from tuning.words import change, gain, number, unit
 
 Values = Mapping[str, Any]
 Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name

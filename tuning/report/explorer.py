@@ -13,7 +13,7 @@ from mjx_climb import plots
 from mjx_climb.files.dataset import METRIC_NAMES
 from mjx_climb.plots import LARGER_IS_BETTER
 from mjx_climb.rollouts.histories import LINES, histories, stretches
-from tuning.words import gain, plain
+from tuning.report.numbers import gain, plain
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 SCALES = {"m": (1e3, "mm")}  # how people read a line
@@ -84,7 +84,7 @@ def grid_points(
         histories: a grid with time histories, over the same values or some of them.
         baseline: metrics of the baseline, for the colours.
         marks: gains (stiffness, damping) to mark on the map, by name.
-        chosen: the cell to begin with, as of `tuning.grid.best_cell`; the first one where None.
+        chosen: the cell to begin with, as of `tuning.searches.grid.best_cell`; the first one where None.
     """
     walks = grid["diverged"].size
     shown = coarser_grid(grid, chosen, MOST_CELLS)

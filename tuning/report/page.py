@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from tuning.words import plain
+from tuning.report.numbers import plain
 
 NAME = "report.html"
 HERE = Path(__file__).parent

@@ -27,7 +27,7 @@ def page(
     """Return the page of a front.
 
     Arguments:
-        front: see `tuning.pareto.front`.
+        front: see `tuning.searches.pareto.front`.
         knee: index of the point where it bends.
         histories: of the walks on the front, as `mjx_climb.rollout_histories` gives them.
         walks: config and pd in double precision.

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tuning import paper
+from tuning.judged import paper
 from tuning.report.explorer import explorer
 from tuning.report.page import Origin, Page, Table
 

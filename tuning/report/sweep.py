@@ -8,10 +8,10 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.rollouts.histories import LINES
-from tuning import grid
 from tuning.report import comparison
 from tuning.report.explorer import MOST_CELLS, coarser_grid, explorer, grid_points
 from tuning.report.page import Origin, Page
+from tuning.searches import grid
 
 
 def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how: Any) -> xr.Dataset:

@@ -9,12 +9,12 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import mjx_climb as mc
+from tuning.judged.verification import Verification
 from tuning.report import comparison
 from tuning.report.explorer import explorer, grid_points
+from tuning.report.numbers import number
 from tuning.report.page import Origin, Page, Table
-from tuning.result import Result
-from tuning.verification import Verification
-from tuning.words import number
+from tuning.searches.result import Result
 
 
 def page(
@@ -33,7 +33,7 @@ def page(
     Arguments:
         found: the result.
         checked: what verification said of it.
-        over: the map around it, see `tuning.verification.map_of`.
+        over: the map around it, see `tuning.judged.verification.map_of`.
         walks: tuned, config and pd in double precision.
         compared: their gains and metrics, tuned first.
         outcome: of the verification, in lines.

@@ -1,0 +1,39 @@
+"""The configs that come with the program: the paper's cases, and an ensemble of walks."""
+
+from pathlib import Path
+
+ENSEMBLE = "ensemble"
+_PACKAGES = Path(__file__).parents[2]
+_FOLDERS = (_PACKAGES / "mjx_climb" / "configs", _PACKAGES / "configs")  # installed, or in a checkout
+
+
+def names() -> list[str]:
+    """Return the names of the shipped scenarios."""
+    return sorted({file.stem for folder in _FOLDERS for file in folder.glob("*.yaml")} - {ENSEMBLE})
+
+
+def config_path(name: str) -> Path:
+    """Return where a shipped config lies, by its file's name.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    for folder in _FOLDERS:
+        if (path := folder / name).is_file():
+            return path
+    from mjx_climb.scenario.model import ConfigError
+
+    known = ", ".join([*names(), ENSEMBLE])
+    raise ConfigError(
+        f"{Path(name).stem}: expected a file, or a config that comes with the program ({known}), got neither"
+    )
+
+
+def found(path: Path) -> Path:
+    """Return the path of a file, or that of the shipped config where it is a bare name and no file.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    bare = len(path.parts) == 1 and not path.suffix and path.name.isidentifier()
+    return config_path(f"{path.name}.yaml") if bare and not path.exists() else path

@@ -1,0 +1,144 @@
+"""What an installation is made of and whether it works, part by part: what `mjx-climb doctor` prints.
+
+Nothing heavy is imported before a part needs it, and a part that cannot be examined is a finding like others.
+"""
+
+import dataclasses
+import importlib.metadata
+import math
+import os
+import platform
+import tempfile
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mjx_climb.checks.self_check import Deviation
+
+PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
+SIMULATION = ("walk", "gradient")
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """One part of an installation."""
+
+    name: str
+    text: str  # one line for people
+    facts: dict[str, Any]  # plain values
+    findings: tuple[str, ...] = ()  # what is wrong and what to do, one line each
+
+
+def examine() -> list[Part]:
+    """Return all parts, in the order in which they depend on each other."""
+    return [part for examination in (versions, devices, cache, renderer, simulation) for part in _guarded(examination)]
+
+
+def _guarded(examination: Callable[[], Part | list[Part]]) -> list[Part]:
+    try:
+        found = examination()
+    except Exception as error:  # whatever it is, the other parts are still of interest
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        return [Part(examination.__name__, "could not be examined", {}, (reason,))]
+    return found if isinstance(found, list) else [found]
+
+
+def versions() -> Part:
+    """Return the versions of what computes."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for name in ("mjx-climb", *PACKAGES):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = None
+    missing = [name for name in PACKAGES if found[name] is None]
+    findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in missing]
+    engine, mjx = found["mujoco"], found["mujoco-mjx"]
+    if not missing and engine != mjx:
+        findings.append(f'mujoco {engine} with mujoco-mjx {mjx}: python -m pip install "mujoco=={mjx}"')
+    text = ", ".join(f"{name} {version or '(not installed as a package)'}" for name, version in found.items())
+    return Part("versions", text, found, tuple(findings))
+
+
+def devices() -> Part:
+    """Return what the simulations run on."""
+    import jax
+
+    from mjx_climb.compilation.devices import usable_cores
+
+    found = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()]
+    facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
+    return Part("devices", f"{', '.join(found)}; {facts['cores']} CPU cores usable", facts)
+
+
+def cache() -> Part:
+    """Return the state of XLA's compilation cache."""
+    from mjx_climb.compilation import options
+
+    folder = options.cache_in_use()
+    if folder is None:
+        text = f"off ({options.VARIABLE}): every start compiles again"
+        return Part("cache", text, {"on": False, "folder": None})
+    sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
+    facts = {"on": True, "folder": folder, "programs": len(sizes), "bytes": sum(sizes), "writable": True}
+    text = f"{folder}, {len(sizes)} programs, {sum(sizes) / 1e6:.0f} MB"
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        remedy = f"set {options.VARIABLE} to a folder that can be, or to off"
+        reason = (error.strerror or str(error)).lower()
+        finding = f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}"
+        return Part("cache", text, {**facts, "writable": False}, (finding,))
+    return Part("cache", text, facts)
+
+
+def renderer() -> Part:
+    """Return which OpenGL renders pictures and videos."""
+    from mjx_climb.rendering import RenderingError, backend
+
+    if os.environ.get("MUJOCO_GL", "").lower().strip() in backend.OFF:
+        return Part("renderer", "off (MUJOCO_GL)", {"backend": None})
+    try:
+        found = backend.find()
+    except RenderingError as error:
+        return Part("renderer", "none: no videos, no snapshots", {"backend": None}, (str(error),))
+    return Part("renderer", found, {"backend": found})
+
+
+def simulation() -> list[Part]:
+    """Return how far walk, gradient and dynamics on this machine are from the stored values."""
+    from mjx_climb.checks import self_check
+
+    with warnings.catch_warnings():
+        # what `cache` has found already
+        warnings.filterwarnings("ignore", ".*persistent compilation cache", UserWarning)
+        measured = self_check.measure()
+    found = self_check.deviations(measured, self_check.load())
+    dynamics = {name: found[name] for name in found if name not in SIMULATION}
+    groups = {"dynamics": dynamics, **{name: {name: found[name]} for name in SIMULATION}}
+    return [_compared(name, group, self_check.TOLERANCE) for name, group in groups.items()]
+
+
+def _compared(name: str, group: "Mapping[str, Deviation]", tolerance: float) -> Part:
+    largest = max(deviation.size for deviation in group.values())
+    findings = tuple(
+        f"{source}: {found.name} is {found.value}, stored is {found.stored}"
+        for source, found in group.items()
+        if not found.size <= tolerance
+    )
+    what = f"{', '.join(group)} " if len(group) > 1 else ""
+    text = f"{what}{'off' if findings else 'as stored'}, largest relative deviation {largest:.1g} (limit {tolerance:g})"
+    sizes = {source: found.size if math.isfinite(found.size) else None for source, found in group.items()}
+    return Part(name, text, {"deviation": sizes}, findings)
+
+
+def verdict(parts: list[Part]) -> str:
+    """Return the outcome in one sentence."""
+    wrong = [part.name for part in parts if part.findings]
+    if not wrong:
+        return "All is well: physics and gradients on this machine are those stored with the package."
+    return f"Something is wrong with {' and '.join([', '.join(wrong[:-1]), wrong[-1]] if len(wrong) > 1 else wrong)}."

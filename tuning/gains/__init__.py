@@ -1,0 +1,1 @@
+"""Gains on disk: files, tables, parameters for a robot's own controller."""

@@ -1,0 +1,1 @@
+"""What found gains and grids are worth: verification, limits of stability, maps, the paper's claims."""

@@ -1,0 +1,185 @@
+"""A result put to the test: walked alone in double precision, and looked at from all sides."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from tuning.judged import maps, stability_limit
+from tuning.problem import objectives
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.objectives import Goal, Judge, Score
+from tuning.searches import grid
+from tuning.searches.result import Result
+from tuning.searches.tune import problem_of
+
+STEP = 0.2  # relative change of a gain
+PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
+UNRESPONSIVE = 1e-3  # largest relative change of any metric
+GRID = 12  # cells along each axis of the map
+
+
+@dataclasses.dataclass(frozen=True)
+class Verification:
+    """What the tests found; by coordinate of the space where there is one number per gain."""
+
+    metrics: dict[str, Any]  # of the walk alone, float64, hard detachment
+    value: float  # of that walk
+    search_value: float
+    broken_limits: list[str]  # in words
+    less: dict[str, float | None]  # change of the value with a gain 20 % less; None: infeasible or diverged
+    more: dict[str, float | None]
+    shape: dict[str, str]  # plateau, slope or cliff
+    slopes: dict[str, float]  # of the value per natural logarithm of a gain
+    grid_value: float | None  # best of an isotropic grid
+    grid_gains: dict[str, float] | None
+    spectral_radius: float  # of the closed loop; above 1 a small disturbance grows
+    warnings: list[str]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the walk alone keeps every limit."""
+        return not self.broken_limits
+
+
+def map_of(
+    found: Result, *, progress: Callable[[int, int], None] | None = None, engine: str = DEFAULT_ENGINE
+) -> xr.Dataset | None:
+    """Return the metrics over an isotropic grid of stiffness and damping, with the objective as `objective`.
+
+    A variable `spectral_radius` tells where the closed loop is unstable.
+    """
+    problem = problem_of(found.scenario, found.search, engine=engine)
+    box = {}
+    for kind in ("stiffness", "damping"):
+        rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
+        if not rows:
+            return None
+        low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
+        box[kind] = np.geomspace(low, high, GRID)
+    walks = grid.sweep(found.scenario, box["stiffness"], box["damping"], progress=progress, engine=engine)
+    judged = maps.with_objective(walks, found.scenario, found.search, engine=engine)
+    return maps.with_stability(judged, found.scenario, engine=engine)
+
+
+def verify(
+    found: Result,
+    *,
+    metrics: Mapping[str, Any] | None = None,
+    walks: xr.Dataset | None = None,
+    function: Judge | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> Verification:
+    """Test a result.
+
+    Arguments:
+        found: the result.
+        metrics: of its walk alone in float64, where the caller has them already.
+        walks: what `map_of` gave, for the agreement with a grid.
+        function: the user's objective, where the search had one.
+        engine: the dynamics.
+    """
+    problem = dataclasses.replace(problem_of(found.scenario, found.search, function, engine=engine), dtype=np.float64)
+    space, objective = problem.space, problem.objective
+    if metrics is None:
+        metrics = mc.metrics(mc.rollout(found.scenario, found.gains, engine=engine))
+    alone = maps.score_of(objective, metrics)
+    nudges = np.log([1 - STEP, 1 + STEP])
+    points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
+    around = problem.evaluate(np.array(points))
+    slopes = problem.evaluate(found.theta[None], np.eye(space.size)).sharp[0]
+    judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
+    change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
+    shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
+    best = None if walks is None else maps.best_cell(walks)
+    held = {name: value for name, value in vars(found.gains).items() if value is not None}
+    alone_gains = mc.Gains(
+        **{n: np.broadcast_to(np.asarray(v, float), (1, 6) if n in mc.Gains.AXES else (1,)) for n, v in held.items()}
+    )
+    radius = float(stability_limit.spectral_radius(found.scenario, alone_gains, engine=engine)[0])
+
+    def number(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    return Verification(
+        metrics=dict(metrics),
+        value=float(alone.value),
+        search_value=found.value,
+        broken_limits=_broken(objective, metrics),
+        less={name: number(v) for name, v in zip(space.names, change[0], strict=True)},
+        more={name: number(v) for name, v in zip(space.names, change[1], strict=True)},
+        shape=shape,
+        slopes={name: float(v) for name, v in zip(space.names, slopes, strict=True)},
+        grid_value=None if best is None else float(best["objective"]),
+        grid_gains=None if best is None else {n: float(best[n]) for n in ("stiffness", "damping")},
+        spectral_radius=radius,
+        warnings=_warnings(found, problem, around, shape, best, radius, alone),
+    )
+
+
+def _shape(change: np.ndarray) -> str:
+    if not np.isfinite(change).all() or change.max() > CLIFF:
+        return "cliff"
+    return "plateau" if np.abs(change).max() < PLATEAU else "slope"
+
+
+def _broken(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+    if metrics["diverged"]:
+        return ["the walk diverged"]
+    broken = []
+    if metrics["detached_limb"] is not None:
+        broken.append(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
+    for limit in objective.limits:
+        value = metrics[limit.metric]
+        if value is not None and objectives.violation(limit, value) > 0:
+            broken.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
+    return broken
+
+
+def _warnings(
+    found: Result,
+    problem: Problem,
+    around: Evaluation,
+    shape: Mapping[str, str],
+    best: xr.Dataset | None,
+    radius: float,
+    alone: Score,
+) -> list[str]:
+    space, lines = problem.space, []
+    if not found.feasible:
+        lines.append("no point of the search keeps every limit: these gains are the nearest to it")
+    for name in space.on_bound(found.theta):
+        lines.append(f"{name} lies on a bound: widen bounds.{name}")
+    moved = np.zeros(space.size)
+    for name in mc.METRICS:
+        values = around.metrics[name].astype(float)
+        if name in ("detached_at", "detached_limb", "diverged") or not np.isfinite(values[0]) or not values[0]:
+            continue
+        moved = np.fmax(moved, np.abs(values[1:] / values[0] - 1).reshape(2, -1).max(0))
+    for name, much in zip(space.names, moved, strict=True):
+        if much < UNRESPONSIVE:
+            lines.append(f"{name}: no metric responds to it here (less than {UNRESPONSIVE:.1%} for {STEP:.0%})")
+    cliffs = [name for name, kind in shape.items() if kind == "cliff"]
+    if cliffs:
+        lines.append(f"cliff within {STEP:.0%} of {', '.join(cliffs)}: a limit breaks or the objective jumps")
+    if best is not None and float(best["objective"]) < found.value - 1e-4:
+        lines.append(
+            f"a coarse grid found better: {float(best['objective']):.4f} at stiffness {float(best['stiffness']):.4g}, "
+            f"damping {float(best['damping']):.4g}"
+        )
+    if radius > 1 + 1e-9:
+        lines.append(f"the closed loop is unstable about the stance: a disturbance grows by {radius:.6f} a step")
+    if abs(float(alone.value) - found.value) > 0.01:
+        lines.append(f"alone in float64 the objective is {float(alone.value):.4f}, in the search {found.value:.4f}")
+    return lines
+
+
+def tuned(found: Result) -> mc.Scenario:
+    """Return the scenario with the gains of a result."""
+    from tuning.gains import gains_file
+
+    return gains_file.applied(found.scenario, found.gains)

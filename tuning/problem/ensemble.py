@@ -1,0 +1,161 @@
+"""An ensemble of walks round one scenario: pushes, cargo, slope, grip stiffness and robot mass drawn from a seed.
+
+Each quantity is drawn from a range by a Latin hypercube: with m members one value falls into each m-th of its range.
+Masses are off by one factor for all links (`mjx_climb.Parameters.mass_scale`).
+"""
+
+import dataclasses
+import math
+import os
+from types import ModuleType
+from typing import Annotated, Any, Self
+
+import jax
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+import mjx_climb as mc
+from tuning.problem import settings
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Share = Annotated[float, Field(gt=0, le=1)]
+Range = tuple[_NonNegative, _NonNegative]
+PositiveRange = tuple[_Positive, _Positive]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="after")
+    def _ranges_in_order(self) -> Self:
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            if isinstance(value, tuple) and not value[0] <= value[1]:
+                raise ValueError(f"{name}: expected low <= high, got {value[0]:g}, {value[1]:g}")
+        return self
+
+
+class Pushes(_Section):
+    """Pushes on the base in place of the scenario's own, each in a direction drawn evenly over the sphere."""
+
+    count: Annotated[int, Field(ge=0, le=20)] = Field(default=2, description="pushes per walk")
+    force: Range = Field(default=(1.0, 5.0), description="size, N")
+    start: Range = Field(default=(0.5, 7.0), description="first instant, s")
+    length: PositiveRange = Field(default=(0.2, 1.0), description="duration, s")
+
+
+class Cargo(_Section):
+    """Cargo in place of the scenario's own; it stays as long as the scenario says."""
+
+    mass: Range = Field(default=(0.0, 1.5), description="kg")
+    start: Range = Field(default=(1.0, 3.0), description="time of loading, s")
+
+
+class Gravity(_Section):
+    """Errors of gravity."""
+
+    scale: Range = Field(default=(0.9, 1.1), description="factor on the scenario's gravity")
+    slope: Range = Field(default=(0.0, 10.0), description="tilt against the scenario's gravity to any side, degrees")
+
+
+class Worst(_Section):
+    """How much the worst members count beside the mean."""
+
+    share: _Share = Field(default=0.2, description="share of the members that are the worst")
+    weight: _Share = Field(default=0.5, description="weight of their mean; the mean of all has the rest")
+
+
+class Ensemble(_Section):
+    """What the walks of an ensemble may meet. A section that is null leaves the scenario's own as it is."""
+
+    members: Annotated[int, Field(ge=1, le=100_000)] = Field(default=16, description="walks per set of gains")
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = Field(default=0, description="of the draw")
+    pushes: Pushes | None = Field(default=Pushes(), description="what hits the robot")
+    cargo: Cargo | None = Field(default=Cargo(), description="what it carries")
+    gravity: Gravity | None = Field(default=Gravity(), description="where it climbs")
+    grip_stiffness: PositiveRange = Field(
+        default=(0.5, 2.0), description="factor on the contact stiffness, even in its logarithm"
+    )
+    robot_mass: PositiveRange = Field(default=(0.9, 1.1), description="factor on the masses and inertias of all links")
+    worst: Worst = Field(default=Worst(), description="the worst members in the objective")
+
+    def to_yaml(self) -> str:
+        """Return the ensemble as YAML; loading it gives an equal one."""
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=110)
+
+
+def load(path: str | os.PathLike[str], **changes: Any) -> Ensemble:
+    """Read an ensemble from YAML, with some of its top keys changed; what the file leaves out takes its default.
+
+    Raises:
+        ConfigError: in one line, key and what is wrong.
+    """
+    data, source = settings.read(path)
+    return make({**data, **changes}, source)
+
+
+def make(values: dict[str, Any], source: str = "ensemble") -> Ensemble:
+    """Return a validated ensemble.
+
+    Raises:
+        ConfigError: in one line, key and what is wrong.
+    """
+    return settings.validated(Ensemble, values, source)
+
+
+def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
+    """Return the numbers of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains."""
+    rng = np.random.default_rng(ensemble.seed)
+    members = ensemble.members
+
+    def uniform(span: tuple[float, float], *shape: int) -> np.ndarray:
+        """Return (members, 1, *shape), one value in each m-th of the span."""
+        count = math.prod(shape)
+        strata = np.argsort(rng.random((count, members)), axis=1).T
+        values = span[0] + (span[1] - span[0]) * (strata + rng.random((members, count))) / members
+        return values.reshape(members, 1, *shape)
+
+    with jax.enable_x64(True):
+        own = jax.tree.map(np.asarray, mc.parameters(scenario))
+    changes = {
+        "contact_stiffness": own.contact_stiffness * np.exp(uniform(_logs(ensemble.grip_stiffness))),
+        "mass_scale": uniform(ensemble.robot_mass),
+    }
+    if (cargo := ensemble.cargo) is not None:
+        changes |= {"cargo_mass": uniform(cargo.mass), "cargo_start": uniform(cargo.start)}
+    if (gravity := ensemble.gravity) is not None:
+        axis, angle = uniform((0.0, 2 * np.pi)), np.radians(uniform(gravity.slope))
+        changes["gravity"] = uniform(gravity.scale)[..., None] * _tilted(own.gravity, axis, angle)
+    if (pushes := ensemble.pushes) is not None:
+        n = pushes.count
+        up, azimuth = uniform((-1.0, 1.0), n), uniform((0.0, 2 * np.pi), n)
+        across = np.sqrt(1 - up**2)
+        direction = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), up], axis=-1)
+        start = uniform(pushes.start, n)
+        force = uniform(pushes.force, n)[..., None] * direction
+        changes |= {"push_force": force, "push_moment": np.zeros_like(force)}
+        changes |= {"push_start": start, "push_stop": start + uniform(pushes.length, n)}
+    drawn: mc.Parameters = dataclasses.replace(own, **changes)
+    return drawn
+
+
+def _logs(span: tuple[float, float]) -> tuple[float, float]:
+    return math.log(span[0]), math.log(span[1])
+
+
+def _tilted(gravity: np.ndarray, azimuth: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return gravity (..., 3) turned by `angle` about the horizontal axis at `azimuth`, by Rodrigues' formula."""
+    axis = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
+    sine, cosine = np.sin(angle)[..., None], np.cos(angle)[..., None]
+    along = (axis * gravity).sum(-1, keepdims=True) * axis
+    return np.asarray(along + cosine * (gravity - along) + sine * np.cross(axis, gravity))
+
+
+def worst_mean(values: Any, share: float, *, larger_is_better: bool = False, numpy: ModuleType = np) -> Any:
+    """Return the mean over the worst members (axis 0), the conditional value at risk: (members, ...) -> (...)."""
+    count = max(1, math.ceil(share * values.shape[0] - 1e-9))
+    ordered = numpy.sort(values, axis=0)
+    return (ordered[:count] if larger_is_better else ordered[-count:]).mean(0)

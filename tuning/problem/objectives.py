@@ -1,0 +1,176 @@
+"""What a search minimises: weighted metrics relative to pd's, and smooth penalties for constraints.
+
+Three numbers per point. `value` is what is reported and ranked: the weighted mean of the metrics, each relative to
+its value under pd (1 for pd itself), with true extremes. `descent` is what gradients follow: the same with smooth
+extremes, plus the penalty. `feasible` says whether every constraint holds.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import mjx_climb as mc
+from mjx_climb.plots import LARGER_IS_BETTER
+from mjx_climb.scenario.model import ConfigError
+from mjx_climb.walk.smooth_extremes import PREFIX
+from tuning.problem.search import Search
+
+Metrics = Mapping[str, Array]
+
+_PENALTY = 100.0
+_BEND = 0.1
+_MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
+_PD_MARGIN = 0.005
+_SCALES = {"joint_limit_margin": 0.1, "min_tsm": 0.01, "min_gia_margin": 1.0}  # rad, m, m/s^2: for limits near zero
+
+
+class Score(NamedTuple):
+    """The judgement of points, (...) each."""
+
+    value: Array | np.ndarray
+    descent: Array | np.ndarray
+    penalty: Array | np.ndarray  # with true extremes
+    feasible: Array | np.ndarray  # bool
+
+
+class Term(NamedTuple):
+    """A metric to better, relative to its value under pd: one for all points, or one for each row of a batch."""
+
+    metric: str
+    weight: float
+    baseline: float | tuple[float, ...]
+    smooth_baseline: float | tuple[float, ...]
+
+
+class Limit(NamedTuple):
+    """A metric that may not pass a value, or one for each row; a penalty begins `margin` (of `scale`) before it."""
+
+    metric: str
+    value: float | tuple[float, ...]
+    scale: float | tuple[float, ...]
+    margin: float
+    reason: str
+
+
+@runtime_checkable
+class Goal(Protocol):
+    """What points are judged by."""
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """What no metric may pass."""
+
+    def score(self, metrics: Metrics) -> Score:
+        """Judge points by their metrics."""
+
+
+Judge = Callable[[Metrics], Array] | Goal  # what a user may give: a function in place of the terms, or all of it
+
+
+@dataclasses.dataclass(frozen=True)
+class Objective:
+    """Terms and limits, or the user's own function in place of the terms.
+
+    `function` maps a mapping of metrics (those of `mjx_climb.METRICS` and their smooth companions, arrays of any
+    shape) to an array of that shape, by operations of jax.numpy.
+    """
+
+    terms: tuple[Term, ...]
+    limits: tuple[Limit, ...]
+    function: Callable[[Metrics], Array] | None = None
+
+    def score(self, metrics: Metrics) -> Score:
+        """Judge points by their metrics; NaN and infeasible where the walk diverged."""
+        if self.function is not None:
+            value = smooth = self.function(metrics)
+        else:
+            value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
+        slacks = [violation(limit, metrics[limit.metric]) for limit in self.limits]
+        pairs = zip(self.limits, slacks, strict=True)
+        penalty = sum((_penalty(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
+        feasible = jnp.isfinite(value) & ~metrics["diverged"]
+        for slack in slacks:
+            feasible &= slack <= 0
+        return Score(value, smooth + penalty, penalty, feasible)
+
+    def _weighted(self, metrics: Metrics, *, smooth: bool) -> Array:
+        total: Array | float = 0.0
+        weights = 0.0
+        for term in self.terms:
+            name = PREFIX + term.metric if smooth and PREFIX + term.metric in metrics else term.metric
+            baseline = term.baseline if name == term.metric else term.smooth_baseline
+            ratio = metrics[name] / _by_row(baseline)
+            total += term.weight * (2 - ratio if term.metric in LARGER_IS_BETTER else ratio)
+            weights += term.weight
+        return jnp.asarray(total / weights)
+
+
+def _penalty(over: Array) -> Array:
+    """Return 0 inside, a parabola just outside, a straight line of slope 10 far outside."""
+    over = jnp.maximum(over, 0.0)
+    return _PENALTY * over**2 / (1 + over / _BEND)
+
+
+def violation(limit: Limit, value: Array) -> Array:
+    """Return by how much a limit is passed, relative to its scale; negative inside."""
+    over = value - _by_row(limit.value)
+    return (-over if limit.metric in LARGER_IS_BETTER else over) / _by_row(limit.scale)
+
+
+def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:
+    return np.asarray(value) if isinstance(value, tuple) else value
+
+
+def objective(
+    scenario: mc.Scenario,
+    search: Search,
+    baseline: Mapping[str, float],
+    function: Callable[[Metrics], Array] | None = None,
+) -> Objective:
+    """Return the objective that the settings ask for.
+
+    Arguments:
+        scenario: gives the holding limit.
+        search: weights and limits.
+        baseline: metrics of pd with their smooth companions, see `tuning.problem.evaluation.baseline`.
+        function: the user's own in place of the weighted terms.
+
+    Raises:
+        ConfigError: pd diverges, or has no value of a metric that is weighed.
+    """
+    terms = []
+    for metric, weight in search.weights.items():
+        if not weight or function is not None:
+            continue
+        smooth = baseline.get(PREFIX + metric, baseline[metric])
+        if not (np.isfinite([baseline[metric], smooth]).all() and baseline[metric] and smooth):
+            raise ConfigError(
+                f"weights.{metric}: expected a metric that pd has here, got {baseline[metric]:g} under pd"
+            )
+        terms.append(Term(metric, weight, baseline[metric], smooth))
+    limits: list[Limit] = []
+
+    def limit(metric: str, value: float, margin: float, reason: str) -> None:
+        scale = _SCALES.get(metric) or abs(value) or 1.0
+        limits.append(Limit(metric, float(value), max(scale, abs(value)), margin, reason))
+
+    standard = {"joint_limit_margin": (0.0, "joint limits")}
+    if scenario.contact.holding_limit is not None:
+        standard["peak_pull_force"] = (scenario.contact.holding_limit, "holding limit of the grippers")
+    if np.isfinite(baseline["base_deviation"]):
+        factor = search.deviation_factor
+        standard["base_deviation"] = (factor * baseline["base_deviation"], f"{factor:g} times pd's")
+    for metric, (value, reason) in standard.items():
+        if metric not in search.limits:
+            limit(metric, value, _MARGIN, reason)
+    for metric, value in search.limits.items():
+        limit(metric, value, _MARGIN, "set by the user")
+    if search.no_worse_than_pd:
+        for term in terms:
+            if term.metric not in search.limits:
+                limit(term.metric, baseline[term.metric], _PD_MARGIN, "no worse than pd")
+    return Objective(tuple(terms), tuple(limits), function)

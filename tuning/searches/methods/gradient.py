@@ -1,0 +1,101 @@
+"""Adam with a cosine schedule, projected on the bounds, many starts in one batch."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import optax
+
+from tuning.searches.methods import staged
+from tuning.searches.methods.task import Descent, Points, Request, Task
+
+CLIP = 5.0  # norm of a gradient; the objective is 1 for pd
+FALL = 10.0  # by how many times its value (1 for pd) a point is worse than the best where the loop has gone unstable
+BACK = 0.5  # share of its steps that a start keeps which goes back to its best point
+
+
+class Pace(NamedTuple):
+    """How a descent moves."""
+
+    rate: float  # of the first step, in the logarithm of a gain
+    last: float  # share of it at the end
+    smooth: float  # share of the iterations that follow the smooth extremes; the rest follow the true ones
+    memory: float  # of the squared slopes, a share per step
+    patience: float  # steps without a better point after which a start goes back to its best one
+
+
+SINGLE = Pace(rate=0.7, last=0.03, smooth=0.5, memory=0.9, patience=5)
+TIED = Pace(rate=0.7, last=0.03, smooth=0.5, memory=0.95, patience=np.inf)
+RACE = Pace(rate=0.7, last=0.5, smooth=1.0, memory=0.9, patience=5)
+ALONE = Pace(rate=0.35, last=0.03, smooth=0.3, memory=0.9, patience=5)
+
+rounds = staged.rounds
+
+
+def run(task: Task) -> Points:
+    """Descend from every start with the axes tied, then free."""
+    return staged.run(task, *(functools.partial(descend, pace=pace) for pace in (SINGLE, TIED, RACE, ALONE)))
+
+
+def descend(
+    task: Task,
+    theta: np.ndarray,
+    ties: np.ndarray,
+    iterations: int,
+    rng: np.random.Generator,
+    phase: str,
+    scales: np.ndarray,
+    pace: Pace = TIED,
+) -> Descent:
+    """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
+
+    Good gains often lie close to a cliff, beyond which the loop is unstable. A step over it (the walk diverges, or its
+    value is out of all proportion) is taken back: the start steps again from its best point, half as far, with a fresh
+    memory. So does one that has found nothing better for a while: Adam steps as far along an axis that hardly matters
+    as along one that does, and may leave a good valley for a worse one. A start that has no such point goes on from a
+    random one. The others do not notice.
+    """
+    space = task.problem.space
+    schedule = optax.cosine_decay_schedule(pace.rate, iterations, alpha=pace.last)
+    direction = optax.scale_by_adam(b1=0.8, b2=pace.memory)
+    update = jax.jit(jax.vmap(direction.update))
+    with jax.enable_x64(False):  # whatever the caller's setting: a search repeats itself bit by bit
+        blank = jax.vmap(direction.init)(np.zeros((len(theta), len(ties)), np.float32))
+        rate = [float(schedule(iteration)) for iteration in range(iterations)]
+    state, visited, merits = blank, [], []
+    best, slope_there = theta, np.zeros((len(theta), len(ties)))  # of each start so far
+    least, value_there = np.full(len(theta), np.inf), np.full(len(theta), np.inf)
+    waited = np.zeros(len(theta), int)
+    for iteration in range(iterations):
+        found = yield Request(theta, ties, phase)
+        visited.append(theta)
+        merits.append(found.merit)
+        gradient = found.gradient if iteration < pace.smooth * iterations else found.sharp
+        over = found.value > value_there + FALL * np.maximum(1.0, np.abs(value_there))
+        lost = over | ~(found.alive & np.isfinite(gradient).all(1))
+        better = ~lost & (found.merit < least)
+        best, slope_there = (np.where(better[:, None], *pair) for pair in ((theta, best), (gradient, slope_there)))
+        least, value_there = (np.where(better, *pair) for pair in ((found.merit, least), (found.value, value_there)))
+
+        waited = np.where(better, 0, waited + 1)
+        back = lost | (waited >= pace.patience)
+        waited = np.where(back, 0, waited)
+        theta, slope = (np.where(back[:, None], *pair) for pair in ((best, theta), (slope_there, gradient)))
+        scales = np.where(back & np.isfinite(least), BACK * scales, scales)
+        state = choose(back, blank, state)
+        slope = slope * np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12))
+        with jax.enable_x64(False):
+            steps, state = update(slope.astype(np.float32), state)
+        rates = rate[iteration] * scales[:, None]
+        theta = space.clip(theta - rates * np.asarray(steps, float) @ ties)
+        homeless = lost & np.isinf(least)
+        if homeless.any():
+            theta = np.where(homeless[:, None], space.draw_tied(rng, len(theta)), theta)
+            state = choose(homeless, blank, state)
+    return np.array(visited), np.array(merits)
+
+
+def choose(rows: np.ndarray, yes: Any, no: Any) -> Any:
+    """Return the rows of one pytree where `rows` (B,) is true and those of another elsewhere."""
+    return jax.tree.map(lambda y, n: np.where(rows.reshape(-1, *[1] * (np.ndim(y) - 1)), y, n), yes, no)

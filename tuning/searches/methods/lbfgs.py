@@ -1,0 +1,95 @@
+"""L-BFGS, projected on the bounds, with a backtracking line search of its own for every start of a batch."""
+
+import jax
+import numpy as np
+import optax
+
+from tuning.searches.methods import staged
+from tuning.searches.methods.gradient import choose
+from tuning.searches.methods.task import Descent, Points, Request, Task
+
+MEMORY = 8
+FIRST_STEP = 1.0  # length of the first step, in the logarithm of the gains
+LONGEST_STEP = 2.0
+DECREASE = 1e-4  # Armijo's share of the decrease that the slope promises
+SHRINK = 0.4
+GIVE_UP = 1e-2  # relative length of a trial step below which a start forgets and follows the gradient
+
+rounds = staged.rounds
+
+
+def run(task: Task) -> Points:
+    """Descend from every start with the axes tied, then free."""
+    return staged.run(task, *[descend] * 4)
+
+
+def descend(
+    task: Task,
+    theta: np.ndarray,
+    ties: np.ndarray,
+    iterations: int,
+    rng: np.random.Generator,
+    phase: str,
+    scales: np.ndarray,
+) -> Descent:
+    """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
+
+    Each round judges one trial point per start. A trial that diverges is a step too long; a start that is dead from
+    the beginning goes on from a random point.
+    """
+    space = task.problem.space
+    count, k = len(theta), len(ties)
+    memory = optax.scale_by_lbfgs(memory_size=MEMORY)
+    with jax.enable_x64(False):  # whatever the caller's setting: a search repeats itself bit by bit
+        blank = jax.vmap(memory.init)(np.zeros((count, k), np.float32))
+    update = jax.jit(jax.vmap(memory.update))
+    state, fresh, visited, merits = blank, np.ones(count, bool), [], []
+    trial, place, value = theta.copy(), np.zeros((count, k)), np.full(count, np.inf)  # place: moved along the ties
+    aim, slope, step, length = place.copy(), np.zeros((count, k)), np.zeros((count, k)), np.ones(count)
+    for _ in range(iterations):
+        found = yield Request(trial, ties, phase)
+        visited.append(trial)
+        merits.append(found.merit)
+        good = found.alive & np.isfinite(found.gradient).all(1)
+        promised = np.minimum((slope * (aim - place)).sum(1), 0.0)
+        accepted = good & (np.isinf(value) | (found.descent <= value + DECREASE * promised))
+        theta, place = np.where(accepted[:, None], trial, theta), np.where(accepted[:, None], aim, place)
+        value = np.where(accepted, found.descent, value)
+        slope = np.where(accepted[:, None], found.gradient, slope)
+
+        # a gain that lies on a bound and would pass it takes no part in the step
+        lowest = _all_of(theta <= space.lower, ties)
+        highest = _all_of(theta >= space.upper, ties)
+        outwards = (lowest & (slope > 0)) | (highest & (slope < 0))
+        free = np.where(outwards, 0.0, slope).astype(np.float32)
+        with jax.enable_x64(False):
+            directions, stepped = update(free, state, place.astype(np.float32))
+        state = choose(accepted, stepped, state)
+        directions = np.where(outwards, 0.0, np.asarray(directions, float))
+        directions = np.where(((directions * free).sum(1) > 0)[:, None], -directions, -free)
+        norm = np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+        directions *= np.where(
+            fresh[:, None], scales[:, None] * FIRST_STEP / norm, np.minimum(1.0, LONGEST_STEP / norm)
+        )
+        fresh &= ~accepted
+
+        length = np.where(accepted, 1.0, length * SHRINK)
+        step = np.where(accepted[:, None], directions, step)
+        stuck = length < GIVE_UP
+        if stuck.any():
+            state = choose(stuck, blank, state)
+            along = -free / np.maximum(np.linalg.norm(free, axis=1, keepdims=True), 1e-12)
+            step, length = np.where(stuck[:, None], along, step), np.where(stuck, 0.1, length)
+        aim = place + length[:, None] * step
+        trial = space.clip(theta + (aim - place) @ ties)
+        unborn = np.isinf(value)
+        if unborn.any():
+            trial = np.where(unborn[:, None], space.draw_tied(rng, count), trial)
+            theta = np.where(unborn[:, None], trial, theta)
+            aim, length = np.where(unborn[:, None], place, aim), np.where(unborn, 1.0, length)
+    return np.array(visited), np.array(merits)
+
+
+def _all_of(flags: np.ndarray, ties: np.ndarray) -> np.ndarray:
+    """Return (B, k) whether a flag (B, n) is set for every coordinate that a row of ties moves."""
+    return np.asarray((flags.astype(float) @ ties.T) >= ties.sum(1))

@@ -1,0 +1,68 @@
+"""A logarithmic grid, then finer ones round its best cells."""
+
+import itertools
+import math
+
+import numpy as np
+
+from mjx_climb.scenario.model import ConfigError
+from tuning.searches.methods.task import Points, Request, Task
+
+POINTS = {1: 64, 2: 24, 3: 10, 4: 6}  # per coordinate, by the number of coordinates
+MOST = 4  # coordinates; a grid of more is no search
+CELLS = 3  # best ones, each refined
+FINE = {1: 9, 2: 5, 3: 3, 4: 3}  # points per coordinate over the two cells beside a best one
+REFINEMENTS = 2
+BATCH = 256
+
+
+def rounds(task: Task) -> int:
+    """Return how many rounds a run takes."""
+    dense, fine = _sizes(task)
+    return math.ceil(dense / _batch(dense)) + _refinements(task) * math.ceil(CELLS * fine / _batch(dense))
+
+
+def _refinements(task: Task) -> int:
+    return REFINEMENTS if task.search.iterations is None else task.search.iterations - 1
+
+
+def _points(task: Task) -> int:
+    return task.search.starts or POINTS[task.problem.space.size]
+
+
+def _sizes(task: Task) -> tuple[int, int]:
+    n = task.problem.space.size
+    if n > MOST:
+        raise ConfigError(
+            f"method: expected a space of at most {MOST} gains for a grid, got {n} (pin some, or choose another method)"
+        )
+    return _points(task) ** n, FINE[n] ** n
+
+
+def _batch(dense: int) -> int:
+    return math.ceil(dense / math.ceil(dense / BATCH))
+
+
+def run(task: Task) -> Points:
+    """Walk a dense grid of `starts` points per coordinate, then refine `iterations` - 1 times round its best points."""
+    space = task.problem.space
+    dense, _ = _sizes(task)
+    batch = _batch(dense)
+    axes = [np.linspace(*ends, _points(task)) for ends in zip(space.lower, space.upper, strict=True)]
+    cell = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
+    points = np.array(list(itertools.product(*axes)))
+    judged, merits = [], []
+    for level in range(1 + _refinements(task)):
+        phase = "grid" if level == 0 else "refined grid"
+        for begin in range(0, len(points), batch):
+            # the last batch is filled up with its last point, so that one program walks them all
+            rows = np.minimum(np.arange(begin, begin + batch), len(points) - 1)
+            found = yield Request(points[rows], None, phase)
+            judged.append(points[rows])
+            merits.append(np.where(found.feasible, found.value, 1e3 + found.merit))
+        every, merit = np.concatenate(judged), np.concatenate(merits)
+        every, first = np.unique(every, axis=0, return_index=True)
+        best = every[np.argsort(merit[first], kind="stable")[:CELLS]]
+        offsets = np.array(list(itertools.product(np.linspace(-1, 1, FINE[space.size]), repeat=space.size)))
+        points = space.clip((best[:, None] + offsets * cell).reshape(-1, space.size))
+        cell = cell * 2 / (FINE[space.size] - 1)

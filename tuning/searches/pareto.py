@@ -1,0 +1,216 @@
+"""The Pareto front of two metrics: what one costs in terms of the other, with the gains that get it.
+
+By the epsilon constraint: each row of a batch betters one metric under its own limit on the other, by the gradient.
+Rows start from the best point that any row has visited within their limit, so neighbours help each other. Whatever
+was walked on the way is a candidate; the front is what nothing else beats in both metrics.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.files import dataset
+from mjx_climb.files.dataset import METRIC_NAMES, SIX
+from mjx_climb.plots import LARGER_IS_BETTER
+from mjx_climb.scenario.model import ConfigError
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.objectives import Limit, Objective
+from tuning.problem.search import Search
+from tuning.problem.spaces import to_gains64
+from tuning.searches import tune
+from tuning.searches.judged_rounds import Rounds, Told
+from tuning.searches.methods import Task, gradient
+
+CANDIDATES = 64  # random points, the scenario's own gains among them
+STAGES = 3  # descents; between them every row starts again from the best point within its limit
+ITERATIONS = 6  # of a descent
+POINTS = 12  # limits along the front
+_Archive = dict[str, list[np.ndarray]]
+_MARGIN = 0.002  # relative: where the penalty of a row's limit begins, inside it
+
+
+def front(
+    scenario: mc.Scenario,
+    settings: Search | None = None,
+    *,
+    better: str = "force_variation",
+    against: str = "base_deviation",
+    points: int = POINTS,
+    engine: str = DEFAULT_ENGINE,
+    out: Path | None = None,
+    progress: Told | None = None,
+    **changes: Any,
+) -> xr.Dataset:
+    """Search the Pareto front of two metrics.
+
+    Arguments:
+        scenario: what walks where; its own gains are among the first points.
+        settings: space, bounds, limits and seed (weights and method are not used); `changes` replace keys of it.
+        better: the metric that each row betters.
+        against: the metric that each row limits.
+        points: how many limits, evenly spaced in the logarithm, from the least that is found to where `better` is
+            best, within the settings' own limit on `against`.
+        engine: the dynamics.
+        out: a folder that keeps finished rounds, so that an interrupted search goes on.
+        progress: called after each round.
+
+    Returns:
+        Dimension `point`: both metrics of all that was walked in the search, nothing torn off. Dimension `front`: the
+        gains on the front and all their metrics, in float64 with grippers that tear off. Dimension `reference`: the
+        metrics of the scenario's own gains (`config`) and of `pd`, likewise.
+
+    Raises:
+        ConfigError: no walk meets the constraints, or a metric that cannot be weighed.
+    """
+    if better == against:
+        raise ConfigError(f"against: expected another metric than {better}")
+    settings = bettering(better, tune.changed(settings, changes))
+    problem = tune.problem_of(scenario, settings, engine=engine)
+    space, plain = problem.space, problem.objective
+    assert isinstance(plain, Objective)
+    rng = np.random.default_rng(settings.seed)
+    identity = {**tune._identity(problem, settings, None), "front": [better, against, points]}
+    stages = [space.ties] + [np.eye(space.size) if len(space.ties) < space.size else space.ties] * (STAGES - 1)
+    rounds = Rounds(1 + STAGES * ITERATIONS, progress, out, identity)
+    archive: _Archive = {"theta": [], "x": [], "y": [], "held": []}
+
+    def keep(theta: np.ndarray, found: Evaluation) -> None:
+        others = [_slack(limit, found) <= 0 for limit in plain.limits if limit.metric != against]
+        held = np.all([found.alive, *others], axis=0)
+        for name, values in zip(archive, (theta, found.metrics[against], found.metrics[better], held), strict=True):
+            archive[name].append(np.asarray(values))
+
+    start = np.concatenate([tune.start_of(problem)[None], space.draw_tied(rng, CANDIDATES - 1)])
+    keep(start, rounds.evaluate(problem, start, "random points"))
+    limits = _limits(archive, better, against, plain.limits, points)
+    ceiling = Limit(against, tuple(limits), tuple(np.abs(limits)), _MARGIN, "the row's own")
+    kept = tuple(limit for limit in plain.limits if limit.metric != against)
+    rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*kept, ceiling)))
+    task = Task(rows, settings, start[0])
+    for number, ties in enumerate(stages):
+        theta = _best_within(archive, limits, better, against)
+        phase = f"descent {number + 1} of {STAGES}"
+        visited = rounds.descend(
+            rows, gradient.descend(task, theta, ties, ITERATIONS, rng, phase, np.full(len(theta), 0.5 * 0.6**number))
+        )
+        for step in visited:
+            keep(step.theta, step.found)
+    return _dataset(scenario, settings, problem, archive, limits, better, against, rounds.env_steps, engine)
+
+
+def bettering(metric: str, settings: Search) -> Search:
+    """Return settings that weigh one metric alone, relative to pd's."""
+    return tune.changed(settings, {"weights": {metric: 1.0}, "no_worse_than_pd": False})
+
+
+def nondominated(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the indices of the points that no other beats in both, smaller is better, in the order of x."""
+    order = np.lexsort((y, x))
+    best = np.minimum.accumulate(np.concatenate([[np.inf], y[order][:-1]]))
+    return order[y[order] < best]
+
+
+def knee(x: np.ndarray, y: np.ndarray) -> int:
+    """Return the index of the point of a front that lies furthest from the line between its ends."""
+    if len(x) < 3:
+        return 0
+    across, down = (x - x[0]) / (x[-1] - x[0]), (y - y[-1]) / (y[0] - y[-1])
+    return int(np.argmin(across + down))
+
+
+def gains_of(result: xr.Dataset, index: int) -> mc.Gains:
+    """Return the gains of one point of the front."""
+    row = result.isel(front=index)
+    return mc.Gains(**{name: row[name].values for name in (*mc.Gains.AXES, "kp", "kd") if name in row})
+
+
+def _sign(metric: str) -> float:
+    return -1.0 if metric in LARGER_IS_BETTER else 1.0
+
+
+def _slack(limit: Limit, found: Evaluation) -> np.ndarray:
+    over = (found.metrics[limit.metric] - limit.value) * _sign(limit.metric)
+    return np.asarray(over / limit.scale)
+
+
+def _joined(archive: _Archive, better: str, against: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points, and both metrics with the smaller better, infinite where a constraint is broken."""
+    theta, x, y, held = (np.concatenate(archive[name]) for name in ("theta", "x", "y", "held"))
+    held = held & np.isfinite(x) & np.isfinite(y)
+    return theta, np.where(held, _sign(against) * x, np.inf), np.where(held, _sign(better) * y, np.inf)
+
+
+def _limits(archive: _Archive, better: str, against: str, own_limits: Sequence[Limit], points: int) -> np.ndarray:
+    """Return the rows' limits (points,) on `against`, in its own sign."""
+    _, x, y = _joined(archive, better, against)
+    widest = [_sign(against) * float(np.asarray(limit.value)) for limit in own_limits if limit.metric == against]
+    within = np.isfinite(x) & (x <= min(widest, default=np.inf))
+    if not within.any():
+        raise ConfigError("limits: expected a walk that meets them all, got none of the first points")
+    low, high = x[within].min(), x[within][np.argmin(y[within])]
+    if widest:
+        high = max(high, widest[0])
+    if not low < high:
+        high = low + 0.1 * abs(low)
+    spaced = np.geomspace if low > 0 else np.linspace
+    return np.asarray(_sign(against) * spaced(low, high, points))
+
+
+def _best_within(archive: _Archive, limits: np.ndarray, better: str, against: str) -> np.ndarray:
+    """Return for each limit the best point within it (points, n), else the one that comes closest to it."""
+    theta, x, y = _joined(archive, better, against)
+    rows = []
+    for limit in _sign(against) * limits:
+        inside = x <= limit
+        rows.append(np.argmin(np.where(inside, y, np.inf)) if inside.any() else np.argmin(x))
+    return theta[rows]
+
+
+def _dataset(
+    scenario: mc.Scenario,
+    settings: Search,
+    problem: Problem,
+    archive: _Archive,
+    limits: np.ndarray,
+    better: str,
+    against: str,
+    env_steps: int,
+    engine: str,
+) -> xr.Dataset:
+    theta, x, y = _joined(archive, better, against)
+    candidates = nondominated(x, y)
+    candidates = candidates[np.isfinite(y[candidates])]
+    widest = _sign(against) * limits[-1] * (1 + 1e-6 * np.sign(_sign(against) * limits[-1]))
+    within = x[candidates] <= widest
+    candidates = candidates[within] if within.any() else candidates
+    gains = to_gains64(problem.space, theta[candidates])
+    six = {n: np.broadcast_to(getattr(gains, n), (len(candidates), 6)) for n in ("inertia", "damping", "stiffness")}
+    extra = {n: getattr(gains, n) for n in ("kp", "kd") if getattr(gains, n) is not None}
+    exact = mc.rollout_metrics(scenario, mc.Gains(**six, **extra), dtype=np.float64, engine=engine)
+    stays = (exact["detached_limb"] < 0) & ~exact["diverged"]
+    costs = [np.where(stays, _sign(name) * exact[name], np.inf) for name in (against, better)]
+    on = nondominated(*costs)
+    on = on[np.isfinite(costs[1][on])]
+    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    own = [mc.rollout_metrics(s, dtype=np.float64, engine=engine) for s in (scenario, pd)]
+    data: dict[str, Any] = {name: (("front", "six"), values[on]) for name, values in six.items()}
+    data |= {name: ("front", values[on]) for name, values in extra.items()}
+    for name in mc.METRICS:
+        about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}
+        data[name] = ("front", exact[name][on], about)
+        data[f"reference_{name}"] = ("reference", np.array([m[name] for m in own]), about)
+    for name, key in ((against, "x"), (better, "y")):
+        about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}
+        data[f"walked_{name}"] = ("point", np.concatenate(archive[key]), about)
+    data["held"] = ("point", np.concatenate(archive["held"]), {"units": "1", "long_name": "all constraints met"})
+    data["theta"] = (("point", "coordinate"), theta, {"units": "1", "long_name": "log of the gains"})
+    attrs = {"title": "Pareto front of two metrics", "better": better, "against": against, "env_steps": env_steps}
+    attrs |= {"search": settings.to_yaml(), **dataset._provenance(scenario)}
+    coordinates = {"six": SIX, "coordinate": list(problem.space.names), "reference": ["config", "pd"]}
+    return xr.Dataset(data, coordinates, attrs)

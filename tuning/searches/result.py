@@ -1,0 +1,116 @@
+"""The result of a search, the same for every method: the gains, how they were found, and what made them."""
+
+import dataclasses
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.files import dataset
+from mjx_climb.files.dataset import METRIC_NAMES
+from mjx_climb.scenario.model import ConfigError
+from tuning.problem import search as search_settings
+from tuning.problem.search import Search
+from tuning.problem.spaces import Space, to_gains64
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a search found.
+
+    `history` holds every point that was judged, in order: dimensions `point` and `coordinate` (names of the space);
+    variables `theta` (natural logarithm), `value`, `descent`, `penalty`, `feasible`, `gradient_norm`, `round`, `row`
+    (place in its batch), `phase`, `env_steps` (spent so far) and the metrics.
+    """
+
+    scenario: mc.Scenario
+    search: Search
+    gains: mc.Gains  # the best found, in float64
+    theta: np.ndarray  # (n,)
+    value: float  # 1 for pd
+    feasible: bool
+    metrics: dict[str, float]  # of the best, as the search saw it: nothing torn off
+    env_steps: int  # a forward-mode step with n tangents counts 1 + n
+    best_at: int  # env-steps spent when the best was found
+    interrupted: bool
+    history: xr.Dataset
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the whole result as netCDF and return its path."""
+        return dataset.save(self.history, path)
+
+
+def from_history(
+    scenario: mc.Scenario, search: Search, space: Space, arrays: Mapping[str, np.ndarray], *, interrupted: bool
+) -> Result:
+    """Return the result of the points judged so far.
+
+    The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
+
+    Raises:
+        ValueError: nothing was judged.
+    """
+    if not arrays or not len(arrays["value"]):
+        raise ValueError("expected a judged point, got none")
+    count = len(arrays["value"])
+    best = best_of(arrays)
+    data: dict[str, Any] = {
+        "theta": (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})
+    }
+    for name, values in arrays.items():
+        if name == "theta":
+            continue
+        units = mc.METRICS.get(name, "1")
+        data[name] = ("point", values, {"units": units, "long_name": METRIC_NAMES.get(name, name.replace("_", " "))})
+    attrs: dict[str, Any] = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
+    attrs["interrupted"] = int(interrupted)
+    history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
+    theta = np.asarray(arrays["theta"][best], float)
+    gains = to_gains64(space, theta)
+    history.attrs["gains"] = dataset._to_json(gains)
+    return _of(history, scenario, search, gains, best)
+
+
+def best_of(arrays: Mapping[str, np.ndarray]) -> int:
+    """Return the index of the best point."""
+    value, penalty, feasible = (np.asarray(arrays[name]) for name in ("value", "penalty", "feasible"))
+    ranked = np.where(feasible, value, np.inf) if feasible.any() else value + penalty
+    ranked = np.where(np.isfinite(ranked), ranked, np.inf)
+    return int(np.argmin(ranked))
+
+
+def _of(history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Gains, best: int) -> Result:
+    names = [name for name in mc.METRICS if name in history]
+    return Result(
+        scenario=scenario,
+        search=search,
+        gains=gains,
+        theta=history["theta"].values[best],
+        value=float(history["value"][best]),
+        feasible=bool(history["feasible"][best]),
+        metrics={name: float(history[name][best]) for name in names},
+        env_steps=int(history["env_steps"][-1]),
+        best_at=int(history["env_steps"][best]),
+        interrupted=bool(history.attrs["interrupted"]),
+        history=history,
+    )
+
+
+def load(path: str | os.PathLike[str]) -> Result:
+    """Read the result that `Result.save` wrote; its scenario and settings repeat the search.
+
+    Raises:
+        ConfigError: no such file, or another one.
+    """
+    history = dataset.load(path)
+    if "search" not in history.attrs:
+        raise ConfigError(f"{os.fspath(path)}: expected the result of a search, got another dataset")
+    gains = {name: np.asarray(v) for name, v in json.loads(history.attrs["gains"]).items() if v is not None}
+    arrays = {name: history[name].values for name in ("value", "penalty", "feasible")}
+    settings = search_settings.parse(history.attrs["search"], os.fspath(path))
+    return _of(history, dataset.scenario_of(history), settings, mc.Gains(**gains), best_of(arrays))

@@ -1,0 +1,314 @@
+"""A gain schedule: which gains to load under which gravity and with which cargo.
+
+All operating points are tuned side by side in one batch, each under its own gravity and cargo and against its own pd.
+Then every point tries the gains of all others, takes them where they are better, and goes on from there.
+"""
+
+import dataclasses
+import functools
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+import xarray as xr
+import yaml
+
+import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
+from mjx_climb.files import dataset
+from mjx_climb.files.dataset import METRIC_NAMES, SIX
+from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.scenario.model import ConfigError
+from tuning.problem import objectives, spaces
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.problem.search import Search
+from tuning.problem.spaces import to_gains64
+from tuning.searches import tune
+from tuning.searches.judged_rounds import Rounds, Told
+from tuning.searches.methods import Task, gradient
+from tuning.searches.robust import pd_of
+
+G = -EARTH[2]  # m/s^2
+GRAVITIES = (1e-6, 1e-2, 1 / 6, 0.38, 1.0)  # G: orbit, a small body, Moon, Mars, Earth
+CARGO = (0.0, 0.5, 1.0)  # kg
+CANDIDATES = 24  # random points per operating point
+ITERATIONS = (10, 8)  # of the two descents
+GAINS = ("inertia", "damping", "stiffness")
+_Part = TypeVar("_Part", Term, Limit)
+
+
+def schedule(
+    scenario: mc.Scenario,
+    settings: Search | None = None,
+    *,
+    gravity: Sequence[float] = GRAVITIES,
+    cargo: Sequence[float] = CARGO,
+    engine: str = DEFAULT_ENGINE,
+    out: Path | None = None,
+    progress: Told | None = None,
+    **changes: Any,
+) -> xr.Dataset:
+    """Tune gains for every pair of gravity and cargo.
+
+    Arguments:
+        scenario: what walks where; its gravity gives the direction alone, its cargo the window of time alone.
+        settings: space, bounds, weights, limits and seed (the method is not used); `changes` replace keys of it.
+        gravity: G, ascending.
+        cargo: kg, ascending.
+        engine: the dynamics.
+        out: a folder that keeps finished rounds, so that an interrupted search goes on.
+        progress: called after each round.
+
+    Returns:
+        Dimensions `gravity` and `cargo`: the gains, `value` (1 for pd at that point), `feasible`; with `walk` (tuned,
+        config, pd) every metric, in float64 with grippers that tear off; with `gravity_of` and `cargo_of` the `value`
+        (`transfer`) that the gains of another operating point have here, NaN where they break a constraint.
+
+    Raises:
+        ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
+    """
+    settings = tune.changed(settings, changes)
+    each, numbers = goals(scenario, settings, gravity, cargo, engine), _numbers(scenario, gravity, cargo)
+    points = len(each)
+    space, rng = spaces.space(scenario, settings), np.random.default_rng(settings.seed)
+    dtype = np.dtype(settings.precision).type
+    problem = Problem(scenario, space, _rows(each), dtype=dtype, engine=engine)
+    own = tune.start_of(problem)
+    identity = {**tune._identity(problem, settings, None), "operating_points": [list(gravity), list(cargo)]}
+    rounds = Rounds(1 + sum(ITERATIONS) + 2, progress, out, identity)
+
+    def at(places: np.ndarray) -> Problem:
+        """Return the problem whose rows are at some operating points."""
+        rows = {n: v[places] if n in _VARIED else v for n, v in vars(numbers).items()}
+        return dataclasses.replace(
+            problem, numbers=mc.Parameters(**rows), objective=_rows([each[place] for place in places])
+        )
+
+    best, merit = np.tile(own, (points, 1)), np.full(points, np.inf)
+
+    def take(theta: np.ndarray, found: Evaluation, places: np.ndarray) -> None:
+        """Keep the best point of every operating point."""
+        ranks = np.where(found.feasible, found.value, 1e3 + found.merit)
+        for row, place in enumerate(places):
+            if ranks[row] < merit[place]:
+                best[place], merit[place] = theta[row], ranks[row]
+
+    drawn = np.concatenate([own[None], space.draw_tied(rng, CANDIDATES - 1)])
+    places = np.repeat(np.arange(points), CANDIDATES)
+    theta = np.tile(drawn, (points, 1))
+    take(theta, rounds.evaluate(at(places), theta, "random points"), places)
+
+    here = np.arange(points)
+    pairs = np.repeat(here, points), np.tile(here, points)  # operating point, whose gains
+    for number, iterations in enumerate(ITERATIONS):
+        ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
+        walks, phase = at(here), f"descent {number + 1} of {len(ITERATIONS)}"
+        task = Task(walks, settings, own)
+        moves = gradient.descend(task, best.copy(), ties, iterations, rng, phase, np.full(points, 0.5 * 0.6**number))
+        for step in rounds.descend(walks, moves):
+            take(step.theta, step.found, here)
+        theta = best[pairs[1]]
+        crossed = rounds.evaluate(at(pairs[0]), theta, "gains of the neighbours")
+        take(theta, crossed, pairs[0])
+    transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(points, points)
+    return _dataset(scenario, settings, space, numbers, gravity, cargo, best, merit, transfer, rounds.env_steps, engine)
+
+
+_VARIED = ("gravity", "cargo_mass")
+
+
+def goals(
+    scenario: mc.Scenario,
+    settings: Search,
+    gravity: Sequence[float] = GRAVITIES,
+    cargo: Sequence[float] = CARGO,
+    engine: str = DEFAULT_ENGINE,
+) -> list[Objective]:
+    """Return the objectives of all operating points, the cargo running fastest; pd walks at each first.
+
+    Raises:
+        ConfigError: see `schedule`.
+    """
+    for name, values, least in (("gravity", gravity, 0.0), ("cargo", cargo, -1e-12)):
+        if not len(values) or not np.isfinite(values).all() or min(values) <= least or (np.diff(values) <= 0).any():
+            raise ConfigError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
+    baseline = _baseline(scenario, tuple(gravity), tuple(cargo), engine)
+    points = range(len(gravity) * len(cargo))
+    return [objective_at(scenario, settings, {name: float(v[p]) for name, v in baseline.items()}) for p in points]
+
+
+@functools.lru_cache(maxsize=8)
+def _baseline(
+    scenario: mc.Scenario, gravity: tuple[float, ...], cargo: tuple[float, ...], engine: str
+) -> dict[str, np.ndarray]:
+    """Return the metrics of pd at all operating points (P,) with their smooth companions."""
+    return pd_of(scenario, _numbers(scenario, gravity, cargo), engine=engine)
+
+
+def objective_at(scenario: mc.Scenario, settings: Search, baseline: dict[str, float]) -> Objective:
+    """Return the objective of one operating point relative to pd there.
+
+    A limit on the base's deviation that follows from pd's is at least a millimetre: without cargo or weight pd hardly
+    sags.
+    """
+    plain = objectives.objective(scenario, settings, baseline)
+    limits = [
+        limit._replace(value=max(limit.value, 1e-3), scale=max(limit.scale, 1e-3))
+        if limit.metric == "base_deviation" and "base_deviation" not in settings.limits
+        else limit
+        for limit in plain.limits
+    ]
+    return dataclasses.replace(plain, limits=tuple(limits))
+
+
+def _rows(rows: Sequence[Objective]) -> Objective:
+    """Return one objective for a batch whose rows have their own."""
+
+    def joined(kind: type[_Part], items: Sequence[_Part]) -> _Part:
+        merged: dict[str, Any] = {name: tuple(getattr(item, name) for item in items) for name in kind._fields}
+        same = {name: values[0] for name, values in merged.items() if isinstance(values[0], str)}
+        same |= {name: merged[name][0] for name in ("weight", "margin") if name in merged}
+        return kind(**{**merged, **same})
+
+    terms = tuple(joined(Term, items) for items in zip(*(row.terms for row in rows), strict=True))
+    limits = tuple(joined(Limit, items) for items in zip(*(row.limits for row in rows), strict=True))
+    return Objective(terms, limits)
+
+
+def _numbers(scenario: mc.Scenario, gravity: Sequence[float], cargo: Sequence[float]) -> mc.Parameters:
+    """Return the numbers of all operating points, gravity (P, 3) and cargo (P,), the cargo running fastest."""
+    down = np.asarray(scenario.gravity, float)
+    length = np.linalg.norm(down)
+    down = down / length if length > 0 else np.array([0.0, 0.0, -1.0])
+    level, load = np.meshgrid(gravity, cargo, indexing="ij")
+    with jax.enable_x64(True):
+        own = jax.tree.map(np.asarray, mc.parameters(scenario))
+    varied: mc.Parameters = dataclasses.replace(own, gravity=G * level.reshape(-1, 1) * down, cargo_mass=load.ravel())
+    return varied
+
+
+def _dataset(
+    scenario: mc.Scenario,
+    settings: Search,
+    space: spaces.Space,
+    numbers: mc.Parameters,
+    gravity: Sequence[float],
+    cargo: Sequence[float],
+    theta: np.ndarray,
+    merit: np.ndarray,
+    transfer: np.ndarray,
+    spent: int,
+    engine: str,
+) -> xr.Dataset:
+    shape = (len(gravity), len(cargo))
+    gains = to_gains64(space, theta)
+    values = {n: np.broadcast_to(getattr(gains, n), (len(theta), 6)) for n in GAINS}
+    extra = {n: getattr(gains, n) for n in ("kp", "kd") if getattr(gains, n) is not None}
+    own = gains_of(scenario)
+    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    walks = {
+        "tuned": (scenario, mc.Gains(**values, **extra)),
+        "config": (scenario, own),
+        "pd": (pd, own),
+    }
+    metrics = [mc.rollout_metrics(s, g, numbers, dtype=np.float64, engine=engine) for s, g in walks.values()]
+    data: dict[str, Any] = {name: (("gravity", "cargo", "six"), values[name].reshape(*shape, 6)) for name in GAINS}
+    data |= {name: (("gravity", "cargo"), v.reshape(shape)) for name, v in extra.items()}
+    data["value"] = (("gravity", "cargo"), np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
+    data["feasible"] = (("gravity", "cargo"), (merit < 1e3).reshape(shape), {"units": "1"})
+    data["transfer"] = (("gravity", "cargo", "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
+    bounds = [", ".join(space.on_bound(point)) for point in theta]
+    data["on_bound"] = (("gravity", "cargo"), np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})
+    for name in mc.METRICS:
+        about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}
+        data[name] = (("walk", "gravity", "cargo"), np.stack([m[name].reshape(shape) for m in metrics]), about)
+    coordinates = {
+        "gravity": ("gravity", np.asarray(gravity, float), {"units": "G", "long_name": "gravity"}),
+        "cargo": ("cargo", np.asarray(cargo, float), {"units": "kg", "long_name": "mass of the cargo"}),
+        "gravity_of": np.asarray(gravity, float),
+        "cargo_of": np.asarray(cargo, float),
+        "walk": list(walks),
+        "six": SIX,
+    }
+    attrs = {"title": "gain schedule", "search": settings.to_yaml(), "env_steps": spent, "space": " ".join(space.names)}
+    return xr.Dataset(data, coordinates, {**attrs, **dataset._provenance(scenario)})
+
+
+def lookup(table: xr.Dataset, gravity: float, cargo: float) -> mc.Gains:
+    """Return the gains between the operating points: logarithms, linear in log gravity and in cargo, held at the ends.
+
+    Arguments:
+        table: what `schedule` gave.
+        gravity: G.
+        cargo: kg.
+    """
+
+    def between(name: str) -> np.ndarray:
+        values = table[name].values
+        logs = np.log(values.reshape(table.sizes["gravity"], table.sizes["cargo"], -1))
+        loads, levels = table["cargo"].values, np.log(table["gravity"].values)
+        at_cargo = [[np.interp(cargo, loads, logs[g, :, i]) for i in range(logs.shape[2])] for g in range(len(logs))]
+        return np.exp([np.interp(math.log(gravity), levels, column) for column in np.transpose(at_cargo)])
+
+    extra = {name: between(name)[0] for name in ("kp", "kd") if name in table}
+    return mc.Gains(**{name: between(name) for name in GAINS}, **extra)
+
+
+def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
+    """Return the operating point, gravity G and cargo kg, whose gains serve all others best, and the most they lose.
+
+    The loss is the largest `transfer` less the tuned `value` over all operating points; infinite where every set of
+    gains breaks a constraint somewhere.
+    """
+    loss = table["transfer"].values - table["value"].values[:, :, None, None]
+    worst = np.where(np.isfinite(loss), loss, np.inf).max((0, 1))
+    g, c = np.unravel_index(np.argmin(worst), worst.shape)
+    return float(table["gravity"][g]), float(table["cargo"][c]), float(worst[g, c])
+
+
+def rows(table: xr.Dataset) -> list[dict[str, Any]]:
+    """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd."""
+    result = []
+    for g in range(table.sizes["gravity"]):
+        for c in range(table.sizes["cargo"]):
+            point = table.isel(gravity=g, cargo=c)
+            row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
+            for name in (*GAINS, "kp", "kd"):
+                if name in point:
+                    values = np.unique(np.round(point[name].values.ravel(), 12))
+                    row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
+            row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
+            for name in ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation"):
+                row[name] = {walk: float(point[name].sel(walk=walk)) for walk in table["walk"].values.tolist()}
+            result.append(row)
+    return result
+
+
+def to_csv(table: xr.Dataset) -> str:
+    """Return the schedule as CSV: one line per operating point, six columns per gain."""
+    text = io.StringIO()
+    columns = [f"{name}_{axis}" for name in GAINS for axis in SIX] + [n for n in ("kp", "kd") if n in table]
+    names = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")
+    walks = table["walk"].values.tolist()
+    head = ["gravity_G", "cargo_kg", *columns, "feasible", *(f"{name}_{walk}" for name in names for walk in walks)]
+    text.write(",".join(head) + "\n")
+    for g, level in enumerate(table["gravity"].values):
+        for c, load in enumerate(table["cargo"].values):
+            point = table.isel(gravity=g, cargo=c)
+            values = [level, load, *np.concatenate([point[name].values for name in GAINS])]
+            values += [point[name].item() for name in ("kp", "kd") if name in table]
+            tail = [point[name].sel(walk=walk).item() for name in names for walk in walks]
+            cells = [f"{v:.6g}" for v in values] + [str(int(point["feasible"]))] + [f"{v:.6g}" for v in tail]
+            text.write(",".join(cells) + "\n")
+    return text.getvalue()
+
+
+def to_yaml(table: xr.Dataset) -> str:
+    """Return the schedule as YAML: a list of operating points with their gains."""
+    return yaml.safe_dump({"operating_points": rows(table)}, sort_keys=False, default_flow_style=None, width=110)
