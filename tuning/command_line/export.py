@@ -35,8 +35,8 @@ def export(
       mjx-climb export gains.yaml --format csv --out gains.csv
     """
     from mjx_climb.files import dataset
-    from tuning import gains_file, gains_tables, ros2_control
     from tuning.command_line.ending import InputError
+    from tuning.gains import gains_file, gains_tables, ros2_control
 
     loaded = gains_file.load(gains)
     if form == "ros2_control":

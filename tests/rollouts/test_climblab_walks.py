@@ -15,7 +15,7 @@ WALKS = {  # recording: the case that it is of
 def both(request, case, walk):
     """Our trajectory, ClimbLab's, and our rows of its instants."""
     name, changes = WALKS[request.param]
-    with np.load(Path(__file__).parent / "reference" / f"{request.param}.npz") as file:
+    with np.load(Path(__file__).parents[1] / "reference" / f"{request.param}.npz") as file:
         theirs = {key: value[:-1] for key, value in file.items() if value.shape}  # the last row is an artefact
     rows = np.round(theirs["time"] / 1e-3).astype(int) + 1  # labelled t, taken at t + 1 ms
     return walk(case(name, "pd", changes)), theirs, rows

@@ -14,7 +14,7 @@ from mjx_climb.checks import self_check
 from mjx_climb.rendering import RenderingError, backend
 from tuning.command_line import diagnosis, main
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 PARTS = ["versions", "devices", "cache", "renderer", "dynamics", "walk", "gradient"]
 
 

@@ -19,7 +19,7 @@ from tuning.command_line import tune as tune_command
 from tuning.problem import search
 from tuning.searches.methods import METHODS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 PROGRAM = typer.main.get_command(app)
 LINK = re.compile(r"\]\(([^)\s]+)\)")

@@ -13,7 +13,7 @@ import mjx_climb as mc
 from mjx_climb.files import dataset, scenario_files
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.robot.constants import load_robot
-from tests.test_robot_file import keys, urdf
+from tests.robot.test_robot_file import keys, urdf
 from tuning.command_line import main
 
 MESH = """

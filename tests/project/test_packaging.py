@@ -14,7 +14,7 @@ import pytest
 
 import mjx_climb as mc
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 ASSETS = ("mjx_climb/robot/models/*.xml", "mjx_climb/checks/*.json", "tuning/report/page.*")  # beside the code
 
 pytestmark = pytest.mark.slow

@@ -17,7 +17,7 @@ from mjx_climb.dynamics.state import State, batch_last
 from mjx_climb.robot import constants
 from mjx_climb.robot.constants import load_model, load_robot, model_path, robot_from_model
 
-REFERENCE = json.loads((Path(__file__).parent / "reference" / "dynamics_vectors.json").read_text())
+REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "dynamics_vectors.json").read_text())
 CASES = REFERENCE["cases"]
 GRAVITY = tuple(REFERENCE["conventions"]["gravity_world"])
 MASS = REFERENCE["model"]["total_mass"]

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from test_robot_file import keys, urdf
 
 import mjx_climb as mc
 from mjx_climb.robot.constants import load_model
+from tests.robot.test_robot_file import keys, urdf
 from tuning.benchmarks import mujoco_batch, mujoco_loop, mujoco_rollout
 
 CASE = "configs/case_1_2.yaml"

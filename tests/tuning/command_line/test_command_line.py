@@ -21,7 +21,7 @@ from tuning.problem import evaluation
 from tuning.report import page
 from tuning.searches import grid, schedule
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.2"]
 WEAK = ["--set", "contact.holding_limit=1e-6"]  # lets go at the first pull

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mjx_climb.scenario.model import Cargo, ConfigError, Push, Scenario, load_scenario
 
-CONFIGS = Path(__file__).parents[1] / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from mjx_climb import plots
 CASE = {
     "duration": 2.0,
     "gravity": [0.0, 0.0, -9.81e-6],
-    "control.stiffness": [5e4] * 6,  # the same program then serves tests/test_dataset.py
+    "control.stiffness": [5e4] * 6,  # the same program then serves tests/files/test_dataset.py
     "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "start": 1.0, "stop": 1.5}],
     "disturbance.cargo.mass": 0.5,
     "disturbance.cargo.start": 1.7,

@@ -13,7 +13,7 @@ from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_sta
 
 jax.config.update("jax_enable_x64", True)
 
-REFERENCE = Path(__file__).parent / "reference"
+REFERENCE = Path(__file__).parents[1] / "reference"
 WALKS = {"climblab_1G_no_load": 9.81, "climblab_microgravity_impacts": 9.81e-6}  # gravity, m/s^2
 PUSHES = {  # s, N
     "climblab_1G_no_load": [],

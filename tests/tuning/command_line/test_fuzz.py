@@ -9,17 +9,17 @@ import sys
 from pathlib import Path
 
 import pytest
-from fuzz import Case, case
 
 import mjx_climb as mc
 import tuning.searches.robust
 import tuning.searches.schedule
 from mjx_climb.rendering import backend
+from tests.fuzz import Case, case
 from tuning.benchmarks import measure
 from tuning.command_line import diagnosis, main
 from tuning.problem import evaluation
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 CASES, CHUNK, QUICK = 1000, 50, 250
 PATIENCE = 20  # s for one call; a second is long
 

@@ -18,7 +18,7 @@ from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 
 LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
 IMU = 'name="imu_mount" type="fixed"><parent link="trunk"/><child link="imu"/><origin xyz="0.02 0 0.03"/>'
-REFERENCE = json.loads((Path(__file__).parent / "reference" / "hubrobo_v2_2.json").read_text())["model"]
+REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "hubrobo_v2_2.json").read_text())["model"]
 
 
 def inertial(rng, mass, reach):

@@ -16,7 +16,7 @@ from mjx_climb.files.dataset import OutputError
 from tuning.gains import gains_file
 from tuning.searches import finished_parts, grid
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 CONFIG = ROOT / "configs" / "case_1_2.yaml"
 STIFFNESS, DAMPING = np.array([1e3, 1e4, 1e5]), np.array([1e2, 1e3])
 SIZE = 4  # of a batch: two parts, the last one half full

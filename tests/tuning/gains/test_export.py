@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mjx_climb as mc
-from tuning import gains_file, gains_tables, ros2_control
 from tuning.command_line import main
+from tuning.gains import gains_file, gains_tables, ros2_control
 
 SIX = [1.0, 2.0, 0.5, 0.1, 0.3, 0.02]
 GAINS = mc.Gains(np.array(SIX), np.array([90.0, 120, 33, 2, 5, 1.5]), np.array([3e3, 2e3, 1e3, 7.5, 30, 11]))

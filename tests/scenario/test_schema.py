@@ -11,7 +11,7 @@ import yaml
 import mjx_climb as mc
 from tuning.command_line import main
 
-CONFIGS = Path(__file__).parents[1] / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 BLOCKS = re.findall(r"```yaml\n(.*?)```", (CONFIGS.parent / "docs" / "scenarios.md").read_text(), re.DOTALL)
 CASES = ["case_1_1", "case_1_2", "case_2"]
 LIMB = {"joints": ["a", "b", "c"], "foot": "d", "foothold": [0.1, 0.1]}

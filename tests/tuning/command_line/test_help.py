@@ -13,7 +13,7 @@ from mjx_climb.scenario import shipped
 from tuning.command_line import app, completion, main
 from tuning.problem import search
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 COMMANDS = [command.name for command in app.registered_commands]
 HEAVY = {"jax", "numpy", "matplotlib", "xarray", "mujoco", "mjx_climb", "yaml"}
 

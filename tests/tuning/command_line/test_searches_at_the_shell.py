@@ -15,7 +15,7 @@ import xarray as xr
 
 from tuning.searches import result, tune
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.3", "--set", "disturbance.cargo.start=0.1"]
 SEARCHES = {  # arguments, and what the result is in
