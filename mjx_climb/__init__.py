@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from mjx_climb.rollouts.rollout import metrics, rollout, rollout_metrics, simulator
     from mjx_climb.rollouts.slopes import rollout_slopes
     from mjx_climb.rollouts.trajectory import Trajectory
-    from mjx_climb.scenario.model import ConfigError, Scenario, load_scenario
+    from mjx_climb.scenario.load import load_scenario
+    from mjx_climb.scenario.messages import ConfigError
+    from mjx_climb.scenario.model import Scenario
     from mjx_climb.walk.metrics import METRICS
 
 _PUBLIC = {
@@ -29,7 +31,9 @@ _PUBLIC = {
     "rollouts.rollout": ("metrics", "rollout", "rollout_metrics", "simulator"),
     "rollouts.slopes": ("rollout_slopes",),
     "rollouts.trajectory": ("Trajectory",),
-    "scenario.model": ("ConfigError", "Scenario", "load_scenario"),
+    "scenario.load": ("load_scenario",),
+    "scenario.messages": ("ConfigError",),
+    "scenario.model": ("Scenario",),
     "walk.metrics": ("METRICS",),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}

@@ -15,7 +15,8 @@ import numpy as np
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.posture import limb_joints
-from mjx_climb.scenario.model import ConfigError, RobotFile, Scenario
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import RobotFile, Scenario
 
 _ROUNDING = 1e-9
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)

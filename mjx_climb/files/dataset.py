@@ -17,7 +17,8 @@ import xarray as xr
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
-from mjx_climb.scenario.model import ConfigError, Scenario
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from mjx_climb.files.dataset import write_bytes_atomically
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.scenario.model import ConfigError, Scenario
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Scenario
 
 FOLDER = "inputs"
 

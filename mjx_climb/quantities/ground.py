@@ -9,7 +9,8 @@ import numpy as np
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.robot.posture import limb_joints
-from mjx_climb.scenario.model import ConfigError, HeightMap, Scenario
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import HeightMap, Scenario
 
 
 def foothold_heights(scenario: Scenario) -> np.ndarray:

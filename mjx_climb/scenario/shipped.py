@@ -21,7 +21,7 @@ def config_path(name: str) -> Path:
     for folder in _FOLDERS:
         if (path := folder / name).is_file():
             return path
-    from mjx_climb.scenario.model import ConfigError
+    from mjx_climb.scenario.messages import ConfigError
 
     known = ", ".join([*names(), ENSEMBLE])
     raise ConfigError(

@@ -23,7 +23,9 @@ from mjx_climb.dynamics.kinematics import Feet, limb_frames
 from mjx_climb.dynamics.spatial import rotate_back
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.scenario.model import ConfigError, Scenario, _Dumper
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.yaml_text import Dumper
 from mjx_climb.walk.contact import Contact, grip
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 
@@ -112,7 +114,7 @@ def test_keys_one_by_one_make_the_scenario_of_the_file(data):
 
 def inline(value) -> str:
     """Return a value as it may stand behind --set key=."""
-    text = yaml.dump(value, Dumper=_Dumper, default_flow_style=True, width=10**6, allow_unicode=True)
+    text = yaml.dump(value, Dumper=Dumper, default_flow_style=True, width=10**6, allow_unicode=True)
     return text.removesuffix("...\n").strip("\n")
 
 
@@ -131,7 +133,7 @@ def test_an_option_says_what_the_file_would(data, scenario):
     nested = value
     for part in reversed(key.split(".")):
         nested = {part: nested}
-    in_file = outcome(lambda: Scenario.from_yaml(yaml.dump(nested, Dumper=_Dumper, allow_unicode=True), "walk"))
+    in_file = outcome(lambda: Scenario.from_yaml(yaml.dump(nested, Dumper=Dumper, allow_unicode=True), "walk"))
     as_option = outcome(lambda: Scenario().with_overrides([f"{key}={inline(value)}"]))
     if isinstance(in_file, str) and isinstance(as_option, str):
         assert key.split(".")[0] in in_file and key.split(".")[0] in as_option

@@ -17,7 +17,7 @@ from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
-    from mjx_climb.scenario.model import ConfigError
+    from mjx_climb.scenario.messages import ConfigError
     from tuning.problem.search import Search
     from tuning.report.page import Origin
 
@@ -122,7 +122,7 @@ def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: P
     Raises:
         ConfigError: in one line, the config, the file of the search or the options, and what is wrong there.
     """
-    from mjx_climb.scenario.model import ConfigError
+    from mjx_climb.scenario.messages import ConfigError
     from tuning.problem.spaces import space
 
     try:
@@ -138,7 +138,7 @@ def weighing(place: Path | str | None) -> Iterator[None]:
     Raises:
         ConfigError: in one line, the place, and what is wrong there.
     """
-    from mjx_climb.scenario.model import ConfigError
+    from mjx_climb.scenario.messages import ConfigError
 
     try:
         yield

@@ -8,8 +8,9 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import write_text_atomically
-from mjx_climb.scenario import model
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError, config_error
+from mjx_climb.scenario.model import overridden
+from mjx_climb.scenario.yaml_text import parse, read
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
 OPTIONAL = ("kp", "kd")
@@ -22,17 +23,17 @@ def load(path: str | os.PathLike[str]) -> mc.Gains:
         ConfigError: in one line, what is wrong with the file or a value.
     """
     source = os.fsdecode(path)
-    data = model._parse(model._read(source), source)
+    data = parse(read(source), source)
     if not isinstance(data, dict):
         raise ConfigError(f"{source}: expected a mapping with keys {', '.join(REQUIRED + OPTIONAL)}")
     for key in data:
         if key not in REQUIRED + OPTIONAL:
-            raise model._error(source, key, f"only the keys {', '.join(REQUIRED + OPTIONAL)}", "another")
+            raise config_error(source, key, f"only the keys {', '.join(REQUIRED + OPTIONAL)}", "another")
     for key in REQUIRED:
         if key not in data:
-            raise model._error(source, key, "a value", "none")
+            raise config_error(source, key, "a value", "none")
     try:
-        control = model._overridden(mc.Scenario(), {f"control.{key}": value for key, value in data.items()}, source)
+        control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in data.items()}, source)
     except ConfigError as error:
         raise ConfigError(str(error).replace(f"{source}: control.", f"{source}: ", 1)) from None
     return mc.Gains(**{key: np.asarray(getattr(control.control, key), float) for key in data})

@@ -12,7 +12,7 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import SIX
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 
 MASS_BOUNDS = (1e-4, 1e6)  # what the controller takes, kg and kg m^2
 MAX_STIFFNESS = 1e8  # N/m, N m/rad

@@ -15,7 +15,7 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb.plots import LARGER_IS_BETTER
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.smooth_extremes import PREFIX
 from tuning.problem.search import Search
 

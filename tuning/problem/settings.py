@@ -5,8 +5,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from mjx_climb.scenario import model
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario import yaml_text
+from mjx_climb.scenario.messages import ConfigError
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -33,7 +33,7 @@ def mapping(text: str, source: str) -> dict[str, Any]:
     Raises:
         ConfigError: no YAML, or no mapping.
     """
-    data = model._parse(text, source)
+    data = yaml_text.parse(text, source)
     if not isinstance(data, dict | None):
         raise ConfigError(f"{source}: expected a mapping")
     return data or {}
@@ -46,4 +46,4 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], str]:
         ConfigError: the file cannot be read, or as `mapping`.
     """
     source = os.fsdecode(path)
-    return mapping(model._read(source), source), source
+    return mapping(yaml_text.read(source), source), source

@@ -17,7 +17,7 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.files.dataset import SIX
 from mjx_climb.quantities.parameters import gains as gains_of
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.search import Search
 
 SIX_AXES = ("inertia", "damping", "stiffness")

@@ -18,7 +18,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from mjx_climb.files.dataset import METRIC_NAMES, SIX
 from mjx_climb.plots import LARGER_IS_BETTER
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Search

@@ -13,7 +13,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.files.dataset import METRIC_NAMES
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import search as search_settings
 from tuning.problem.search import Search
 from tuning.problem.spaces import Space, to_gains64

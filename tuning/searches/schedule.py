@@ -23,7 +23,7 @@ from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.files import dataset
 from mjx_climb.files.dataset import METRIC_NAMES, SIX
 from mjx_climb.quantities.parameters import gains as gains_of
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import objectives, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term

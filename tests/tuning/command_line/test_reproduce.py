@@ -11,7 +11,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.sample import Sample
 from tuning.command_line import main, reproduce
 from tuning.judged import paper

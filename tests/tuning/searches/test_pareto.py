@@ -5,7 +5,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tuning.report import ensemble_pictures
 from tuning.searches import pareto

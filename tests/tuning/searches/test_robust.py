@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.smooth_extremes import PREFIX
 from tuning.problem import ensemble as ensembles

@@ -14,7 +14,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.quantities.parameters import gains as gains_of
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.searches import result

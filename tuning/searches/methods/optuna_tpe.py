@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from mjx_climb.scenario.model import ConfigError
+from mjx_climb.scenario.messages import ConfigError
 from tuning.searches.methods.task import Points, Request, Task
 
 BATCH = 16

@@ -1,0 +1,96 @@
+"""Bad scenarios in words: one line with the file, the dotted key, what was expected and what was got."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+
+class ConfigError(ValueError):
+    """A scenario that cannot be used; in one line: file, dotted key, what was expected, what was got."""
+
+
+def failure(expected: str, **context: Any) -> PydanticCustomError:
+    """Return the one kind of error that models raise; context: a `key` below the model and the value `got`."""
+    return PydanticCustomError("expected", "expected {expected}", {"expected": expected, **context})
+
+
+def refusal(invalid: ValidationError, root: type[BaseModel], source: str) -> ConfigError:
+    """Return what is wrong with the data of a model as one line."""
+    errors = invalid.errors(include_url=False)
+    return _explained(errors[0], root, source, len(errors) - 1)
+
+
+def _explained(error: ErrorDetails, root: type[BaseModel], source: str, more: int) -> ConfigError:
+    """The pydantic error in the words of `ConfigError`."""
+    where, context, got = error["loc"], error.get("ctx", {}), show(error["input"])
+    if len(where) > 1 and where[0] == "robot":
+        where = where[:1] + where[2:]  # without the tag of the kind
+    match error["type"]:
+        case "expected":
+            where += tuple(context["key"].split(".")) if "key" in context else ()
+            expected = context["expected"]
+            got = show(context["got"]) if "got" in context else got
+        case "extra_forbidden":
+            expected, got = "a known key", f"an unknown one{_suggestion(root, where)}"
+        case "missing":
+            expected, got = "a value", "none"
+        case "literal_error":
+            expected = context["expected"]
+        case "tuple_type":
+            expected = "a list"
+        case _:
+            expected = f"a mapping with keys {', '.join(_section(root, where).model_fields)}"
+    return config_error(source, ".".join(map(str, where)), expected, got, more)
+
+
+def _section(root: type[BaseModel], where: Sequence[str | int]) -> type[BaseModel]:
+    """The model at a place in another."""
+    model = root
+    for part in where:
+        if isinstance(part, str):
+            model = _model_in(model.model_fields[part].annotation)
+    return model
+
+
+def _model_in(annotation: Any) -> Any:
+    """The model in an annotation: itself, an item of a list, or one of several kinds."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    found = (_model_in(part) for part in get_args(annotation))
+    return next((model for model in found if model is not None), None)
+
+
+def _suggestion(root: type[BaseModel], where: Sequence[str | int]) -> str:
+    """The nearest key of the same section or, failing that, of another one."""
+    name, beside = str(where[-1]), list(_section(root, where[:-1]).model_fields)
+    if near := difflib.get_close_matches(name, beside, 1):
+        return f" (did you mean {near[0]}?)"
+    places = [f"{key}.{inner}" for key in root.model_fields for inner in _keys(root, key)]
+    near = difflib.get_close_matches(name, [place.split(".")[-1] for place in places], 1)
+    return f" (did you mean {' or '.join(place for place in places if place.endswith('.' + near[0]))}?)" if near else ""
+
+
+def _keys(root: type[BaseModel], key: str) -> list[str]:
+    kind = root.model_fields[key].annotation
+    return list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []
+
+
+def show(value: Any) -> str:
+    """A value as it would stand in YAML, cut to a readable length."""
+    try:
+        text = json.dumps(value, default=repr, ensure_ascii=False)
+    except (TypeError, ValueError):  # odd keys, cycles
+        text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def config_error(source: str, key: str, expected: str, got: str, more: int = 0) -> ConfigError:
+    place = f"{source}: {key}" if key else source
+    text = f"{place}: expected {expected}, got {got}" + (f" (and {more} more)" if more else "")
+    return ConfigError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))  # one line, encodable

@@ -1,0 +1,60 @@
+"""The types of a scenario's values. Each says in words what it expects, whatever the way in which a value fails."""
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, Strict, ValidationError, WrapValidator
+
+from mjx_climb.scenario.messages import failure
+
+
+def _expects(text: str) -> WrapValidator:
+    def validate(value: Any, handler: Callable[[Any], Any]) -> Any:
+        try:
+            return handler(value)
+        except ValidationError:
+            raise failure(text) from None
+
+    return WrapValidator(validate)
+
+
+def _is_permutation(limbs: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(limbs)) != len(limbs):
+        raise ValueError("a limb comes twice")
+    return limbs
+
+
+def _is_name(text: str) -> str:
+    if not text.strip() or not text.isprintable():
+        raise ValueError("empty or unprintable")
+    return text
+
+
+Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]  # strict: no booleans, no strings
+LimbName = Literal["LF", "LH", "RH", "RF"]
+
+Number = Annotated[Finite, _expects("a finite number")]
+Positive = Annotated[Finite, Field(gt=0), _expects("a finite number above 0")]
+NonNegative = Annotated[Finite, Field(ge=0), _expects("a finite number, 0 or above")]
+Duty = Annotated[Finite, Field(ge=0.75, lt=1), _expects("a number from 0.75 to below 1")]
+Angle = Annotated[Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an angle in rad between -2 pi and 2 pi")]
+Limit = Annotated[NonNegative | None, _expects("a finite number, 0 or above, or null")]
+Vector = Annotated[tuple[Finite, Finite, Finite], _expects("a list of three finite numbers")]
+Gain = Annotated[
+    Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive],
+    _expects("a finite number above 0, or a list of six"),
+]
+Sequence4 = Annotated[
+    tuple[LimbName, LimbName, LimbName, LimbName],
+    AfterValidator(_is_permutation),
+    _expects("the four limbs LF, LH, RH, RF, each once, in any order"),
+]
+Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")]
+Name = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the name of a robot")]
+Word = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name in the robot's file")]
+FileName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the path of a file")]
+Heights = Annotated[
+    tuple[Finite, ...], Field(min_length=1), _expects("a list of one finite number or more, foothold after foothold")
+]
+ThreeWords = Annotated[tuple[Word, Word, Word], _expects("a list of three joint names, from the base outwards")]
