@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
@@ -49,7 +49,7 @@ class _OneLine(_ModelMetaclass):
         try:
             return super().__call__(*args, **values)
         except ValidationError as invalid:
-            raise refusal(invalid, cls, cls.__name__) from None
+            raise refusal(invalid, cast(type[BaseModel], cls), cls.__name__) from None
 
 
 class _Section(BaseModel, metaclass=_OneLine):
