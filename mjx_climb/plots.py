@@ -26,7 +26,6 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 from mjx_climb.files.dataset import AXES, JOINTS, write_bytes_atomically
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import HeightMap
-from mjx_climb.walk.metrics import METRICS
 
 COLUMN = 3.5  # inch, width of a column
 
@@ -41,7 +40,6 @@ RED = "#D00000"  # what must not be passed: a torn gripper, on maps the baseline
 CARGO, PUSH = "#F6F0E1", "#DCE9F4"
 GREY = "#BDBDBD"
 
-LARGER_IS_BETTER = {"min_tsm", "min_gia_margin", "joint_limit_margin", "detached_at", "travel"}
 
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -726,8 +724,9 @@ def _draw_map(
             "neither",
         )
     else:
-        colormap = mpl.colormaps["viridis" if metric in LARGER_IS_BETTER else "viridis_r"]
-        norm, extend = _robust_norm(values, failed, baseline, metric in LARGER_IS_BETTER)
+        larger_is_better = bool(variable.attrs.get("larger_is_better", False))
+        colormap = mpl.colormaps["viridis" if larger_is_better else "viridis_r"]
+        norm, extend = _robust_norm(values, failed, baseline, larger_is_better)
     panel.set_facecolor(GREY)
     mesh = panel.pcolormesh(
         x_edges,
@@ -905,6 +904,6 @@ def _robust_norm(
 
 def _label(variable: xr.DataArray, name: str) -> str:
     """Return "long name [unit]"; numbers without a unit stand alone."""
-    unit = variable.attrs.get("units", METRICS.get(name, "1"))
+    unit = variable.attrs.get("units", "1")
     text = variable.attrs.get("long_name", name.replace("_", " "))
     return text if unit in ("1", "") else f"{text} [{unit.replace('^2', '$^2$')}]"

@@ -1,7 +1,7 @@
 """One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +21,7 @@ from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import disturbance, gait
 from mjx_climb.walk.contact import Contact, grip
 from mjx_climb.walk.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
@@ -36,7 +37,8 @@ class Structure(NamedTuple):
     base_reference: str
     steps: int
     time_step: float
-    smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
+    metrics: MetricTable = METRICS
+    smooth: bool = False  # no gripper is torn off
     in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`
 
 
@@ -63,8 +65,19 @@ class Carry(NamedTuple):
     law: Any
 
 
-def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_pieces: bool = False) -> Structure:
-    """Return what a compiled walk of the scenario depends on beside its numbers."""
+def structure(
+    scenario: Scenario,
+    engine: str,
+    *,
+    metrics: Iterable[Metric] = METRICS,
+    smooth: bool = False,
+    in_pieces: bool = False,
+) -> Structure:
+    """Return what a compiled walk of the scenario depends on beside its numbers.
+
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off.
+    """
+    table = MetricTable(metrics)
     return Structure(
         robot=scenario.robot,
         engine=engine,
@@ -74,6 +87,7 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_piece
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
+        metrics=table.with_companions if smooth else table,
         smooth=smooth,
         in_pieces=in_pieces,
     )
