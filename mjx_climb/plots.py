@@ -23,9 +23,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from mjx_climb.files.dataset import AXES, JOINTS, write_bytes_atomically
+from mjx_climb.files.dataset import AXES, JOINTS, larger_is_better, write_bytes_atomically
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import HeightMap
+from mjx_climb.walk.metrics import FAILURES
 
 COLUMN = 3.5  # inch, width of a column
 
@@ -710,7 +711,7 @@ def _draw_map(
     """Draw one map with its colour bar; return the handles of its legend, what its colours stand for, and the bar."""
     variable = _grid(dataset, metric, x, y)
     failed = _failed(dataset, x, y)
-    values = variable.values.astype(float)
+    values = comparable(dataset, metric).transpose(y, x).values.astype(float)
     x_edges, y_edges = (_log_edges(dataset[name].values) for name in (x, y))
     flags = variable.attrs.get("flag_meanings", "").split()
     colormap: Colormap
@@ -724,9 +725,9 @@ def _draw_map(
             "neither",
         )
     else:
-        larger_is_better = bool(variable.attrs.get("larger_is_better", False))
-        colormap = mpl.colormaps["viridis" if larger_is_better else "viridis_r"]
-        norm, extend = _robust_norm(values, failed, baseline, larger_is_better)
+        larger = larger_is_better(variable)
+        colormap = mpl.colormaps["viridis" if larger else "viridis_r"]
+        norm, extend = _robust_norm(values, failed, baseline, larger)
     panel.set_facecolor(GREY)
     mesh = panel.pcolormesh(
         x_edges,
@@ -824,6 +825,14 @@ def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:
         bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6},
         zorder=6,
     )
+
+
+def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
+    """Return a metric of walks, NaN for those that diverged: their values until then compare with no other's."""
+    variable = dataset[metric]
+    if "diverged" not in dataset or metric in FAILURES or "larger_is_better" not in variable.attrs:
+        return variable
+    return variable.where(~dataset["diverged"].astype(bool))
 
 
 def _grid(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:

@@ -172,6 +172,13 @@ def metric_attributes(metric: Metric) -> dict[str, Any]:
     }
 
 
+def larger_is_better(variable: xr.DataArray) -> bool:
+    """Return whether a variable should be large: as its attributes say, else as the shipped metric of its name."""
+    name = str(variable.name)
+    by_name = name in METRICS.names and METRICS[name].larger_is_better
+    return bool(variable.attrs.get("larger_is_better", by_name))
+
+
 def scenario_of(dataset: xr.Dataset) -> Scenario:
     """Return the scenario that a dataset was made from.
 

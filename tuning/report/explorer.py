@@ -10,6 +10,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
+from mjx_climb.files import dataset
 from mjx_climb.rollouts.histories import LINES, histories, stretches
 from tuning.report.numbers import gain, plain
 
@@ -90,9 +91,9 @@ def grid_points(
     failed = plots._failed(shown, *_AXES)
     scales = {}
     for name in [str(n) for n in shown.data_vars if n not in LINES]:
-        values = shown[name].transpose(*reversed(_AXES)).values.astype(float)
+        values = plots.comparable(shown, name).transpose(*reversed(_AXES)).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
-            larger = bool(shown[name].attrs.get("larger_is_better", False))
+            larger = dataset.larger_is_better(shown[name])
             scales[name] = _scale(values, failed, baseline.get(name), larger=larger)
     listed = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
     stored = [

@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
-from mjx_climb.files.dataset import PACKAGES, sweep_dataset
+from mjx_climb.files.dataset import PACKAGES, larger_is_better, sweep_dataset
 from mjx_climb.robot.constants import model_path
 from mjx_climb.rollouts.histories import LINES, stretches
 from tuning.searches.finished_parts import Parts
@@ -161,7 +161,7 @@ def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dat
     values = dataset[objective].where((dataset["detached_limb"] < 0) & ~dataset["diverged"].astype(bool))
     if not np.isfinite(values).any():
         return None
-    values = -values if dataset[objective].attrs.get("larger_is_better", 0) else values
+    values = -values if larger_is_better(dataset[objective]) else values
     return dataset.isel(values.argmin(dim=...))
 
 

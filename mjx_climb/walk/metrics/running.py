@@ -49,7 +49,8 @@ def _now(running: Running, context: Context) -> Context:
 
 def _updated(metric: Metric, value: Any, sample: Sample, context: Context, taken: Array) -> Any:
     updated = metric.update(value, sample, context)
-    if not jax.tree.structure(updated) == jax.tree.structure(value):
+    before: Any = jax.tree.structure(value)
+    if before != jax.tree.structure(updated):
         raise ValueError(f"metric {metric.name}: expected `update` to return a value structured as `init` does")
 
     def chosen(old: Array, new: Array) -> Array:
