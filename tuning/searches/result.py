@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ class Result:
     best_at: int  # env-steps spent when the best was found
     interrupted: bool
     history: xr.Dataset
+    judged_by: mc.MetricTable = mc.METRICS
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the whole result as netCDF and return its path."""
@@ -45,7 +46,13 @@ class Result:
 
 
 def from_history(
-    scenario: mc.Scenario, search: Search, space: Space, arrays: Mapping[str, np.ndarray], *, interrupted: bool
+    scenario: mc.Scenario,
+    search: Search,
+    space: Space,
+    arrays: Mapping[str, np.ndarray],
+    table: mc.MetricTable = mc.METRICS,
+    *,
+    interrupted: bool,
 ) -> Result:
     """Return the result of the points judged so far.
 
@@ -68,7 +75,7 @@ def from_history(
         data[name] = (
             "point",
             values,
-            dataset.metric_attributes(mc.METRICS[name]) if name in mc.METRICS.names else about,
+            dataset.metric_attributes(table[name]) if name in table.names else about,
         )
     attrs: dict[str, Any] = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
     attrs["interrupted"] = int(interrupted)
@@ -76,7 +83,7 @@ def from_history(
     theta = np.asarray(arrays["theta"][best], float)
     gains = to_gains64(space, theta)
     history.attrs["gains"] = dataset._to_json(gains)
-    return _of(history, scenario, search, gains, best)
+    return _of(history, scenario, search, gains, best, table)
 
 
 def best_of(arrays: Mapping[str, np.ndarray]) -> int:
@@ -87,8 +94,10 @@ def best_of(arrays: Mapping[str, np.ndarray]) -> int:
     return int(np.argmin(ranked))
 
 
-def _of(history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Gains, best: int) -> Result:
-    names = [name for name in mc.METRICS.names if name in history]
+def _of(
+    history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Gains, best: int, table: mc.MetricTable
+) -> Result:
+    names = [name for name in table.names if name in history]
     return Result(
         scenario=scenario,
         search=search,
@@ -101,11 +110,12 @@ def _of(history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Ga
         best_at=int(history["env_steps"][best]),
         interrupted=bool(history.attrs["interrupted"]),
         history=history,
+        judged_by=table,
     )
 
 
-def load(path: str | os.PathLike[str]) -> Result:
-    """Read the result that `Result.save` wrote; its scenario and settings repeat the search.
+def load(path: str | os.PathLike[str], metrics: Iterable[mc.Metric] = mc.METRICS) -> Result:
+    """Read the result that `Result.save` wrote; its scenario and settings, and the same metrics, repeat the search.
 
     Raises:
         ConfigError: no such file, or another one.
@@ -116,4 +126,6 @@ def load(path: str | os.PathLike[str]) -> Result:
     gains = {name: np.asarray(v) for name, v in json.loads(history.attrs["gains"]).items() if v is not None}
     arrays = {name: history[name].values for name in ("value", "penalty", "feasible")}
     settings = search_settings.parse(history.attrs["search"], os.fspath(path))
-    return _of(history, dataset.scenario_of(history), settings, mc.Gains(**gains), best_of(arrays))
+    return _of(
+        history, dataset.scenario_of(history), settings, mc.Gains(**gains), best_of(arrays), mc.MetricTable(metrics)
+    )
