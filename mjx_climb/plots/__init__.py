@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         VERMILLION,
     )
     from mjx_climb.plots.feet import plot_feet
-    from mjx_climb.plots.maps import LARGER_IS_BETTER, color_scale, failed_walks, plot_map, plot_maps
+    from mjx_climb.plots.maps import color_scale, comparable, failed_walks, plot_map, plot_maps
     from mjx_climb.plots.saving import save_figure
     from mjx_climb.plots.styling import COLUMN, legend, legend_below, style
     from mjx_climb.plots.time_panels import thin
@@ -50,8 +50,8 @@ _PUBLIC = {
     ),
     "feet": ("plot_feet",),
     "maps": (
-        "LARGER_IS_BETTER",
         "color_scale",
+        "comparable",
         "failed_walks",
         "plot_map",
         "plot_maps",
@@ -85,7 +85,6 @@ __all__ = [
     "COLUMN",
     "GREEN",
     "GREY",
-    "LARGER_IS_BETTER",
     "LIMB_COLORS",
     "ORANGE",
     "PURPLE",
@@ -95,6 +94,7 @@ __all__ = [
     "SKY",
     "VERMILLION",
     "color_scale",
+    "comparable",
     "detachments",
     "disturbances",
     "failed_walks",

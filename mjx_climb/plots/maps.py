@@ -17,11 +17,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
+from mjx_climb.files.dataset import larger_is_better
 from mjx_climb.plots.colors import BLACK, GREY, LIMB_COLORS, RED
 from mjx_climb.plots.styling import COLUMN, legend_below, styled
-from mjx_climb.walk.metrics import METRICS
-
-LARGER_IS_BETTER = {"min_tsm", "min_gia_margin", "joint_limit_margin", "detached_at", "travel"}
+from mjx_climb.walk.metrics import FAILURES
 
 _MARKERS = ("*", "o", "D", "^", "s", "P", "v")
 
@@ -121,7 +120,7 @@ def _draw_map(
     """Draw one map with its colour bar; return the handles of its legend, what its colours stand for, and the bar."""
     variable = _grid(dataset, metric, x, y)
     failed = failed_walks(dataset, x, y)
-    values = variable.values.astype(float)
+    values = comparable(dataset, metric).transpose(y, x).values.astype(float)
     x_edges, y_edges = (_log_edges(dataset[name].values) for name in (x, y))
     flags = variable.attrs.get("flag_meanings", "").split()
     colormap: Colormap
@@ -135,8 +134,9 @@ def _draw_map(
             "neither",
         )
     else:
-        colormap = mpl.colormaps["viridis" if metric in LARGER_IS_BETTER else "viridis_r"]
-        norm, extend = color_scale(values, failed, baseline, metric in LARGER_IS_BETTER)
+        larger = larger_is_better(variable)
+        colormap = mpl.colormaps["viridis" if larger else "viridis_r"]
+        norm, extend = color_scale(values, failed, baseline, larger)
     panel.set_facecolor(GREY)
     mesh = panel.pcolormesh(
         x_edges,
@@ -236,6 +236,14 @@ def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:
     )
 
 
+def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
+    """Return a metric of walks, NaN for those that diverged: their values until then compare with no other's."""
+    variable = dataset[metric]
+    if "diverged" not in dataset or metric in FAILURES or "larger_is_better" not in variable.attrs:
+        return variable
+    return variable.where(~dataset["diverged"].astype(bool))
+
+
 def _grid(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
     """Return a variable as (y, x).
 
@@ -314,6 +322,6 @@ def color_scale(
 
 def _label(variable: xr.DataArray, name: str) -> str:
     """Return "long name [unit]"; numbers without a unit stand alone."""
-    unit = variable.attrs.get("units", METRICS.get(name, "1"))
+    unit = variable.attrs.get("units", "1")
     text = variable.attrs.get("long_name", name.replace("_", " "))
     return text if unit in ("1", "") else f"{text} [{unit.replace('^2', '$^2$')}]"
