@@ -6,12 +6,14 @@ walk.
 
 from collections.abc import Callable
 
+from jax import Array
+
 from mjx_climb.control import base_admittance, end_effector_admittance, pd
 from mjx_climb.control.law import Command, Law, Measurement, Reference
 from mjx_climb.quantities.parameters import Gains
 
 # (controller, reading of the paper's equation) -> build; gains are (6, B)
-LAWS: dict[tuple[str, str], Callable[[Gains, float], Law]] = {
+LAWS: dict[tuple[str, str], Callable[[Gains, float | Array], Law]] = {
     ("pd", "virtual_model"): pd.build,
     ("pd", "measured_pose"): pd.build,
     ("base_admittance", "virtual_model"): base_admittance.build_virtual_model,

@@ -35,7 +35,7 @@ def _shifted(reference: Reference, rotation: Array, displacement: Array, turn: A
     )
 
 
-def build_virtual_model(gains: Gains, time_step: float) -> Law:
+def build_virtual_model(gains: Gains, time_step: float | Array) -> Law:
     """Return Eq. 3 as a virtual mass, spring and damper, integrated exactly, that yields to the wrench.
 
     The ground pushes the feet with w where something pushes the base with -w, so dx is driven by -w.
@@ -51,7 +51,7 @@ def build_virtual_model(gains: Gains, time_step: float) -> Law:
     return Law(initial=rest(gains.stiffness), command=command)
 
 
-def build_measured_pose(gains: Gains, time_step: float) -> Law:
+def build_measured_pose(gains: Gains, time_step: float | Array) -> Law:
     """Return Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
 
     `a = (w - D dxd - K dx) / M`, target `x_b + dt dxd + dt^2 a`; dx is the base's offset from its reference, dxd the

@@ -7,6 +7,7 @@ every foot.
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from mjx_climb.control.law import Command, Law, Measurement, Reference
 from mjx_climb.control.virtual_model import VirtualState, advance, discretize, rest
@@ -16,7 +17,7 @@ from mjx_climb.quantities.parameters import Gains
 _LIMBS = 4
 
 
-def build(gains: Gains, time_step: float) -> Law:
+def build(gains: Gains, time_step: float | Array) -> Law:
     """Return Eq. 2 for the feet of a four-limbed robot."""
     translations = jax.tree.map(lambda gain: gain[:3, None], gains)
     transition = discretize(translations, time_step)

@@ -35,7 +35,7 @@ def rest(like: ArrayLike) -> VirtualState:
     return VirtualState(jnp.zeros_like(like), jnp.zeros_like(like))
 
 
-def discretize(gains: Gains, time_step: float) -> Transition:
+def discretize(gains: Gains, time_step: float | Array) -> Transition:
     """Return the zero-order hold of `M xdd + D xd + K x = f` for one time step, stable for any positive gains.
 
     The matrix exponential is found by doubling a second-order L-stable step of `time_step / 2**24`. The closed form

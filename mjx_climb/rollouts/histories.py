@@ -61,7 +61,7 @@ def rollout_histories(
         largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
     """
     inputs = given(scenario, gains, numbers, dtype)
-    walk = structure(scenario, engine, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, inputs[1], in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     return walk_batch(compiled, walk, inputs, batch_shape(*inputs), batch_size, progress)
 

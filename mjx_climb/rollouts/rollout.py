@@ -160,7 +160,8 @@ def rollout(
     enable_cache()
     in_pieces = pieces_pay(engine)
     with jax.enable_x64(np.dtype(dtype) == np.float64):
-        samples = _compiled_samples(in_pieces)(structure(scenario, engine, in_pieces=in_pieces), gains, numbers)
+        walk = structure(scenario, engine, numbers, in_pieces=in_pieces)
+        samples = _compiled_samples(in_pieces)(walk, gains, numbers)
         samples = jax.tree.map(np.asarray, samples)
     return from_samples(samples, scenario, gains, numbers, load_robot(scenario.robot).limbs)
 
@@ -244,7 +245,7 @@ def rollout_metrics(
         says.
     """
     inputs = given(scenario, gains, numbers, dtype)
-    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, inputs[1], smooth=smooth, in_pieces=pieces_pay(engine))
     in_kernel = kernel_pays(engine, dtype)
 
     def program(robots: int) -> Callable[..., Metrics]:

@@ -63,7 +63,7 @@ def rollout_slopes(
     shape = batch_shape(gains, numbers)
     given_rates = {n: v for n, v in vars(directions).items() if v is not None}
     along = _Directions(**{n: _direction_last(n, v, shape, dtype) for n, v in given_rates.items()})
-    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, numbers, smooth=smooth, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     found = walk_batch(compiled, walk, (gains, along, numbers), shape, batch_size, progress)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}
