@@ -20,7 +20,7 @@ from mjx_climb.quantities.parameters import Gains, Parameters, parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import control_loop, disturbance, gait
-from mjx_climb.walk.contact import Contact, grip
+from mjx_climb.walk.contact import Contact, Reach, grip
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
@@ -141,7 +141,7 @@ def begin(walk: Walk, batch: int) -> Carry:
     state = State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints))
     return Carry(
         state=state,
-        contact=Contact(grip_point=feet, touching=shut, detached=~shut),
+        contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if walk.controller.stages.capture else ()),
         gait=position,
         law=jax.tree.map(each, walk.controller.law.initial),
         hardware=control_loop.start(state, feet, walk.controller.stages),
@@ -215,6 +215,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         contact=contact.touching,
         detached=carry.contact.detached,
         torn_off=held.torn_off,
+        missed=held.missed,
         reachable=driven.joints.reachable,
         base_reference=reference.base_position,
         base_displacement=driven.command.base_displacement,
