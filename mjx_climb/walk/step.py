@@ -1,7 +1,7 @@
 """One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +22,7 @@ from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import control_loop, disturbance, gait
 from mjx_climb.walk.contact import Contact, Reach, grip
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
@@ -37,7 +38,8 @@ class Structure(NamedTuple):
     base_reference: str
     steps: int
     time_step: float
-    smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
+    metrics: MetricTable = METRICS
+    smooth: bool = False  # no gripper is torn off
     stages: Stages = IDEAL  # of hardware between law and joints
     in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`
 
@@ -70,13 +72,18 @@ def structure(
     engine: str,
     numbers: Parameters | None = None,
     *,
+    metrics: Iterable[Metric] = METRICS,
     smooth: bool = False,
     in_pieces: bool = False,
 ) -> Structure:
-    """Return what a compiled walk of the scenario depends on beside its numbers: the scenario's own where None."""
+    """Return what a compiled walk of the scenario depends on beside its numbers: the scenario's own where None.
+
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off.
+    """
     if numbers is None:
         with jax.enable_x64(True), jax.ensure_compile_time_eval():
             numbers = parameters(scenario)
+    table = MetricTable(metrics)
     return Structure(
         robot=scenario.robot,
         engine=engine,
@@ -86,6 +93,7 @@ def structure(
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
+        metrics=table.with_companions if smooth else table,
         smooth=smooth,
         stages=stages_of(scenario, numbers),
         in_pieces=in_pieces,
