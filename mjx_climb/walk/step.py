@@ -2,20 +2,20 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.control import LAWS, Law, Measurement, Reference
+from mjx_climb.control import Law, Measurement, Reference, Start, running
 from mjx_climb.control.joint_loop import joint_torque
-from mjx_climb.dynamics import ENGINES, ForwardDynamics
+from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State, integrate
-from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import disturbance, gait
@@ -26,12 +26,10 @@ from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_sta
 
 
 class Structure(NamedTuple):
-    """What a compiled walk depends on, numbers apart; hashable."""
+    """What a compiled walk depends on, numbers and control law apart; hashable."""
 
     robot: str | RobotFile
     engine: str
-    controller: str
-    reading: str
     sequence: tuple[str, ...]
     base_reference: str
     steps: int
@@ -48,7 +46,7 @@ class Walk(NamedTuple):
     numbers: Parameters
     grip_numbers: Parameters  # with an infinite holding limit where nothing is torn off
     plan: gait.Plan
-    law: Law
+    law: running.Running
     forward_dynamics: ForwardDynamics
     cycle_start: Callable[[gait.Plan, gait.Schedule, Array, Array], tuple[Array, Array]]
     time_step: float
@@ -60,16 +58,18 @@ class Carry(NamedTuple):
     state: State
     contact: Contact
     gait: Array  # (3, B) m, what the gait remembers of the base
-    law: Any
+    law: running.Leaves
 
 
 def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_pieces: bool = False) -> Structure:
-    """Return what a compiled walk of the scenario depends on beside its numbers."""
+    """Return what a compiled walk of the scenario depends on beside its numbers and its law.
+
+    Raises:
+        ConfigError: no such engine.
+    """
     return Structure(
         robot=scenario.robot,
-        engine=engine,
-        controller=scenario.control.controller,
-        reading=scenario.control.reading,
+        engine=checked_engine(engine),
         sequence=scenario.gait.sequence,
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
@@ -79,25 +79,42 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_piece
     )
 
 
-def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
-    """Return the walk for gains (6, B) and numbers (..., B): every choice by name is made here, once."""
-    dtype = jnp.result_type(gains.stiffness)
+def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> Walk:
+    """Return the walk of so many robots for a law with gains (..., B) and numbers (..., B).
+
+    Every choice by name is made here, once.
+    """
+    dtype = numbers.kp.dtype
     constants = load_robot(structure.robot)
     robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
+    plan = gait.plan(robot, feet, numbers, structure.sequence, structure.time_step)
     return Walk(
         robot=weighing(robot, numbers.mass_scale),
         geometry=geometry,
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
-        plan=gait.plan(robot, feet, numbers, structure.sequence, structure.time_step),
-        law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
+        plan=plan,
+        law=running.begin(law, Start(structure.time_step, _first_reference(plan, batch))),
         forward_dynamics=ENGINES[structure.engine](robot),
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
+
+
+def _first_reference(plan: gait.Plan, batch: int) -> Reference:
+    """Return what the gait asks for at the start."""
+    position = plan.base_start
+    if not gait.is_flat(plan):
+        position = position + gait.rise(plan, jnp.zeros(1))
+    return Reference(*(_each(value, batch) for value in (position, plan.base_orientation, gait.first_footholds(plan))))
+
+
+def _each(value: Array | np.ndarray, batch: int) -> Array:
+    """Return a value (..., 1 or B) for every robot, (..., B)."""
+    return jnp.broadcast_to(value, (*value.shape[:-1], batch))
 
 
 def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
@@ -108,24 +125,18 @@ def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
 
 def begin(walk: Walk, batch: int) -> Carry:
     """Return the rest stance with all grippers shut."""
-    dtype = walk.plan.base_start.dtype
-
-    def each(value: Array | np.ndarray) -> Array:
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (*value.shape[:-1], batch))
-
-    joints, position = each(walk.robot.stance_joints), each(walk.plan.base_start)
-    feet = each(gait.first_footholds(walk.plan))
+    position, orientation, feet = _first_reference(walk.plan, batch)
+    joints = _each(walk.robot.stance_joints, batch)
     if not gait.is_flat(walk.plan):
-        position = position + gait.rise(walk.plan, jnp.zeros(1))
-        rotation = quaternion_to_matrix(each(walk.plan.base_orientation))[:, :, None]
+        rotation = quaternion_to_matrix(orientation)[:, :, None]
         joints = inverse_kinematics(walk.geometry, rotate_back(rotation, feet - position[:, None])).joint_angles
     shut = jnp.ones(feet.shape[1:], bool)
     still = jnp.zeros_like(position)
     return Carry(
-        state=State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints)),
+        state=State(position, orientation, still, still, joints, jnp.zeros_like(joints)),
         contact=Contact(grip_point=feet, touching=shut, detached=~shut),
         gait=position,
-        law=jax.tree.map(each, walk.law.initial),
+        law=walk.law.initial,
     )
 
 

@@ -19,7 +19,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from mjx_climb.files.dataset import METRIC_NAMES
 from mjx_climb.plots import LARGER_IS_BETTER
-from mjx_climb.quantities.parameters import batch_shape
+from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.smooth_extremes import PREFIX
 from tuning.problem import ensemble as ensembles
