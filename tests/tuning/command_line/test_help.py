@@ -10,7 +10,8 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
-from tuning.command_line import app, completion, main
+from tuning.command_line import completion, main
+from tuning.command_line.program import app
 from tuning.problem import search
 
 ROOT = Path(__file__).parents[3]
