@@ -1,6 +1,7 @@
 """Results as labelled arrays with units, and files that are either whole or not there."""
 
 import contextlib
+import dataclasses
 import datetime
 import importlib.metadata
 import json
@@ -233,8 +234,9 @@ def _git_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def _to_json(tree: Gains | Parameters) -> str:
-    return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in vars(tree).items()})
+def _to_json(values: Gains | Parameters | Mapping[str, np.ndarray]) -> str:
+    by_name = values if isinstance(values, Mapping) else vars(values)
+    return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})
 
 
 def _from_json(text: str, dtype: np.dtype) -> dict[str, Any]:
@@ -288,7 +290,9 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         raise ConfigError(f"{os.fspath(path)}: expected a walk, got a dataset without {missing[0]}")
     arrays = {name: dataset[name].values for name in ("time", *VARIABLES)}
     dtype = dataset["base_position"].dtype
-    gains = Gains(**_from_json(dataset.attrs["gains"], dtype))
+    by_name = _from_json(dataset.attrs["gains"], dtype)
+    of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
+    gains = Gains(**by_name) if of_the_paper else by_name
     numbers = vars(parameters(scenario_of(dataset), dtype)) | _from_json(dataset.attrs["parameters"], dtype)
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from mjx_climb.quantities.ground import foothold_heights
@@ -163,50 +162,3 @@ def gains(scenario: Scenario) -> Gains:
     """Return the admittance gains that the scenario's own control section gives."""
     control = scenario.control
     return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
-
-
-def batch_shape(gains: Gains, parameters: Parameters) -> tuple[int, ...]:
-    """Return the batch shape that gains and parameters broadcast to.
-
-    Raises:
-        ValueError: shapes that do not broadcast, or gains whose last axis is not 1 or 6.
-    """
-    shapes = [
-        jnp.shape(value)[: jnp.ndim(value) - Parameters.AXES.get(name, 0)] for name, value in vars(parameters).items()
-    ]
-    for name in ("inertia", "damping", "stiffness"):
-        shape = jnp.shape(getattr(gains, name))
-        if shape and shape[-1] not in (1, 6):
-            raise ValueError(f"gains.{name}: expected a scalar or a last axis of six, got shape {shape}")
-        shapes.append(shape[:-1])
-    shapes += [jnp.shape(value) for value in (gains.kp, gains.kd) if value is not None]
-    return jnp.broadcast_shapes(*shapes)
-
-
-def batch_last(
-    gains: Gains, parameters: Parameters, shape: tuple[int, ...], dtype: jnp.dtype
-) -> tuple[Gains, Parameters]:
-    """Return gains (6, B) and parameters (..., B) in the layout of the hot path.
-
-    The batch axes `shape` are flattened to one; what does not vary over them keeps a batch axis of size one.
-    """
-
-    def last(value: ArrayLike, natural: tuple[int, ...]) -> Array:
-        value = jnp.asarray(value, dtype)
-        lead = value.shape[: value.ndim - len(natural)]
-        if math.prod(lead) != 1:
-            lead = shape
-        value = jnp.broadcast_to(value, (*lead, *natural)).reshape(math.prod(lead), *natural)
-        return jnp.moveaxis(value, 0, -1)
-
-    def six(value: ArrayLike) -> Array:
-        value = jnp.asarray(value, dtype)
-        return last(value if value.ndim else value[None], (6,))
-
-    numbers = {}
-    for name, value in vars(parameters).items():
-        numbers[name] = last(value, jnp.shape(value)[jnp.ndim(value) - Parameters.AXES.get(name, 0) :])
-    for name in ("kp", "kd"):
-        if getattr(gains, name) is not None:
-            numbers[name] = last(getattr(gains, name), ())
-    return Gains(six(gains.inertia), six(gains.damping), six(gains.stiffness)), Parameters(**numbers)

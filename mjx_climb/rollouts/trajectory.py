@@ -1,6 +1,7 @@
 """The full time histories of one robot's walk."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ class Trajectory:
     """
 
     scenario: Scenario
-    gains: Gains
+    gains: Gains | Mapping[str, np.ndarray]  # by name, where the law has others than the paper's
     numbers: Parameters  # the scenario's, or what was given in their place
     limbs: tuple[str, ...]
     time: Float[np.ndarray, " time"]  # s
@@ -57,7 +58,11 @@ class Trajectory:
 
 
 def from_samples(
-    samples: Sample, scenario: Scenario, gains: Gains, numbers: Parameters, limbs: tuple[str, ...]
+    samples: Sample,
+    scenario: Scenario,
+    gains: Gains | Mapping[str, np.ndarray],
+    numbers: Parameters,
+    limbs: tuple[str, ...],
 ) -> Trajectory:
     """Return the trajectory of samples stacked over time, (T, ..., 1) in the layout of the hot path."""
 

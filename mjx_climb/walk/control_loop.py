@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control import Command, Law, Measurement, Reference
+from mjx_climb.control import Command, Measurement, Reference, running
 from mjx_climb.control.joint_loop import joint_torque
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
@@ -19,7 +19,7 @@ from mjx_climb.walk.inverse_kinematics import JointSolution, LimbGeometry, inver
 class Controller(NamedTuple):
     """What stays the same from step to step."""
 
-    law: Law
+    law: running.Running
     geometry: LimbGeometry
     numbers: Parameters
     stages: Stages

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.control import LAWS, Reference
-from mjx_climb.dynamics import ENGINES, ForwardDynamics
+from mjx_climb.control import Law, Reference, Start, running
+from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.hardware.control_period import period_steps
 from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
-from mjx_climb.quantities.parameters import Gains, Parameters, parameters
+from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import control_loop, disturbance, gait
@@ -28,12 +28,10 @@ from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_sta
 
 
 class Structure(NamedTuple):
-    """What a compiled walk depends on, numbers apart; hashable."""
+    """What a compiled walk depends on, numbers and control law apart; hashable."""
 
     robot: str | RobotFile
     engine: str
-    controller: str
-    reading: str
     sequence: tuple[str, ...]
     base_reference: str
     steps: int
@@ -63,7 +61,7 @@ class Carry(NamedTuple):
     state: State
     contact: Contact
     gait: Array  # (3, B) m, what the gait remembers of the base
-    law: Any
+    law: running.Leaves
     hardware: control_loop.Memory
 
 
@@ -76,9 +74,13 @@ def structure(
     smooth: bool = False,
     in_pieces: bool = False,
 ) -> Structure:
-    """Return what a compiled walk of the scenario depends on beside its numbers: the scenario's own where None.
+    """Return what a compiled walk of the scenario depends on beside its law and its numbers: its own where None.
 
     With `smooth` the metrics have their smooth companions, and no gripper is torn off.
+
+    Raises:
+        ConfigError: no such engine.
+        ValueError: two metrics of one name.
     """
     if numbers is None:
         with jax.enable_x64(True), jax.ensure_compile_time_eval():
@@ -86,9 +88,7 @@ def structure(
     table = MetricTable(metrics)
     return Structure(
         robot=scenario.robot,
-        engine=engine,
-        controller=scenario.control.controller,
-        reading=scenario.control.reading,
+        engine=checked_engine(engine),
         sequence=scenario.gait.sequence,
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
@@ -100,9 +100,12 @@ def structure(
     )
 
 
-def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
-    """Return the walk for gains (6, B) and numbers (..., B): every choice by name is made here, once."""
-    dtype = jnp.result_type(gains.stiffness)
+def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> Walk:
+    """Return the walk of so many robots for a law with gains (..., B) and numbers (..., B).
+
+    Every choice by name is made here, once.
+    """
+    dtype = numbers.kp.dtype
     constants = load_robot(structure.robot)
     robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
@@ -110,19 +113,33 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
     stages, time_step = structure.stages, structure.time_step
     period = jnp.asarray(numbers.control_period)
     held = time_step * period_steps(period, time_step) if stages.control_period else time_step
-    law = LAWS[structure.controller, structure.reading](gains, held)
     drives = _with_armature(robot, jnp.asarray(numbers.armature)) if stages.armature else robot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
+    plan = gait.plan(robot, feet, numbers, structure.sequence, structure.time_step)
+    begun = running.begin(law, Start(held, _first_reference(plan, batch)))
     return Walk(
         robot=weighing(robot, numbers.mass_scale),
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
-        plan=gait.plan(robot, feet, numbers, structure.sequence, structure.time_step),
-        controller=control_loop.Controller(law, geometry, numbers, stages, structure.time_step),
+        plan=plan,
+        controller=control_loop.Controller(begun, geometry, numbers, stages, time_step),
         forward_dynamics=ENGINES[structure.engine](_lighter_drives(drives, numbers.mass_scale)),
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
+
+
+def _first_reference(plan: gait.Plan, batch: int) -> Reference:
+    """Return what the gait asks for at the start."""
+    position = plan.base_start
+    if not gait.is_flat(plan):
+        position = position + gait.rise(plan, jnp.zeros(1))
+    return Reference(*(_each(value, batch) for value in (position, plan.base_orientation, gait.first_footholds(plan))))
+
+
+def _each(value: Array | np.ndarray, batch: int) -> Array:
+    """Return a value (..., 1 or B) for every robot, (..., B)."""
+    return jnp.broadcast_to(value, (*value.shape[:-1], batch))
 
 
 def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
@@ -144,26 +161,20 @@ def _lighter_drives(robot: Robot, scale: Array | np.ndarray) -> Robot:
 
 def begin(walk: Walk, batch: int) -> Carry:
     """Return the rest stance with all grippers shut."""
-    dtype = walk.plan.base_start.dtype
-
-    def each(value: Array | np.ndarray) -> Array:
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (*value.shape[:-1], batch))
-
-    joints, position = each(walk.robot.stance_joints), each(walk.plan.base_start)
-    feet = each(gait.first_footholds(walk.plan))
+    position, orientation, feet = _first_reference(walk.plan, batch)
+    joints = _each(walk.robot.stance_joints, batch)
     if not gait.is_flat(walk.plan):
-        position = position + gait.rise(walk.plan, jnp.zeros(1))
-        rotation = quaternion_to_matrix(each(walk.plan.base_orientation))[:, :, None]
+        rotation = quaternion_to_matrix(orientation)[:, :, None]
         target = rotate_back(rotation, feet - position[:, None])
         joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     shut = jnp.ones(feet.shape[1:], bool)
     still = jnp.zeros_like(position)
-    state = State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints))
+    state = State(position, orientation, still, still, joints, jnp.zeros_like(joints))
     return Carry(
         state=state,
         contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if walk.controller.stages.capture else ()),
         gait=position,
-        law=jax.tree.map(each, walk.controller.law.initial),
+        law=walk.controller.law.initial,
         hardware=control_loop.start(state, feet, walk.controller.stages),
     )
 
