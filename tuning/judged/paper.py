@@ -313,6 +313,7 @@ def _falls(before: float, after: float) -> bool:
 
 
 def before_and_after(values: Sequence[Any]) -> dict[str, Any]:
+    """Return two values by whose they are: the baseline's, and the proposed controller's."""
     return dict(zip(("baseline", "proposed"), values, strict=True))
 
 

@@ -86,7 +86,8 @@ def tune(
     Raises:
         ConfigError: settings that make no sense for the scenario, or a method that asks for no points of the space.
         OutputError: the folder cannot be written, or holds an unfinished search for something else.
-        Unidentifiable: with `out`, an objective or method that cannot be told from another, see `tuning.searches.identity`.
+        Unidentifiable: with `out`, an objective or method that cannot be told from another; see
+            `tuning.searches.identity`.
     """
     if isinstance(method, str):
         settings["method"], method = method, None
