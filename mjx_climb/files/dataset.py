@@ -214,7 +214,7 @@ def _git_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def _to_json(values: Gains | Parameters | Mapping[str, np.ndarray]) -> str:
+def _to_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
     by_name = values if isinstance(values, Mapping) else vars(values)
     return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})
 
