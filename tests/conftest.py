@@ -1,11 +1,13 @@
-"""Double precision for the session, no compilation cache on disk, and compiled programs that the tests share."""
+"""Double precision for the session, a compilation cache that workers and runs share, and programs that tests share."""
 
 import dataclasses
 import functools
 import os
+import signal
 from pathlib import Path
 
-os.environ.setdefault("MJX_CLIMB_CACHE", "off")
+# before JAX is imported, here and in the programs that tests start; `pytest --cache-clear` empties it
+os.environ.setdefault("MJX_CLIMB_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "d" / "xla"))
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +16,12 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
+from mjx_climb.compilation import options
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
+options.enable_cache()
 
 settings.register_profile("quick", deadline=None, max_examples=50, derandomize=True)
 settings.register_profile("thorough", deadline=None, max_examples=2000)
@@ -31,6 +35,15 @@ LAWS = {
     "end_effector": {"control.controller": "end_effector_admittance", "control.reading": "virtual_model"},
 }
 PUSHES = 3
+
+
+@pytest.fixture(autouse=True)
+def signals():
+    """Ctrl-C ends the tests, whatever a program that ran in this process has done to its signals."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

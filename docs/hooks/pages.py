@@ -7,7 +7,7 @@ import typer
 from mkdocs.structure.files import File
 from nbconvert import MarkdownExporter
 
-from tuning.command_line import app
+from tuning.command_line.program import app
 
 ROOT = Path(__file__).parents[2]
 AS_THEY_ARE = ("CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")

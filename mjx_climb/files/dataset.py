@@ -19,7 +19,7 @@ from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.metrics import METRICS
+from mjx_climb.walk.metrics import METRICS, Metric
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
@@ -62,22 +62,6 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "center_of_mass": (_VECTOR, "m", "centre of mass of robot and cargo"),
     "tsm": (("time",), "m", "tumble stability margin"),
     "gia_margin": (("time",), "m/s^2", "gravito-inertial acceleration margin"),
-}
-
-METRIC_NAMES: dict[str, str] = {
-    "peak_foot_force": "peak foot force",
-    "force_variation": "variation of the largest foot force",
-    "peak_pull_force": "peak pulling force",
-    "peak_joint_torque": "peak joint torque",
-    "cost_of_transport": "cost of transport",
-    "travel": "travel",
-    "base_deviation": "largest deviation of the base",
-    "min_tsm": "smallest tumble stability margin",
-    "min_gia_margin": "smallest GIA margin",
-    "joint_limit_margin": "smallest margin to a joint limit",
-    "detached_at": "time of the first detachment",
-    "detached_limb": "limb that detached first",
-    "diverged": "the simulation diverged",
 }
 
 # what a sweep may run over: units, long name
@@ -164,11 +148,11 @@ def sweep_dataset(
     data = {}
     for name, values in metrics.items():
         values = np.asarray(values)
-        if name not in METRICS:
-            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS)}")
+        if name not in METRICS.names:
+            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS.names)}")
         if values.shape != tuple(shape):
             raise ValueError(f"metric {name}: expected shape {tuple(shape)} as the coordinates, got {values.shape}")
-        attrs: dict[str, Any] = {"units": METRICS[name], "long_name": METRIC_NAMES[name]}
+        attrs = metric_attributes(METRICS[name])
         if name == "detached_limb":
             limbs = load_robot(scenario.robot).limbs
             values = values.astype(np.int32)
@@ -177,6 +161,22 @@ def sweep_dataset(
         data[name] = (tuple(coords), values, attrs)
     attrs = {"title": "metrics of walks of a limbed climbing robot", **_provenance(scenario)}
     return xr.Dataset(data, coords, attrs)
+
+
+def metric_attributes(metric: Metric) -> dict[str, Any]:
+    """Return the attributes of a variable that holds values of a metric."""
+    return {
+        "units": metric.unit,
+        "long_name": metric.long_name,
+        "larger_is_better": int(metric.larger_is_better),
+    }
+
+
+def larger_is_better(variable: xr.DataArray) -> bool:
+    """Return whether a variable should be large: as its attributes say, else as the shipped metric of its name."""
+    name = str(variable.name)
+    by_name = name in METRICS.names and METRICS[name].larger_is_better
+    return bool(variable.attrs.get("larger_is_better", by_name))
 
 
 def scenario_of(dataset: xr.Dataset) -> Scenario:

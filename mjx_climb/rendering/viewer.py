@@ -3,7 +3,7 @@
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,12 +20,13 @@ PAUSE = 1.0  # s, at the end of a walk, before the next one starts
 GROUND_ALPHA = 0.6  # pulling forces point into the ground
 
 
-def view(*trajectories: Trajectory, rounds: int | None = None) -> None:
+def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[], bool] = lambda: False) -> None:
     """Show walks one after the other in MuJoCo's viewer, in real time and over and over, until its window is closed.
 
     Arguments:
         trajectories: walks of one robot; they share the scale of the forces.
         rounds: how often they are shown; None: until the window is closed.
+        until: asked for every frame; the window closes where it says so.
 
     Raises:
         RenderingError: no display, or no window can be opened on it.
@@ -49,7 +50,7 @@ def view(*trajectories: Trajectory, rounds: int | None = None) -> None:
             window.cam.lookat[:], window.cam.distance = start.target, start.distance
             window.cam.azimuth, window.cam.elevation = start.azimuth, start.camera().elevation
         begin = time.perf_counter()
-        while window.is_running():
+        while window.is_running() and not until():
             shown, now = divmod(time.perf_counter() - begin, length + PAUSE)
             if rounds is not None and shown >= rounds * len(trajectories):
                 break

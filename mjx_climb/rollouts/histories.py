@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ from mjx_climb.quantities.parameters import Gains, Parameters, batch_shape
 from mjx_climb.rollouts.rollout import Metrics, given, walk_batch, walk_recorded
 from mjx_climb.rollouts.trajectory import Trajectory, to_samples
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Structure, structure
 
@@ -49,6 +50,7 @@ def rollout_histories(
     gains: Gains | None = None,
     numbers: Parameters | None = None,
     *,
+    metrics: Iterable[Metric] = METRICS,
     dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -61,7 +63,7 @@ def rollout_histories(
         largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
     """
     inputs = given(scenario, gains, numbers, dtype)
-    walk = structure(scenario, engine, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, metrics=metrics, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     return walk_batch(compiled, walk, inputs, batch_shape(*inputs), batch_size, progress)
 
@@ -93,7 +95,7 @@ def _extremes(lines: Mapping[str, Array]) -> dict[str, Array]:
 
 def _histories_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
     metrics, lines = walk_recorded(structure, gains, numbers, _lines)
-    shape = metrics["diverged"].shape
+    shape = batch_shape(gains, numbers)
     return metrics | {name: v.reshape(*shape, *v.shape[1:]) for name, v in _extremes(lines).items()}
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -17,6 +17,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.parameters import Gains, Parameters, batch_shape
 from mjx_climb.rollouts.rollout import Metrics, Tree, given, metrics_of, walk_batch
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.step import Structure, structure
 
 _SLOPE = "slope of "
@@ -36,6 +37,7 @@ def rollout_slopes(
     directions: Gains,
     numbers: Parameters | None = None,
     *,
+    metrics: Iterable[Metric] = METRICS,
     dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -47,8 +49,8 @@ def rollout_slopes(
     A direction costs about as much as the walk itself, and nothing is kept over time.
 
     Arguments:
-        scenario, gains, numbers, dtype, batch_size, progress, engine, smooth: as `mjx_climb.rollout_metrics` takes
-            them; gains with six axes.
+        scenario, gains, numbers, metrics, dtype, batch_size, progress, engine, smooth: as `mjx_climb.rollout_metrics`
+            takes them; gains with six axes.
         directions: rates of change of the gains, in their units: values (k, *batch, 6), `kp` and `kd` (k, *batch) where
             the gains have them, with batch axes that broadcast to the gains'.
 
@@ -63,7 +65,7 @@ def rollout_slopes(
     shape = batch_shape(gains, numbers)
     given_rates = {n: v for n, v in vars(directions).items() if v is not None}
     along = _Directions(**{n: _direction_last(n, v, shape, dtype) for n, v in given_rates.items()})
-    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     found = walk_batch(compiled, walk, (gains, along, numbers), shape, batch_size, progress)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}

@@ -1,7 +1,7 @@
 """One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +21,7 @@ from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import disturbance, gait
 from mjx_climb.walk.contact import Contact, grip
 from mjx_climb.walk.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
@@ -36,7 +37,8 @@ class Structure(NamedTuple):
     base_reference: str
     steps: int
     time_step: float
-    smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
+    metrics: MetricTable = METRICS
+    smooth: bool = False  # no gripper is torn off
     in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`
 
 
@@ -63,8 +65,19 @@ class Carry(NamedTuple):
     law: Any
 
 
-def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_pieces: bool = False) -> Structure:
-    """Return what a compiled walk of the scenario depends on beside its numbers."""
+def structure(
+    scenario: Scenario,
+    engine: str,
+    *,
+    metrics: Iterable[Metric] = METRICS,
+    smooth: bool = False,
+    in_pieces: bool = False,
+) -> Structure:
+    """Return what a compiled walk of the scenario depends on beside its numbers.
+
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off.
+    """
+    table = MetricTable(metrics)
     return Structure(
         robot=scenario.robot,
         engine=engine,
@@ -74,6 +87,7 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_piece
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
+        metrics=table.with_companions if smooth else table,
         smooth=smooth,
         in_pieces=in_pieces,
     )
@@ -94,7 +108,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=gait.plan(robot, feet, numbers, structure.sequence, structure.time_step),
         law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
-        forward_dynamics=ENGINES[structure.engine](robot),
+        forward_dynamics=ENGINES[structure.engine](_lighter_drives(robot, numbers.mass_scale)),
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
@@ -104,6 +118,11 @@ def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
     """Return the robot with all masses and inertias times `scale` (B,)."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     return dataclasses.replace(robot, **{name: getattr(robot, name) * scale for name in names})
+
+
+def _lighter_drives(robot: Robot, scale: Array | np.ndarray) -> Robot:
+    """Return the robot whose drives have their armature over `scale` (B,): the engine is given forces over it."""
+    return robot if robot.armature is None else dataclasses.replace(robot, armature=robot.armature / scale)
 
 
 def begin(walk: Walk, batch: int) -> Carry:
@@ -134,7 +153,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     robot, numbers, state = walk.robot, walk.numbers, carry.state
     rotation = quaternion_to_matrix(state.base_orientation)
     frames = limb_frames(robot, rotation, state.joint_angles)
-    feet = foot_kinematics(frames, state)
+    feet = foot_kinematics(robot, frames, state)
 
     now = gait.schedule(walk.plan, step)
     contact, held = grip(carry.contact, feet, now.closed, gait.ground_height(walk.plan, now), walk.grip_numbers)

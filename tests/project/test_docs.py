@@ -14,8 +14,9 @@ import typer
 
 import mjx_climb as mc
 from mjx_climb.control import LAWS
-from tuning.command_line import app, options
+from tuning.command_line import options
 from tuning.command_line import tune as tune_command
+from tuning.command_line.program import app
 from tuning.problem import search
 from tuning.searches.methods import METHODS
 

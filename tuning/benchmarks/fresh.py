@@ -6,6 +6,7 @@ when the first was done. The environment says where XLA's cache is.
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -29,6 +30,7 @@ def measure(what: str, batch: int, steps: int, engine: str, cache: str) -> dict[
 
 
 def main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a terminal interrupts its whole family: the parent says it
     import jax
 
     from mjx_climb.compilation.options import enable_cache

@@ -63,12 +63,13 @@ def bench(
         if batch % 4:
             raise InputError(f"--batch: expected a multiple of 4, got {batch}")
         from tuning.benchmarks import measure
-        from tuning.command_line import progress, report
+        from tuning.command_line import interruption, progress, report
 
         console = report.console(stderr=True)
         begin = time.perf_counter()
 
         def say(text: str) -> None:
+            interruption.check()
             console.print(f"{progress.duration(time.perf_counter() - begin)}: {text}", highlight=False)
 
         result = measure.measure(engine, batch, measure.Plan.quick(batch) if quick else measure.Plan.full(batch), say)

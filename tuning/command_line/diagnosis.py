@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tuning.command_line import interruption
+
 if TYPE_CHECKING:
     from mjx_climb.checks.self_check import Deviation
 
@@ -37,6 +39,7 @@ def examine() -> list[Part]:
 
 
 def _guarded(examination: Callable[[], Part | list[Part]]) -> list[Part]:
+    interruption.check()
     try:
         found = examination()
     except Exception as error:  # whatever it is, the other parts are still of interest

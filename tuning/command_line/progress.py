@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from tuning.command_line import interruption
+
 Stage = Callable[..., contextlib.AbstractContextManager[Callable[..., None]]]
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -82,7 +84,12 @@ class Meter:
 
     @contextlib.contextmanager
     def stage(self, name: str, *, compiles: bool = True, unit: str = "walks") -> Iterator[Callable[..., None]]:
-        """Show one stage; the function that it gives takes how many walks are done, how many there are, and a text."""
+        """Show one stage; the function that it gives takes how many walks are done, how many there are, and a text.
+
+        Raises:
+            KeyboardInterrupt: at its beginning and whenever it is told, where the user wants the command to end.
+        """
+        interruption.check()
         begin = time.perf_counter()
         columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
         bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
@@ -102,6 +109,7 @@ class Meter:
                 bar.update(task, description=text, completed=done, total=total)
             if done and not self.console.is_terminal:
                 self.console.print(text, soft_wrap=True)
+            interruption.check()
 
         with Compilation(compiled) as compilation, bar:
             yield advanced

@@ -1,6 +1,5 @@
 """`mjx-climb run`: one robot through one scenario."""
 
-import contextlib
 from pathlib import Path
 from typing import Annotated
 
@@ -50,7 +49,7 @@ def run(
         from mjx_climb import plots
         from mjx_climb.files import dataset, scenario_files
         from mjx_climb.robot.constants import load_robot
-        from tuning.command_line import progress, report
+        from tuning.command_line import interruption, progress, report
         from tuning.gains import gains_file
 
         scenario = options.scenario_from(config, controller, changes)
@@ -78,8 +77,9 @@ def run(
         text = report.to_json(metrics)
         dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
         dataset.write_text_atomically(out / "metrics.json", text + "\n")
-        plots.save_figure(plots.plot_walk(trajectory), out / "walk")
-        plots.save_figure(plots.plot_feet(trajectory), out / "feet")
+        with meter.stage("drawing", compiles=False):
+            plots.save_figure(plots.plot_walk(trajectory), out / "walk")
+            plots.save_figure(plots.plot_feet(trajectory), out / "feet")
         files = ["trajectory.nc", "config.yaml", "metrics.json", "walk.png, .svg, .pdf", "feet.png, .svg, .pdf"]
         if baseline is not None:
             plots.save_figure(
@@ -97,5 +97,4 @@ def run(
         if view:
             from mjx_climb import rendering
 
-            with contextlib.suppress(KeyboardInterrupt):  # one more way to close the window
-                rendering.view(*walks)
+            rendering.view(*walks, until=interruption.requested)

@@ -297,7 +297,9 @@ def _draw(
     from mjx_climb import plots
 
     walks = {_label(name, own): trajectories[name] for name in reversed(trajectories)}
-    metrics = [name for name in mc.METRICS if name not in ("detached_limb", "diverged")]  # the hatching shows these
+    metrics = [
+        name for name in mc.METRICS.names if name not in ("detached_limb", "diverged")
+    ]  # the hatching shows these
     pd = {name: value for name, value in compared["pd"][1].items() if name in metrics and value is not None}
 
     plots.save_figure(plots.plot_comparison(walks), out / "walks")

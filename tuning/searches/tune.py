@@ -8,7 +8,6 @@ in mind.
 
 import hashlib
 import importlib.metadata
-import inspect
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -28,7 +27,7 @@ from tuning.problem import evaluation, objectives, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Judge
 from tuning.problem.search import Search
-from tuning.searches import result
+from tuning.searches import identity, result
 from tuning.searches.finished_parts import Parts
 from tuning.searches.methods import METHODS, Request, Task
 from tuning.searches.result import Result
@@ -81,6 +80,7 @@ def tune(
     Raises:
         ConfigError: settings that make no sense for the scenario.
         OutputError: the folder cannot be written, or holds an unfinished search for something else.
+        Unidentifiable: with `out`, an objective that cannot be told from another, see `tuning.searches.identity`.
     """
     search = changed(search, settings)
     problem = problem_of(scenario, search, objective, numbers, engine)
@@ -165,7 +165,7 @@ def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evalua
         "row": np.arange(count),
         "phase": np.full(count, request.phase),
         "env_steps": np.full(count, spent),
-        **{name: found.metrics[name] for name in mc.METRICS},
+        **{name: found.metrics[name] for name in mc.METRICS.names},
     }
     for name, values in columns.items():
         arrays.setdefault(name, []).append(values)
@@ -210,27 +210,13 @@ def _identity(problem: Problem, search: Search, function: Judge | None) -> dict[
             versions[name] = importlib.metadata.version(distribution)
         except importlib.metadata.PackageNotFoundError:
             versions[name] = None
-    numbers = problem.numbers
-    digest = None
-    if numbers is not None:
-        arrays = (np.ascontiguousarray(value) for value in jax.tree.leaves(numbers))
-        digest = hashlib.sha256(b"".join(repr(a.shape).encode() + a.tobytes() for a in arrays)).hexdigest()
     return {
         "scenario": scenario_files.identity(problem.scenario),
         "search": search.to_yaml(),
-        "objective": None if function is None else _source(function),
-        "numbers": digest,
+        "objective": None if function is None else identity.identity(function, "objective"),
+        "numbers": None if problem.numbers is None else identity.identity(problem.numbers, "numbers"),
         "engine": problem.engine,
         "platform": jax.default_backend(),
         "robot_model": hashlib.sha256(model_path(problem.scenario.robot).read_bytes()).hexdigest(),
         "versions": versions,
     }
-
-
-def _source(function: Judge) -> str:
-    if isinstance(function, Goal):
-        return repr(function)
-    try:
-        return inspect.getsource(function)
-    except (OSError, TypeError):
-        return getattr(function, "__qualname__", repr(type(function)))

@@ -104,7 +104,7 @@ def test_malformed_input_is_refused(start, valid_input_stops_here, tmp_path, cap
         monkeypatch.chdir(folder)
         malformed = case(number)
         arguments = prepare(malformed, folder)
-        before, handler = tree(folder), signal.getsignal(signal.SIGTERM)
+        before = tree(folder)
         try:
             with patience(), pytest.raises(SystemExit) as ended:
                 main(arguments)
@@ -118,8 +118,6 @@ def test_malformed_input_is_refused(start, valid_input_stops_here, tmp_path, cap
         except BaseException as error:
             error.add_note(f"case {number}: {malformed}")
             raise
-        finally:
-            signal.signal(signal.SIGTERM, handler)
     assert refused > CHUNK // 2
 
 

@@ -245,7 +245,7 @@ def test_the_whole_command(tmp_path, capsys):
     for name, case in found["cases"].items():
         assert set(case["runs"]) == set(paper.METHODS)
         for method, run in case["runs"].items():
-            assert set(run["metrics"]) == set(mc.METRICS)
+            assert set(run["metrics"]) == set(mc.METRICS.names)
             with xr.open_dataset(tmp_path / f"{reproduce.stem(name)}-{method}.nc") as dataset:
                 assert dataset.sizes["time"] == 8000
         for kind in ("png", "svg", "pdf", "yaml"):

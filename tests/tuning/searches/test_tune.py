@@ -1,6 +1,7 @@
 """Searches: spaces, objectives, gradients, methods, and results that survive a kill."""
 
 import dataclasses
+import functools
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.files.dataset import OutputError
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import evaluation, objectives, search, spaces
@@ -165,7 +167,7 @@ class Bowl(Problem):
         value = np.where((ratio < 0.1).any(1), np.nan, value)
         slopes = slope @ (np.zeros((0, theta.shape[1])) if directions is None else directions).T
         slopes[np.isnan(value)] = np.nan
-        metrics = {name: np.zeros(len(theta)) for name in mc.METRICS}
+        metrics = {name: np.zeros(len(theta)) for name in mc.METRICS.names}
         zero = np.zeros(len(theta))
         return Evaluation(value, value, zero, np.isfinite(value), slopes, slopes, metrics)
 
@@ -253,9 +255,30 @@ def test_ctrl_c_ends_with_the_best_so_far(scenario, tmp_path):
     np.testing.assert_array_equal(whole.history["value"], undisturbed.history["value"])
 
 
+def judging(weight, metrics):
+    return weight * metrics["peak_joint_torque"]
+
+
+@pytest.mark.parametrize(
+    "judge",
+    [lambda weight: functools.partial(judging, weight), lambda weight: lambda metrics: judging(weight, metrics)],
+    ids=["partial", "closure"],
+)
+def test_a_search_for_another_objective_is_not_taken_for_an_interrupted_one(scenario, tmp_path, judge):
+    def stop(now):
+        raise KeyboardInterrupt
+
+    settings = {"iterations": 1, "out": tmp_path, "limits": {"base_deviation": 0.02}}
+    assert tune(scenario, objective=judge(1.0), progress=stop, **settings).interrupted
+    with pytest.raises(OutputError, match="another that differs in objective"):
+        tune(scenario, objective=judge(100.0), **settings)
+    assert tune(scenario, objective=judge(1.0), progress=stop, **settings).interrupted
+
+
 _KILLED = """
 import sys
 import mjx_climb as mc
+from mjx_climb.files.dataset import OutputError
 from tuning.searches.tune import tune
 scenario = mc.load_scenario(sys.argv[1])
 print("begun", flush=True)

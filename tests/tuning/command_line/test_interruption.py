@@ -1,0 +1,106 @@
+"""Ctrl-C and SIGTERM: heard at every instant, obeyed at the next occasion, and at once the second time."""
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb import plots
+from mjx_climb.files import dataset
+from tests import interrupts
+from tuning.command_line import main
+
+ROOT = Path(__file__).parents[3]
+RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.2"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_where_exceptions_are_lost_is_heard(number, monkeypatch, capsys, tmp_path):
+    """As in a callback of JAX's: Python drops what is raised while it collects garbage."""
+    walk, drawn = mc.rollout, []
+
+    def collected(phase, _):
+        if phase == "start":
+            signal.raise_signal(number)
+
+    def walked(*arguments, **options):
+        gc.callbacks.append(collected)
+        gc.collect()
+        gc.callbacks.remove(collected)
+        return walk(*arguments, **options)
+
+    monkeypatch.setattr(mc, "rollout", walked)
+    monkeypatch.setattr(plots, "save_figure", lambda *_: drawn.append(1))
+    with pytest.raises(SystemExit) as ended:
+        main([*RUN, "--out", str(tmp_path)])
+    out, err = capsys.readouterr()
+    assert (ended.value.code, out, drawn) == (130, "", [])
+    assert err.splitlines()[-1] == "mjx-climb: interrupted: nothing was kept; the same command starts again"
+
+
+_WHILE_IMPORTING = """
+import signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from tuning.command_line import main
+main(sys.argv[2:])
+"""
+
+
+@pytest.mark.parametrize("module", ["tuning.command_line.program", "typer", "jax", "mjx_climb.rollouts.rollout"])
+def test_a_signal_while_modules_are_imported(module, tmp_path):
+    """It ends the program in one line, not in an ImportError of whatever was under way."""
+    command = [sys.executable, "-c", _WHILE_IMPORTING, module, *RUN, "--out", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (130, ""), done.stderr
+    assert done.stderr.splitlines()[-1].startswith("mjx-climb: interrupted: nothing was kept")
+    assert "Traceback" not in done.stderr
+
+
+_BUSY = """
+import hashlib
+from tuning.command_line import interruption
+interruption.watch()
+print("busy", flush=True)
+hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # as in a compiler: no Python runs in this thread for minutes
+"""
+
+
+def test_the_second_signal_ends_what_never_looks():
+    process = subprocess.Popen(
+        [sys.executable, "-c", _BUSY], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "busy\n"
+    process.send_signal(signal.SIGINT)
+    first = process.stderr.readline()
+    assert "a second signal ends it at once" in first
+    assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "mjx-climb: interrupted at once: what was finished is kept; the same command goes on from there\n"
+
+
+def test_a_command_that_came_to_its_end_says_so(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(dataset, "write_text_atomically", lambda *_: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(SystemExit) as ended:
+        main(["schema", "--out", str(tmp_path / "schema.json")])
+    assert ended.value.code == 130
+    assert "all that it writes is written" in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", interrupts.COMMANDS)
+def test_signals_at_random_instants(command, tmp_path):
+    """Six of the two hundred that `python -m tests.interrupts` tries."""
+    tries = interrupts.attempts(command, 6, np.random.default_rng(), tmp_path)
+    assert not [attempt for attempt in tries if attempt.kind not in interrupts.FINE], tries

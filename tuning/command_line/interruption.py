@@ -1,0 +1,89 @@
+"""Ctrl-C and SIGTERM while a command runs: the first is a wish that the command reads, the second ends it at once.
+
+An exception out of a signal handler surfaces wherever the process happens to be, and is lost where that is a callback
+of JAX's. So the handler only notes the signal; commands look between rounds, parts and stages. Python runs handlers
+when the main thread next runs Python, which may be after minutes in XLA's compiler: a second thread, woken by the
+signal itself, sees to it that a second signal ends the process even then.
+"""
+
+import os
+import signal
+import socket
+import threading
+from contextvars import ContextVar
+from types import FrameType
+
+CODE = 130  # exit code, as of shells
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SHOW_CURSOR = b"\x1b[?25h"  # progress bars hide it
+
+
+class Watch:
+    """Watches both signals from its making on, in the main thread."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._woken, self._waker = socket.socketpair()
+        self._waker.setblocking(False)
+        signal.set_wakeup_fd(self._waker.fileno(), warn_on_full_buffer=False)
+        for number in SIGNALS:
+            signal.signal(number, self._note)
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _note(self, _: int, __: FrameType | None) -> None:
+        self.requested = True
+
+    def _listen(self) -> None:
+        count = 0
+        while arrived := self._woken.recv(1):  # nothing once the other end is closed
+            if arrived[0] not in SIGNALS:
+                continue
+            count, self.requested = count + 1, True
+            if count > 1:
+                _say(b"interrupted at once: what was finished is kept; the same command goes on from there")
+                os._exit(CODE)
+            _say(b"interrupted: ends after what is under way; a second signal ends it at once")
+        self._woken.close()
+
+    def finish(self) -> None:
+        """Stop listening; the handlers stay, and do nothing that anybody reads."""
+        signal.set_wakeup_fd(-1)
+        self._waker.close()
+
+
+_WATCH: ContextVar[Watch | None] = ContextVar("watch", default=None)
+
+
+def watch() -> None:
+    """Watch the signals from here on, in the main thread; Python leaves them to no other."""
+    if threading.current_thread() is threading.main_thread():
+        _WATCH.set(Watch())
+
+
+def requested() -> bool:
+    """Return whether the program was asked to end."""
+    watching = _WATCH.get()
+    return watching is not None and watching.requested
+
+
+def finish() -> None:
+    """Stop watching: from here on both signals change nothing, for the process is about to end."""
+    watching = _WATCH.get()
+    if watching is not None:
+        watching.finish()
+        _WATCH.set(None)
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt where the program was asked to end."""
+    if requested():
+        raise KeyboardInterrupt
+
+
+def _say(text: bytes) -> None:
+    """Write a line to standard error past Python's buffers: the main thread may be about to write."""
+    cursor = _SHOW_CURSOR if os.isatty(2) else b""
+    try:
+        os.write(2, b"%smjx-climb: %s\n" % (cursor, text))
+    except OSError:  # nobody reads it
+        pass
