@@ -367,8 +367,8 @@ def _of_each_key(function: Callable[..., Array]) -> Rule:
         wide = [np.broadcast_to(objects(other), keys.shape) for other in others]
         results = []
         for place in np.ndindex(*keys.shape):
-            operands = [_words_of(as_array(iter([keys[place]]), ()))]
-            operands += [as_array(iter([other[place]]), ()) for other in wide]
+            key, *beside = (cast(Element, array[place]) for array in (keys, *wide))
+            operands = [_words_of(as_array(iter([key]), ())), *(as_array(iter([number]), ()) for number in beside)]
             results.append(objects(_traced(do, function, equation, operands)))
         made = np.stack(results).reshape(*keys.shape, *results[0].shape)
         made = as_array(iter(made.reshape(-1)), made.shape)

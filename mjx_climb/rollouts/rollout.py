@@ -16,6 +16,7 @@ from numpy.typing import DTypeLike
 
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.options import compiler_options, enable_cache, kernel_pays, pieces_pay
 from mjx_climb.dynamics import DEFAULT_ENGINE
@@ -91,8 +92,9 @@ def _metrics_in_kernel(structure: Structure, gains: Gains, numbers: Parameters) 
 
 
 @functools.cache
-def _compiled_kernel() -> Callable[..., Metrics]:
-    return jax.jit(_metrics_in_kernel, static_argnums=0)
+def _compiled_kernel(batch: int) -> Callable[..., Metrics]:
+    kernel = jax.jit(_metrics_in_kernel, static_argnums=0)
+    return first_possible(kernel, functools.partial(_compiled_metrics, batch, False), "the GPU kernel")
 
 
 def simulator(
@@ -264,7 +266,7 @@ def rollout_metrics(
     in_kernel = kernel_pays(engine, dtype)
 
     def program(robots: int) -> Callable[..., Metrics]:
-        return _compiled_kernel() if in_kernel else _compiled_metrics(robots, walk.in_pieces)
+        return _compiled_kernel(robots) if in_kernel else _compiled_metrics(robots, walk.in_pieces)
 
     return walk_batch(program, walk, inputs, batch_shape(*inputs), batch_size, progress)
 
