@@ -17,7 +17,7 @@ import mjx_climb as mc
 from mjx_climb.compilation.options import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
-from mjx_climb.quantities.parameters import batch_shape
+from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES, PREFIX
 from tuning.problem import ensemble as ensembles
