@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.quantities.parameters import Gains, Parameters, parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.messages import ConfigError
@@ -54,6 +54,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact": (_LIMB, "1", "the ground acts on the foot"),
     "detached": (_LIMB, "1", "the gripper was torn off before"),
     "torn_off": (_LIMB, "1", "the gripper is torn off in this step"),
+    "missed": (_LIMB, "1", "the gripper shuts out of reach in this step"),
     "reachable": (_LIMB, "1", "the foot target is within reach"),
     "base_reference": (_VECTOR, "m", "base position that the gait asks for"),
     "base_displacement": (_SIX, "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law"),
@@ -82,6 +83,25 @@ COORDINATES: dict[str, tuple[str, str]] = {
     "heading": ("rad", "heading"),
     "cargo_mass": ("kg", "mass of the cargo"),
     "mass_scale": ("1", "scale of the robot's masses and inertias"),
+    "capture_distance": ("m", "reach of a gripper"),
+    "control_period": ("s", "control period"),
+    "command_delay": ("s", "delay of commands"),
+    "force_delay": ("s", "delay of the force sensors"),
+    "force_noise": ("N", "noise of the force sensors"),
+    "force_bias": ("N", "offset of the force sensors"),
+    "force_resolution": ("N", "resolution of the force sensors"),
+    "force_filter": ("Hz", "cut-off of the force filter"),
+    "base_delay": ("s", "delay of the base estimate"),
+    "position_noise": ("m", "noise of the base's position"),
+    "velocity_noise": ("m/s", "noise of the base's velocity"),
+    "torque_limit": ("N m", "torque limit"),
+    "no_load_speed": ("rad/s", "speed without load"),
+    "armature": ("kg m^2", "armature"),
+    "coulomb_friction": ("N m", "dry friction"),
+    "viscous_friction": ("N m s/rad", "viscous friction"),
+    "load_friction": ("1", "friction under load"),
+    "backlash": ("rad", "backlash"),
+    "servo_delay": ("s", "delay of the servos"),
 }
 
 
@@ -273,7 +293,7 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     by_name = _from_json(dataset.attrs["gains"], dtype)
     of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
     gains = Gains(**by_name) if of_the_paper else by_name
-    numbers = _from_json(dataset.attrs["parameters"], dtype)
+    numbers = vars(parameters(scenario_of(dataset), dtype)) | _from_json(dataset.attrs["parameters"], dtype)
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)

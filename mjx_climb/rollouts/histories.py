@@ -67,7 +67,7 @@ def rollout_histories(
         largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
     """
     walkers = given_in(scenario, law, gains, numbers, dtype)
-    walk = structure(scenario, engine, metrics=metrics, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     return walk_batch(compiled, walk, walkers, batch_size=batch_size, progress=progress)
 

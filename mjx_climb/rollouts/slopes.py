@@ -58,7 +58,7 @@ def rollout_slopes(
     _check_same_gains(gains, directions)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     rates, axes = _rates(walkers, directions, dtype)
-    walk = structure(scenario, engine, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     found = walk_batch(compiled, walk, walkers, rates, axes, batch_size, progress)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}
