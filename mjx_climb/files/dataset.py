@@ -234,7 +234,7 @@ def _git_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def fields_as_json(values: Gains | Parameters | Mapping[str, np.ndarray]) -> str:
+def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
     """Return numbers by name as JSON, arrays as lists."""
     by_name = values if isinstance(values, Mapping) else vars(values)
     return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})

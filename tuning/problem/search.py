@@ -33,6 +33,7 @@ class Search(BaseModel):
     method: Method = Field(default="gradient", description="how to search")
     space: Layout = Field(default="isotropic", description="which axes share their gains")
     inertia: bool = Field(default=False, description="search the virtual inertia as well")
+    also: tuple[str, ...] = Field(default=(), description="gains of the law to search that are left alone otherwise")
     joint_gains: bool = Field(default=False, description="search kp and kd of the joint loop as well")
     bounds: dict[str, tuple[_Positive, _Positive]] = Field(
         default={}, description="lowest and highest value of a gain, as stiffness, stiffness.rotation, stiffness.rx"

@@ -18,6 +18,7 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import PACKAGES, OutputError
@@ -54,6 +55,7 @@ def tune(
     scenario: mc.Scenario,
     search: Search | None = None,
     *,
+    law: mc.Law | None = None,
     method: str | Method | Callable[[Task], Points] | None = None,
     objective: Judge | None = None,
     numbers: mc.Parameters | None = None,
@@ -62,10 +64,11 @@ def tune(
     progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> Result:
-    """Search the gains of a scenario's controller.
+    """Search the gains of a control law.
 
     Arguments:
-        scenario: what walks where; its own gains are the first start.
+        scenario: what walks where.
+        law: whose gains are searched; its own are the first start. The scenario's where None.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it, as
             in `tune(scenario, method="gradient", space="diagonal")`.
         method: the name of a shipped one; or one of your own, as a function that yields a `Request` of points and
@@ -96,7 +99,7 @@ def tune(
     search = changed(search, settings)
     if method is None and search.method == OWN_METHOD:
         raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
-    problem = problem_of(scenario, search, objective, numbers, engine)
+    problem = problem_of(scenario, search, objective, numbers, engine, law=law)
     task = Task(problem, search, start_of(problem))
     kept = None if out is None else Parts(out, search_identity(problem, search, objective, method))
     chosen = method or METHODS[search.method]
@@ -128,7 +131,7 @@ def tune(
             raise
         interrupted = True
     joined = {name: np.concatenate(values) for name, values in arrays.items()}
-    return result.from_history(scenario, search, problem.space, joined, interrupted=interrupted)
+    return result.from_history(scenario, search, problem.space, joined, law=law, interrupted=interrupted)
 
 
 def changed(search: Search | None, settings: Mapping[str, Any]) -> Search:
@@ -146,9 +149,11 @@ def problem_of(
     function: Judge | None = None,
     numbers: mc.Parameters | None = None,
     engine: str = DEFAULT_ENGINE,
+    *,
+    law: mc.Law | None = None,
 ) -> Problem:
     """Return what the settings ask to search: space, objective relative to pd, and walks."""
-    space = spaces.space(scenario, search)
+    space = spaces.space(scenario, search, law)
     target: Goal
     if isinstance(function, Goal):
         target = function
@@ -156,14 +161,14 @@ def problem_of(
         target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine), function)
     members = 1 if numbers is None else math.prod(batch_shape(numbers))
     dtype = np.dtype(search.precision).type
-    return Problem(scenario, space, target, numbers, members, dtype, engine)
+    return Problem(scenario, space, target, numbers, members, dtype, engine, law=law)
 
 
 def start_of(problem: Problem) -> np.ndarray:
-    """Return the scenario's own gains as a point of the space."""
+    """Return the law's own gains, and the scenario's of the joint loop, as a point of the space."""
     control = problem.scenario.control
-    six = {name: np.asarray(getattr(control, name), float) for name in mc.Gains.AXES}
-    return problem.space.from_gains(mc.Gains(**six, kp=control.kp, kd=max(control.kd, 1e-12)))
+    own = spaces.own_values(problem.scenario, problem.law or law_of(problem.scenario))
+    return problem.space.from_gains({**own, "kp": control.kp, "kd": max(control.kd, 1e-12)})
 
 
 def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evaluation, number: int, spent: int) -> None:
@@ -234,6 +239,7 @@ def search_identity(
             versions[name] = None
     return {
         "scenario": scenario_files.identity(problem.scenario),
+        "law": None if problem.law is None else identity.identity(problem.law, "law"),
         "search": search.to_yaml(),
         "method": None if method is None else identity.identity(method, "method"),
         "objective": None if function is None else identity.identity(function, "objective"),
