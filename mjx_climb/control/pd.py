@@ -1,17 +1,17 @@
 """The baseline: the joints follow the gait, whatever the forces."""
 
-import jax.numpy as jnp
+from jax import Array
 
-from mjx_climb.control.law import Command, Law, Measurement, Reference
-from mjx_climb.quantities.parameters import Gains
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, no_shift
 
 
-def build(gains: Gains, time_step: float) -> Law:
-    """Return the law that commands the gait's own reference."""
-    del time_step
-    no_shift = jnp.zeros_like(gains.stiffness)
+class PD(Law):
+    """The law that commands the gait's own reference. It has no gains."""
 
-    def command(state: tuple[()], measurement: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
-        return state, Command(*reference, no_shift)
+    def init(self, start: Start) -> Array:
+        """Return the shift that it never makes, (6, B)."""
+        return no_shift(start)
 
-    return Law(initial=(), command=command)
+    def step(self, state: Array, measurement: Measurement, reference: Reference) -> tuple[Array, Command]:
+        """Return the reference as it is."""
+        return state, Command(*reference, state)

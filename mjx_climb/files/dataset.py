@@ -1,6 +1,7 @@
 """Results as labelled arrays with units, and files that are either whole or not there."""
 
 import contextlib
+import dataclasses
 import datetime
 import importlib.metadata
 import json
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.quantities.parameters import Gains, Parameters, parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.messages import ConfigError
@@ -53,6 +54,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact": (_LIMB, "1", "the ground acts on the foot"),
     "detached": (_LIMB, "1", "the gripper was torn off before"),
     "torn_off": (_LIMB, "1", "the gripper is torn off in this step"),
+    "missed": (_LIMB, "1", "the gripper shuts out of reach in this step"),
     "reachable": (_LIMB, "1", "the foot target is within reach"),
     "base_reference": (_VECTOR, "m", "base position that the gait asks for"),
     "base_displacement": (_SIX, "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law"),
@@ -81,6 +83,25 @@ COORDINATES: dict[str, tuple[str, str]] = {
     "heading": ("rad", "heading"),
     "cargo_mass": ("kg", "mass of the cargo"),
     "mass_scale": ("1", "scale of the robot's masses and inertias"),
+    "capture_distance": ("m", "reach of a gripper"),
+    "control_period": ("s", "control period"),
+    "command_delay": ("s", "delay of commands"),
+    "force_delay": ("s", "delay of the force sensors"),
+    "force_noise": ("N", "noise of the force sensors"),
+    "force_bias": ("N", "offset of the force sensors"),
+    "force_resolution": ("N", "resolution of the force sensors"),
+    "force_filter": ("Hz", "cut-off of the force filter"),
+    "base_delay": ("s", "delay of the base estimate"),
+    "position_noise": ("m", "noise of the base's position"),
+    "velocity_noise": ("m/s", "noise of the base's velocity"),
+    "torque_limit": ("N m", "torque limit"),
+    "no_load_speed": ("rad/s", "speed without load"),
+    "armature": ("kg m^2", "armature"),
+    "coulomb_friction": ("N m", "dry friction"),
+    "viscous_friction": ("N m s/rad", "viscous friction"),
+    "load_friction": ("1", "friction under load"),
+    "backlash": ("rad", "backlash"),
+    "servo_delay": ("s", "delay of the servos"),
 }
 
 
@@ -113,8 +134,8 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
         name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()
     }
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
-    attrs = {"title": "walk of a limbed climbing robot", **_provenance(trajectory.scenario)}
-    attrs |= {"gains": _to_json(trajectory.gains), "parameters": _to_json(trajectory.numbers)}
+    attrs = {"title": "walk of a limbed climbing robot", **provenance(trajectory.scenario)}
+    attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.numbers)}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -161,7 +182,7 @@ def sweep_dataset(
             attrs["flag_values"] = np.arange(-1, len(limbs), dtype=np.int32)
             attrs["flag_meanings"] = " ".join(["none", *limbs])
         data[name] = (tuple(coords), values, attrs)
-    attrs = {"title": "metrics of walks of a limbed climbing robot", **_provenance(scenario)}
+    attrs = {"title": "metrics of walks of a limbed climbing robot", **provenance(scenario)}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -193,7 +214,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
     return Scenario.from_yaml(dataset.attrs["scenario"], source).beside(Path(source).parent)
 
 
-def _provenance(scenario: Scenario) -> dict[str, str]:
+def provenance(scenario: Scenario) -> dict[str, str]:
     """Return what is needed to repeat a computation."""
     attrs = {"scenario": scenario.to_yaml()}
     for name, distribution in PACKAGES.items():
@@ -215,8 +236,10 @@ def _git_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def _to_json(tree: Gains | Parameters) -> str:
-    return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in vars(tree).items()})
+def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
+    """Return numbers by name as JSON, arrays as lists."""
+    by_name = values if isinstance(values, Mapping) else vars(values)
+    return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})
 
 
 def _from_json(text: str, dtype: np.dtype) -> dict[str, Any]:
@@ -270,8 +293,10 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         raise ConfigError(f"{os.fspath(path)}: expected a walk, got a dataset without {missing[0]}")
     arrays = {name: dataset[name].values for name in ("time", *VARIABLES)}
     dtype = dataset["base_position"].dtype
-    gains = Gains(**_from_json(dataset.attrs["gains"], dtype))
-    numbers = _from_json(dataset.attrs["parameters"], dtype)
+    by_name = _from_json(dataset.attrs["gains"], dtype)
+    of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
+    gains = Gains(**by_name) if of_the_paper else by_name
+    numbers = vars(parameters(scenario_of(dataset), dtype)) | _from_json(dataset.attrs["parameters"], dtype)
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)

@@ -32,7 +32,7 @@ def walk(**changes):
     for name in Sample._fields:
         is_joint = name.startswith(("joint", "foot", "grip"))
         arrays[name] = np.zeros(shapes.get(name, joints if is_joint else (STEPS, 3)))
-    for name in ("support", "contact", "detached", "torn_off", "reachable"):
+    for name in ("support", "contact", "detached", "torn_off", "missed", "reachable"):
         arrays[name] = np.full(limbs, name in ("support", "contact", "reachable"))
     arrays["time"] = TIME
     arrays["base_position"] = np.stack([0.05 * TIME, 0 * TIME, 0 * TIME + 0.11], 1)
