@@ -9,6 +9,10 @@ from pathlib import Path
 # before JAX is imported, here and in the programs that tests start; `pytest --cache-clear` empties it
 os.environ.setdefault("MJX_CLIMB_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "d" / "xla"))
 
+from tests import shapes
+
+shapes.check()  # before either package is imported
+
 import jax
 import jax.numpy as jnp
 import numpy as np

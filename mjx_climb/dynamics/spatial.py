@@ -7,47 +7,51 @@ Trailing axes (limbs, batch) stay contiguous and broadcast, so every function he
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
+
+_Values = Array | np.ndarray
 
 
-def dot(a: Array | np.ndarray, b: Array) -> Array:
+def dot(a: Float[_Values, "n *#rest"], b: Float[_Values, "n *#rest"]) -> Array:
     """Return the scalar product over the leading axis."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    product: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: Float[_Values, "3 *#rest"], b: Float[_Values, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return the vector product over the leading axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def norm(a: Array | np.ndarray) -> Array:
+def norm(a: Float[_Values, "n *rest"]) -> Float[Array, "*rest"]:
     """Return the Euclidean length over the leading axis, with derivative zero at the zero vector."""
     square = jnp.sum(a * a, axis=0)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def rotate(matrix: Array, vector: Array | np.ndarray) -> Array:
+def rotate(matrix: Float[_Values, "3 3 *#rest"], vector: Float[_Values, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return `matrix @ vector`."""
-    return matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
+    return jnp.asarray(matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2])
 
 
-def rotate_back(matrix: Array | np.ndarray, vector: Array) -> Array:
+def rotate_back(matrix: Float[_Values, "3 3 *#rest"], vector: Float[_Values, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return `matrix.T @ vector`."""
     return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])
 
 
-def compose(first: Array, second: Array | np.ndarray) -> Array:
+def compose(first: Float[_Values, "3 3 *#rest"], second: Float[_Values, "3 3 *#rest"]) -> Float[Array, "3 3 *_"]:
     """Return the matrix product `first @ second`."""
     return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
 
 
-def rotation_about_z(angle: Array | np.ndarray) -> Array:
+def rotation_about_z(angle: Float[_Values, "*rest"]) -> Float[Array, "3 3 *rest"]:
     """Return the rotation matrix about z, `(3, 3, ...)`, for an angle in rad."""
     c, s, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, zero + 1])])
 
 
-def quaternion_to_matrix(quaternion: Array) -> Array:
+def quaternion_to_matrix(quaternion: Float[_Values, "4 *rest"]) -> Float[Array, "3 3 *rest"]:
     """Return the rotation matrix of a unit quaternion wxyz."""
     w, x, y, z = quaternion
     return jnp.stack(
@@ -59,7 +63,7 @@ def quaternion_to_matrix(quaternion: Array) -> Array:
     )
 
 
-def quaternion_multiply(a: Array, b: Array | np.ndarray) -> Array:
+def quaternion_multiply(a: Float[_Values, "4 *#rest"], b: Float[_Values, "4 *#rest"]) -> Float[Array, "4 *_"]:
     """Return the Hamilton product of two quaternions wxyz."""
     return jnp.stack(
         [
@@ -71,17 +75,17 @@ def quaternion_multiply(a: Array, b: Array | np.ndarray) -> Array:
     )
 
 
-def quaternion_conjugate(quaternion: Array) -> Array:
+def quaternion_conjugate(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "4 *rest"]:
     """Return the inverse of a unit quaternion wxyz."""
     return jnp.concatenate([quaternion[:1], -quaternion[1:]])
 
 
-def quaternion_normalize(quaternion: Array) -> Array:
+def quaternion_normalize(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "4 *rest"]:
     """Return the quaternion scaled to unit length."""
     return quaternion / jnp.sqrt(jnp.sum(quaternion * quaternion, axis=0))
 
 
-def quaternion_from_rotation_vector(vector: Array) -> Array:
+def quaternion_from_rotation_vector(vector: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
     """Return the quaternion wxyz of a rotation vector in rad, smooth through zero."""
     square = jnp.sum(vector * vector, axis=0)
     small = square < 1e-6
@@ -92,7 +96,7 @@ def quaternion_from_rotation_vector(vector: Array) -> Array:
     return jnp.concatenate([real[None], scale * vector])
 
 
-def quaternion_about_z(angle: Array | np.ndarray) -> Array:
+def quaternion_about_z(angle: Float[_Values, "*rest"]) -> Float[Array, "4 *rest"]:
     """Return the quaternion wxyz of a rotation about z by an angle in rad."""
     zero = jnp.zeros_like(angle)
     return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])

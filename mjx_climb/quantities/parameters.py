@@ -11,13 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
-from jaxtyping import Float
+from jaxtyping import Real
 
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.scenario.model import Scenario
 
-_Gain = Float[Array, "*batch_axis"] | Float[np.ndarray, "*batch_axis"] | float
-_JointGain = Float[Array, "*batch"] | Float[np.ndarray, "*batch"] | float
+# batch axes of one gain need not be those of another: they broadcast; the hot path has them last
+_Values = Array | np.ndarray
+_Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | Real[_Values, "6 B"] | float
+_JointGain = Real[_Values, "..."] | float
+_Scalar = Real[_Values, "..."]
+_Vector = Real[_Values, "... 3"] | Real[_Values, "3 B"]
+_Footholds = Real[_Values, "... L N"]
+_Pushes = Real[_Values, "... pushes 3"] | Real[_Values, "pushes 3 B"]
+_PushTimes = Real[_Values, "... pushes"] | Real[_Values, "pushes B"]
 
 
 @jax.tree_util.register_dataclass
@@ -51,26 +58,26 @@ class Parameters:
         {"gravity": 1, "foothold_height": 2, "push_force": 2, "push_moment": 2, "push_start": 1, "push_stop": 1}
     )
 
-    gravity: Array | np.ndarray  # (3,) m/s^2
-    contact_stiffness: Array | np.ndarray  # N/m
-    contact_damping: Array | np.ndarray  # N s/m
-    holding_limit: Array | np.ndarray  # N, infinite where a gripper cannot be torn off
-    kp: Array | np.ndarray  # N m/rad
-    kd: Array | np.ndarray  # N m s/rad
-    stride: Array | np.ndarray  # m
-    step_height: Array | np.ndarray  # m
-    cycle: Array | np.ndarray  # s
-    duty: Array | np.ndarray  # 1
-    heading: Array | np.ndarray  # rad
-    foothold_height: Array | np.ndarray  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
-    cargo_mass: Array | np.ndarray  # kg
-    cargo_start: Array | np.ndarray  # s
-    cargo_stop: Array | np.ndarray  # s
-    push_force: Array | np.ndarray  # (pushes, 3) N
-    push_moment: Array | np.ndarray  # (pushes, 3) N m
-    push_start: Array | np.ndarray  # (pushes,) s
-    push_stop: Array | np.ndarray  # (pushes,) s
-    mass_scale: Array | np.ndarray  # 1, of all masses and inertias of the robot; the cargo's not
+    gravity: _Vector  # (3,) m/s^2
+    contact_stiffness: _Scalar  # N/m
+    contact_damping: _Scalar  # N s/m
+    holding_limit: _Scalar  # N, infinite where a gripper cannot be torn off
+    kp: _Scalar  # N m/rad
+    kd: _Scalar  # N m s/rad
+    stride: _Scalar  # m
+    step_height: _Scalar  # m
+    cycle: _Scalar  # s
+    duty: _Scalar  # 1
+    heading: _Scalar  # rad
+    foothold_height: _Footholds  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
+    cargo_mass: _Scalar  # kg
+    cargo_start: _Scalar  # s
+    cargo_stop: _Scalar  # s
+    push_force: _Pushes  # (pushes, 3) N
+    push_moment: _Pushes  # (pushes, 3) N m
+    push_start: _PushTimes  # (pushes,) s
+    push_stop: _PushTimes  # (pushes,) s
+    mass_scale: _Scalar  # 1, of all masses and inertias of the robot; the cargo's not
 
 
 def _or_infinite(value: float | None) -> float:
