@@ -12,13 +12,15 @@ from jaxtyping import Float
 _Values = Array | np.ndarray
 
 
-def dot(a: Float[_Values, "n *#rest"], b: Float[_Values, "n *#rest"]) -> Array:
-    """Return the scalar product over the leading axis."""
-    product: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def dot(a: Float[_Values, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*_"]:
+    """Return the scalar product over the leading axis, of any length."""
+    product = a[0] * b[0]
+    for i in range(1, a.shape[0]):
+        product = product + a[i] * b[i]
     return product
 
 
-def cross(a: Float[_Values, "3 *#rest"], b: Float[_Values, "3 *#rest"]) -> Float[Array, "3 *_"]:
+def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return the vector product over the leading axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
@@ -30,17 +32,17 @@ def norm(a: Float[_Values, "n *rest"]) -> Float[Array, "*rest"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def rotate(matrix: Float[_Values, "3 3 *#rest"], vector: Float[_Values, "3 *#rest"]) -> Float[Array, "3 *_"]:
+def rotate(matrix: Float[Array, "m n *#rest"], vector: Float[_Values, "n *#rest"]) -> Float[Array, "m *_"]:
     """Return `matrix @ vector`."""
-    return jnp.asarray(matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2])
+    return matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
 
 
-def rotate_back(matrix: Float[_Values, "3 3 *#rest"], vector: Float[_Values, "3 *#rest"]) -> Float[Array, "3 *_"]:
+def rotate_back(matrix: Float[_Values, "3 3 *#rest"], vector: Float[Array, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return `matrix.T @ vector`."""
     return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])
 
 
-def compose(first: Float[_Values, "3 3 *#rest"], second: Float[_Values, "3 3 *#rest"]) -> Float[Array, "3 3 *_"]:
+def compose(first: Float[Array, "3 3 *#rest"], second: Float[_Values, "3 3 *#rest"]) -> Float[Array, "3 3 *_"]:
     """Return the matrix product `first @ second`."""
     return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
 
@@ -51,7 +53,7 @@ def rotation_about_z(angle: Float[_Values, "*rest"]) -> Float[Array, "3 3 *rest"
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, zero + 1])])
 
 
-def quaternion_to_matrix(quaternion: Float[_Values, "4 *rest"]) -> Float[Array, "3 3 *rest"]:
+def quaternion_to_matrix(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"]:
     """Return the rotation matrix of a unit quaternion wxyz."""
     w, x, y, z = quaternion
     return jnp.stack(
@@ -63,7 +65,7 @@ def quaternion_to_matrix(quaternion: Float[_Values, "4 *rest"]) -> Float[Array, 
     )
 
 
-def quaternion_multiply(a: Float[_Values, "4 *#rest"], b: Float[_Values, "4 *#rest"]) -> Float[Array, "4 *_"]:
+def quaternion_multiply(a: Float[Array, "4 *#rest"], b: Float[_Values, "4 *#rest"]) -> Float[Array, "4 *_"]:
     """Return the Hamilton product of two quaternions wxyz."""
     return jnp.stack(
         [

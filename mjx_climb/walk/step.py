@@ -94,7 +94,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=gait.plan(robot, feet, numbers, structure.sequence, structure.time_step),
         law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
-        forward_dynamics=ENGINES[structure.engine](robot),
+        forward_dynamics=ENGINES[structure.engine](_lighter_drives(robot, numbers.mass_scale)),
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
@@ -104,6 +104,11 @@ def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
     """Return the robot with all masses and inertias times `scale` (B,)."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     return dataclasses.replace(robot, **{name: getattr(robot, name) * scale for name in names})
+
+
+def _lighter_drives(robot: Robot, scale: Array | np.ndarray) -> Robot:
+    """Return the robot whose drives have their armature over `scale` (B,): the engine is given forces over it."""
+    return robot if robot.armature is None else dataclasses.replace(robot, armature=robot.armature / scale)
 
 
 def begin(walk: Walk, batch: int) -> Carry:
@@ -134,7 +139,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     robot, numbers, state = walk.robot, walk.numbers, carry.state
     rotation = quaternion_to_matrix(state.base_orientation)
     frames = limb_frames(robot, rotation, state.joint_angles)
-    feet = foot_kinematics(frames, state)
+    feet = foot_kinematics(robot, frames, state)
 
     now = gait.schedule(walk.plan, step)
     contact, held = grip(carry.contact, feet, now.closed, gait.ground_height(walk.plan, now), walk.grip_numbers)
