@@ -26,6 +26,7 @@ from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
 options.enable_cache()
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 settings.register_profile("quick", deadline=None, max_examples=50, derandomize=True)
 settings.register_profile("thorough", deadline=None, max_examples=2000)

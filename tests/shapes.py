@@ -1,10 +1,13 @@
 """Shapes checked while the tests run: jaxtyping's import hook over both packages, with beartype behind it."""
 
 import functools
+import operator
+import types
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import Any, Union, get_args, get_origin
 
 import jax
+import numpy as np
 from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractArray, install_import_hook
 
@@ -18,8 +21,10 @@ def check() -> None:
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function with its annotations checked, itself where none is of a shape."""
-    if not any(_is_shaped(hint) for hint in getattr(function, "__annotations__", {}).values()):
+    hints = getattr(function, "__annotations__", {})
+    if not any(map(_is_shaped, hints.values())):
         return function
+    function.__annotations__ = {name: _of_any_array(hint) for name, hint in hints.items()}
     whole = _CHECKED(function)
     if function.__name__ != "__init__":
         return whole
@@ -31,13 +36,24 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     return filled
 
 
+def _is_shaped(hint: object) -> bool:
+    return _is_array(hint) or any(map(_is_shaped, get_args(hint)))
+
+
+def _is_array(hint: object) -> bool:
+    return isinstance(hint, type) and issubclass(hint, AbstractArray)
+
+
+def _of_any_array(hint: Any) -> Any:
+    """Return an annotation for arrays of JAX and of numpy alike: one goes for the other."""
+    if _is_array(hint):
+        return hint.dtype[jax.Array | np.ndarray, hint.dim_str]
+    if get_origin(hint) in (Union, types.UnionType):
+        return functools.reduce(operator.or_, map(_of_any_array, get_args(hint)))
+    return hint
+
+
 def _stands_for_a_leaf(value: object) -> bool:
     """Return whether JAX put a value into a tree in place of an array: a flag, a shape, nothing at all."""
     kind = type(value)
     return kind in (object, bool) or (kind.__module__.startswith("jax") and not isinstance(value, jax.Array))
-
-
-def _is_shaped(hint: object) -> bool:
-    if isinstance(hint, type) and issubclass(hint, AbstractArray):
-        return True
-    return any(_is_shaped(part) for part in get_args(hint))

@@ -9,10 +9,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-_Values = Array | np.ndarray
 
-
-def dot(a: Float[_Values, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*_"]:
+def dot(a: Float[Array | np.ndarray, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*_"]:
     """Return the scalar product over the leading axis, of any length."""
     product = a[0] * b[0]
     for i in range(1, a.shape[0]):
@@ -25,29 +23,33 @@ def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Arr
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def norm(a: Float[_Values, "n *rest"]) -> Float[Array, "*rest"]:
+def norm(a: Float[Array | np.ndarray, "n *rest"]) -> Float[Array, "*rest"]:
     """Return the Euclidean length over the leading axis, with derivative zero at the zero vector."""
     square = jnp.sum(a * a, axis=0)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def rotate(matrix: Float[Array, "m n *#rest"], vector: Float[_Values, "n *#rest"]) -> Float[Array, "m *_"]:
+def rotate(matrix: Float[Array, "m n *#rest"], vector: Float[Array | np.ndarray, "n *#rest"]) -> Float[Array, "m *_"]:
     """Return `matrix @ vector`."""
     return matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
 
 
-def rotate_back(matrix: Float[_Values, "3 3 *#rest"], vector: Float[Array, "3 *#rest"]) -> Float[Array, "3 *_"]:
+def rotate_back(
+    matrix: Float[Array | np.ndarray, "3 3 *#rest"], vector: Float[Array, "3 *#rest"]
+) -> Float[Array, "3 *_"]:
     """Return `matrix.T @ vector`."""
     return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])
 
 
-def compose(first: Float[Array, "3 3 *#rest"], second: Float[_Values, "3 3 *#rest"]) -> Float[Array, "3 3 *_"]:
+def compose(
+    first: Float[Array, "3 3 *#rest"], second: Float[Array | np.ndarray, "3 3 *#rest"]
+) -> Float[Array, "3 3 *_"]:
     """Return the matrix product `first @ second`."""
     return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
 
 
-def rotation_about_z(angle: Float[_Values, "*rest"]) -> Float[Array, "3 3 *rest"]:
+def rotation_about_z(angle: Float[Array | np.ndarray, "*rest"]) -> Float[Array, "3 3 *rest"]:
     """Return the rotation matrix about z, `(3, 3, ...)`, for an angle in rad."""
     c, s, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, zero + 1])])
@@ -65,7 +67,7 @@ def quaternion_to_matrix(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "3
     )
 
 
-def quaternion_multiply(a: Float[Array, "4 *#rest"], b: Float[_Values, "4 *#rest"]) -> Float[Array, "4 *_"]:
+def quaternion_multiply(a: Float[Array, "4 *#rest"], b: Float[Array | np.ndarray, "4 *#rest"]) -> Float[Array, "4 *_"]:
     """Return the Hamilton product of two quaternions wxyz."""
     return jnp.stack(
         [
@@ -98,7 +100,7 @@ def quaternion_from_rotation_vector(vector: Float[Array, "3 *rest"]) -> Float[Ar
     return jnp.concatenate([real[None], scale * vector])
 
 
-def quaternion_about_z(angle: Float[_Values, "*rest"]) -> Float[Array, "4 *rest"]:
+def quaternion_about_z(angle: Float[Array | np.ndarray, "*rest"]) -> Float[Array, "4 *rest"]:
     """Return the quaternion wxyz of a rotation about z by an angle in rad."""
     zero = jnp.zeros_like(angle)
     return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])

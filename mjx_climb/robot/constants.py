@@ -8,7 +8,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax import Array
 from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
@@ -24,8 +23,6 @@ __all__ = [
     "model_path",
     "robot_from_model",
 ]
-
-Values = Array | np.ndarray  # of numpy, until a program takes them up
 
 _KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
@@ -52,20 +49,20 @@ class Robot:
     name: str
     limbs: tuple[str, ...]
     model: mujoco.MjModel  # what the numbers were read off
-    base_mass: Float[Values, " #B"]  # kg
-    base_inertia: Float[Values, "3 3 #B"]  # kg m^2, base frame
-    link_mass: Float[Values, "N L #B"]  # kg
-    link_center: Float[Values, "N 3 L #B"]  # m: [link, component], link frame
-    link_inertia: Float[Values, "N 3 3 L #B"]  # kg m^2 about the link's centre of mass, link frame
-    frame_position: Float[Values, "N 3 L #B"]  # m: [link, component], parent frame
-    frame_rotation: Float[Values, "N 3 3 L #B"]  # [link, row, column]
-    foot_center: Float[Values, "3 L #B"]  # m, frame of the last link
-    joint_lower: Float[Values, "N L #B"]  # rad
-    joint_upper: Float[Values, "N L #B"]  # rad
-    stance_position: Float[Values, "3 #B"]  # m, world
-    stance_orientation: Float[Values, "4 #B"]  # wxyz
-    stance_joints: Float[Values, "N L #B"]  # rad
-    armature: Float[Values, "N L #B"] | None = None  # kg m^2, of the drives, seen at the joints; None: none
+    base_mass: Float[np.ndarray, " #B"]  # kg
+    base_inertia: Float[np.ndarray, "3 3 #B"]  # kg m^2, base frame
+    link_mass: Float[np.ndarray, "N L #B"]  # kg
+    link_center: Float[np.ndarray, "N 3 L #B"]  # m: [link, component], link frame
+    link_inertia: Float[np.ndarray, "N 3 3 L #B"]  # kg m^2 about the link's centre of mass, link frame
+    frame_position: Float[np.ndarray, "N 3 L #B"]  # m: [link, component], parent frame
+    frame_rotation: Float[np.ndarray, "N 3 3 L #B"]  # [link, row, column]
+    foot_center: Float[np.ndarray, "3 L #B"]  # m, frame of the last link
+    joint_lower: Float[np.ndarray, "N L #B"]  # rad
+    joint_upper: Float[np.ndarray, "N L #B"]  # rad
+    stance_position: Float[np.ndarray, "3 #B"]  # m, world
+    stance_orientation: Float[np.ndarray, "4 #B"]  # wxyz
+    stance_joints: Float[np.ndarray, "N L #B"]  # rad
+    armature: Float[np.ndarray, "N L #B"] | None = None  # kg m^2, of the drives, seen at the joints; None: none
     slides: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: the joint is prismatic; (): none is
 
     @property
@@ -78,9 +75,9 @@ class Robot:
         return np.array(self.slides[link])[:, None] if self.slides and any(self.slides[link]) else None
 
     @property
-    def total_mass(self) -> Float[Values, " B"]:
+    def total_mass(self) -> Float[np.ndarray, " B"]:
         """Mass of base and links, kg."""
-        mass: Values = self.base_mass + self.link_mass.sum((0, 1))
+        mass: np.ndarray = self.base_mass + self.link_mass.sum((0, 1))
         return mass
 
 
