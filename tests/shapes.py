@@ -31,7 +31,9 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def filled(*fields: Any, **named: Any) -> Any:
-        return None if any(map(_stands_for_a_leaf, (*fields, *named.values()))) else whole(*fields, **named)
+        values = [value for value in (*fields[1:], *named.values()) if value is not None]
+        counts = all(type(value) is int for value in values)  # a tree of what is to be known of another's arrays
+        return None if counts or any(map(_stands_for_a_leaf, values)) else whole(*fields, **named)
 
     return filled
 
