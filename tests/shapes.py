@@ -49,7 +49,7 @@ def _is_array(hint: object) -> bool:
 def _of_any_array(hint: Any) -> Any:
     """Return an annotation for arrays of JAX and of numpy alike: one goes for the other."""
     if _is_array(hint):
-        return hint.dtype[jax.Array | np.ndarray, hint.dim_str]
+        return hint.dtype[jax.Array | np.ndarray | np.generic, hint.dim_str]
     if get_origin(hint) in (Union, types.UnionType):
         return functools.reduce(operator.or_, map(_of_any_array, get_args(hint)))
     return hint
