@@ -10,24 +10,31 @@ import jax.numpy as jnp
 
 from mjx_climb.control.impedance import ThreeAxes
 from mjx_climb.control.law import Command, Measurement, Reference, Start
-from mjx_climb.control.virtual_model import VirtualModel, VirtualState, advance, discretize, rest
+from mjx_climb.control.motion import Mass, Motion, begin, move
+from mjx_climb.control.virtual_model import VirtualState, rest
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate, rotate_back
 
 
 class EndEffectorAdmittance(ThreeAxes):
     """Eq. 2 for the feet of a robot."""
 
-    def init(self, start: Start) -> VirtualModel:
-        """Return the virtual masses of the feet at rest, (3, L, B)."""
-        every_foot = jax.tree.map(lambda gain: gain[:, None], self)
-        return VirtualModel(discretize(every_foot, start.period), rest(start.reference.foot_position))
+    motion: Motion = Motion()
 
-    def step(self, state: VirtualModel, measurement: Measurement, reference: Reference) -> tuple[VirtualModel, Command]:
+    def init(self, start: Start) -> Mass:
+        """Return the virtual masses of the feet at rest, (3, L, B)."""
+        return begin(self.motion, self._every_foot(), start.period, rest(start.reference.foot_position))
+
+    def step(self, state: Mass, measurement: Measurement, reference: Reference) -> tuple[Mass, Command]:
         """Return the reference with the supporting feet shifted."""
         rotation = quaternion_to_matrix(reference.base_orientation)[:, :, None]
-        moved = advance(state.transition, state.mass, rotate_back(rotation, measurement.foot_force))
-        moved = VirtualState(*(jnp.where(measurement.support, value, 0.0) for value in moved))
-        target = reference.foot_position + rotate(rotation, moved.displacement)
+        moved = move(self.motion, self._every_foot(), state, rotate_back(rotation, measurement.foot_force))
+        held = VirtualState(*(jnp.where(measurement.support, value, 0.0) for value in moved.state))
+        target = reference.foot_position + rotate(rotation, held.displacement)
         no_shift = jnp.zeros_like(measurement.wrench)
         command = Command(reference.base_position, reference.base_orientation, target, no_shift)
-        return state._replace(mass=moved), command
+        return state._replace(state=held), command
+
+    def _every_foot(self) -> "EndEffectorAdmittance":
+        """Return the gains with an axis of feet, (3, 1, B)."""
+        wide: EndEffectorAdmittance = jax.tree.map(lambda gain: gain[:, None], self)
+        return wide

@@ -190,7 +190,7 @@ def slid(force, mass=0.01, coulomb=0.1, load=0.0, steps=4000, step=STEP):
         bristle = friction.bent(bristle, rate, step)
         torque = force(n * step)
         # the contacts' and the joint loop's dampers, in small
-        rate = rate + step / mass * (torque - 0.05 * rate + friction.dry(bristle, torque, coulomb, load))
+        rate = rate + step / mass * (torque - 0.05 * rate + friction.dry(bristle, rate, torque, coulomb, load))
         return (angle + step * rate, rate, bristle), (angle, rate)
 
     return jax.lax.scan(one, (0.0, 0.0, 0.0), jnp.arange(steps))[1]
@@ -219,13 +219,13 @@ def test_friction_dissipates():
     lost = 0.0
     for r in rate:
         bristle = friction.bent(bristle, r, STEP)
-        lost -= float(friction.dry(bristle, jnp.zeros(()), 0.1, 0.0)) * float(r) * STEP
+        lost -= float(friction.dry(bristle, r, jnp.zeros(()), 0.1, 0.0)) * float(r) * STEP
     way = np.abs(np.diff(angle)).sum()
     assert 0.1 * (way - 6 * friction.PRESLIDING) < lost < 0.1 * way
 
 
 def test_friction_grows_with_the_load():
-    assert float(friction.dry(jnp.asarray(1.0), jnp.asarray(-2.0), 0.1, 0.25)) == pytest.approx(-0.6)
+    assert float(friction.dry(jnp.asarray(1.0), jnp.asarray(0.0), jnp.asarray(-2.0), 0.1, 0.25)) == pytest.approx(-0.6)
     assert float(friction.viscous(jnp.asarray(3.0), jnp.asarray(0.2))) == pytest.approx(-0.6)
 
 
