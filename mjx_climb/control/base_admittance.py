@@ -62,12 +62,15 @@ class MeasuredPoseAdmittance(SixAxes):
     """Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
 
     `a = (w - D dxd - K dx) / M`, target `x_b + dt dxd + dt^2 a`; dx is the base's offset from its reference, dxd the
-    base's own velocity. Rotations are twice the vector part of the quaternion.
+    base's own velocity. Rotations are twice the vector part of the quaternion. dt is the `horizon`: what the gains do
+    depends on it.
     """
 
+    horizon: float | None = None  # s; None: the law's own period
+
     def init(self, start: Start) -> float | Array:
-        """Return the length of a step: there is nothing else to remember."""
-        return start.period
+        """Return the horizon: there is nothing else to remember."""
+        return start.period if self.horizon is None else self.horizon
 
     def step(
         self, state: float | Array, measurement: Measurement, reference: Reference

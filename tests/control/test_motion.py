@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.control.motion import LONGEST_PERIOD, Motion, begin, bounded, dead, inward, move
 from mjx_climb.control.virtual_model import VirtualState, rest
 
