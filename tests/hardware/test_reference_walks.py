@@ -111,7 +111,7 @@ def deviations(key, walked):
     return found
 
 
-@pytest.mark.parametrize("key", entries(), ids=" ".join)
+@pytest.mark.parametrize("key", list(entries()), ids=" ".join)
 def test_a_walk_is_the_independent_programs(key, walked):
     case, entry, gains = key
     expected, ours = REFERENCE["cases"][case][entry][gains], walked[key]
