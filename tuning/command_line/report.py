@@ -36,6 +36,8 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
         return f"diverged at {at:.3f} s"
     if metrics["detached_limb"] is not None:
         return f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s"
+    if missed := metrics.get("missed_grips"):
+        return f"every grip held, but {missed} missed the ground"
     return "held all the way"
 
 
