@@ -56,6 +56,12 @@ GainsFile = Annotated[
     Path | None,
     typer.Option("--gains", metavar="FILE", help="Gains file in place of the config's gains."),
 ]
+LawFile = Annotated[
+    str | None,
+    typer.Option(
+        "--law", metavar="FILE.py:NAME", help="Control law of one's own in place of the config's; the file is run."
+    ),
+]
 Engine = Annotated[
     str | None,
     typer.Option(
@@ -116,6 +122,30 @@ def scenario_from(
     check_time_step(scenario, str(config))
     check_reach(scenario, str(config))
     return scenario
+
+
+def law_from(text: str | None, gains: Path | None, scenario: "mc.Scenario") -> "tuple[mc.Law | None, mc.Scenario]":
+    """Return the law of `--law`, None without one, and the scenario, both with the values of a gains file.
+
+    Raises:
+        ConfigError: no such law, or the gains of another one.
+    """
+    from mjx_climb.rollouts.given import with_gains
+    from tuning.gains import gains_file, law_file
+
+    if text is None:
+        return None, scenario if gains is None else gains_file.applied(scenario, gains_file.load(gains))
+    law = law_file.load(text)
+    if gains is None:
+        return law, scenario
+    values = gains_file.load(gains, law)
+    joint = {name: value for name, value in values.items() if name not in law.GAINS}
+    return with_gains(law, values), gains_file.applied(scenario, joint)
+
+
+def law_name(law: "mc.Law | None", scenario: "mc.Scenario") -> str:
+    """Return the name of the law that walks, as in names of folders."""
+    return scenario.control.controller if law is None else type(law).__name__
 
 
 def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", config: Path) -> "Search":
