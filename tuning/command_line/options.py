@@ -162,7 +162,9 @@ def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", c
     return wanted
 
 
-def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None) -> None:
+def check_space(
+    scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None, law: "mc.Law | None" = None
+) -> None:
     """Refuse a search that has nothing to move, or names gains that are not there, before anything is written.
 
     Raises:
@@ -172,7 +174,7 @@ def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: P
     from tuning.problem.spaces import space
 
     try:
-        space(scenario, search)
+        space(scenario, search, law)
     except ConfigError as error:
         raise _placed(error, config if str(error).startswith("control.") else file) from None
 
@@ -217,6 +219,11 @@ def engine_from(name: str | None) -> str:
     if name is not None and name not in ENGINES:
         raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {name!r}")
     return name or DEFAULT_ENGINE
+
+
+def law_option(law: str | None) -> str:
+    """Return the option that chooses a law, with a space before it; empty for the config's."""
+    return "" if law is None else f" --law {law}"
 
 
 def engine_option(engine: str) -> str:
