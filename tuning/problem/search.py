@@ -10,10 +10,12 @@ import mjx_climb as mc
 from mjx_climb.walk.metrics import FAILURES
 from tuning.problem import settings
 
-Method = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+Shipped = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune.tune`
+Method = Shipped | Literal["own"]
 Layout = Literal["isotropic", "split", "diagonal"]
 
-METHODS: tuple[str, ...] = get_args(Method)
+METHODS: tuple[str, ...] = get_args(Shipped)
 LAYOUTS: tuple[str, ...] = get_args(Layout)
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]

@@ -99,10 +99,8 @@ def robust_page(
     gains = by_name(found.gains)
     own = found.scenario.control
     config_gains = {key: getattr(own, key) for key in mc.Gains.AXES}
-    tables = [
-        table,
-        comparison.gains_table({"robust": (gains, {})} | ({} if found.law else {"config": (config_gains, {})})),
-    ]
+    rivals: comparison.Compared = {"robust": (gains, {})}
+    rivals = rivals if found.law else {**rivals, "config": (config_gains, {})}
     return Page(
         title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
         origin=origin,

@@ -80,12 +80,12 @@ def from_history(
             values,
             dataset.metric_attributes(mc.METRICS[name]) if name in mc.METRICS.names else about,
         )
-    attrs: dict[str, Any] = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
+    attrs: dict[str, Any] = {"title": "search for gains", **dataset.provenance(scenario), "search": search.to_yaml()}
     attrs["interrupted"] = int(interrupted)
     history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
     theta = np.asarray(arrays["theta"][best], float)
     gains = to_gains64(space, theta)
-    history.attrs["gains"] = dataset._to_json(by_name(gains))
+    history.attrs["gains"] = dataset.fields_as_json(by_name(gains))
     if law is not None:
         history.attrs["law"] = reference(law)
     return _of(history, scenario, search, gains, best, law)

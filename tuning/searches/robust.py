@@ -80,11 +80,11 @@ class RobustObjective:
             total += term.weight
             if self.margin is not None:
                 for ratio in ratios:
-                    penalty += objectives._penalty(ratio - 1 + self.margin)
+                    penalty += objectives.penalty_of(ratio - 1 + self.margin)
                     feasible &= ratio <= 1
         for limit in self.limits:
             slack = objectives.violation(limit, metrics[limit.metric])
-            penalty += self._worst(objectives._penalty(slack + limit.margin))
+            penalty += self._worst(objectives.penalty_of(slack + limit.margin))
             feasible &= (slack <= 0).all(0)
         mean = jnp.asarray(value / total)
         whole = jnp.broadcast_to(jnp.asarray(penalty, mean.dtype), mean.shape)
@@ -137,7 +137,7 @@ def objective(
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest = {name: float(values.max()) for name, values in baseline.items()}
     plain = objectives.objective(scenario, search.model_copy(update={"no_worse_than_pd": False}), widest)
-    margin = objectives._PD_MARGIN if search.no_worse_than_pd else None
+    margin = objectives.PD_MARGIN if search.no_worse_than_pd else None
     return RobustObjective(tuple(terms), plain.limits, ensemble.worst, margin)
 
 
@@ -260,7 +260,7 @@ def judge(
     for name, (values, units, text) in drawn.items():
         values = np.broadcast_to(np.reshape(values, -1), members)
         data[name] = ("member", values, {"units": units, "long_name": text})
-    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset._provenance(scenario)}
+    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset.provenance(scenario)}
     attrs["ensemble"] = fresh.to_yaml()
     attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
     return xr.Dataset(data, {"gains": [*gains, "pd"], "member": np.arange(members)}, attrs)
