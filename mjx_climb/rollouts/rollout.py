@@ -252,8 +252,9 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
             heading,
             trajectory.scenario.time_step,
         )
-        found = _accumulated(MetricTable(metrics), samples, context)
-        values = {name: value.item() for name, value in found.items()}
+        table = MetricTable(metrics)
+        found = _accumulated(table, samples, context)
+        values = {name: found[name].item() for name in table.names}
     return named(values, trajectory.limbs)
 
 

@@ -1,6 +1,6 @@
 """Maps: what walks over a grid of two gains are worth, and where the closed loop is unstable."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax
@@ -22,6 +22,7 @@ def with_objective(
     *,
     law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
 ) -> xr.Dataset:
     """Add what a search would make of each cell: `objective`, 1 for pd, and `feasible`, keeps every limit.
 
@@ -31,11 +32,12 @@ def with_objective(
         search: weights and limits; the default ones where None.
         law: the control law, the scenario's where None.
         engine: the dynamics, for the walk of pd.
+        metrics: of the walks.
     """
-    problem = problem_of(scenario, search or Search(), engine=engine, law=law)
+    problem = problem_of(scenario, search or Search(), engine=engine, metrics=metrics, law=law)
     dimensions = walks["diverged"].dims
     walks = walks.transpose(*dimensions, ...)
-    score = score_of(problem.objective, {name: walks[name].values for name in mc.METRICS.names})
+    score = score_of(problem.objective, {name: walks[name].values for name in problem.metrics.names})
     value = np.where(np.isfinite(score.value), score.value, np.nan)
     return walks.assign(
         objective=(dimensions, value, {"units": "1", "long_name": "objective, 1 for pd"}),

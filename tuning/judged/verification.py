@@ -58,7 +58,7 @@ def map_of(
 
     A variable `spectral_radius` tells where the closed loop is unstable.
     """
-    problem = problem_of(found.scenario, found.search, engine=engine, law=found.law)
+    problem = problem_of(found.scenario, found.search, engine=engine, metrics=found.judged_by, law=found.law)
     kinds = list(dict.fromkeys(name.split(".")[0] for name in problem.space.names))
     box = {}
     for kind in sorted(kinds, key=lambda kind: {"stiffness": 0, "damping": 1}.get(kind, 2))[:2]:
@@ -68,8 +68,8 @@ def map_of(
     if len(box) < 2 or (found.law is None and set(box) != {"stiffness", "damping"}):
         return None
     how: dict[str, Any] = {"law": found.law, "engine": engine}
-    walks = grid.sweep(found.scenario, axes=box, progress=progress, **how)
-    judged = maps.with_objective(walks, found.scenario, found.search, **how)
+    walks = grid.sweep(found.scenario, axes=box, progress=progress, metrics=found.judged_by, **how)
+    judged = maps.with_objective(walks, found.scenario, found.search, metrics=found.judged_by, **how)
     return maps.with_stability(judged, found.scenario, **how)
 
 
@@ -90,12 +90,12 @@ def verify(
         function: the user's objective, where the search had one.
         engine: the dynamics.
     """
-    problem = dataclasses.replace(
-        problem_of(found.scenario, found.search, function, engine=engine, law=found.law), dtype=np.float64
-    )
+    problem = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by, law=found.law)
+    problem = dataclasses.replace(problem, dtype=np.float64)
     space, objective = problem.space, problem.objective
     if metrics is None:
-        metrics = mc.metrics(mc.rollout(found.scenario, found.gains, law=found.law, engine=engine))
+        alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=engine)
+        metrics = mc.metrics(alone_walk, found.judged_by)
     alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
@@ -168,7 +168,7 @@ def _warnings(
     for name in space.on_bound(found.theta):
         lines.append(f"{name} lies on a bound: widen bounds.{name}")
     moved = np.zeros(space.size)
-    for name in mc.METRICS.names:
+    for name in problem.metrics.names:
         values = around.metrics[name].astype(float)
         if name in FAILURES or not np.isfinite(values[0]) or not values[0]:
             continue

@@ -3,7 +3,7 @@
 import hashlib
 import importlib.metadata
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,7 @@ def claim(
     batch_size: int | None = None,
     dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
 ) -> int:
     """Prepare the folder of a sweep and return how many of its walks are there already; arguments as of `sweep`.
 
@@ -66,7 +67,7 @@ def claim(
     lists = checked_axes(scenario, law, stiffness, damping, axes)
     walks = math.prod(values.size for values in lists.values())
     size = batch_size or default_batch_size(walks, scenario.steps)
-    found = Parts(out, _identity(scenario, law, lists, size, dtype, engine)).count()
+    found = Parts(out, _identity(scenario, law, lists, size, dtype, engine, metrics)).count()
     return min(found * size, walks)
 
 
@@ -120,6 +121,7 @@ def sweep(
     batch_size: int | None = None,
     dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     out: Path | None = None,
 ) -> xr.Dataset:
     """Walk the whole grid and return the metrics over (stiffness, damping), or over two other gains.
@@ -139,6 +141,7 @@ def sweep(
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
         dtype: precision of the simulation.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         out: a folder that keeps each finished part, so that an interrupted sweep goes on from there with the same
             result, bit by bit. The parts stay until `finished_parts.clear(out)`.
 
@@ -146,11 +149,12 @@ def sweep(
         ValueError: axes that are no lists of positive numbers, or no gains of the law.
         OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
     """
+    table = mc.MetricTable(metrics)
     lists = checked_axes(scenario, law, stiffness, damping, axes)
     shape = tuple(values.size for values in lists.values())
     walks = math.prod(shape)
     size = batch_size or default_batch_size(walks, scenario.steps)
-    kept = None if out is None else Parts(out, _identity(scenario, law, lists, size, dtype, engine))
+    kept = None if out is None else Parts(out, _identity(scenario, law, lists, size, dtype, engine, metrics))
 
     lengths = (law_of(scenario) if law is None else law).AXES
     mesh = zip(lists, np.meshgrid(*lists.values(), indexing="ij"), strict=True)
@@ -168,7 +172,7 @@ def sweep(
         # the last part is filled up with its last robot: every part has the shape that was compiled
         rows = np.minimum(np.arange(number * size, (number + 1) * size), walks - 1)
         gains = {name: values[rows] for name, values in varied.items()}
-        part = walk(scenario, gains, law=law, dtype=dtype, engine=engine)
+        part = walk(scenario, gains, law=law, metrics=table, dtype=dtype, engine=engine)
         parts[number] = part
         if kept is not None:
             kept.save(number, part)
@@ -177,7 +181,7 @@ def sweep(
             progress(done, walks)
     whole = {name: np.concatenate([parts[n][name] for n in range(count)])[:walks] for name in parts[0]}
     whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
-    dataset = sweep_dataset({name: whole[name] for name in mc.METRICS.names}, _labelled(lists, law), scenario)
+    dataset = sweep_dataset({name: whole[name] for name in table.names}, _labelled(lists, law), scenario, table)
     dataset = dataset.assign(_histories(whole, scenario, tuple(lists)))
     return dataset.assign_attrs(engine=engine, dtype=np.dtype(dtype).name, batch_size=size)
 
@@ -220,6 +224,7 @@ def _identity(
     size: int,
     dtype: DTypeLike,
     engine: str,
+    metrics: Iterable[mc.Metric],
 ) -> dict[str, Any]:
     """Return all that determines the numbers of a sweep, bit by bit."""
     versions: dict[str, str | None] = {}
@@ -234,6 +239,7 @@ def _identity(
         "axes": {name: values.tolist() for name, values in axes.items()},
         "dtype": np.dtype(dtype).name,
         "engine": engine,
+        "metrics": identity.of_metrics(mc.MetricTable(metrics)),
         "batch_size": size,
         "histories": math.prod(values.size for values in axes.values()) <= HISTORIES,
         "platform": jax.default_backend(),
