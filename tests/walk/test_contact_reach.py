@@ -10,7 +10,7 @@ from mjx_climb.dynamics.kinematics import Feet
 from mjx_climb.walk.contact import Contact, Reach, grip
 
 LIMBS = 4
-NUMBERS = dataclasses.replace(mc.parameters(mc.Scenario()), capture_distance=jnp.asarray(0.005), holding_limit=jnp.inf)
+NUMBERS = dataclasses.replace(mc.parameters(mc.Scenario()), capture_distance=jnp.asarray(0.005), holding_limit=jnp.asarray(jnp.inf))
 
 
 def feet(*heights, slide=0.0):
