@@ -10,7 +10,9 @@ from mjx_climb.dynamics.kinematics import Feet
 from mjx_climb.walk.contact import Contact, Reach, grip
 
 LIMBS = 4
-NUMBERS = dataclasses.replace(mc.parameters(mc.Scenario()), capture_distance=jnp.asarray(0.005), holding_limit=jnp.asarray(jnp.inf))
+NUMBERS = dataclasses.replace(
+    mc.parameters(mc.Scenario()), capture_distance=jnp.asarray(0.005), holding_limit=jnp.asarray(jnp.inf)
+)
 
 
 def feet(*heights, slide=0.0):
@@ -69,11 +71,13 @@ def test_without_a_reach_a_gripper_holds_from_anywhere():
     np.testing.assert_allclose(held.force[2, 0, 0], -1140)
 
 
-def test_missed_grips_are_counted_and_no_pull_comes_of_them():
-    """A robot that the gait lifts higher than its swing comes down misses grips, and is not torn."""
-    changes = {"duration": 1.2, "gait.cycle": 1.0, "control.kp": 5.0, "contact.holding_limit": None}
-    scenario = mc.load_scenario("case_1_1", {"control.controller": "pd", **changes})
-    anywhere = mc.rollout_metrics(scenario, dtype=np.float64)
-    within = mc.rollout_metrics(scenario.with_overrides({"contact.capture_distance": 0.002}), dtype=np.float64)
-    assert anywhere["missed_grips"] == 0 and within["missed_grips"] > 0
-    assert within["peak_pull_force"] < anywhere["peak_pull_force"]
+def test_missed_grips_are_counted():
+    """A robot that hangs from a ceiling by soft joints puts its foot down 0.5 to 1 mm off it."""
+    changes = {"duration": 0.5, "gait.cycle": 1.0, "gravity": [0, 0, 4], "control.kp": 20.0}
+    scenario = mc.load_scenario("case_1_1", {"control.controller": "pd", "contact.holding_limit": None, **changes})
+    reaches = np.array([5e-4, 1e-3])
+    numbers = mc.parameters(scenario.with_overrides({"disturbance.cargo.mass": 0.0}))
+    walks = mc.rollout_metrics(
+        scenario, numbers=dataclasses.replace(numbers, capture_distance=reaches), dtype=np.float64
+    )
+    np.testing.assert_array_equal(walks["missed_grips"], [1, 0])
