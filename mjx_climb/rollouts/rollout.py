@@ -211,7 +211,10 @@ def rollout(
         samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
         samples = jax.tree.map(np.asarray, samples)
     own = dataclasses.replace(walker.numbers, **walker.replaced)
-    return from_samples(samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs)
+    name = "" if law is None else type(law).__name__
+    return from_samples(
+        samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs, name
+    )
 
 
 def given_in(
@@ -249,8 +252,9 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
             heading,
             trajectory.scenario.time_step,
         )
-        found = _accumulated(MetricTable(metrics), samples, context)
-        values = {name: value.item() for name, value in found.items()}
+        table = MetricTable(metrics)
+        found = _accumulated(table, samples, context)
+        values = {name: found[name].item() for name in table.names}
     return named(values, trajectory.limbs)
 
 
