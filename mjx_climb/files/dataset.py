@@ -20,7 +20,7 @@ from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.metrics import METRICS, Metric
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
@@ -143,14 +143,16 @@ def sweep_dataset(
     metrics: Mapping[str, np.ndarray],
     coordinates: Mapping[str, np.ndarray | xr.DataArray],
     scenario: Scenario,
+    table: MetricTable = METRICS,
 ) -> xr.Dataset:
     """Return the metrics of a grid of walks as labelled arrays.
 
     Arguments:
-        metrics: arrays of `mjx_climb.METRICS`, with one axis per coordinate, in their order.
+        metrics: arrays of metrics, with one axis per coordinate, in their order.
         coordinates: the values along each axis: names of `COORDINATES`, or others with a DataArray that has
             units.
         scenario: what all the walks have in common.
+        table: the metrics themselves.
 
     Raises:
         ValueError: an unknown metric or coordinate, or shapes that do not fit.
@@ -169,11 +171,11 @@ def sweep_dataset(
     data = {}
     for name, values in metrics.items():
         values = np.asarray(values)
-        if name not in METRICS.names:
-            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS.names)}")
+        if name not in table.names:
+            raise ValueError(f"metric {name}: expected one of {', '.join(table.names)}")
         if values.shape != tuple(shape):
             raise ValueError(f"metric {name}: expected shape {tuple(shape)} as the coordinates, got {values.shape}")
-        attrs = metric_attributes(METRICS[name])
+        attrs = metric_attributes(table[name])
         if name == "detached_limb":
             limbs = load_robot(scenario.robot).limbs
             values = values.astype(np.int32)

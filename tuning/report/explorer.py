@@ -26,6 +26,7 @@ def explorer(
     baseline: str = "pd",
     shown: tuple[str, ...] | None = None,
     points: Mapping[str, Any] | None = None,
+    about: mc.MetricTable = mc.METRICS,
 ) -> dict[str, Any]:
     """Return one interactive part of a page.
 
@@ -36,13 +37,14 @@ def explorer(
         baseline: the walk that all others are compared with; disturbances and grip changes are its own.
         shown: walks that are drawn at first; all where None.
         points: many walks to choose from, see `grid_points`.
+        about: the metrics themselves.
     """
     first = walks[baseline]
     count, steps = stretches(first.scenario.steps)
     return {
         "title": title,
         "baseline": baseline,
-        "metrics": _metric_texts(),
+        "metrics": _metric_texts(about),
         "lines": [
             {"name": name, "label": text, "unit": SCALES.get(unit, (1, unit))[1], "factor": SCALES.get(unit, (1, 0))[0]}
             for name, (unit, text, _) in LINES.items()
@@ -208,21 +210,22 @@ def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger
     return {"low": low, "high": high, "log": log}
 
 
-def _metric_texts() -> dict[str, Any]:
+def _metric_texts(about: mc.MetricTable) -> dict[str, Any]:
     return {
         metric.name: {
             "label": metric.long_name,
             "unit": "" if metric.unit == "1" else metric.unit,
             "larger_is_better": metric.larger_is_better,
         }
-        for metric in mc.METRICS
+        for metric in about
     }
 
 
 def _text(variable: xr.DataArray, name: str) -> dict[str, Any]:
     unit = variable.attrs.get("units", "1")
     label = variable.attrs.get("long_name", name.replace("_", " "))
-    return {"label": label, "unit": "" if unit == "1" else unit, "larger_is_better": False}
+    return {"label": label, "unit": "" if unit == "1" else unit,
+            "larger_is_better": dataset.larger_is_better(variable)}  # fmt: skip
 
 
 def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:
