@@ -121,7 +121,9 @@ def sweep(
                     trajectories["best"] = mc.rollout(winner, _on_six_axes(winner), engine=engine)
             order = [name for name in ("best", *names) if name in trajectories]
             trajectories = {name: trajectories[name] for name in order}
-            compared = {name: (_gains(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()}
+            compared = {
+                name: (report.gains_of(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()
+            }
             edges = [] if best is None else at_edge(result, best)
             summary: dict[str, dict[str, Any] | None] = {"best": None}
             summary |= {name: {"gains": values, "metrics": metrics} for name, (values, metrics) in compared.items()}
@@ -237,14 +239,6 @@ def _announcement(scenario: "mc.Scenario", axes: "tuple[np.ndarray, np.ndarray]"
     text = f"{walks} walks ({len(stiffness)} stiffness x {len(damping)} damping) of {scenario.steps} steps"
     text += f" on {jax.devices()[0].device_kind}"
     return text + (f"; {kept} are there already" if kept else "")
-
-
-def _gains(trajectory: "mc.Trajectory") -> dict[str, Any] | None:
-    """Return the gains of a walk, None where its controller has none."""
-    if trajectory.scenario.control.controller == "pd":
-        return None
-    control = trajectory.scenario.control
-    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")}
 
 
 def _on_six_axes(scenario: "mc.Scenario") -> "mc.Gains":

@@ -19,6 +19,7 @@ from tuning.report import tune as pages
 from tuning.report.comparison import Compared
 from tuning.report.numbers import to_json
 from tuning.searches.result import Result
+from tuning.searches.tune import problem_of
 
 FILES = (
     "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), "
@@ -83,7 +84,7 @@ def write(
     for name, walked in scenarios.items():
         with stage(name):
             walks[name] = mc.rollout(walked, engine=engine)
-    metrics = {name: mc.metrics(trajectory) for name, trajectory in walks.items()}
+    metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
     with stage("map") as told:
         over = verification.map_of(found, progress=told, engine=engine)
     with stage("verification"):
@@ -107,6 +108,9 @@ def write(
         for name, figure in figures.items():
             plots.save_figure(figure, folder / name)
     outcome = outcome_of(checked, found)
+    target = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by).objective
+    if broken := verification.broken_limits(target, metrics["config"]):
+        outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
     with stage("report", compiles=False):
         written = pages.page(
             found, checked, over, {name: walks[name] for name in compared}, compared,
@@ -138,6 +142,8 @@ def outcome_of(checked: Verification, found: Result) -> list[str]:
     """Return the outcome of the tests in a few lines."""
     limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
     lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]
+    if checked.binding_limits:
+        lines.append(f"held by its limits: {'; '.join(checked.binding_limits)}")
     kinds = {kind: [n for n, k in checked.shape.items() if k == kind] for kind in ("plateau", "slope", "cliff")}
     lines.append("within 20 %: " + "; ".join(f"{kind} in {', '.join(n)}" for kind, n in kinds.items() if n))
     steepest = max(checked.slopes, key=lambda name: abs(checked.slopes[name]))
