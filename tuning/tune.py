@@ -26,6 +26,7 @@ class Tuned(Result):
 
     objective: Judge | None = None  # the user's own
     engine: str = DEFAULT_ENGINE
+    own_law: mc.Law | None = None  # as it was before the search
 
     def write(self, folder: str | os.PathLike[str], *, stage: Stage = silent) -> tuned.Judged:
         """Walk, test and draw the result, and write what `mjx-climb tune` writes: gains, map, pictures, report.
@@ -40,7 +41,9 @@ class Tuned(Result):
         Raises:
             OutputError: a file cannot be written.
         """
-        written = tuned.write(self, Path(folder), function=self.objective, engine=self.engine, stage=stage)
+        written = tuned.write(
+            self, Path(folder), law=self.own_law, function=self.objective, engine=self.engine, stage=stage
+        )
         finished_parts.clear(Path(folder))
         return written
 
@@ -49,6 +52,7 @@ def tune(
     scenario: mc.Scenario,
     search: Search | None = None,
     *,
+    law: mc.Law | None = None,
     objective: Judge | None = None,
     engine: str = DEFAULT_ENGINE,
     out: str | os.PathLike[str] | None = None,
@@ -59,5 +63,5 @@ def tune(
     `tune(scenario, space="diagonal", out="results/mine").write("results/mine")` is `mjx-climb tune`.
     """
     kept = None if out is None else Path(out)
-    found = searches.tune(scenario, search, objective=objective, engine=engine, out=kept, **options)
-    return Tuned(**vars(found), objective=objective, engine=engine)
+    found = searches.tune(scenario, search, law=law, objective=objective, engine=engine, out=kept, **options)
+    return Tuned(**vars(found), objective=objective, engine=engine, own_law=law)

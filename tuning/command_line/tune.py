@@ -33,6 +33,10 @@ def tune(
         SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
     ] = None,
     with_inertia: Annotated[bool, typer.Option("--with-inertia", help="Search the virtual inertia as well.")] = False,
+    also: Annotated[
+        list[str] | None,
+        _pairs("GAIN", "Gain of the law to search that is left alone otherwise; repeatable."),
+    ] = None,
     with_joint_gains: Annotated[bool, typer.Option("--with-joint-gains", help="Search kp and kd as well.")] = False,
     starts: Annotated[
         int | None,
@@ -73,6 +77,7 @@ def tune(
     hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
+    law: options.LawFile = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -101,7 +106,7 @@ def tune(
       cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
       joint_limit_margin (rad)
     GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
-      stiffness and inertia likewise; kp, kd
+      stiffness and inertia likewise; kp, kd; with --law the law's own gains
 
     \b
     Examples:
@@ -114,7 +119,6 @@ def tune(
         import mjx_climb as mc
         from mjx_climb.files import dataset, scenario_files
         from tuning.command_line import progress, report
-        from tuning.gains import gains_file
         from tuning.output import tuned
         from tuning.problem import ensemble as ensembles
         from tuning.problem import search as settings
@@ -124,8 +128,7 @@ def tune(
 
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes, hardware)
-        if gains is not None:
-            scenario = gains_file.applied(scenario, gains_file.load(gains))
+        user_law, scenario = options.law_from(law, gains, scenario)
         engine = options.engine_from(engine)
         if members is not None and ensemble is None:
             raise InputError("--members: expected --ensemble with it")
@@ -134,7 +137,8 @@ def tune(
         given = {
             "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains or None,
             "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
-            "limits": _mapping("--limit", limit), "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
+            "limits": _mapping("--limit", limit), "also": also and tuple(also),
+            "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
         }  # fmt: skip
         if ensemble is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
@@ -145,7 +149,7 @@ def tune(
             settings.check_metrics(wanted, mc.METRICS, "")
         except mc.ConfigError as error:
             raise InputError(options.in_options(str(error).removeprefix(": "))) from None
-        options.check_space(scenario, wanted, config, None if pin or bound else search)
+        options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
         kind = "tune" if ensemble is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
         dataset.check_folder(out)
@@ -154,13 +158,13 @@ def tune(
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(None if weight else search):
             if drawn is None:
-                tuning_tune.problem_of(scenario, wanted, engine=engine)
+                tuning_tune.problem_of(scenario, wanted, engine=engine, law=user_law)
             else:
                 robust_search.goal(scenario, drawn, wanted, engine)
         scenario = tuned.write_settings(out, scenario, wanted.to_yaml())
         if drawn is not None:
             return tune_robustly(
-                scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, meter, stdout, json=json
+                scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, meter, stdout, json=json, law=user_law
             )
 
         kept = 0
@@ -172,17 +176,18 @@ def tune(
 
         try:
             with meter.stage("search", unit="rounds") as show:
-                found = tuning_tune.tune(scenario, wanted, engine=engine, out=out, progress=round_done)
+                found = tuning_tune.tune(scenario, wanted, law=user_law, engine=engine, out=out, progress=round_done)
             if found.interrupted:
                 comment = f"{wanted.method}, {wanted.space}, objective {found.value:.4f} (pd: 1)"
-                tuned.write_found(found, out, f"mjx-climb tune {config.stem}: {comment}")
+                tuned.write_found(found, out, f"mjx-climb tune {config.stem}: {comment}", user_law)
                 raise Interrupted(
                     f"the best of {kept} rounds is in {out}: objective {found.value:.4f}, gains.yaml; "
                     "the same command goes on from there"
                 )
-            again = "mjx-climb tune config.yaml --search search.yaml --out again" + options.engine_option(engine)
+            again = f"mjx-climb tune config.yaml --search search.yaml{options.law_option(law)} --out again"
+            again += options.engine_option(engine)
             origin = options.origin(config.stem, again, scenario_files.portable_yaml(scenario, out))
-            judged = tuned.write(found, out, origin=origin, engine=engine, stage=meter.stage)
+            judged = tuned.write(found, out, law=user_law, origin=origin, engine=engine, stage=meter.stage)
             finished_parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None

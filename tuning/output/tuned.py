@@ -10,6 +10,7 @@ from mjx_climb import plots
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset, scenario_files
 from tuning.gains import gains_file
+from tuning.gains.gains_file import by_name
 from tuning.judged import verification
 from tuning.judged.verification import Verification
 from tuning.output.stages import Stage, silent
@@ -45,9 +46,9 @@ def write_settings(folder: Path, scenario: mc.Scenario, search_yaml: str) -> mc.
     return scenario
 
 
-def write_found(found: Result, folder: Path, comment: str) -> None:
+def write_found(found: Result, folder: Path, comment: str, law: mc.Law | None = None) -> None:
     """Write the gains (gains.yaml) and all that was judged (search.nc), without walking anything."""
-    gains_file.save(found.gains, folder / "gains.yaml", comment)
+    gains_file.save(found.gains, folder / "gains.yaml", comment, law)
     found.save(folder / "search.nc")
 
 
@@ -55,6 +56,7 @@ def write(
     found: Result,
     folder: Path,
     *,
+    law: mc.Law | None = None,
     origin: page.Origin | None = None,
     function: Judge | None = None,
     engine: str = DEFAULT_ENGINE,
@@ -65,6 +67,7 @@ def write(
     Arguments:
         found: the result.
         folder: where to.
+        law: the one whose gains were searched, as it was before, where it is not the scenario's.
         origin: what the report says of where it comes from.
         function: the objective of the user's own, where the search had one.
         engine: the dynamics.
@@ -77,21 +80,20 @@ def write(
     again = "mjx-climb tune config.yaml --search search.yaml --out again"
     origin = origin or page.Origin("Python", "tune(...)", again, scenario_files.portable_yaml(scenario, folder))
     comment = f"{found.search.method}, {found.search.space}, objective {found.value:.4f} (pd: 1)"
-    write_found(found, folder, f"mjx-climb tune {origin.name}: {comment}")
+    write_found(found, folder, f"mjx-climb tune {origin.name}: {comment}", law)
     scenarios = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
     scenarios |= {"config": scenario, "tuned": verification.tuned(found)}
-    walks = {}
+    laws, walks = {"config": law, "tuned": found.law}, {}
     for name, walked in scenarios.items():
         with stage(name):
-            walks[name] = mc.rollout(walked, engine=engine)
+            walks[name] = mc.rollout(walked, law=laws.get(name), engine=engine)
     metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
     with stage("map") as told:
         over = verification.map_of(found, progress=told, engine=engine)
     with stage("verification"):
         checked = verification.verify(found, metrics=metrics["tuned"], walks=over, function=function, engine=engine)
     compared = {
-        name: (None if name == "pd" else _gains(walks[name].scenario), metrics[name])
-        for name in ("tuned", "config", "pd")
+        name: (None if name == "pd" else _gains(walks[name]), metrics[name]) for name in ("tuned", "config", "pd")
     }
     summary = _summary(found, checked, compared)
     dataset.write_text_atomically(folder / "summary.json", summary + "\n")
@@ -108,7 +110,9 @@ def write(
         for name, figure in figures.items():
             plots.save_figure(figure, folder / name)
     outcome = outcome_of(checked, found)
-    target = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by).objective
+    target = problem_of(
+        found.scenario, found.search, function, engine=engine, law=found.law, metrics=found.judged_by
+    ).objective
     if broken := verification.broken_limits(target, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
     with stage("report", compiles=False):
@@ -122,8 +126,13 @@ def write(
     return Judged(walks, compared, checked, outcome, summary)
 
 
-def _gains(scenario: mc.Scenario) -> dict[str, Any]:
-    return {name: getattr(scenario.control, name) for name in ("inertia", "damping", "stiffness", "kp", "kd")}
+def _gains(trajectory: mc.Trajectory) -> dict[str, Any]:
+    """Return the gains of a walk, those of the joint loop last."""
+    control = trajectory.scenario.control
+    joint = {name: getattr(control, name) for name in ("kp", "kd")}
+    if trajectory.law:
+        return by_name(trajectory.gains) | joint
+    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")} | joint
 
 
 def _summary(found: Result, checked: Verification, compared: Compared) -> str:
