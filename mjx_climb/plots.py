@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from mjx_climb.files.dataset import AXES, JOINTS, write_bytes_atomically
+from mjx_climb.files.dataset import AXES, write_bytes_atomically
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import HeightMap
 from mjx_climb.walk.metrics import METRICS
@@ -364,10 +364,13 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     Disturbances are shaded and named, changes of grip are thin vertical lines, and the first torn
     gripper is a red cross.
     """
+    from mjx_climb.robot.constants import load_robot
+
     shifted = bool(np.any(trajectory.base_displacement))
+    joints = load_robot(trajectory.scenario.robot).joint_names
     names = [
         "force",
-        *JOINTS,
+        *joints,
         "base",
         "error",
         *(["shift", "turn"] if shifted else []),
@@ -386,7 +389,7 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     _mark_holding_limit(panels["force"], trajectory.scenario.contact.holding_limit)
     panels["force"].set_ylabel("largest foot\nforce [N]")
 
-    for number, joint in enumerate(JOINTS):
+    for number, joint in enumerate(joints):
         for limb, color in enumerate(_limb_colors(trajectory)):
             _draw(
                 panels[joint],

@@ -83,7 +83,7 @@ def _systems(scenario: Scenario) -> Iterator[tuple[np.ndarray, np.ndarray, np.nd
         yield (
             mass,
             control.kp * joint + contact.stiffness * held.T @ held,
-            (control.kd * joint + contact.damping * held.T @ held),
+            control.kd * joint + np.diag(model.dof_damping) + contact.damping * held.T @ held,
         )
 
 
@@ -101,7 +101,9 @@ def _at(
         targets = data.site_xpos.copy()
         targets[swinging] += [stride / 2, 0, step_height]
         solved = limb_joints(model, (targets - data.qpos[:3]) @ rotation)
-        data.qpos[7:] = np.where(solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(-1, 3)).ravel()
+        data.qpos[7:] = np.where(
+            solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(len(targets), -1)
+        ).ravel()
     mujoco.mj_forward(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)

@@ -54,7 +54,7 @@ def accumulate(means: dict[str, Mean], sample: Sample, robot: Robot) -> dict[str
     """Return the means with one more sample of the walk."""
     force = norm(sample.foot_force)
     pulling = sample.support & (sample.foot_force[2] < 0)
-    joints = (12, force.shape[-1])
+    joints = (-1, force.shape[-1])
     margin = jnp.minimum(sample.joint_angles - robot.joint_lower, robot.joint_upper - sample.joint_angles)
     values = {
         "peak_foot_force": force,

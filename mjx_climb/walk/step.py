@@ -20,7 +20,7 @@ from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import disturbance, gait
 from mjx_climb.walk.contact import Contact, grip
-from mjx_climb.walk.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.walk.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics, limb_geometry
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
@@ -32,7 +32,7 @@ class Structure(NamedTuple):
     engine: str
     controller: str
     reading: str
-    sequence: tuple[str, ...]
+    lift_off: tuple[tuple[str, float], ...]  # of each limb, as a share of the cycle
     base_reference: str
     steps: int
     time_step: float
@@ -44,7 +44,7 @@ class Walk(NamedTuple):
     """What stays the same from step to step."""
 
     robot: Robot
-    geometry: LimbGeometry
+    geometry: LimbGeometry | Chain
     numbers: Parameters
     grip_numbers: Parameters  # with an infinite holding limit where nothing is torn off
     plan: gait.Plan
@@ -60,6 +60,7 @@ class Carry(NamedTuple):
     state: State
     contact: Contact
     gait: Array  # (3, B) m, what the gait remembers of the base
+    posture: Array | tuple[()]  # (N, L, B) rad, the joint targets, where the next ones are found from them
     law: Any
 
 
@@ -70,7 +71,7 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_piece
         engine=engine,
         controller=scenario.control.controller,
         reading=scenario.control.reading,
-        sequence=scenario.gait.sequence,
+        lift_off=tuple(scenario.gait.lift_off.items()),
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
@@ -92,7 +93,7 @@ def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
         geometry=geometry,
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
-        plan=gait.plan(robot, feet, numbers, structure.sequence, structure.time_step),
+        plan=gait.plan(robot, feet, numbers, structure.lift_off, structure.time_step),
         law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
         forward_dynamics=ENGINES[structure.engine](_lighter_drives(robot, numbers.mass_scale)),
         time_step=structure.time_step,
@@ -130,6 +131,7 @@ def begin(walk: Walk, batch: int) -> Carry:
         state=State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints)),
         contact=Contact(grip_point=feet, touching=shut, detached=~shut),
         gait=position,
+        posture=joints if isinstance(walk.geometry, Chain) else (),
         law=jax.tree.map(each, walk.law.initial),
     )
 
@@ -163,15 +165,17 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
     law_state, command = walk.law.command(carry.law, measurement, reference)
     target_rotation = quaternion_to_matrix(command.base_orientation)
     target = rotate_back(target_rotation[:, :, None], command.foot_position - command.base_position[:, None])
-    joints = inverse_kinematics(walk.geometry, target)
+    last = carry.posture
+    joints = inverse_kinematics(walk.geometry, target, None if isinstance(last, tuple) else last)
     torque = joint_torque(numbers, joints.joint_angles, state.joint_angles, state.joint_rates)
+    left = torque if robot.damping is None else torque - robot.damping * state.joint_rates
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
     push = disturbance.push(numbers, step, walk.time_step)
     # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
     share = 1 / numbers.mass_scale
     acceleration = walk.forward_dynamics(
-        state, torque * share, held.force * share, push * share, cargo * share, jnp.asarray(numbers.gravity)
+        state, left * share, held.force * share, push * share, cargo * share, jnp.asarray(numbers.gravity)
     )
 
     mass = cargo + robot.total_mass
@@ -213,6 +217,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         ),
         gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
     )
-    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state)
+    posture = () if isinstance(last, tuple) else joints.joint_angles
+    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, posture, law_state)
     # what all environments share (a gait of one timing, say) has a batch axis of one until here
     return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry), sample
