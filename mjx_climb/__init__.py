@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mjx_climb.compilation.options import compiler_options, pieces_pay
+    from mjx_climb.control import Command, Law, Measurement, Reference, Start, gain
     from mjx_climb.dynamics import ENGINES, forward_dynamics
     from mjx_climb.dynamics.state import Acceleration, State
     from mjx_climb.quantities.parameters import Gains, Parameters, parameters
@@ -19,10 +20,11 @@ if TYPE_CHECKING:
     from mjx_climb.scenario.load import load_scenario
     from mjx_climb.scenario.messages import ConfigError
     from mjx_climb.scenario.model import Scenario
-    from mjx_climb.walk.metrics import METRICS
+    from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
 _PUBLIC = {
     "compilation.options": ("compiler_options", "pieces_pay"),
+    "control": ("Command", "Law", "Measurement", "Reference", "Start", "gain"),
     "dynamics": ("ENGINES", "forward_dynamics"),
     "dynamics.state": ("Acceleration", "State"),
     "quantities.parameters": ("Gains", "Parameters", "parameters"),
@@ -34,7 +36,7 @@ _PUBLIC = {
     "scenario.load": ("load_scenario",),
     "scenario.messages": ("ConfigError",),
     "scenario.model": ("Scenario",),
-    "walk.metrics": ("METRICS",),
+    "walk.metrics": ("METRICS", "Metric", "MetricTable"),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
@@ -42,15 +44,23 @@ __all__ = [
     "ENGINES",
     "METRICS",
     "Acceleration",
+    "Command",
     "ConfigError",
     "Gains",
+    "Law",
+    "Measurement",
+    "Metric",
+    "MetricTable",
     "Parameters",
+    "Reference",
     "RobotError",
     "Scenario",
+    "Start",
     "State",
     "Trajectory",
     "compiler_options",
     "forward_dynamics",
+    "gain",
     "load_scenario",
     "metrics",
     "parameters",

@@ -1,22 +1,41 @@
-"""Control laws behind one seam: what is measured and planned goes in, targets of base and feet come out.
+"""Control laws behind one seam: what is measured and planned goes in, targets of base and feet come out."""
 
-A law is one module with `build(gains, time_step) -> Law`; what depends on the gains alone is worked out there, once a
-walk.
-"""
+from mjx_climb.control.base_admittance import MeasuredPoseAdmittance, VirtualModelAdmittance
+from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
+from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.pd import PD
+from mjx_climb.scenario.model import Scenario
 
-from collections.abc import Callable
-
-from mjx_climb.control import base_admittance, end_effector_admittance, pd
-from mjx_climb.control.law import Command, Law, Measurement, Reference
-from mjx_climb.quantities.parameters import Gains
-
-# (controller, reading of the paper's equation) -> build; gains are (6, B)
-LAWS: dict[tuple[str, str], Callable[[Gains, float], Law]] = {
-    ("pd", "virtual_model"): pd.build,
-    ("pd", "measured_pose"): pd.build,
-    ("base_admittance", "virtual_model"): base_admittance.build_virtual_model,
-    ("base_admittance", "measured_pose"): base_admittance.build_measured_pose,
-    ("end_effector_admittance", "virtual_model"): end_effector_admittance.build,
+# (controller, reading of the paper's equation), as a config names them
+LAWS: dict[tuple[str, str], type[Law]] = {
+    ("pd", "virtual_model"): PD,
+    ("pd", "measured_pose"): PD,
+    ("base_admittance", "virtual_model"): VirtualModelAdmittance,
+    ("base_admittance", "measured_pose"): MeasuredPoseAdmittance,
+    ("end_effector_admittance", "virtual_model"): EndEffectorAdmittance,
 }
 
-__all__ = ["LAWS", "Command", "Law", "Measurement", "Reference"]
+__all__ = [
+    "LAWS",
+    "PD",
+    "Command",
+    "EndEffectorAdmittance",
+    "GainField",
+    "Law",
+    "MeasuredPoseAdmittance",
+    "Measurement",
+    "Reference",
+    "Start",
+    "VirtualModelAdmittance",
+    "gain",
+    "law_of",
+]
+
+
+def law_of(scenario: Scenario) -> Law:
+    """Return the law that a scenario names, with the gains of its control section."""
+    law, control = LAWS[scenario.control.controller, scenario.control.reading], scenario.control
+    values = {name: getattr(control, name) for name in law.GAINS}
+    # six values of a law of translations alone: the rotations are not its own
+    own = {n: v[: law.GAINS[n].length] if isinstance(v, tuple) else v for n, v in values.items()}
+    return law(**own)

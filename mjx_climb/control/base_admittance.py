@@ -5,10 +5,12 @@ are taken along the axes of the base reference, so a walk turned about z is the 
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from mjx_climb.control.law import Command, Law, Measurement, Reference
-from mjx_climb.control.virtual_model import VirtualState, advance, discretize, rest
+from mjx_climb.control.impedance import SixAxes
+from mjx_climb.control.law import Command, Measurement, Reference, Start
+from mjx_climb.control.virtual_model import VirtualModel, advance, discretize, rest
 from mjx_climb.dynamics.spatial import (
     quaternion_conjugate,
     quaternion_from_rotation_vector,
@@ -17,7 +19,6 @@ from mjx_climb.dynamics.spatial import (
     rotate,
     rotate_back,
 )
-from mjx_climb.quantities.parameters import Gains
 
 
 def _in_reference_axes(rotation: Array, vector: Array) -> Array:
@@ -35,30 +36,39 @@ def _shifted(reference: Reference, rotation: Array, displacement: Array, turn: A
     )
 
 
-def build_virtual_model(gains: Gains, time_step: float) -> Law:
-    """Return Eq. 3 as a virtual mass, spring and damper, integrated exactly, that yields to the wrench.
+class VirtualModelAdmittance(SixAxes):
+    """Eq. 3 as a virtual mass, spring and damper, integrated exactly, that yields to the wrench.
 
     The ground pushes the feet with w where something pushes the base with -w, so dx is driven by -w.
     """
-    transition = discretize(gains, time_step)
 
-    def command(state: VirtualState, measurement: Measurement, reference: Reference) -> tuple[VirtualState, Command]:
+    def init(self, start: Start) -> VirtualModel:
+        """Return the virtual mass at rest, (6, B)."""
+        return VirtualModel(discretize(self, start.period), rest(self.stiffness))
+
+    def step(self, state: VirtualModel, measurement: Measurement, reference: Reference) -> tuple[VirtualModel, Command]:
+        """Return the reference with the base shifted."""
         rotation = quaternion_to_matrix(reference.base_orientation)
-        state = advance(transition, state, -_in_reference_axes(rotation, measurement.wrench))
-        turn = quaternion_from_rotation_vector(state.displacement[3:])
-        return state, _shifted(reference, rotation, state.displacement, turn)
-
-    return Law(initial=rest(gains.stiffness), command=command)
+        moved = advance(state.transition, state.mass, -_in_reference_axes(rotation, measurement.wrench))
+        turn = quaternion_from_rotation_vector(moved.displacement[3:])
+        return state._replace(mass=moved), _shifted(reference, rotation, moved.displacement, turn)
 
 
-def build_measured_pose(gains: Gains, time_step: float) -> Law:
-    """Return Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
+class MeasuredPoseAdmittance(SixAxes):
+    """Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
 
     `a = (w - D dxd - K dx) / M`, target `x_b + dt dxd + dt^2 a`; dx is the base's offset from its reference, dxd the
     base's own velocity. Rotations are twice the vector part of the quaternion.
     """
 
-    def command(state: tuple[()], measurement: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
+    def init(self, start: Start) -> float | Array:
+        """Return the length of a step: there is nothing else to remember."""
+        return start.period
+
+    def step(
+        self, state: float | Array, measurement: Measurement, reference: Reference
+    ) -> tuple[float | Array, Command]:
+        """Return the reference with the base shifted to where one step of the virtual mass leads."""
         rotation = quaternion_to_matrix(reference.base_orientation)
         turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measurement.base_orientation)
         turn = jnp.where(turn[0] < 0, -turn, turn)
@@ -69,8 +79,8 @@ def build_measured_pose(gains: Gains, time_step: float) -> Law:
             rotation, jnp.concatenate([measurement.base_linear_velocity, measurement.base_angular_velocity])
         )
         wrench = _in_reference_axes(rotation, measurement.wrench)
-        acceleration = (wrench - gains.damping * rate - gains.stiffness * offset) / gains.inertia
-        target = offset + time_step * rate + time_step**2 * acceleration
+        acceleration = (wrench - self.damping * rate - self.stiffness * offset) / self.inertia
+        target = offset + state * rate + state**2 * acceleration
         half = target[3:] / 2
         length = jnp.minimum(jnp.sum(half * half, axis=0), 1.0)
         # a demand beyond half a turn keeps its axis and saturates there
@@ -78,4 +88,16 @@ def build_measured_pose(gains: Gains, time_step: float) -> Law:
         vector = half / jnp.sqrt(jnp.maximum(jnp.sum(half * half, axis=0), 1.0))
         return state, _shifted(reference, rotation, target, jnp.concatenate([real[None], vector]))
 
-    return Law(initial=(), command=command)
+    def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
+        """Return where searches look, which is what the length of a step makes of the gains.
+
+        One step takes the shares dt D / M of the rate and dt^2 K / M of the offset out of the target; the base is held
+        only by shares of the order of one.
+        """
+        mass = float(np.exp(np.log(np.asarray(self.inertia, float)).mean()))
+        bounds = super().search_bounds(period)
+        return {
+            **{key: bounds[key] for key in ("inertia", "inertia.rotation")},
+            "damping": (mass / period, 1e2 * mass / period),
+            "stiffness": (1e-2 * mass / period**2, mass / period**2),
+        }

@@ -8,28 +8,26 @@ every foot.
 import jax
 import jax.numpy as jnp
 
-from mjx_climb.control.law import Command, Law, Measurement, Reference
-from mjx_climb.control.virtual_model import VirtualState, advance, discretize, rest
+from mjx_climb.control.impedance import ThreeAxes
+from mjx_climb.control.law import Command, Measurement, Reference, Start
+from mjx_climb.control.virtual_model import VirtualModel, VirtualState, advance, discretize, rest
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate, rotate_back
-from mjx_climb.quantities.parameters import Gains
-
-_LIMBS = 4
 
 
-def build(gains: Gains, time_step: float) -> Law:
-    """Return Eq. 2 for the feet of a four-limbed robot."""
-    translations = jax.tree.map(lambda gain: gain[:3, None], gains)
-    transition = discretize(translations, time_step)
-    no_shift = jnp.zeros_like(gains.stiffness)
+class EndEffectorAdmittance(ThreeAxes):
+    """Eq. 2 for the feet of a robot."""
 
-    def command(state: VirtualState, measurement: Measurement, reference: Reference) -> tuple[VirtualState, Command]:
+    def init(self, start: Start) -> VirtualModel:
+        """Return the virtual masses of the feet at rest, (3, L, B)."""
+        every_foot = jax.tree.map(lambda gain: gain[:, None], self)
+        return VirtualModel(discretize(every_foot, start.period), rest(start.reference.foot_position))
+
+    def step(self, state: VirtualModel, measurement: Measurement, reference: Reference) -> tuple[VirtualModel, Command]:
+        """Return the reference with the supporting feet shifted."""
         rotation = quaternion_to_matrix(reference.base_orientation)[:, :, None]
-        state = advance(transition, state, rotate_back(rotation, measurement.foot_force))
-        state = jax.tree.map(lambda value: jnp.where(measurement.support, value, 0.0), state)
-        target = reference.foot_position + rotate(rotation, state.displacement)
-        return state, Command(reference.base_position, reference.base_orientation, target, no_shift)
-
-    return Law(
-        initial=rest(jnp.broadcast_to(translations.stiffness, (3, _LIMBS, no_shift.shape[1]))),
-        command=command,
-    )
+        moved = advance(state.transition, state.mass, rotate_back(rotation, measurement.foot_force))
+        moved = VirtualState(*(jnp.where(measurement.support, value, 0.0) for value in moved))
+        target = reference.foot_position + rotate(rotation, moved.displacement)
+        no_shift = jnp.zeros_like(measurement.wrench)
+        command = Command(reference.base_position, reference.base_orientation, target, no_shift)
+        return state._replace(mass=moved), command

@@ -2,16 +2,16 @@
 
 import jax.numpy as jnp
 
-from mjx_climb.control.law import Command, Law, Measurement, Reference
-from mjx_climb.quantities.parameters import Gains
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start
 
 
-def build(gains: Gains, time_step: float) -> Law:
-    """Return the law that commands the gait's own reference."""
-    del time_step
-    no_shift = jnp.zeros_like(gains.stiffness)
+class PD(Law):
+    """The law that commands the gait's own reference. It has no gains and no state."""
 
-    def command(state: tuple[()], measurement: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
-        return state, Command(*reference, no_shift)
+    def init(self, start: Start) -> tuple[()]:
+        """Return nothing."""
+        return ()
 
-    return Law(initial=(), command=command)
+    def step(self, state: tuple[()], measurement: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
+        """Return the reference as it is."""
+        return state, Command(*reference, jnp.zeros_like(measurement.wrench))

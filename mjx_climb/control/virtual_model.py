@@ -1,15 +1,24 @@
 """A virtual mass, damper and spring, integrated exactly under a force that is held over the step."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from mjx_climb.quantities.parameters import Gains
-
 _DOUBLINGS = 24
+
+
+class Impedance(Protocol):
+    """Gains of a virtual mass, damper and spring, in any shape."""
+
+    @property
+    def inertia(self) -> Any: ...  # kg, kg m^2
+    @property
+    def damping(self) -> Any: ...  # N s/m, N m s/rad
+    @property
+    def stiffness(self) -> Any: ...  # N/m, N m/rad
 
 
 class VirtualState(NamedTuple):
@@ -30,12 +39,19 @@ class Transition(NamedTuple):
     vf: Array
 
 
+class VirtualModel(NamedTuple):
+    """The state of a law with a virtual mass: how it moves in a step, which stays the same, and where it is."""
+
+    transition: Transition
+    mass: VirtualState
+
+
 def rest(like: ArrayLike) -> VirtualState:
     """Return the state of a virtual mass at rest, in the shape of `like`."""
     return VirtualState(jnp.zeros_like(like), jnp.zeros_like(like))
 
 
-def discretize(gains: Gains, time_step: float) -> Transition:
+def discretize(gains: Impedance, time_step: float | Array) -> Transition:
     """Return the zero-order hold of `M xdd + D xd + K x = f` for one time step, stable for any positive gains.
 
     The matrix exponential is found by doubling a second-order L-stable step of `time_step / 2**24`. The closed form

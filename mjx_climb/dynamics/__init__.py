@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 from mjx_climb.dynamics import limb_engine, mjx_engine
 from mjx_climb.dynamics.state import Acceleration, State, batch_last, joints_to_limbs, limbs_to_joints
 from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.scenario.messages import ConfigError
 
 # state, joint torque (N, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
@@ -23,6 +24,17 @@ ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.buil
 DEFAULT_ENGINE = "limb"
 ELEMENTWISE = {"limb"}  # engines made of elementwise operations throughout, which compile well in pieces
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+
+
+def checked_engine(name: str) -> str:
+    """Return the name of an engine as it is.
+
+    Raises:
+        ConfigError: no such engine.
+    """
+    if name not in ENGINES:
+        raise ConfigError(f"engine: expected one of {', '.join(ENGINES)}, got {name!r}")
+    return name
 
 
 def forward_dynamics(
@@ -49,8 +61,9 @@ def forward_dynamics(
         engine: one of `mjx_climb.ENGINES`.
 
     Raises:
-        KeyError: no such engine.
+        ConfigError: no such engine.
     """
+    checked_engine(engine)
     robot = load_robot(robot) if isinstance(robot, str) else robot
     result: Acceleration = _forward_dynamics(state, tau, foot_force, base_wrench, cargo_mass, gravity, robot, engine)
     return result

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from mjx_climb.quantities.ground import foothold_heights
+from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.model import Scenario
 
 _Gain = Float[Array, "*batch_axis"] | Float[np.ndarray, "*batch_axis"] | float
@@ -71,6 +71,26 @@ class Parameters:
     push_start: Array | np.ndarray  # (pushes,) s
     push_stop: Array | np.ndarray  # (pushes,) s
     mass_scale: Array | np.ndarray  # 1, of all masses and inertias of the robot; the cargo's not
+    capture_distance: Array | np.ndarray  # m, infinite: a gripper holds however far off the ground it shuts
+    control_period: Array | np.ndarray  # s, rounded to time steps; 0: the time step
+    command_delay: Array | np.ndarray  # s
+    force_delay: Array | np.ndarray  # s
+    force_noise: Array | np.ndarray  # N
+    force_bias: Array | np.ndarray  # N
+    force_resolution: Array | np.ndarray  # N
+    force_filter: Array | np.ndarray  # Hz, infinite: none
+    base_delay: Array | np.ndarray  # s
+    position_noise: Array | np.ndarray  # m
+    velocity_noise: Array | np.ndarray  # m/s
+    torque_limit: Array | np.ndarray  # N m, infinite: none
+    no_load_speed: Array | np.ndarray  # rad/s, infinite: none
+    armature: Array | np.ndarray  # kg m^2, beside what the robot's file says
+    coulomb_friction: Array | np.ndarray  # N m
+    viscous_friction: Array | np.ndarray  # N m s/rad
+    load_friction: Array | np.ndarray  # 1
+    backlash: Array | np.ndarray  # rad
+    servo_delay: Array | np.ndarray  # s
+    seed: Array | np.ndarray  # whole, below 2^24 so that single precision holds it
 
 
 def _or_infinite(value: float | None) -> float:
@@ -102,6 +122,8 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         push_start=[push.start for push in pushes],
         push_stop=[_or_infinite(push.stop) for push in pushes],
         mass_scale=1.0,
+        capture_distance=_or_infinite(contact.capture_distance),
+        **_hardware(scenario.hardware),
     )
     arrays = {}
     for name, value in values.items():
@@ -111,54 +133,32 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
     return Parameters(**arrays)
 
 
+def _hardware(hardware: Hardware) -> dict[str, float]:
+    force, base, servo = hardware.force_sensor, hardware.base_estimate, hardware.servo
+    return dict(
+        control_period=hardware.control_period,
+        command_delay=hardware.command_delay,
+        force_delay=force.delay,
+        force_noise=force.noise,
+        force_bias=force.bias,
+        force_resolution=force.resolution,
+        force_filter=_or_infinite(force.filter),
+        base_delay=base.delay,
+        position_noise=base.position_noise,
+        velocity_noise=base.velocity_noise,
+        torque_limit=_or_infinite(servo.torque_limit),
+        no_load_speed=_or_infinite(servo.no_load_speed),
+        armature=servo.armature,
+        coulomb_friction=servo.coulomb_friction,
+        viscous_friction=servo.viscous_friction,
+        load_friction=servo.load_friction,
+        backlash=servo.backlash,
+        servo_delay=servo.delay,
+        seed=hardware.seed,
+    )
+
+
 def gains(scenario: Scenario) -> Gains:
     """Return the admittance gains that the scenario's own control section gives."""
     control = scenario.control
     return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
-
-
-def batch_shape(gains: Gains, parameters: Parameters) -> tuple[int, ...]:
-    """Return the batch shape that gains and parameters broadcast to.
-
-    Raises:
-        ValueError: shapes that do not broadcast, or gains whose last axis is not 1 or 6.
-    """
-    shapes = [
-        jnp.shape(value)[: jnp.ndim(value) - Parameters.AXES.get(name, 0)] for name, value in vars(parameters).items()
-    ]
-    for name in ("inertia", "damping", "stiffness"):
-        shape = jnp.shape(getattr(gains, name))
-        if shape and shape[-1] not in (1, 6):
-            raise ValueError(f"gains.{name}: expected a scalar or a last axis of six, got shape {shape}")
-        shapes.append(shape[:-1])
-    shapes += [jnp.shape(value) for value in (gains.kp, gains.kd) if value is not None]
-    return jnp.broadcast_shapes(*shapes)
-
-
-def batch_last(
-    gains: Gains, parameters: Parameters, shape: tuple[int, ...], dtype: jnp.dtype
-) -> tuple[Gains, Parameters]:
-    """Return gains (6, B) and parameters (..., B) in the layout of the hot path.
-
-    The batch axes `shape` are flattened to one; what does not vary over them keeps a batch axis of size one.
-    """
-
-    def last(value: ArrayLike, natural: tuple[int, ...]) -> Array:
-        value = jnp.asarray(value, dtype)
-        lead = value.shape[: value.ndim - len(natural)]
-        if math.prod(lead) != 1:
-            lead = shape
-        value = jnp.broadcast_to(value, (*lead, *natural)).reshape(math.prod(lead), *natural)
-        return jnp.moveaxis(value, 0, -1)
-
-    def six(value: ArrayLike) -> Array:
-        value = jnp.asarray(value, dtype)
-        return last(value if value.ndim else value[None], (6,))
-
-    numbers = {}
-    for name, value in vars(parameters).items():
-        numbers[name] = last(value, jnp.shape(value)[jnp.ndim(value) - Parameters.AXES.get(name, 0) :])
-    for name in ("kp", "kd"):
-        if getattr(gains, name) is not None:
-            numbers[name] = last(getattr(gains, name), ())
-    return Gains(six(gains.inertia), six(gains.damping), six(gains.stiffness)), Parameters(**numbers)

@@ -23,6 +23,7 @@ __all__ = [
     "robot_from_model",
 ]
 
+_DRIVES = {"armature": "dof_armature", "damping": "dof_damping", "friction": "dof_frictionloss"}  # by MuJoCo's names
 _KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -31,7 +32,7 @@ _KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     data_fields=[
         "base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation",
         "foot_center", "joint_lower", "joint_upper", "stance_position", "stance_orientation", "stance_joints",
-        "armature", "damping",
+        "armature", "damping", "friction",
     ],
     meta_fields=["name", "limbs", "model", "slides", "joint_names"],
 )  # fmt: skip
@@ -63,6 +64,7 @@ class Robot:
     stance_joints: np.ndarray  # (N, L, 1) rad
     armature: np.ndarray | None = None  # (N, L, 1 or B) kg m^2, of the drives, seen at the joints; None: none
     damping: np.ndarray | None = None  # (N, L, 1) N m s/rad, of the joints, as the file says; None: none
+    friction: np.ndarray | None = None  # (N, L, 1) N m, dry, of the joints, as the file says; None: none
     slides: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: the joint is prismatic; (): none is
     joint_names: tuple[str, ...] = ()  # (N,) of a limb's joints, from the base outwards
 
@@ -168,19 +170,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
         return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
 
-    keys = (
-        "mass",
-        "center",
-        "inertia",
-        "position",
-        "rotation",
-        "foot",
-        "lower",
-        "upper",
-        "armature",
-        "damping",
-        "slides",
-    )
+    keys = ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper", "slides", *_DRIVES)
     fields: dict[str, list[np.ndarray]] = {key: [] for key in keys}
     for chain in limbs:
         parent_position, parent_rotation = np.zeros(3), np.eye(3)
@@ -196,8 +186,8 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             column["rotation"].append(parent_rotation.T @ rotation)
             column["lower"].append(model.jnt_range[joint, 0] if model.jnt_limited[joint] else -np.pi)
             column["upper"].append(model.jnt_range[joint, 1] if model.jnt_limited[joint] else np.pi)
-            column["armature"].append(model.dof_armature[model.jnt_dofadr[joint]])
-            column["damping"].append(model.dof_damping[model.jnt_dofadr[joint]])
+            for key, field in _DRIVES.items():
+                column[key].append(getattr(model, field)[model.jnt_dofadr[joint]])
             column["slides"].append(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
             parent_position, parent_rotation = position, rotation
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
@@ -227,8 +217,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         stance_position=stance[:3, None].copy(),
         stance_orientation=stance[3:7, None].copy(),
         stance_joints=stance[7:].reshape(len(limbs), -1).T[..., None].copy(),
-        armature=stacked["armature"] if stacked["armature"].any() else None,
-        damping=stacked["damping"] if stacked["damping"].any() else None,
+        **{key: stacked[key] if stacked[key].any() else None for key in _DRIVES},
         joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in limbs[0]),
         slides=tuple(map(tuple, stacked["slides"][..., 0].tolist())) if stacked["slides"].any() else (),
     )

@@ -40,7 +40,7 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     """Return a robot file as simulated: floating base, limbs of as many joints each, foot sites, rest stance.
 
     The base frame has the axes of the file's base link and sits at the base's centre of mass. Only masses, joints with
-    the armature and damping of their drives, and feet are taken over; the bodies are drawn as plain shapes. Limbs come
+    the armature, damping and dry friction of their drives, and feet are taken over; the bodies are drawn as plain shapes. Limbs come
     counter-clockwise, seen from above, by where their feet stand. One of fewer joints than others is filled up with
     joints at its foot that move nothing.
 
@@ -151,8 +151,6 @@ def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, name_of_li
             raise _error(source, key, f"revolute or prismatic joints of the file ({known[:200]})", repr(name))
         if name in dict(source.locked.items()):
             raise _error(source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}")
-        if file.dof_frictionloss[file.jnt_dofadr[joint]]:
-            raise _error(source, key, "no joint friction, which is not simulated", f"some at {name!r}")
         if file.jnt_stiffness[joint]:
             raise _error(source, key, "no joint springs, which are not simulated", f"one at {name!r}")
         if file.body_jntnum[file.jnt_bodyid[joint]] != 1:
@@ -300,6 +298,7 @@ def _add_limb(
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             armature=file.dof_armature[dof],
             damping=[file.dof_damping[dof], 0, 0],
+            frictionloss=file.dof_frictionloss[dof],
         )
         link = _link(file, data, np.flatnonzero(part == file.jnt_bodyid[joint]))
         if link.mass <= _TINY:

@@ -3,77 +3,69 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.sharding import Sharding
-from jax.typing import ArrayLike
 from numpy.typing import DTypeLike
 
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.options import compiler_options, enable_cache, kernel_pays, pieces_pay
+from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.quantities.parameters import Gains, Parameters, batch_last, batch_shape, parameters
-from mjx_climb.quantities.parameters import gains as gains_of
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, rows_of, varying
+from mjx_climb.quantities.parameters import Parameters, parameters
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.given import AnyGains, Given, checked, given, recorded
 from mjx_climb.rollouts.trajectory import Trajectory, from_samples, to_samples
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk import metrics as metrics_module
-from mjx_climb.walk import smooth_extremes
+from mjx_climb.walk.metrics import METRICS, Context, Metric, MetricTable, running
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure, weighing
 
 Metrics = dict[str, Array]
-Progress = tuple[Carry, metrics_module.Accumulator, dict[str, smooth_extremes.Mean]]
-Tree = TypeVar("Tree", bound=Gains | Parameters)
+Progress = tuple[Carry, running.Running]
 
 
-def _floating_dtype(tree: Gains) -> jnp.dtype:
-    """Return the precision of a tree's arrays, or the one in force where it holds plain numbers alone."""
-    arrays = [leaf for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
-    floats = [leaf for leaf in arrays if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    return jnp.result_type(*floats) if floats else jnp.result_type(float)
-
-
-def metrics_of(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
-    """Walk a batch and return its metrics, with the batch axes that gains and parameters broadcast to."""
-    return walk_recorded(structure, gains, numbers, lambda sample: ())[0]
+def metrics_of(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
+    """Walk a batch and return its metrics, with the batch axes that law and parameters broadcast to."""
+    return walk_recorded(structure, law, numbers, lambda sample: ())[0]
 
 
 def walk_recorded(
-    structure: Structure, gains: Gains, numbers: Parameters, record: Callable[[Sample], Any]
+    structure: Structure, law: Law, numbers: Parameters, record: Callable[[Sample], Any]
 ) -> tuple[Metrics, Any]:
     """Walk a batch and return its metrics, and what `record` keeps of each sample, stacked over time."""
-    shape, dtype = batch_shape(gains, numbers), _floating_dtype(gains)
+    shape, dtype = batch_shape(law, numbers), jnp.result_type(numbers.kp)
     batch = math.prod(shape)
-    walk = prepare(structure, *batch_last(gains, numbers, shape, dtype))
+    walk = prepare(structure, batch_last(law, shape, dtype), batch_last(numbers, shape, dtype), batch)
+    metrics = structure.metrics
+    context = Context(walk.robot, walk.numbers.gravity, walk.numbers.heading, walk.time_step)
 
     def step(carry: Progress, _: None) -> tuple[Progress, Any]:
-        walked, total, means = carry
-        walked, sample = advance(walk, walked, total.steps)
-        total = metrics_module.accumulate(total, sample, walk.robot, walk.time_step)
-        means = smooth_extremes.accumulate(means, sample, walk.robot) if structure.smooth else means
-        return (walked, total, means), record(sample)
+        walked, values = carry
+        walked, sample = advance(walk, walked, values.steps)
+        return (walked, running.accumulate(metrics, values, sample, context)), record(sample)
 
-    means = smooth_extremes.start(batch, dtype) if structure.smooth else {}
-    start = (begin(walk, batch), metrics_module.start(batch, dtype), means)
+    start = (begin(walk, batch), running.start(metrics, batch, dtype))
     step = in_kernels(step) if structure.in_pieces else step
-    (_, total, means), records = jax.lax.scan(step, start, length=structure.steps)
-    result = metrics_module.finish(total, walk.numbers.gravity, walk.numbers.heading)
-    for name, value in smooth_extremes.finish(means).items():
-        result[name] = jnp.where(total.finite, value, jnp.nan)
+    (_, values), records = jax.lax.scan(step, start, length=structure.steps)
+    result = running.finish(metrics, values, context)
     return {name: value.reshape(shape) for name, value in result.items()}, records
 
 
-def _samples_of(structure: Structure, gains: Gains, numbers: Parameters) -> Sample:
+def _samples_of(structure: Structure, law: Law, numbers: Parameters) -> Sample:
     """Walk one robot and return every sample, stacked over time."""
-    walk = prepare(structure, *batch_last(gains, numbers, (), _floating_dtype(gains)))
+    dtype = jnp.result_type(numbers.kp)
+    walk = prepare(structure, batch_last(law, (), dtype), batch_last(numbers, (), dtype), 1)
     step: Callable[[Carry, Array], tuple[Carry, Sample]] = functools.partial(advance, walk)
     step = in_kernels(step) if structure.in_pieces else step
     return jax.lax.scan(step, begin(walk, 1), jnp.arange(structure.steps))[1]
@@ -89,9 +81,9 @@ def _compiled_metrics(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
     return jax.jit(metrics_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
 
 
-def _metrics_in_kernel(structure: Structure, gains: Gains, numbers: Parameters) -> Metrics:
+def _metrics_in_kernel(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
     """Walk robots of one batch axis as `metrics_of` does, as a single GPU kernel."""
-    return over_robots(functools.partial(metrics_of, structure), [_varying(gains), _varying(numbers)])(gains, numbers)
+    return over_robots(functools.partial(metrics_of, structure), [varying(law), varying(numbers)])(law, numbers)
 
 
 @functools.cache
@@ -100,45 +92,94 @@ def _compiled_kernel() -> Callable[..., Metrics]:
 
 
 def simulator(
-    scenario: Scenario, *, engine: str = DEFAULT_ENGINE, smooth: bool = False, in_pieces: bool = False
+    scenario: Scenario,
+    *,
+    law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
+    engine: str = DEFAULT_ENGINE,
+    smooth: bool = False,
+    in_pieces: bool = False,
 ) -> Callable[..., Metrics]:
-    """Return a pure function `f(gains, parameters=None) -> metrics` for `jit`, `vmap`, `jvp` and `jacfwd`.
+    """Return a pure function `f(gains=None, parameters=None) -> metrics` for `jit`, `vmap`, `jvp` and `jacfwd`.
+
+    Equal arguments give the same function, so that `jax.jit` compiles it once.
 
     Arguments:
-        scenario: what walks where; its control gains are not used, its other numbers are the default parameters.
+        scenario: what walks where; its numbers are the default parameters.
+        law: the control law, the scenario's own where None; its gains are the defaults of those not given.
+        metrics: what the walk is judged by, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
         smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics have
-            smooth companions, see `mjx_climb.walk.smooth_extremes`.
-        in_pieces: several times faster on a CPU (see `mjx_climb.pieces_pay`), for values and forward derivatives alone:
-            XLA stops the process at some other transformations of such a program.
+            smooth companions, see `mjx_climb.walk.metrics.extremes`.
+        in_pieces: several times faster on a CPU (see `mjx_climb.pieces_pay`), for values and forward derivatives alone.
 
     Returns:
-        A function of `Gains` (and `Parameters`) with any leading batch axes, in the precision of the gains. It gives a
-        dict of arrays with those batch axes, named and in units as `mjx_climb.METRICS` says. A batch axis in the gains
-        is faster than `vmap`: it stays contiguous. NaN stands for what is not defined: `detached_at` while all limbs
-        hold (`detached_limb` is then -1, else the index of the limb), and everything but `diverged` where the state
-        stopped being finite.
-    """
-    shape = structure(scenario, engine, smooth=smooth, in_pieces=in_pieces)
+        A function of gains (`Gains`, a mapping by name, or a law) and `Parameters` with any leading batch axes, in the
+        precision of the gains. It gives a dict of arrays with those batch axes, named and in units as the metrics say.
+        A batch axis in the gains is faster than `vmap`: it stays contiguous. NaN stands for what is not defined:
+        `detached_at` while all limbs hold (`detached_limb` is then -1, else the index of the limb). Where the state
+        stopped being finite, `diverged`, the others are those of the walk until then. Under `grad` and other reverse
+        modes a function in pieces raises `NotImplementedError`.
 
-    def simulate(gains: Gains, numbers: Parameters | None = None) -> Metrics:
-        dtype = _floating_dtype(gains)
-        gains = jax.tree.map(lambda value: jnp.asarray(value, dtype), gains)
-        return metrics_of(shape, gains, parameters(scenario, dtype) if numbers is None else numbers)
+    Raises:
+        ConfigError: no such engine.
+        ValueError: no control law, or two metrics of one name. The function raises it for gains that the law does not
+            have, or cannot have, and for a metric that does not keep its shapes.
+    """
+    shape = structure(scenario, engine, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
+    law = law_of(scenario) if law is None else checked(law)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(law)):
+        return _simulate(scenario, law, shape)
+    return _simulator(scenario, _ByValue(law), shape)
+
+
+class _ByValue:
+    """A law as the key of a cache: equal to others of its class with the same values."""
+
+    def __init__(self, law: Law) -> None:
+        leaves, tree = jax.tree.flatten(law)
+        arrays = [np.asarray(leaf) for leaf in leaves]
+        self.law = law
+        self.key = tree, tuple((array.shape, array.dtype.str, array.tobytes()) for array in arrays)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _ByValue) and self.key == other.key
+
+
+@functools.lru_cache(maxsize=64)
+def _simulator(scenario: Scenario, law: _ByValue, shape: Structure) -> Callable[..., Metrics]:
+    return _simulate(scenario, law.law, shape)
+
+
+def _simulate(scenario: Scenario, law: Law, shape: Structure) -> Callable[..., Metrics]:
+    def simulate(gains: AnyGains | None = None, numbers: Parameters | None = None) -> Metrics:
+        dtype = _floating_dtype(law if gains is None else gains)
+        array = functools.partial(jnp.asarray, dtype=dtype)
+        numbers = jax.tree.map(array, parameters(scenario, dtype) if numbers is None else numbers)
+        walking, numbers, *_ = given(scenario, law, gains, numbers, array)
+        if shape.in_pieces:
+            walking, numbers = forward_only((walking, numbers), "for reverse mode make it without in_pieces")
+        return metrics_of(shape, walking, numbers)
 
     return simulate
 
 
-def _cast(tree: Tree, dtype: DTypeLike) -> Tree:
-    cast: Tree = jax.tree.map(lambda value: np.asarray(value, dtype), tree)
-    return cast
+def _floating_dtype(tree: Any) -> jnp.dtype:
+    """Return the precision of a tree's arrays, or the one in force where it holds plain numbers alone."""
+    arrays = [leaf for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
+    floats = [leaf for leaf in arrays if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.result_type(*floats) if floats else jnp.result_type(float)
 
 
 def rollout(
     scenario: Scenario,
-    gains: Gains | None = None,
+    gains: AnyGains | None = None,
     numbers: Parameters | None = None,
     *,
+    law: Law | None = None,
     dtype: DTypeLike = np.float64,
     engine: str = DEFAULT_ENGINE,
 ) -> Trajectory:
@@ -146,80 +187,93 @@ def rollout(
 
     Arguments:
         scenario: what walks where, under which controller and disturbance.
-        gains: of the admittance law; the scenario's own where None.
+        gains: in place of the law's own, by name: `Gains`, a mapping, or a law.
         numbers: parameters in place of the scenario's, unbatched.
+        law: the control law with its gains; the scenario's own where None.
         dtype: precision of the simulation; float64 needs no setting of JAX's.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
 
     Raises:
-        ValueError: batched gains or parameters (see `rollout_metrics`).
+        ConfigError: no such engine.
+        ValueError: batched gains or parameters (see `rollout_metrics`), or gains that the law does not have.
     """
-    gains, numbers = given(scenario, gains, numbers, dtype)
-    if batch_shape(gains, numbers) != ():
+    walker = given_in(scenario, law, gains, numbers, dtype)
+    if walker.shape != ():
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
     enable_cache()
     in_pieces = pieces_pay(engine)
+    shape = structure(scenario, engine, walker.numbers, in_pieces=in_pieces)
     with jax.enable_x64(np.dtype(dtype) == np.float64):
-        samples = _compiled_samples(in_pieces)(structure(scenario, engine, in_pieces=in_pieces), gains, numbers)
+        samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
         samples = jax.tree.map(np.asarray, samples)
-    return from_samples(samples, scenario, gains, numbers, load_robot(scenario.robot).limbs)
+    own = dataclasses.replace(walker.numbers, **walker.replaced)
+    return from_samples(samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs)
 
 
-def _six(gain: ArrayLike) -> np.ndarray:
-    """Return a gain with its axis of six, so that scalar gains need no program of their own."""
-    value = np.atleast_1d(gain)
-    return np.broadcast_to(value, (*value.shape[:-1], 6))
+def given_in(
+    scenario: Scenario, law: Law | None, gains: AnyGains | None, numbers: Parameters | None, dtype: DTypeLike
+) -> Given:
+    """Return law and parameters, the scenario's own where None is given, as arrays of numpy of a precision.
 
-
-def given(
-    scenario: Scenario, gains: Gains | None, numbers: Parameters | None, dtype: DTypeLike
-) -> tuple[Gains, Parameters]:
-    """Return gains and parameters as numpy arrays, the scenario's own where None is given."""
-    with jax.enable_x64(True):
-        gains = gains_of(scenario) if gains is None else gains
-        numbers = parameters(scenario) if numbers is None else numbers
-        six = {name: _six(getattr(gains, name)) for name in Gains.AXES}
-        return _cast(dataclasses.replace(gains, **six), dtype), _cast(numbers, dtype)
-
-
-def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
-    """Return the metrics of one walk: the numbers of `mjx_climb.METRICS`, in their units.
-
-    `detached_at` and `detached_limb` (a name) are None while all limbs hold; where the state stopped being finite
-    everything but `diverged` is None, as is what is not defined.
+    Raises:
+        ValueError: as `mjx_climb.rollouts.given.given`.
     """
-    robot = load_robot(trajectory.scenario.robot)
+    array = functools.partial(np.asarray, dtype=dtype)
+    with jax.enable_x64(True):
+        numbers = parameters(scenario) if numbers is None else numbers
+        return given(scenario, law, gains, jax.tree.map(array, numbers), array)
+
+
+def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict[str, float | str | bool | None]:
+    """Return the metrics of one walk, those of `mjx_climb.METRICS` or others, in their units.
+
+    `detached_at` and `detached_limb` (a name) are None while all limbs hold, as is what is not defined. Where the state
+    stopped being finite, `diverged`, the others are those of the walk until then.
+
+    Raises:
+        ValueError: two metrics of one name, or one that does not keep its shapes.
+    """
+    robot, numbers = load_robot(trajectory.scenario.robot), trajectory.numbers
     samples = to_samples(trajectory)
     dtype = samples.base_position.dtype
     with jax.enable_x64(dtype == np.float64):
         robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
-        robot = weighing(robot, jnp.asarray(trajectory.numbers.mass_scale, dtype)[None])
-        total = _accumulated(samples, robot, trajectory.scenario.time_step)
-        gravity = jnp.asarray(trajectory.numbers.gravity, dtype)[:, None]
-        heading = jnp.asarray(trajectory.numbers.heading, dtype)[None]
-        values = {name: value.item() for name, value in metrics_module.finish(total, gravity, heading).items()}
+        gravity, heading = jnp.asarray(numbers.gravity, dtype)[:, None], jnp.asarray(numbers.heading, dtype)[None]
+        context = Context(
+            weighing(robot, jnp.asarray(numbers.mass_scale, dtype)[None]),
+            gravity,
+            heading,
+            trajectory.scenario.time_step,
+        )
+        found = _accumulated(MetricTable(metrics), samples, context)
+        values = {name: value.item() for name, value in found.items()}
     return named(values, trajectory.limbs)
 
 
-@jax.jit
-def _accumulated(samples: Sample, robot: Robot, time_step: float) -> metrics_module.Accumulator:
-    dtype = samples.base_position.dtype
-    step = lambda total, sample: (metrics_module.accumulate(total, sample, robot, time_step), None)  # noqa: E731
-    return jax.lax.scan(step, metrics_module.start(1, dtype), samples)[0]
+@functools.partial(jax.jit, static_argnums=0)
+def _accumulated(metrics: MetricTable, samples: Sample, context: Context) -> Metrics:
+    def step(values: running.Running, sample: Sample) -> tuple[running.Running, None]:
+        return running.accumulate(metrics, values, sample, context), None
+
+    values = running.start(metrics, 1, samples.base_position.dtype)
+    return running.finish(metrics, jax.lax.scan(step, values, samples)[0], context)
 
 
 def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
     """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
     result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
-    result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
+    if "detached_limb" in values:
+        result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
     return result
 
 
 def rollout_metrics(
     scenario: Scenario,
-    gains: Gains | None = None,
+    gains: AnyGains | None = None,
     numbers: Parameters | None = None,
     *,
+    law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
     dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -230,8 +284,11 @@ def rollout_metrics(
 
     Arguments:
         scenario: what walks where.
-        gains: with leading batch axes, `Gains(damping=(..., 6), ...)`; the scenario's own where None.
+        gains: in place of the law's own, by name: `Gains(damping=(..., 6), ...)`, a mapping, or a law, with leading
+            batch axes.
         numbers: parameters with leading batch axes that broadcast with the gains'.
+        law: the control law with its gains, which may have leading batch axes too; the scenario's own where None.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         dtype: precision of the simulation.
         batch_size: at most so many robots in one call of the compiled program, one call at a time on a GPU and one on
             each core of a CPU.
@@ -240,77 +297,54 @@ def rollout_metrics(
         smooth: for searches, see `simulator`.
 
     Returns:
-        Arrays with the batch axes of gains and parameters, named as in `mjx_climb.METRICS`; NaN and -1 as `simulator`
-        says.
+        Arrays with the batch axes of gains and parameters, by the names of the metrics; NaN and -1 as `simulator` says.
+
+    Raises:
+        ConfigError: no such engine.
+        ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
     """
-    inputs = given(scenario, gains, numbers, dtype)
-    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    walkers = given_in(scenario, law, gains, numbers, dtype)
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     in_kernel = kernel_pays(engine, dtype)
 
     def program(robots: int) -> Callable[..., Metrics]:
         return _compiled_kernel() if in_kernel else _compiled_metrics(robots, walk.in_pieces)
 
-    return walk_batch(program, walk, inputs, batch_shape(*inputs), batch_size, progress)
+    return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress)
 
 
 def walk_batch(
     compiled: Callable[[int], Callable[..., Metrics]],
     structure: Structure,
-    inputs: tuple[Gains, *tuple[Gains | Parameters, ...]],
-    shape: tuple[int, ...],
+    walkers: Given,
+    others: Mapping[str, np.ndarray] = MappingProxyType({}),
+    own_axes_of_others: Mapping[str, int] = MappingProxyType({}),
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return what a batched program gives for a batch, walked in parts on all devices; see `rollout_metrics`.
 
-    `compiled` gives the program for so many robots. It takes the structure and the inputs,
-    trees of arrays whose batch axes broadcast to `shape`, with one batch axis instead, and returns a dict of arrays
-    with the batch as their first axis.
+    `compiled` gives the program for so many robots. It takes the structure, law, parameters, and the `others` where
+    there are any, with one batch axis in place of theirs, and returns a dict of arrays with the batch as their first
+    axis.
     """
+    law, numbers, shape, _ = walkers
     count = math.prod(shape)
     share = devices.share_size(count, batch_size)
-    gains, *others = inputs
-    flat, flat_others = _flattened(gains, shape), [_flattened(tree, shape) for tree in others]
-    double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(inputs))
+    trees: list[Any] = [law, numbers]
+    axes: list[Any] = [own_axes(law), own_axes(numbers)]
+    if others:
+        trees, axes = [*trees, dict(others)], [*axes, dict(own_axes_of_others)]
+    flat = flattened(trees, axes, shape)
+    double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(trees))
     enable_cache()
     walked = functools.partial(compiled(share), structure)
 
     def walk(rows: np.ndarray, sharding: Sharding) -> Metrics:
-        some = _rows(flat, rows)
-        stiffness = np.broadcast_to(some.stiffness, (share, *np.shape(some.stiffness)[-1:]))  # batched, come what may
-        some = dataclasses.replace(some, stiffness=stiffness)
+        law, numbers, *others = rows_of(flat, axes, rows)
+        numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, share))  # batched, come what may
         with jax.enable_x64(double):  # holds for one thread
-            return walked(*jax.device_put((some, *(_rows(tree, rows) for tree in flat_others)), sharding))
+            return walked(*jax.device_put((law, numbers, *others), sharding))
 
     result = devices.spread(walk, count, share, progress)
     return {name: value.reshape((*shape, *value.shape[1:])) for name, value in result.items()}
-
-
-def _flattened(tree: Tree, shape: tuple[int, ...]) -> Tree:
-    """Return gains or parameters with one batch axis wherever they vary, before each value's own axes."""
-    robots = math.prod(shape)
-    changes: dict[str, Any] = {}
-    for name, value in vars(tree).items():
-        if value is None:
-            continue
-        split = value.ndim - tree.AXES.get(name, 0)
-        tail = value.shape[split:]
-        count = math.prod(value.shape[:split])
-        changes[name] = (
-            np.broadcast_to(value, (*shape, *tail)).reshape(robots, *tail) if count > 1 else value.reshape(tail)
-        )
-    return dataclasses.replace(tree, **changes)
-
-
-def _rows(tree: Tree, rows: np.ndarray) -> Tree:
-    """Return some environments of a flattened tree."""
-    varying: dict[str, Any] = {
-        n: v[rows] for n, v in vars(tree).items() if v is not None and v.ndim > tree.AXES.get(n, 0)
-    }
-    return dataclasses.replace(tree, **varying)
-
-
-def _varying(tree: Tree) -> Tree:
-    """Return in place of each value of a flattened tree whether it varies from robot to robot."""
-    varying: dict[str, Any] = {n: jnp.ndim(v) > tree.AXES.get(n, 0) for n, v in vars(tree).items() if v is not None}
-    return dataclasses.replace(tree, **varying)

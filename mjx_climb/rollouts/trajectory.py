@@ -1,6 +1,7 @@
 """The full time histories of one robot's walk."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ class Trajectory:
     """
 
     scenario: Scenario
-    gains: Gains
+    gains: Gains | Mapping[str, np.ndarray]  # by name, where the law has others than the paper's
     numbers: Parameters  # the scenario's, or what was given in their place
     limbs: tuple[str, ...]
     time: Float[np.ndarray, " time"]  # s
@@ -44,6 +45,7 @@ class Trajectory:
     contact: Bool[np.ndarray, "time limb"]  # the ground acts on the foot
     detached: Bool[np.ndarray, "time limb"]  # the gripper was torn off before
     torn_off: Bool[np.ndarray, "time limb"]  # it is torn off in this step
+    missed: Bool[np.ndarray, "time limb"]  # it shuts out of reach in this step
     reachable: Bool[np.ndarray, "time limb"]  # the foot target was within reach
     base_reference: Float[np.ndarray, "time 3"]  # m, where the gait wants the base
     base_displacement: Float[np.ndarray, "time 6"]  # m, rad: shift by the control law, axes of the reference
@@ -56,7 +58,11 @@ class Trajectory:
 
 
 def from_samples(
-    samples: Sample, scenario: Scenario, gains: Gains, numbers: Parameters, limbs: tuple[str, ...]
+    samples: Sample,
+    scenario: Scenario,
+    gains: Gains | Mapping[str, np.ndarray],
+    numbers: Parameters,
+    limbs: tuple[str, ...],
 ) -> Trajectory:
     """Return the trajectory of samples stacked over time, (T, ..., 1) in the layout of the hot path."""
 
@@ -80,6 +86,6 @@ def to_samples(trajectory: Trajectory) -> Sample:
         return (np.swapaxes(value, 1, 2) if value.ndim == 3 else value)[..., None]
 
     samples = {name: hot(name) for name in Sample._fields}
-    for name in ("support", "contact", "detached", "torn_off", "reachable"):
+    for name in ("support", "contact", "detached", "torn_off", "missed", "reachable"):
         samples[name] = np.asarray(getattr(trajectory, name))[..., None]
     return Sample(**samples)

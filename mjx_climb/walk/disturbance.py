@@ -22,5 +22,8 @@ def push(numbers: Parameters, step: Array, time_step: float) -> Array:
     if not numbers.push_start.size:  # XLA cannot compile pieces of a step that work on nothing, see `kernels`
         return jnp.zeros((6, 1), numbers.push_force.dtype)
     active = _active(numbers.push_start, numbers.push_stop, step, time_step)
-    wrenches = jnp.concatenate([numbers.push_force, numbers.push_moment], axis=1)
+    force, moment = (jnp.asarray(value) for value in (numbers.push_force, numbers.push_moment))
+    if force.shape != moment.shape:  # one of them varies from environment to environment
+        force, moment = jnp.broadcast_arrays(force, moment)
+    wrenches = jnp.concatenate([force, moment], axis=1)
     return jnp.where(active[:, None], wrenches, 0.0).sum(0)

@@ -1,7 +1,7 @@
 """One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -9,34 +9,36 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.control import LAWS, Law, Measurement, Reference
-from mjx_climb.control.joint_loop import joint_torque
-from mjx_climb.dynamics import ENGINES, ForwardDynamics
+from mjx_climb.control import Law, Reference, Start, running
+from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State, integrate
-from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.hardware.control_period import period_steps
+from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
+from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
-from mjx_climb.walk import disturbance, gait
-from mjx_climb.walk.contact import Contact, grip
-from mjx_climb.walk.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.walk import control_loop, disturbance, gait
+from mjx_climb.walk.contact import Contact, Reach, grip
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
 
 class Structure(NamedTuple):
-    """What a compiled walk depends on, numbers apart; hashable."""
+    """What a compiled walk depends on, numbers and control law apart; hashable."""
 
     robot: str | RobotFile
     engine: str
-    controller: str
-    reading: str
     lift_off: tuple[tuple[str, float], ...]  # of each limb, as a share of the cycle
     base_reference: str
     steps: int
     time_step: float
-    smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
+    metrics: MetricTable = METRICS
+    smooth: bool = False  # no gripper is torn off
+    stages: Stages = IDEAL  # of hardware between law and joints
     in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`
 
 
@@ -44,11 +46,10 @@ class Walk(NamedTuple):
     """What stays the same from step to step."""
 
     robot: Robot
-    geometry: LimbGeometry | Chain
     numbers: Parameters
     grip_numbers: Parameters  # with an infinite holding limit where nothing is torn off
     plan: gait.Plan
-    law: Law
+    controller: control_loop.Controller
     forward_dynamics: ForwardDynamics
     cycle_start: Callable[[gait.Plan, gait.Schedule, Array, Array], tuple[Array, Array]]
     time_step: float
@@ -60,51 +61,115 @@ class Carry(NamedTuple):
     state: State
     contact: Contact
     gait: Array  # (3, B) m, what the gait remembers of the base
-    posture: Array | tuple[()]  # (N, L, B) rad, the joint targets, where the next ones are found from them
-    law: Any
+    law: running.Leaves
+    hardware: control_loop.Memory
 
 
-def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_pieces: bool = False) -> Structure:
-    """Return what a compiled walk of the scenario depends on beside its numbers."""
+def structure(
+    scenario: Scenario,
+    engine: str,
+    numbers: Parameters | None = None,
+    *,
+    metrics: Iterable[Metric] = METRICS,
+    smooth: bool = False,
+    in_pieces: bool = False,
+) -> Structure:
+    """Return what a compiled walk of the scenario depends on beside its law and its numbers: its own where None.
+
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off.
+
+    Raises:
+        ConfigError: no such engine.
+        ValueError: two metrics of one name.
+    """
+    if numbers is None:
+        with jax.enable_x64(True), jax.ensure_compile_time_eval():
+            numbers = parameters(scenario)
+    table = MetricTable(metrics)
     return Structure(
         robot=scenario.robot,
-        engine=engine,
-        controller=scenario.control.controller,
-        reading=scenario.control.reading,
+        engine=checked_engine(engine),
         lift_off=tuple(scenario.gait.lift_off.items()),
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
+        metrics=table.with_companions if smooth else table,
         smooth=smooth,
+        stages=_with_own_friction(stages_of(scenario, numbers), load_robot(scenario.robot)),
         in_pieces=in_pieces,
     )
 
 
-def prepare(structure: Structure, gains: Gains, numbers: Parameters) -> Walk:
-    """Return the walk for gains (6, B) and numbers (..., B): every choice by name is made here, once."""
-    dtype = jnp.result_type(gains.stiffness)
+def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> Walk:
+    """Return the walk of so many robots for a law with gains (..., B) and numbers (..., B).
+
+    Every choice by name is made here, once.
+    """
+    dtype = numbers.kp.dtype
     constants = load_robot(structure.robot)
     robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
+    stages, time_step = structure.stages, structure.time_step
+    period = jnp.asarray(numbers.control_period)
+    held = time_step * period_steps(period, time_step) if stages.control_period else time_step
+    drives = _with_armature(robot, jnp.asarray(numbers.armature)) if stages.armature else robot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
+    plan = gait.plan(robot, feet, numbers, structure.lift_off, structure.time_step)
+    begun = running.begin(law, Start(held, _first_reference(plan, batch)))
     return Walk(
         robot=weighing(robot, numbers.mass_scale),
-        geometry=geometry,
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
-        plan=gait.plan(robot, feet, numbers, structure.lift_off, structure.time_step),
-        law=LAWS[structure.controller, structure.reading](gains, structure.time_step),
-        forward_dynamics=ENGINES[structure.engine](_lighter_drives(robot, numbers.mass_scale)),
+        plan=plan,
+        controller=control_loop.Controller(begun, geometry, _with_friction_of(robot, numbers), stages, time_step),
+        forward_dynamics=ENGINES[structure.engine](_lighter_drives(drives, numbers.mass_scale)),
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
+
+
+def _first_reference(plan: gait.Plan, batch: int) -> Reference:
+    """Return what the gait asks for at the start."""
+    position = plan.base_start
+    if not gait.is_flat(plan):
+        position = position + gait.rise(plan, jnp.zeros(1))
+    return Reference(*(_each(value, batch) for value in (position, plan.base_orientation, gait.first_footholds(plan))))
+
+
+def _each(value: Array | np.ndarray, batch: int) -> Array:
+    """Return a value (..., 1 or B) for every robot, (..., B)."""
+    return jnp.broadcast_to(value, (*value.shape[:-1], batch))
 
 
 def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
     """Return the robot with all masses and inertias times `scale` (B,)."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     return dataclasses.replace(robot, **{name: getattr(robot, name) * scale for name in names})
+
+
+def _with_armature(robot: Robot, armature: Array) -> Robot:
+    """Return the robot with `armature` (B,) kg m^2 more at every joint than its file says."""
+    own: Any = jnp.zeros_like(robot.joint_lower) if robot.armature is None else robot.armature
+    return dataclasses.replace(robot, armature=own + armature)
+
+
+def _with_own_friction(stages: Stages, robot: Robot) -> Stages:
+    """Return the stages with those of friction that the robot's own file asks for."""
+    return stages._replace(
+        dry_friction=stages.dry_friction or robot.friction is not None,
+        viscous_friction=stages.viscous_friction or robot.damping is not None,
+    )
+
+
+def _with_friction_of(robot: Robot, numbers: Parameters) -> Parameters:
+    """Return the numbers with the friction that the robot's file says beside the scenario's, (N, L, B) where it does."""
+    dry, viscous = jnp.asarray(numbers.coulomb_friction), jnp.asarray(numbers.viscous_friction)
+    return dataclasses.replace(
+        numbers,
+        coulomb_friction=dry if robot.friction is None else dry + robot.friction,
+        viscous_friction=viscous if robot.damping is None else viscous + robot.damping,
+    )
 
 
 def _lighter_drives(robot: Robot, scale: Array | np.ndarray) -> Robot:
@@ -114,25 +179,21 @@ def _lighter_drives(robot: Robot, scale: Array | np.ndarray) -> Robot:
 
 def begin(walk: Walk, batch: int) -> Carry:
     """Return the rest stance with all grippers shut."""
-    dtype = walk.plan.base_start.dtype
-
-    def each(value: Array | np.ndarray) -> Array:
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (*value.shape[:-1], batch))
-
-    joints, position = each(walk.robot.stance_joints), each(walk.plan.base_start)
-    feet = each(gait.first_footholds(walk.plan))
+    position, orientation, feet = _first_reference(walk.plan, batch)
+    joints = _each(walk.robot.stance_joints, batch)
     if not gait.is_flat(walk.plan):
-        position = position + gait.rise(walk.plan, jnp.zeros(1))
-        rotation = quaternion_to_matrix(each(walk.plan.base_orientation))[:, :, None]
-        joints = inverse_kinematics(walk.geometry, rotate_back(rotation, feet - position[:, None])).joint_angles
+        rotation = quaternion_to_matrix(orientation)[:, :, None]
+        target = rotate_back(rotation, feet - position[:, None])
+        joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     shut = jnp.ones(feet.shape[1:], bool)
     still = jnp.zeros_like(position)
+    state = State(position, orientation, still, still, joints, jnp.zeros_like(joints))
     return Carry(
-        state=State(position, each(walk.plan.base_orientation), still, still, joints, jnp.zeros_like(joints)),
-        contact=Contact(grip_point=feet, touching=shut, detached=~shut),
+        state=state,
+        contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if walk.controller.stages.capture else ()),
         gait=position,
-        posture=joints if isinstance(walk.geometry, Chain) else (),
-        law=jax.tree.map(each, walk.law.initial),
+        law=walk.controller.law.initial,
+        hardware=control_loop.start(state, feet, walk.controller),
     )
 
 
@@ -153,29 +214,27 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         base_orientation=walk.plan.base_orientation,
         foot_position=gait.foot_targets(walk.plan, now, contact.grip_point),
     )
-    measurement = Measurement(
-        state.base_position,
-        state.base_orientation,
-        state.base_linear_velocity,
-        state.base_angular_velocity,
-        held.force,
-        wrench,
-        held.support,
+    hardware, law_state, driven = control_loop.run(
+        walk.controller,
+        carry.hardware,
+        carry.law,
+        state,
+        control_loop.Contacts(feet.lever, held.force, held.support, wrench),
+        reference,
+        step,
     )
-    law_state, command = walk.law.command(carry.law, measurement, reference)
-    target_rotation = quaternion_to_matrix(command.base_orientation)
-    target = rotate_back(target_rotation[:, :, None], command.foot_position - command.base_position[:, None])
-    last = carry.posture
-    joints = inverse_kinematics(walk.geometry, target, None if isinstance(last, tuple) else last)
-    torque = joint_torque(numbers, joints.joint_angles, state.joint_angles, state.joint_rates)
-    left = torque if robot.damping is None else torque - robot.damping * state.joint_rates
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
     push = disturbance.push(numbers, step, walk.time_step)
     # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
     share = 1 / numbers.mass_scale
     acceleration = walk.forward_dynamics(
-        state, left * share, held.force * share, push * share, cargo * share, jnp.asarray(numbers.gravity)
+        state,
+        driven.joint_torque * share,
+        held.force * share,
+        push * share,
+        cargo * share,
+        jnp.asarray(numbers.gravity),
     )
 
     mass = cargo + robot.total_mass
@@ -194,20 +253,21 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         joint_angles=state.joint_angles,
         joint_rates=state.joint_rates,
         joint_accelerations=acceleration.joints,
-        joint_targets=joints.joint_angles,
-        joint_torque=torque,
+        joint_targets=driven.joints.joint_angles,
+        joint_torque=driven.motor_torque,
         foot_position=feet.position,
         foot_velocity=feet.velocity,
-        foot_target=command.foot_position,
+        foot_target=driven.command.foot_position,
         foot_force=held.force,
         grip_point=contact.grip_point,
         support=held.support,
         contact=contact.touching,
         detached=carry.contact.detached,
         torn_off=held.torn_off,
-        reachable=joints.reachable,
+        missed=held.missed,
+        reachable=driven.joints.reachable,
         base_reference=reference.base_position,
-        base_displacement=command.base_displacement,
+        base_displacement=driven.command.base_displacement,
         base_wrench=wrench,
         push=push,
         cargo_mass=cargo,
@@ -217,7 +277,6 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         ),
         gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
     )
-    posture = () if isinstance(last, tuple) else joints.joint_angles
-    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, posture, law_state)
+    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state, hardware)
     # what all environments share (a gait of one timing, say) has a batch axis of one until here
     return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry), sample

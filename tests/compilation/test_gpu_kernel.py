@@ -11,8 +11,9 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.options import kernel_pays
-from mjx_climb.quantities.parameters import Gains, Parameters
-from mjx_climb.rollouts.rollout import metrics_of
+from mjx_climb.quantities.batches import varying
+from mjx_climb.quantities.parameters import Gains
+from mjx_climb.rollouts.rollout import given_in, metrics_of
 from mjx_climb.walk.step import structure
 
 ROBOTS = 140  # a block and a part of one
@@ -38,13 +39,9 @@ def walk_of(case, law, steps, dtype):
     numbers = dataclasses.replace(
         mc.parameters(scenario), gravity=np.array([0, 0, -1.0]) * spread(1), mass_scale=spread()
     )
-    arguments = jax.tree.map(lambda value: np.asarray(value, dtype), (gains, numbers))
-    varying = [
-        dataclasses.replace(tree, **{n: v.ndim > axes.get(n, 0) for n, v in vars(tree).items() if v is not None})
-        for tree, axes in zip(arguments, (Gains.AXES, Parameters.AXES), strict=True)
-    ]
+    arguments = given_in(scenario, None, gains, numbers, dtype)[:2]
     shape = structure(scenario, "limb", smooth=smooth)._replace(steps=steps)
-    return functools.partial(metrics_of, shape), arguments, varying
+    return functools.partial(metrics_of, shape), arguments, [varying(tree) for tree in arguments]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.control import LAWS, Measurement, Reference
+from mjx_climb.control import LAWS, Measurement, Reference, Start
 from mjx_climb.control.virtual_model import VirtualState, advance, discretize
 from mjx_climb.dynamics.kinematics import Feet, limb_frames
 from mjx_climb.dynamics.spatial import rotate_back
@@ -312,8 +312,8 @@ pose = st.tuples(*[st.floats(-0.3, 0.3)] * 12).map(lambda values: np.array(value
 
 @jax.jit
 def measured_pose(gains, measurement, reference):
-    law = LAWS["base_admittance", "measured_pose"](gains, STEP)
-    return law.command(law.initial, measurement, reference)[1]
+    law = LAWS["base_admittance", "measured_pose"](gains.inertia, gains.damping, gains.stiffness)
+    return law.step(law.init(Start(STEP, reference)), measurement, reference)[1]
 
 
 @given(inertias, power(-1, 3), power(-1, 5), pose, pose)

@@ -224,14 +224,11 @@ def test_what_cannot_be_walked_is_refused_with_its_key(written, name):
     assert len(str(refused.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("element", "expected"),
-    [('<dynamics friction="0.1"/>', "no joint friction")],
-)
-def test_what_is_not_simulated_is_refused(written, element, expected):
-    source = mc.Scenario.model_validate(written(0, [("</joint>", f"{element}</joint>")])).robot
-    with pytest.raises(mc.RobotError, match=expected):
-        load_robot(source)
+def test_friction_and_damping_of_the_file_are_taken(written):
+    dynamics = '<dynamics damping="0.1" friction="0.02"/>'
+    robot = load_robot(mc.Scenario.model_validate(written(0, [("</joint>", f"{dynamics}</joint>")])).robot)
+    np.testing.assert_array_equal(robot.damping, np.full((3, 4, 1), 0.1))
+    np.testing.assert_array_equal(robot.friction, np.full((3, 4, 1), 0.02))
 
 
 @pytest.mark.parametrize(

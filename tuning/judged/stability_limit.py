@@ -8,6 +8,7 @@ for any positive gains.
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -15,17 +16,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jax.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State
-from mjx_climb.quantities.parameters import batch_last
+from mjx_climb.hardware.stages import IDEAL
+from mjx_climb.quantities.batches import batch_last, flattened, own_axes, rows_of
+from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.walk import gait
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
-from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
+from mjx_climb.walk.step import Structure, advance, begin, prepare, structure
 
 _CHUNK = 64  # gain sets per compiled batch
 _EQUATIONS = 400  # in a piece: compiles faster than smaller ones, see `mjx_climb.compilation.cpu_pieces`
@@ -35,19 +38,19 @@ _Varied = tuple[State, Any]  # of the robot and of the law
 
 def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEFAULT_ENGINE) -> np.ndarray:
     """Return the largest magnitude (B,) of an eigenvalue of one step, for gains (B, 6); the loop is stable below 1."""
-    flat = [np.broadcast_to(np.asarray(v, float), (*np.shape(gains.stiffness)[:-1], 6)) for v in _six(gains)]
-    count = len(flat[0])
-    kp, kd = (_joint(gains, name, scenario, count) for name in ("kp", "kd"))
-    numbers = _calm(scenario)
-    shape = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine))
+    law, numbers, shape, _ = given_in(scenario, None, gains, _calm(scenario), np.float64)
+    count = math.prod(shape)
+    trees, axes = (law, numbers), (own_axes(law), own_axes(numbers))
+    flat = flattened(trees, axes, shape)
+    walk = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine))._replace(stages=IDEAL)
     radii = []
     with jax.enable_x64(True):
-        run = _program(shape, scenario.gait.cycle * (1 - scenario.gait.duty))
+        run = _program(walk, scenario.gait.cycle * (1 - scenario.gait.duty))
         for start in range(0, count, _CHUNK):
             rows = np.minimum(np.arange(start, start + _CHUNK), count - 1)
-            inertia, damping, stiffness = (value[rows] for value in flat)
-            part = mc.Gains(inertia, damping, stiffness, kp[rows], kd[rows])
-            matrices = np.asarray(run(part, numbers))
+            some, there = rows_of(flat, axes, rows)
+            there = dataclasses.replace(there, kp=np.broadcast_to(there.kp, len(rows)))  # batched, come what may
+            matrices = np.asarray(run(some, there))
             finite = np.isfinite(matrices).all((1, 2))
             radius = np.full(len(rows), np.inf)
             radius[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(1)
@@ -74,20 +77,11 @@ def over_map(scenario: mc.Scenario, walks: xr.Dataset, *, engine: str = DEFAULT_
 
 
 @functools.lru_cache(maxsize=8)
-def _program(shape: Structure, swing_time: float) -> Callable[[mc.Gains, mc.Parameters], jax.Array]:
+def _program(shape: Structure, swing_time: float) -> Callable[[Law, mc.Parameters], jax.Array]:
     options = mc.compiler_options(_CHUNK, in_pieces=shape.in_pieces)
     if shape.in_pieces:
         options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
     return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=options)
-
-
-def _six(gains: mc.Gains) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
-    return gains.inertia, gains.damping, gains.stiffness
-
-
-def _joint(gains: mc.Gains, name: str, scenario: mc.Scenario, count: int) -> np.ndarray:
-    value = getattr(gains, name)
-    return np.broadcast_to(np.asarray(getattr(scenario.control, name) if value is None else value, float), count)
 
 
 def _calm(scenario: mc.Scenario) -> mc.Parameters:
@@ -100,17 +94,17 @@ def _calm(scenario: mc.Scenario) -> mc.Parameters:
     return calm
 
 
-def _jacobian(shape: Structure, swing_time: float, gains: mc.Gains, numbers: mc.Parameters) -> jax.Array:
+def _jacobian(shape: Structure, swing_time: float, law: Law, numbers: mc.Parameters) -> jax.Array:
     """Return the matrices (B, s, s) that map a small change of state over one step."""
-    batch = jnp.shape(gains.stiffness)[0]
-    walk = prepare(shape, *batch_last(gains, numbers, (batch,), jnp.result_type(float)))
+    batch, dtype = len(numbers.kp), jnp.result_type(float)
+    walk = prepare(shape, batch_last(law, (batch,), dtype), batch_last(numbers, (batch,), dtype), batch)
     carry = begin(walk, batch)
     step = jnp.asarray(round(swing_time / 2 / shape.time_step))
     now = gait.schedule(walk.plan, step)
     base = jnp.broadcast_to(gait.base_reference(walk.plan, now, walk.plan.base_start), (3, batch))
     rotation = quaternion_to_matrix(walk.plan.base_orientation)[:, :, None]
     target = gait.foot_targets(walk.plan, now, carry.contact.grip_point)
-    joints = inverse_kinematics(walk.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
+    joints = inverse_kinematics(walk.controller.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
     closed = jnp.broadcast_to(now.closed, carry.contact.touching.shape)
     carry = carry._replace(
         state=dataclasses.replace(carry.state, base_position=base, joint_angles=joints),
@@ -126,7 +120,7 @@ def _jacobian(shape: Structure, swing_time: float, gains: mc.Gains, numbers: mc.
     ]
 
     def stepped(before: _Varied) -> _Varied:
-        after, _ = advance(walk, Carry(before[0], carry.contact, carry.gait, before[1]), step)
+        after, _ = advance(walk, carry._replace(state=before[0], law=before[1]), step)
         return after.state, after.law
 
     def columns(before: _Varied, directions: _Varied) -> _Varied:

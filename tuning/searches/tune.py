@@ -21,7 +21,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import PACKAGES, OutputError
-from mjx_climb.quantities.parameters import batch_shape
+from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.robot.constants import model_path
 from tuning.problem import evaluation, objectives, spaces
 from tuning.problem.evaluation import Evaluation, Problem
@@ -140,7 +140,7 @@ def problem_of(
         target = function
     else:
         target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine), function)
-    members = 1 if numbers is None else math.prod(batch_shape(mc.Gains(1.0, 1.0, 1.0), numbers))
+    members = 1 if numbers is None else math.prod(batch_shape(numbers))
     dtype = np.dtype(search.precision).type
     return Problem(scenario, space, target, numbers, members, dtype, engine)
 
@@ -165,7 +165,7 @@ def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evalua
         "row": np.arange(count),
         "phase": np.full(count, request.phase),
         "env_steps": np.full(count, spent),
-        **{name: found.metrics[name] for name in mc.METRICS},
+        **{name: found.metrics[name] for name in mc.METRICS.names},
     }
     for name, values in columns.items():
         arrays.setdefault(name, []).append(values)

@@ -1,0 +1,152 @@
+"""What a caller gives of law, gains and parameters, resolved and checked once, before anything is traced."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mjx_climb.control import PD, Law, law_of
+from mjx_climb.quantities.batches import batch_shape
+from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.scenario.model import Scenario
+
+AnyGains = Gains | Law | Mapping[str, Any]  # values by name
+
+_JOINT_LOOP = {"kp": 0.0, "kd": 0.0}
+_NUMBERS = {1: "one", 3: "three", 6: "six"}
+
+
+class Given(NamedTuple):
+    """What walks: a law whose gains have their full length, parameters, and the batch shape of both."""
+
+    law: Law
+    numbers: Parameters  # with the joint gains that were given
+    shape: tuple[int, ...]
+    replaced: dict[str, Any]  # the joint gains of the parameters themselves, where others were given
+
+
+def given(
+    scenario: Scenario,
+    law: Law | None,
+    gains: AnyGains | None,
+    numbers: Parameters,
+    array: Callable[[Any], Any],
+) -> Given:
+    """Return the law with the gains given in place of its own, and parameters with the joint gains among them.
+
+    Arguments:
+        scenario: whose own law walks where `law` is None.
+        law: with its own gains.
+        gains: values that replace those of the law by name; `kp` and `kd` replace those of the parameters.
+        numbers: the parameters.
+        array: makes arrays of the precision of the walk.
+
+    Raises:
+        ValueError: in one line, a law that is none, an unknown name, a wrong shape, or a gain that is not positive.
+    """
+    law = law_of(scenario) if law is None else checked(law)
+    values = values_by_name(law, gains)
+    joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
+    own = {name: values.get(name, getattr(law, name)) for name in law.GAINS}
+    whole = {name: array(_full_length(law, name, value)) for name, value in own.items()}
+    replaced = {name: getattr(numbers, name) for name in joint}
+    law, numbers = dataclasses.replace(law, **whole), dataclasses.replace(numbers, **joint)  # type: ignore[type-var]
+    # gains of a law without any still say how many walk
+    others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
+    shape = jnp.broadcast_shapes(batch_shape(law, numbers), *others)
+    if shape != batch_shape(law, numbers):
+        numbers = dataclasses.replace(numbers, kp=_broadcast(numbers.kp, shape))
+    return Given(law, numbers, shape, replaced)
+
+
+def recorded(scenario: Scenario, gains: AnyGains | None, walker: Given) -> Gains | dict[str, Any]:
+    """Return the gains of a walk to be kept with it, six axes each where the law has those of the paper, or none.
+
+    A law of translations leaves the rotations as they were given, or as the scenario has them.
+    """
+    joint = {name: getattr(walker.numbers, name) for name in walker.replaced}
+    if not set(walker.law.GAINS) <= set(Gains.AXES):
+        return {name: getattr(walker.law, name) for name in walker.law.GAINS} | joint
+    dtype, six = walker.numbers.kp.dtype, {}
+    for name in Gains.AXES:
+        place = gains if isinstance(gains, Gains) else scenario.control
+        value = np.array(np.broadcast_to(np.asarray(getattr(place, name), dtype), 6))
+        own = getattr(walker.law, name, value)
+        value[: own.size] = own
+        six[name] = value
+    return Gains(**six, **joint)
+
+
+def checked(law: Law) -> Law:
+    """Return a law as it is.
+
+    Raises:
+        ValueError: no instance of `mjx_climb.Law`, or a field that cannot be hashed.
+    """
+    if not isinstance(law, Law):
+        made = f"; {law.__name__}() makes one" if isinstance(law, type) and issubclass(law, Law) else ""
+        raise ValueError(f"law: expected an instance of a class that inherits from mjx_climb.Law, got {law!r}{made}")
+    try:
+        hash(jax.tree.structure(law))
+    except TypeError as error:
+        raise ValueError(
+            f"{type(law).__name__}: expected fields that can be hashed beside its gains: {error}"
+        ) from None
+    return law
+
+
+def values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
+    """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
+    if gains is None:
+        return {}
+    if isinstance(gains, Gains):
+        values = {name: value for name, value in vars(gains).items() if value is not None}
+        for name, field in law.GAINS.items():
+            if field.length == 3 and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
+                values[name] = values[name][..., :3]
+        if isinstance(law, PD):
+            return values
+    else:
+        values = dict(gains) if isinstance(gains, Mapping) else {name: getattr(gains, name) for name in gains.GAINS}
+    if unknown := [name for name in values if name not in law.GAINS and name not in _JOINT_LOOP]:
+        known = ", ".join([*law.GAINS, *_JOINT_LOOP])
+        raise ValueError(f"gains.{unknown[0]}: expected one of {known}, the gains of {type(law).__name__}")
+    return values
+
+
+def _full_length(law: Law, name: str, value: Any) -> Any:
+    """Return a gain with its last axis of so many values as the law says."""
+    field = law.GAINS[name]
+    value = _checked(f"gains.{name}", value, field.length, field.bounds[0])
+    if field.length == 1:
+        return value
+    value = value if value.ndim else value[None]
+    return _broadcast(value, (*value.shape[:-1], field.length))
+
+
+def _broadcast(value: Any, shape: tuple[int, ...]) -> Any:
+    return np.broadcast_to(value, shape) if isinstance(value, np.ndarray) else jnp.broadcast_to(value, shape)
+
+
+def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
+    """Return the values of a gain as an array, of whatever precision they have.
+
+    Raises:
+        ValueError: not so many on the last axis, or values known now that are not finite or too small.
+    """
+    value = value if isinstance(value, jax.Array) else np.asarray(value, float if np.ndim(value) == 0 else None)
+    if length > 1 and value.ndim and value.shape[-1] not in (1, length):
+        raise ValueError(f"{name}: expected a scalar or a last axis of {_NUMBERS[length]}, got shape {value.shape}")
+    if isinstance(value, jax.core.Tracer):
+        return value
+    known = np.asarray(value)
+    zero_is_fine = name == "gains.kd" or low == 0
+    wrong = ~np.isfinite(known) | (~(low < 0) & ((known < 0) | ((known == 0) & (not zero_is_fine))))
+    if wrong.any():
+        expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero_is_fine else 'above 0'}"
+        raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
+    return value
