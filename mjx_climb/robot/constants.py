@@ -10,7 +10,8 @@ import jax
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.robot_file import RobotError, model_of, spec_of
+from mjx_climb.robot.description import RobotError
+from mjx_climb.robot.robot_file import model_of, spec_of
 from mjx_climb.scenario.model import RobotFile
 
 __all__ = [

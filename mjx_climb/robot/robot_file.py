@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.description import JOINTS, RobotError, bare, line_of
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import Limb, RobotFile
 
@@ -16,11 +17,6 @@ _TINY = 1e-9  # kg
 _REACH = 1.0  # m, of a sliding joint without limits, either way
 _SHORT = 1e-3  # m, links too short to draw
 _PAD = (1e-9, 1e-12)  # kg, kg m^2: of a joint that only fills up a limb of fewer joints than others, at its foot
-_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-
-
-class RobotError(ValueError):
-    """A model that mjx_climb cannot use: the message names the model and what was expected."""
 
 
 class _Link(NamedTuple):
@@ -40,17 +36,24 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     """Return a robot file as simulated: floating base, limbs of as many joints each, foot sites, rest stance.
 
     The base frame has the axes of the file's base link and sits at the base's centre of mass. Only masses, joints with
-    the armature, damping and dry friction of their drives, and feet are taken over; the bodies are drawn as plain shapes. Limbs come
-    counter-clockwise, seen from above, by where their feet stand. One of fewer joints than others is filled up with
-    joints at its foot that move nothing.
+    the armature, damping and dry friction of their drives, and feet are taken over; the bodies are drawn as plain
+    shapes. Limbs come counter-clockwise, seen from above, by where their feet stand. One of fewer joints than others is
+    filled up with joints at its foot that move nothing.
 
     Raises:
         RobotError: in one line, the key of the config, what was expected and what the file has.
     """
+    spec, offset = unposed(source)
+    _stand(source, spec, offset)
+    return spec
+
+
+def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
+    """Return the robot of `spec_of` before it stands, and its base's centre of mass in its link's frame, (3,) m."""
     file = _compiled(source)
     locked = _locked(source, file)
     data = mujoco.MjData(file)
-    data.qpos[file.jnt_qposadr[np.isin(file.jnt_type, _JOINTS)]] = 0
+    data.qpos[file.jnt_qposadr[np.isin(file.jnt_type, JOINTS)]] = 0
     data.qpos[file.jnt_qposadr[list(locked)]] = list(locked.values())
     mujoco.mj_kinematics(file, data)
     part = _parts(file, locked)
@@ -71,13 +74,13 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     joints = max(map(len, chains.values()))
     for limb, chain in chains.items():
         _add_limb(source, trunk, limb, chain, joints, file, data, part, axes, body.center)
-    offset = axes.T @ (body.center - data.xpos[base])  # the base's centre of mass in its own link's frame
-    _stand(source, spec, offset)
-    return spec
+    return spec, axes.T @ (body.center - data.xpos[base])
 
 
-def _error(source: RobotFile, key: str, expected: str, got: str) -> RobotError:
-    return RobotError(" ".join(f"{source.file}: robot.{key}: expected {expected}, got {got}".split()))
+def _error(source: RobotFile, key: str, expected: str, got: str, element: str | None = None) -> RobotError:
+    """Return what is wrong in one line, with that of the file where an element of that name stands."""
+    place = source.file if element is None else line_of(source.file, element)
+    return RobotError(" ".join(f"{place}: robot.{key}: expected {expected}, got {got}".split()))
 
 
 def _compiled(source: RobotFile) -> mujoco.MjModel:
@@ -87,30 +90,6 @@ def _compiled(source: RobotFile) -> mujoco.MjModel:
     except (ValueError, OSError, mujoco.FatalError) as error:
         reason = str(error).splitlines()[0] if str(error) else "an empty one"
         raise _error(source, "file", "an MJCF or URDF that MuJoCo loads", reason) from None
-
-
-def bare(file: str) -> mujoco.MjSpec:
-    """Return the description in a file without what the dynamics do not need: shapes of weighed bodies, looks, drives.
-
-    A URDF has its inertias written down, and so have many an MJCF's bodies: their shapes, and the files of meshes, do
-    not matter.
-    """
-    spec = mujoco.MjSpec.from_file(file)
-    urdf = file.lower().endswith(".urdf")
-    for part in (*spec.actuators, *spec.sensors, *spec.pairs, *spec.excludes, *spec.skins):
-        spec.delete(part)
-    weighs_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    for geom in spec.geoms:
-        weighed = urdf or (geom.parent.explicitinertial and not weighs_shapes) or geom.parent.name == "world"
-        if weighed or (geom.mass == 0 and geom.density == 0):
-            spec.delete(geom)
-    used = {geom.meshname for geom in spec.geoms}
-    for geom in spec.geoms:
-        geom.material = ""
-    for part in (*(mesh for mesh in spec.meshes if mesh.name not in used), *spec.materials, *spec.textures):
-        spec.delete(part)
-    spec.compiler.fusestatic = False
-    return spec
 
 
 def _around(source: RobotFile) -> dict[str, Limb]:
@@ -124,7 +103,7 @@ def _locked(source: RobotFile, file: mujoco.MjModel) -> dict[int, float]:
     held = {}
     for name, value in source.locked.items():
         joint = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_JOINT, name)
-        if joint < 0 or file.jnt_type[joint] not in _JOINTS:
+        if joint < 0 or file.jnt_type[joint] not in JOINTS:
             raise _error(source, f"locked.{name}", "a revolute or prismatic joint of the file", "none of that name")
         held[joint] = value
     return held
@@ -146,15 +125,15 @@ def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, name_of_li
     key, joints = f"limbs.{name_of_limb}.joints", []
     for name in limb.joints:
         joint = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_JOINT, name)
-        if joint < 0 or file.jnt_type[joint] not in _JOINTS:
+        if joint < 0 or file.jnt_type[joint] not in JOINTS:
             known = ", ".join(file.joint(i).name for i in range(file.njnt)) or "none"
             raise _error(source, key, f"revolute or prismatic joints of the file ({known[:200]})", repr(name))
         if name in dict(source.locked.items()):
             raise _error(source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}")
         if file.jnt_stiffness[joint]:
-            raise _error(source, key, "no joint springs, which are not simulated", f"one at {name!r}")
+            raise _error(source, key, "no joint springs, which are not simulated", f"one at {name!r}", name)
         if file.body_jntnum[file.jnt_bodyid[joint]] != 1:
-            raise _error(source, key, "one joint for each body", f"several at that of {name!r}")
+            raise _error(source, key, "one joint for each body", f"several at that of {name!r}", name)
         joints.append(joint)
     for inner, outer in itertools.pairwise(joints):
         if part[file.body_parentid[file.jnt_bodyid[outer]]] != file.jnt_bodyid[inner]:
@@ -187,7 +166,7 @@ def _no_more(
         if joint not in ours and joint not in locked and not floats:
             name = file.joint(joint).name
             expected = f"no joints but those named and the base's own (robot.locked.{name}: 0 would hold it)"
-            raise _error(source, "limbs", expected, repr(name))
+            raise _error(source, "limbs", expected, repr(name), name)
     if file.neq:
         raise _error(source, "file", "no equality constraints, which are not simulated", f"{file.neq}")
 
@@ -211,7 +190,7 @@ def _foot(
     source: RobotFile, file: mujoco.MjModel, data: mujoco.MjData, part: np.ndarray, limb: str, last: int
 ) -> np.ndarray:
     """Return the foot of a limb, in world axes: a site or a body fixed to the last link."""
-    name = dict(source.limbs.items())[limb].foot
+    name, at = dict(source.limbs.items())[limb].foot, np.array(dict(source.limbs.items())[limb].at)
     site = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_SITE, name)
     body = file.site_bodyid[site] if site >= 0 else mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 0:
@@ -219,7 +198,8 @@ def _foot(
     if part[body] != file.jnt_bodyid[last]:
         got = f"{name!r}, which is not fixed to it"
         raise _error(source, f"limbs.{limb}.foot", f"a place on the link of joint {file.joint(last).name!r}", got)
-    return np.asarray(data.site_xpos[site] if site >= 0 else data.xpos[body])
+    position, axes = (data.site_xpos[site], data.site_xmat[site]) if site >= 0 else (data.xpos[body], data.xmat[body])
+    return np.asarray(position + axes.reshape(3, 3) @ at)
 
 
 def _axes(file: mujoco.MjModel, data: mujoco.MjData, chain: list[int]) -> list[np.ndarray]:
@@ -246,7 +226,7 @@ def _limits(source: RobotFile, file: mujoco.MjModel, limb: str, joint: int) -> t
     if not lower < upper:
         name = file.joint(joint).name
         expected = f"limits of {name!r} in ascending order"
-        raise _error(source, f"limbs.{limb}.joints", expected, f"{lower:g} to {upper:g}")
+        raise _error(source, f"limbs.{limb}.joints", expected, f"{lower:g} to {upper:g}", name)
     if not slides and upper - lower > 2 * np.pi and lower <= -np.pi and upper >= np.pi:
         return -np.pi, np.pi  # as free as a joint without limits
     return float(lower), float(upper)
@@ -303,7 +283,8 @@ def _add_limb(
         link = _link(file, data, np.flatnonzero(part == file.jnt_bodyid[joint]))
         if link.mass <= _TINY:
             got = f"none at {file.joint(joint).name!r}"
-            raise _error(source, f"limbs.{limb}.joints", "links that have a mass", got)
+            name = file.joint(joint).name
+            raise _error(source, f"limbs.{limb}.joints", "links that have a mass", got, name)
         _weigh(body, link._replace(center=axes.T @ (link.center - origin), inertia=axes.T @ link.inertia @ axes))
         _draw(body, axes.T @ (end - origin), first=n == 0, last=n == len(chain) - 1)
         parent_axes, parent_origin = axes, origin

@@ -206,6 +206,7 @@ class Limb(Section):
 
     joints: JointNames = Field(description="names of its joints, two to seven, from the base outwards")
     foot: Word = Field(description="name of the site, body or link that is the foot")
+    at: Vector = Field(default=(0.0, 0.0, 0.0), description="where on it the foot is, in its own frame, m")
     foothold: Pair = Field(
         description="where the foot stands in the rest stance: x ahead, y left, base link's frame, m"
     )

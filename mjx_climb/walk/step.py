@@ -163,7 +163,7 @@ def _with_own_friction(stages: Stages, robot: Robot) -> Stages:
 
 
 def _with_friction_of(robot: Robot, numbers: Parameters) -> Parameters:
-    """Return the numbers with the friction that the robot's file says beside the scenario's, (N, L, B) where it does."""
+    """Return the numbers with the friction in the robot's file beside the scenario's, (N, L, B) where there is some."""
     dry, viscous = jnp.asarray(numbers.coulomb_friction), jnp.asarray(numbers.viscous_friction)
     return dataclasses.replace(
         numbers,
