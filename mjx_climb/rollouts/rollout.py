@@ -14,8 +14,10 @@ from jax import Array
 from jax.sharding import Sharding
 from numpy.typing import DTypeLike
 
+from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.options import compiler_options, enable_cache, kernel_pays, pieces_pay
@@ -87,8 +89,9 @@ def _metrics_in_kernel(structure: Structure, law: Law, numbers: Parameters) -> M
 
 
 @functools.cache
-def _compiled_kernel() -> Callable[..., Metrics]:
-    return jax.jit(_metrics_in_kernel, static_argnums=0)
+def _compiled_kernel(batch: int) -> Callable[..., Metrics]:
+    kernel = jax.jit(_metrics_in_kernel, static_argnums=0)
+    return first_possible(kernel, functools.partial(_compiled_metrics, batch, False), "the GPU kernel")
 
 
 def simulator(
@@ -194,9 +197,10 @@ def rollout(
         engine: the dynamics, one of `mjx_climb.ENGINES`.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: batched gains or parameters (see `rollout_metrics`), or gains that the law does not have.
     """
+    check_time_step(scenario)
     walker = given_in(scenario, law, gains, numbers, dtype)
     if walker.shape != ():
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
@@ -245,8 +249,9 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
             heading,
             trajectory.scenario.time_step,
         )
-        found = _accumulated(MetricTable(metrics), samples, context)
-        values = {name: value.item() for name, value in found.items()}
+        table = MetricTable(metrics)
+        found = _accumulated(table, samples, context)
+        values = {name: found[name].item() for name in table.names}
     return named(values, trajectory.limbs)
 
 
@@ -300,15 +305,16 @@ def rollout_metrics(
         Arrays with the batch axes of gains and parameters, by the names of the metrics; NaN and -1 as `simulator` says.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
     """
+    check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     in_kernel = kernel_pays(engine, dtype)
 
     def program(robots: int) -> Callable[..., Metrics]:
-        return _compiled_kernel() if in_kernel else _compiled_metrics(robots, walk.in_pieces)
+        return _compiled_kernel(robots) if in_kernel else _compiled_metrics(robots, walk.in_pieces)
 
     return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress)
 

@@ -124,9 +124,11 @@ def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", c
     Raises:
         ConfigError: settings that make no sense, by themselves or for the scenario.
     """
+    from mjx_climb import METRICS
     from tuning.problem import search as settings
 
     own = settings.Search() if file is None else settings.load(file)
+    settings.check_metrics(own, METRICS, str(file))
     wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
     check_space(scenario, wanted, config, file)
     return wanted

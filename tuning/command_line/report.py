@@ -36,10 +36,13 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
         return f"diverged at {at:.3f} s"
     if metrics["detached_limb"] is not None:
         return f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s"
+    if missed := metrics.get("missed_grips"):
+        return f"every grip held, but {missed} missed the ground"
     return "held all the way"
 
 
-def _table(*columns: str) -> Table:
+def plain_table(*columns: str) -> Table:
+    """Return an empty table: words to the left, numbers to the right."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
     for name in columns:
         left = name in ("", "metric", "unit")
@@ -47,25 +50,26 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def walk_table(metrics: Mapping[str, Any]) -> Table:
+def walk_table(metrics: Mapping[str, Any], about: "mc.MetricTable | None" = None) -> Table:
     """Return the table of one walk."""
-    table = _table("metric", "value", "unit")
+    table = plain_table("metric", "value", "unit")
     for name, value in metrics.items():
-        table.add_row(name, number(value), unit(name))
+        table.add_row(name, number(value), unit(name, about))
     return table
 
 
-def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
+def comparison_table(walks: "Compared", baseline: str, width: int, about: "mc.MetricTable | None" = None) -> Table:
     """Return walks side by side, each with its change against the baseline where `width` characters have room.
 
     Arguments:
         walks: by name, gains (None for a controller without) and metrics; the baseline is one of them.
         width: of the terminal.
+        about: the metrics themselves; the shipped ones where None.
     """
     gains = {name: held for name, (held, _) in walks.items()}
     metrics = {name: values for name, (_, values) in walks.items()}
     compared = [name for name in walks if name != baseline and width >= 38 + 19 * (len(walks) - 1)]
-    table = _table(
+    table = plain_table(
         "metric", "unit", *(t for name in walks for t in [name, f"vs {baseline} %"][: 1 + (name in compared)])
     )
 
@@ -77,13 +81,13 @@ def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
         add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == "inertia")
     for key, base in metrics[baseline].items():
         changes = {name: change(metrics[name][key], base) for name in compared}
-        add(key, unit(key), {name: number(metrics[name][key]) for name in walks}, changes)
+        add(key, unit(key, about), {name: number(metrics[name][key]) for name in walks}, changes)
     return table
 
 
 def gains_table(walks: "Compared") -> Table:
     """Return the gains of walks, axis by axis where the axes differ."""
-    table = _table("metric", *(name for name in walks if walks[name][0] is not None))
+    table = plain_table("metric", *(name for name in walks if walks[name][0] is not None))
     table.columns[0].header = "gain"
     held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
     for key in ("stiffness", "damping", "inertia"):

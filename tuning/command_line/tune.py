@@ -146,8 +146,10 @@ def tune(
         if ensemble is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
         own = settings.Search() if search is None else settings.load(search)
+        settings.check_metrics(own, mc.METRICS, str(search))
         try:
             wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "")
+            settings.check_metrics(wanted, mc.METRICS, "")
         except mc.ConfigError as error:
             raise InputError(options.in_options(str(error).removeprefix(": "))) from None
         options.check_space(scenario, wanted, config, None if pin or bound else search)

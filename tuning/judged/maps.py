@@ -1,6 +1,6 @@
 """Maps: what walks over a grid of stiffness and damping are worth, and where the closed loop is unstable."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax
@@ -18,7 +18,12 @@ DIMENSIONS = ("stiffness", "damping")
 
 
 def with_objective(
-    walks: xr.Dataset, scenario: mc.Scenario, search: Search | None = None, *, engine: str = DEFAULT_ENGINE
+    walks: xr.Dataset,
+    scenario: mc.Scenario,
+    search: Search | None = None,
+    *,
+    engine: str = DEFAULT_ENGINE,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
 ) -> xr.Dataset:
     """Add what a search would make of each cell: `objective`, 1 for pd, and `feasible`, keeps every limit.
 
@@ -27,10 +32,11 @@ def with_objective(
         scenario: the one that was walked.
         search: weights and limits; the default ones where None.
         engine: the dynamics, for the walk of pd.
+        metrics: of the walks.
     """
-    problem = problem_of(scenario, search or Search(), engine=engine)
+    problem = problem_of(scenario, search or Search(), engine=engine, metrics=metrics)
     walks = walks.transpose(*DIMENSIONS, ...)
-    score = score_of(problem.objective, {name: walks[name].values for name in mc.METRICS.names})
+    score = score_of(problem.objective, {name: walks[name].values for name in problem.metrics.names})
     value = np.where(np.isfinite(score.value), score.value, np.nan)
     return walks.assign(
         objective=(DIMENSIONS, value, {"units": "1", "long_name": "objective, 1 for pd"}),

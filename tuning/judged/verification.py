@@ -54,7 +54,7 @@ def map_of(
 
     A variable `spectral_radius` tells where the closed loop is unstable.
     """
-    problem = problem_of(found.scenario, found.search, engine=engine)
+    problem = problem_of(found.scenario, found.search, engine=engine, metrics=found.judged_by)
     box = {}
     for kind in ("stiffness", "damping"):
         rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
@@ -62,8 +62,10 @@ def map_of(
             return None
         low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
         box[kind] = np.geomspace(low, high, GRID)
-    walks = grid.sweep(found.scenario, box["stiffness"], box["damping"], progress=progress, engine=engine)
-    judged = maps.with_objective(walks, found.scenario, found.search, engine=engine)
+    walks = grid.sweep(
+        found.scenario, box["stiffness"], box["damping"], progress=progress, engine=engine, metrics=found.judged_by
+    )
+    judged = maps.with_objective(walks, found.scenario, found.search, engine=engine, metrics=found.judged_by)
     return maps.with_stability(judged, found.scenario, engine=engine)
 
 
@@ -84,10 +86,11 @@ def verify(
         function: the user's objective, where the search had one.
         engine: the dynamics.
     """
-    problem = dataclasses.replace(problem_of(found.scenario, found.search, function, engine=engine), dtype=np.float64)
+    problem = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by)
+    problem = dataclasses.replace(problem, dtype=np.float64)
     space, objective = problem.space, problem.objective
     if metrics is None:
-        metrics = mc.metrics(mc.rollout(found.scenario, found.gains, engine=engine))
+        metrics = mc.metrics(mc.rollout(found.scenario, found.gains, engine=engine), found.judged_by)
     alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
@@ -156,7 +159,7 @@ def _warnings(
     for name in space.on_bound(found.theta):
         lines.append(f"{name} lies on a bound: widen bounds.{name}")
     moved = np.zeros(space.size)
-    for name in mc.METRICS.names:
+    for name in problem.metrics.names:
         values = around.metrics[name].astype(float)
         if name in FAILURES or not np.isfinite(values[0]) or not values[0]:
             continue

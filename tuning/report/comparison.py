@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from mjx_climb import METRICS, MetricTable
 from tuning.report.numbers import change, gain, number, unit
 from tuning.report.page import Table
 
@@ -10,8 +11,11 @@ Values = Mapping[str, Any]
 Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
 
 
-def table(compared: Compared, caption: str) -> Table:
-    """Return gains and metrics of walks; the first is also given as change against the others, in per cent."""
+def table(compared: Compared, caption: str, about: MetricTable = METRICS) -> Table:
+    """Return gains and metrics of walks; the first is also given as change against the others, in per cent.
+
+    `about` holds the metrics themselves.
+    """
     first, *others = compared
     columns = ["", "unit", first, *(f"vs {name} %" for name in others), *others]
     gains = []
@@ -22,7 +26,7 @@ def table(compared: Compared, caption: str) -> Table:
     for key, value in compared[first][1].items():
         theirs = [compared[name][1][key] for name in others]
         changes = [change(value, base) for base in theirs]
-        rows.append([key, unit(key), number(value), *changes, *map(number, theirs)])
+        rows.append([key, unit(key, about), number(value), *changes, *map(number, theirs)])
     return Table(caption, columns, [("", gains), ("", rows)])
 
 
@@ -40,10 +44,10 @@ def gains_table(compared: Compared) -> Table:
     return Table("Gains by axis", ["", "unit", *held], sections)
 
 
-def against(metric: str, value: float | None, others: Values) -> str:
+def against(metric: str, value: float | None, others: Values, about: MetricTable = METRICS) -> str:
     """Return "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
     whose = {"paper": "the paper's gains", "config": "the config's gains"}
-    text = f"{number(value)} {unit(metric)}".strip()
+    text = f"{number(value)} {unit(metric, about)}".strip()
     for name, other in others.items():
         if percent := change(value, other):
             text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {whose.get(name, name)}"
@@ -56,16 +60,16 @@ def held(metrics: Values) -> str:
         return "the simulation diverges"
     if metrics["detached_limb"] is not None:
         return f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s"
+    if missed := metrics.get("missed_grips"):
+        return f"every grip holds, but {missed} missed the ground"
     return "every gripper holds"
 
 
-def worsened(metrics: Values, baseline: Values, least: float = 5.0) -> list[str]:
+def worsened(metrics: Values, baseline: Values, about: MetricTable = METRICS, least: float = 5.0) -> list[str]:
     """Return what got worse than under the baseline by at least so many per cent, as "base_deviation +414 %"."""
-    from mjx_climb import METRICS
-
     found = []
     for name, value in metrics.items():
         percent = change(value, baseline[name])
-        if percent and (-float(percent) if METRICS[name].larger_is_better else float(percent)) >= least:
+        if percent and (-float(percent) if about[name].larger_is_better else float(percent)) >= least:
             found.append(f"{name} {percent} %")
     return found

@@ -26,6 +26,7 @@ def explorer(
     baseline: str = "pd",
     shown: tuple[str, ...] | None = None,
     points: Mapping[str, Any] | None = None,
+    about: mc.MetricTable = mc.METRICS,
 ) -> dict[str, Any]:
     """Return one interactive part of a page.
 
@@ -36,13 +37,14 @@ def explorer(
         baseline: the walk that all others are compared with; disturbances and grip changes are its own.
         shown: walks that are drawn at first; all where None.
         points: many walks to choose from, see `grid_points`.
+        about: the metrics themselves.
     """
     first = walks[baseline]
     count, steps = stretches(first.scenario.steps)
     return {
         "title": title,
         "baseline": baseline,
-        "metrics": _metric_texts(),
+        "metrics": _metric_texts(about),
         "lines": [
             {"name": name, "label": text, "unit": SCALES.get(unit, (1, unit))[1], "factor": SCALES.get(unit, (1, 0))[0]}
             for name, (unit, text, _) in LINES.items()
@@ -52,8 +54,8 @@ def explorer(
             "stretch": steps * first.scenario.time_step,
             "end": first.scenario.steps * first.scenario.time_step,
         },
-        "windows": [window[:3] for window in plots._windows(first)],
-        "grips": plots._grip_changes(first).tolist(),
+        "windows": [window[:3] for window in plots.disturbances(first)],
+        "grips": plots.grip_changes(first).tolist(),
         "holding_limit": first.scenario.contact.holding_limit,
         "walks": [
             {
@@ -88,7 +90,7 @@ def grid_points(
     walks = grid["diverged"].size
     shown = coarser_grid(grid, chosen, MOST_CELLS)
     flat = shown.transpose(*_AXES, ...).stack(cell=_AXES, create_index=False)
-    failed = plots._failed(shown, *_AXES)
+    failed = plots.failed_walks(shown, *_AXES)
     scales = {}
     for name in [str(n) for n in shown.data_vars if n not in LINES]:
         values = plots.comparable(shown, name).transpose(*reversed(_AXES)).values.astype(float)
@@ -200,7 +202,7 @@ def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger
 
     As on the pictures, but what is far worse than the baseline shares one colour: better ones are to be told apart.
     """
-    norm, _ = plots._robust_norm(values, failed, base)
+    norm, _ = plots.color_scale(values, failed, base)
     low, high, log = float(norm.vmin or 0.0), float(norm.vmax or 0.0), isinstance(norm, mpl.colors.LogNorm)
     if base is not None and low < base < high and not log:
         reach = max(2 * (high - base if larger else base - low), 0.5 * abs(base))
@@ -208,21 +210,22 @@ def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger
     return {"low": low, "high": high, "log": log}
 
 
-def _metric_texts() -> dict[str, Any]:
+def _metric_texts(about: mc.MetricTable) -> dict[str, Any]:
     return {
         metric.name: {
             "label": metric.long_name,
             "unit": "" if metric.unit == "1" else metric.unit,
             "larger_is_better": metric.larger_is_better,
         }
-        for metric in mc.METRICS
+        for metric in about
     }
 
 
 def _text(variable: xr.DataArray, name: str) -> dict[str, Any]:
     unit = variable.attrs.get("units", "1")
     label = variable.attrs.get("long_name", name.replace("_", " "))
-    return {"label": label, "unit": "" if unit == "1" else unit, "larger_is_better": False}
+    return {"label": label, "unit": "" if unit == "1" else unit,
+            "larger_is_better": dataset.larger_is_better(variable)}  # fmt: skip
 
 
 def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:

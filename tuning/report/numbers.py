@@ -3,10 +3,13 @@
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from mjx_climb import MetricTable
 
 
 def plain(value: Any) -> Any:
@@ -42,11 +45,11 @@ def gain(gains: Mapping[str, ArrayLike] | None, key: str) -> str:
     return f"{values[0]:.4g}" if values.size == 1 else "six values"
 
 
-def unit(name: str) -> str:
-    """Return the unit of a metric, empty where it has none."""
+def unit(name: str, about: "MetricTable | None" = None) -> str:
+    """Return the unit of a metric, one of `about` or of the shipped ones; empty where it has none."""
     from mjx_climb import METRICS
 
-    text = METRICS[name].unit
+    text = (about or METRICS)[name].unit
     return "" if text == "1" else text
 
 

@@ -8,6 +8,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from mjx_climb import plots
+from tuning.gains.gains_file import by_name
 from tuning.searches.result import Result
 
 
@@ -29,7 +30,7 @@ def plot_convergence(found: Result) -> Figure:
             axes[0].set_ylim(low - 0.03, min(np.nanmax(value), max(1.1, low + 0.5)) + 0.03)
         axes[0].axhline(1.0, color=plots.RED, linewidth=0.8, label="pd")
         axes[0].set_ylabel("objective")
-        plots._legend(figure, axes[0].get_legend_handles_labels()[0])
+        plots.legend(figure, axes[0].get_legend_handles_labels()[0])
         if sloped:
             axes[1].semilogy(spent, norm, ".", color=plots.BLUE, markersize=2.5)
             axes[1].set_ylabel("norm of\nthe gradient")
@@ -53,10 +54,10 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
     def mean(gain: ArrayLike) -> float:
         return float(np.exp(np.mean(np.log(gain))))
 
-    marks = {
-        "tuned": (mean(found.gains.stiffness), mean(found.gains.damping)),
-        "config": (mean(control.stiffness), mean(control.damping)),
-    }
+    tuned = by_name(found.gains)
+    marks = {"tuned": (mean(tuned["stiffness"]), mean(tuned["damping"]))}
+    if found.law is None:
+        marks["config"] = mean(control.stiffness), mean(control.damping)
     with plots.style():
         figure = plots.plot_map(walks, "objective", marks, baseline=1.0)
         panel = figure.axes[0]
@@ -72,5 +73,5 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         handles.append(Line2D([], [], color="0.1", linewidth=0.7, label="descents"))
         handles.append(Line2D([], [], color="0.1", marker=".", markersize=2, linestyle="none", label="other points"))
         figure.legends[0].remove()
-        plots._map_legend(figure, handles if descending.any() else [*handles[:-2], handles[-1]], 3)
+        plots.legend_below(figure, handles if descending.any() else [*handles[:-2], handles[-1]], 3)
     return figure

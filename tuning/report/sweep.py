@@ -34,6 +34,7 @@ def page(
     warnings: list[str],
     origin: Origin,
     pictures: Mapping[str, Path],
+    about: mc.MetricTable = mc.METRICS,
 ) -> Page:
     """Return the page of a sweep.
 
@@ -47,6 +48,7 @@ def page(
         warnings: for the notes.
         origin: of the page.
         pictures: SVG files by their captions.
+        about: the metrics of the walks.
     """
     best = grid.best_cell(result)
     metrics = {walk: numbers for walk, (_, numbers) in compared.items()}
@@ -64,7 +66,7 @@ def page(
             f"are best: force variation {text}; {comparison.held(won)}."
         )
         notes = [f"{failed} of the {count} walks lost a gripper or diverged."]
-        if worse := comparison.worsened(won, metrics["pd"]):
+        if worse := comparison.worsened(won, metrics["pd"], about):
             notes.append(f"Worse than pd: {', '.join(worse)}.")
     kept = histories["diverged"].size
     if kept < count:
@@ -79,10 +81,10 @@ def page(
         explorers=[
             explorer(
                 "Maps and walks", dict(reversed(list(walks.items()))), metrics, shown=("pd",),
-                points=grid_points(result, histories, metrics["pd"], marks, chosen),
+                points=grid_points(result, histories, metrics["pd"], marks, chosen), about=about,
             )
         ],
-        tables=[comparison.table(compared, "Walks in double precision")],
+        tables=[comparison.table(compared, "Walks in double precision", about)],
         pictures=pictures,
         facts={
             "precision": f"{result.attrs['dtype']} (grid), float64 (named walks)",

@@ -44,7 +44,7 @@ def page(
     parts = []
     for metric in [m for m, weight in search.weights.items() if weight]:
         others = {walk: metrics[walk][metric] for walk in ("pd", "config")}
-        parts.append(f"{metric.replace('_', ' ')} {comparison.against(metric, tuned[metric], others)}")
+        parts.append(f"{metric.replace('_', ' ')} {comparison.against(metric, tuned[metric], others, found.judged_by)}")
     limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
     scores = {"objective": {"tuned": checked.value}}
     points = None
@@ -64,11 +64,19 @@ def page(
         title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
         origin=origin,
         verdict=f"Tuned gains score {scores['objective']['tuned']:.4f} of pd's 1: {'; '.join(parts)}; {limits}.",
-        notes=[*outcome, *_worse(tuned, metrics["pd"])],
+        notes=[*outcome, *_worse(tuned, metrics["pd"], found.judged_by)],
         scenario=found.scenario,
-        explorers=[explorer(title if points else "Walks", dict(reversed(list(walks.items()))), metrics, points=points)],
+        explorers=[
+            explorer(
+                title if points else "Walks",
+                dict(reversed(list(walks.items()))),
+                metrics,
+                points=points,
+                about=found.judged_by,
+            )
+        ],
         tables=[
-            comparison.table(compared, "Walks in double precision"),
+            comparison.table(compared, "Walks in double precision", found.judged_by),
             comparison.gains_table(compared),
             Table(
                 "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more",
@@ -120,6 +128,6 @@ def _percent(value: float | None) -> str:
     return "breaks a limit" if value is None else f"{100 * value:+.2f}"
 
 
-def _worse(metrics: comparison.Values, baseline: comparison.Values) -> list[str]:
-    worse = comparison.worsened(metrics, baseline)
+def _worse(metrics: comparison.Values, baseline: comparison.Values, about: mc.MetricTable) -> list[str]:
+    worse = comparison.worsened(metrics, baseline, about)
     return [f"Worse than pd: {', '.join(worse)}."] if worse else []

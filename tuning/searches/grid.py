@@ -3,7 +3,7 @@
 import hashlib
 import importlib.metadata
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import PACKAGES, larger_is_better, sweep_dataset
 from mjx_climb.robot.constants import model_path
 from mjx_climb.rollouts.histories import LINES, stretches
+from tuning.searches import identity
 from tuning.searches.finished_parts import Parts
 
 HISTORIES = 256  # walks up to which a grid keeps time histories
@@ -49,6 +50,7 @@ def claim(
     batch_size: int | None = None,
     dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
 ) -> int:
     """Prepare the folder of a sweep and return how many of its walks are there already; arguments as of `sweep`.
 
@@ -58,7 +60,7 @@ def claim(
     """
     walks = np.size(stiffness) * np.size(damping)
     size = batch_size or default_batch_size(walks, scenario.steps)
-    found = Parts(out, _identity(scenario, stiffness, damping, size, dtype, engine)).count()
+    found = Parts(out, _identity(scenario, stiffness, damping, size, dtype, engine, metrics)).count()
     return min(found * size, walks)
 
 
@@ -71,6 +73,7 @@ def sweep(
     batch_size: int | None = None,
     dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     out: Path | None = None,
 ) -> xr.Dataset:
     """Walk the whole grid and return the metrics over (stiffness, damping).
@@ -88,6 +91,7 @@ def sweep(
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
         dtype: precision of the simulation.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         out: a folder that keeps each finished part, so that an interrupted sweep goes on from there with the same
             result, bit by bit. The parts stay until `finished_parts.clear(out)`.
 
@@ -101,12 +105,13 @@ def sweep(
             raise ValueError(f"{name}: expected a list of finite numbers above 0")
     if scenario.control.controller == "pd":
         raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
+    table = mc.MetricTable(metrics)
     shape = tuple(values.size for values in axes.values())
     walks = math.prod(shape)
     size = batch_size or default_batch_size(walks, scenario.steps)
     kept = None
     if out is not None:
-        kept = Parts(out, _identity(scenario, axes["stiffness"], axes["damping"], size, dtype, engine))
+        kept = Parts(out, _identity(scenario, axes["stiffness"], axes["damping"], size, dtype, engine, metrics))
 
     k, d = (values.reshape(-1, 1) for values in np.meshgrid(*axes.values(), indexing="ij"))
     inertia = np.asarray(scenario.control.inertia, float)
@@ -122,7 +127,7 @@ def sweep(
             continue
         # the last part is filled up with its last robot: every part has the shape that was compiled
         rows = np.minimum(np.arange(number * size, (number + 1) * size), walks - 1)
-        part = walk(scenario, mc.Gains(inertia, d[rows], k[rows]), dtype=dtype, engine=engine)
+        part = walk(scenario, mc.Gains(inertia, d[rows], k[rows]), metrics=table, dtype=dtype, engine=engine)
         parts[number] = part
         if kept is not None:
             kept.save(number, part)
@@ -131,7 +136,7 @@ def sweep(
             progress(done, walks)
     whole = {name: np.concatenate([parts[n][name] for n in range(count)])[:walks] for name in parts[0]}
     whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
-    dataset = sweep_dataset({name: whole[name] for name in mc.METRICS.names}, axes, scenario)
+    dataset = sweep_dataset({name: whole[name] for name in table.names}, axes, scenario, table)
     dataset = dataset.assign(_histories(whole, scenario))
     return dataset.assign_attrs(engine=engine, dtype=np.dtype(dtype).name, batch_size=size)
 
@@ -166,7 +171,13 @@ def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dat
 
 
 def _identity(
-    scenario: mc.Scenario, stiffness: np.ndarray, damping: np.ndarray, size: int, dtype: DTypeLike, engine: str
+    scenario: mc.Scenario,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    size: int,
+    dtype: DTypeLike,
+    engine: str,
+    metrics: Iterable[mc.Metric],
 ) -> dict[str, Any]:
     """Return all that determines the numbers of a sweep, bit by bit."""
     versions: dict[str, str | None] = {}
@@ -181,6 +192,7 @@ def _identity(
         "damping": np.asarray(damping, float).tolist(),
         "dtype": np.dtype(dtype).name,
         "engine": engine,
+        "metrics": identity.of_metrics(mc.MetricTable(metrics)),
         "batch_size": size,
         "histories": np.size(stiffness) * np.size(damping) <= HISTORIES,
         "platform": jax.default_backend(),
