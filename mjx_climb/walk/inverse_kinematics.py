@@ -121,11 +121,10 @@ def _gauss_newton(robot: Robot, target: Array, angles: Array) -> JointSolution:
     with the error as its damping, after Sugihara, IEEE Trans. Robotics 27, 2011; null-space
     motion after Liegeois, IEEE Trans. Systems, Man and Cybernetics 7, 1977).
     """
-    level = jnp.eye(3, dtype=angles.dtype)[:, :, None]
     middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2
 
     def at(angles: Array) -> tuple[Array, list[Array]]:
-        frames = limb_frames(robot, level, angles)
+        frames = limb_frames(robot, None, angles)
         columns = [
             foot_velocity_per_rate(robot, k, frames.rotation[k][:, 2], frames.foot - frames.position[k])
             for k in range(robot.joints)

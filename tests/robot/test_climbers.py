@@ -31,8 +31,7 @@ def climber(tmp_path):
 
 
 def feet_of(robot, angles):
-    level = jnp.broadcast_to(jnp.eye(3)[:, :, None], (3, 3, angles.shape[-1]))
-    return limb_frames(robot, level, jnp.asarray(angles)).foot
+    return limb_frames(robot, None, jnp.asarray(angles)).foot
 
 
 SHAPES = {"two of seven": (2, 7, ()), "four of four": (4, 4, ()), "four of six": (4, 6, ()), "slides": (3, 3, (2,))}
@@ -53,18 +52,20 @@ def test_ten_thousand_targets_are_met_from_nearby(climber, name):
         np.abs(angles[2]) > 0.3 if not slides else np.ones(shape[1:], bool)
     )  # a stretched limb has no nearby postures
     feet, last = feet_of(robot, angles), angles + 0.02 * half * rng.uniform(-1, 1, shape)
-    solved = jax.jit(inverse_kinematics)(geometry, feet, last)
+    solve = jax.jit(lambda feet: inverse_kinematics(geometry, feet, last))
+    solved = solve(feet)
     missed = np.linalg.norm(feet_of(robot, solved.joint_angles) - feet, axis=0)
     moved = np.linalg.norm(feet_of(robot, last) - feet, axis=0)
     assert np.median(moved) > 2e-3
     assert solved.reachable.all()
     assert missed[bent].max() < 1e-6
-    # the derivative is that of the posture by the target, and central differences confirm it
+    # central differences confirm the derivative, where the foot is not next to an axis of the hip
     push = 1e-6 * rng.normal(size=feet.shape)
-    program = jax.jit(lambda feet: inverse_kinematics(geometry, feet, last).joint_angles)
-    slope = jax.jit(lambda: jax.jvp(program, (feet,), (jnp.asarray(push) / 1e-6,))[1])()
-    difference = (program(feet + push) - program(feet - push)) / 2e-6
-    np.testing.assert_allclose(slope[:, bent], difference[:, bent], rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+    there, here = (solve(feet + sign * push).joint_angles for sign in (1, -1))
+    slope = np.asarray(jax.jit(lambda feet: jax.jvp(solve, (feet,), (push / 1e-6,))[1].joint_angles)(feet))
+    calm = bent & (np.abs(slope).max(0) < 100)
+    assert calm.mean() > 0.8
+    np.testing.assert_allclose(slope[:, calm], ((there - here) / 2e-6)[:, calm], rtol=1e-5, atol=1e-5)
 
 
 def test_out_of_reach_is_flagged_and_finite(climber):
