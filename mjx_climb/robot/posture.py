@@ -8,7 +8,7 @@ from mjx_climb.mujoco_import import mujoco
 
 _ITERATIONS = 60
 _STARTS = 5  # of femur and tibia each, spread over their limits
-_OTHER_STARTS = 40  # of limbs of another number of joints
+_OTHER_STARTS = 15  # of limbs of another number of joints
 
 
 class LimbJoints(NamedTuple):

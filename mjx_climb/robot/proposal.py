@@ -4,6 +4,7 @@ import collections
 import itertools
 import os
 import re
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ _CONTACT = {"stiffness": 1.0e4, "damping": 20.0, "holding_limit": 15.0}
 _CONTROL = {"damping": 5.0e3, "stiffness": 5.0e4}
 _LOOP = {"kp": 50.0, "kd": 0.2}
 _SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out and how far down a foot may stand
+
+_WELL = 0.15  # of a joint's range to its limits: a stance that will do
 
 
 class Note(NamedTuple):
@@ -359,9 +362,12 @@ def _source(section: dict[str, Any], footholds: np.ndarray) -> RobotFile:
     return RobotFile.model_validate(section | {"limbs": limbs})
 
 
-def _margins(section: dict[str, Any], stances: list[_Stance]) -> list[float]:
-    """Return the smallest distance of a joint to its limits in each stance, as a share of its range; below 0: unmet."""
-    source = _source(section, stances[0].footholds)
+def _judge(section: dict[str, Any], footholds: np.ndarray) -> Callable[[_Stance], float]:
+    """Return what tells of a stance how far its joints are off their limits, as a share of the range; below 0: unmet.
+
+    `footholds` (L, 2) m are somewhere about where the feet are to stand.
+    """
+    source = _source(section, footholds)
     spec, offset = unposed(source)
     try:
         model = spec.compile()
@@ -371,22 +377,23 @@ def _margins(section: dict[str, Any], stances: list[_Stance]) -> list[float]:
     order = [model.site(s).name.removesuffix("_foot") for s in range(model.nsite)]
     rows = [list(section["limbs"]).index(name) for name in order]
     lower, upper = model.jnt_range[1:].reshape(len(rows), -1, 2).transpose(2, 0, 1)
-    margins = []
-    for stance in stances:
+
+    def margin(stance: _Stance) -> float:
         feet = np.column_stack([stance.footholds, np.full(len(rows), -stance.height)])[rows] - offset
         found = limb_joints(model, feet)
         share = np.minimum(found.angles - lower, upper - found.angles) / (upper - lower)
-        margins.append(float(share.min()) if found.errors.max() < 1e-9 else -1.0)
-    return margins
+        return float(share.min()) if found.errors.max() < 1e-9 else -1.0
+
+    return margin
 
 
 def _checked(section: dict[str, Any], stance: _Stance) -> _Stance | None:
     rounded = _Stance(round(stance.height, 4), stance.footholds.round(4))
-    return rounded if _margins(section, [rounded])[0] > 0.0 else None
+    return rounded if _judge(section, rounded.footholds)(rounded) > 0 else None
 
 
 def _searched(path: str, section: dict[str, Any], hips: list[_Hip]) -> _Stance:
-    """Return the stance, of some with the feet further out or down, whose joints are furthest from their limits."""
+    """Return a stance, the feet some way out and down, whose joints are well off their limits, or the best there is."""
     reach = min(hip.reach for hip in hips)
     places = np.array([hip.place for hip in hips])
     away = places[:, :2] / np.maximum(np.linalg.norm(places[:, :2], axis=1, keepdims=True), 1e-6)
@@ -396,11 +403,16 @@ def _searched(path: str, section: dict[str, Any], hips: list[_Hip]) -> _Stance:
             height = round(down * reach - float(places[:, 2].min()), 4)
             if np.hypot(out, down) < 1 and height > 0:
                 stances.append(_Stance(height, (places[:, :2] + out * reach * away).round(4)))
-    margins = _margins(section, stances)
-    best = int(np.argmax(margins))
-    if margins[best] < 0:
+    margin = _judge(section, stances[0].footholds)
+    best, most = None, 0.0
+    for stance in stances:
+        if (found := margin(stance)) > most:
+            best, most = stance, found
+        if most > _WELL:
+            break
+    if best is None:
         raise RobotError(f"{path}: expected a stance with all feet in reach, found none")
-    return stances[best]
+    return best
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -413,10 +425,11 @@ def _gait(section: dict[str, Any], limbs: dict[str, _Chain], reach: float, notes
     height = section["height"]
     order = sorted(range(len(limbs)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
     stride, step = _STRIDE * reach / _REACH, _STEP_HEIGHT * reach / _REACH
+    margin = _judge(section, footholds)
     for _ in range(5):
         moves = [np.array([x, 0.0]) for x in (-stride, stride)]
         stances = [_Stance(height, footholds + move) for move in moves] + [_Stance(height - step, footholds)]
-        if min(_margins(section, stances)) > 0:
+        if all(margin(stance) > 0 for stance in stances):
             break
         stride, step = stride / 2, step / 2
     share = 1 - 1 / len(limbs)
