@@ -137,11 +137,13 @@ OTHERS = {
     "conv": lambda v, m, n: jnp.convolve(v, m[0]),
     "reduce": lambda v, m, n: lax.reduce(m, 0.0, lambda a, b: a + b * b, (0,)),
     "reduce_precision": lambda v, m, n: lax.reduce_precision(v, 5, 4),
-    "bitcast to another size": lambda v, m, n: lax.bitcast_convert_type(v, jnp.uint16),
+    "bitcast to another size": lambda v, m, n: lax.bitcast_convert_type(jnp.round(v), jnp.uint16),
     "callback": lambda v, m, n: jax.pure_callback(
         lambda a: np.asarray(a) * 2, jax.ShapeDtypeStruct(v.shape, v.dtype), v, vmap_method="sequential"
     ),
-    "a large product": lambda v, m, n: (jnp.broadcast_to(v[0], (40, 40)) @ jnp.broadcast_to(v[1], (40, 40))).sum(0),
+    "a large product": lambda v, m, n: (
+        jnp.linspace(0, 1, 1600).reshape(40, 40) * v[0] @ jnp.cos(jnp.arange(1600.0).reshape(40, 40))
+    ).sum(0),
     "a large table": lambda v, m, n: jnp.arange(200.0)[jnp.abs(n)] + v,
     "a long loop": lambda v, m, n: lax.scan(lambda c, _: (c * 0.9, c), v, length=100)[1],
     "other random bits": lambda v, m, n: jax.random.uniform(jax.random.key(1, impl="rbg"), (3,)) + v,
