@@ -134,8 +134,8 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
         name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()
     }
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
-    attrs = {"title": "walk of a limbed climbing robot", **_provenance(trajectory.scenario)}
-    attrs |= {"gains": _to_json(trajectory.gains), "parameters": _to_json(trajectory.numbers)}
+    attrs = {"title": "walk of a limbed climbing robot", **provenance(trajectory.scenario)}
+    attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.numbers)}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -180,7 +180,7 @@ def sweep_dataset(
             attrs["flag_values"] = np.arange(-1, len(limbs), dtype=np.int32)
             attrs["flag_meanings"] = " ".join(["none", *limbs])
         data[name] = (tuple(coords), values, attrs)
-    attrs = {"title": "metrics of walks of a limbed climbing robot", **_provenance(scenario)}
+    attrs = {"title": "metrics of walks of a limbed climbing robot", **provenance(scenario)}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -212,7 +212,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
     return Scenario.from_yaml(dataset.attrs["scenario"], source).beside(Path(source).parent)
 
 
-def _provenance(scenario: Scenario) -> dict[str, str]:
+def provenance(scenario: Scenario) -> dict[str, str]:
     """Return what is needed to repeat a computation."""
     attrs = {"scenario": scenario.to_yaml()}
     for name, distribution in PACKAGES.items():
@@ -234,7 +234,8 @@ def _git_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def _to_json(values: Gains | Parameters | Mapping[str, np.ndarray]) -> str:
+def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
+    """Return numbers by name as JSON, arrays as lists."""
     by_name = values if isinstance(values, Mapping) else vars(values)
     return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})
 

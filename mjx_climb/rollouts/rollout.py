@@ -14,6 +14,7 @@ from jax import Array
 from jax.sharding import Sharding
 from numpy.typing import DTypeLike
 
+from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.compilation.first_possible import first_possible
@@ -196,9 +197,10 @@ def rollout(
         engine: the dynamics, one of `mjx_climb.ENGINES`.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: batched gains or parameters (see `rollout_metrics`), or gains that the law does not have.
     """
+    check_time_step(scenario)
     walker = given_in(scenario, law, gains, numbers, dtype)
     if walker.shape != ():
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
@@ -302,9 +304,10 @@ def rollout_metrics(
         Arrays with the batch axes of gains and parameters, by the names of the metrics; NaN and -1 as `simulator` says.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
     """
+    check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     in_kernel = kernel_pays(engine, dtype)

@@ -137,10 +137,10 @@ def pareto(
 
 def front_table(front: "xr.Dataset", chosen: int) -> "Table":
     """Return the table of a front, some twenty points of it, with the config's gains and pd below."""
-    from tuning.command_line.report import _table
+    from tuning.command_line.report import plain_table
 
     columns, sections = front_rows(front, chosen)
-    table = _table(*columns)
+    table = plain_table(*columns)
     for _, rows in sections:
         for row in rows:
             table.add_row(*row, end_section=row is rows[-1])

@@ -36,10 +36,13 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
         return f"diverged at {at:.3f} s"
     if metrics["detached_limb"] is not None:
         return f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s"
+    if missed := metrics.get("missed_grips"):
+        return f"every grip held, but {missed} missed the ground"
     return "held all the way"
 
 
-def _table(*columns: str) -> Table:
+def plain_table(*columns: str) -> Table:
+    """Return an empty table: words to the left, numbers to the right."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
     for name in columns:
         left = name in ("", "metric", "unit")
@@ -49,7 +52,7 @@ def _table(*columns: str) -> Table:
 
 def walk_table(metrics: Mapping[str, Any]) -> Table:
     """Return the table of one walk."""
-    table = _table("metric", "value", "unit")
+    table = plain_table("metric", "value", "unit")
     for name, value in metrics.items():
         table.add_row(name, number(value), unit(name))
     return table
@@ -65,7 +68,7 @@ def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
     gains = {name: held for name, (held, _) in walks.items()}
     metrics = {name: values for name, (_, values) in walks.items()}
     compared = [name for name in walks if name != baseline and width >= 38 + 19 * (len(walks) - 1)]
-    table = _table(
+    table = plain_table(
         "metric", "unit", *(t for name in walks for t in [name, f"vs {baseline} %"][: 1 + (name in compared)])
     )
 
@@ -83,7 +86,7 @@ def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
 
 def gains_table(walks: "Compared") -> Table:
     """Return the gains of walks, axis by axis where the axes differ."""
-    table = _table("metric", *(name for name in walks if walks[name][0] is not None))
+    table = plain_table("metric", *(name for name in walks if walks[name][0] is not None))
     table.columns[0].header = "gain"
     held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
     for key in ("stiffness", "damping", "inertia"):

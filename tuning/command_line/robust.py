@@ -100,10 +100,10 @@ def tune_robustly(
 
 def robust_table(summed: "xr.Dataset") -> "Table":
     """Return mean and worst of the main metrics, each with its change against the config's gains."""
-    from tuning.command_line.report import _table
+    from tuning.command_line.report import plain_table
 
     columns, sections = robust_rows(summed)
-    table = _table(*columns[:2], "", *columns[3:])
+    table = plain_table(*columns[:2], "", *columns[3:])
     table.columns[2].header = columns[2]
     for _, rows in sections:
         for row in rows:

@@ -23,7 +23,7 @@ Metrics = Mapping[str, Array]
 _PENALTY = 100.0
 _BEND = 0.1
 _MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
-_PD_MARGIN = 0.005
+PD_MARGIN = 0.005
 
 
 class Score(NamedTuple):
@@ -91,7 +91,7 @@ class Objective:
             value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
         slacks = [violation(limit, metrics[limit.metric]) for limit in self.limits]
         pairs = zip(self.limits, slacks, strict=True)
-        penalty = sum((_penalty(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
+        penalty = sum((penalty_of(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
         feasible = jnp.isfinite(value)
         for slack in slacks:
             feasible &= slack <= 0
@@ -116,7 +116,7 @@ def worthless(score: Score, lost: Array) -> Score:
     return Score(value, descent, penalty, score.feasible & ~lost)
 
 
-def _penalty(over: Array) -> Array:
+def penalty_of(over: Array) -> Array:
     """Return 0 inside, a parabola just outside, a straight line of slope 10 far outside."""
     over = jnp.maximum(over, 0.0)
     return _PENALTY * over**2 / (1 + over / _BEND)
@@ -184,5 +184,5 @@ def objective(
     if search.no_worse_than_pd:
         for term in terms:
             if term.metric not in search.limits:
-                limit(term.metric, baseline[term.metric], _PD_MARGIN, "no worse than pd")
+                limit(term.metric, baseline[term.metric], PD_MARGIN, "no worse than pd")
     return Objective(tuple(terms), tuple(limits), function)

@@ -10,10 +10,12 @@ import mjx_climb as mc
 from mjx_climb.walk.metrics import FAILURES
 from tuning.problem import settings
 
-Method = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+Shipped = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune.tune`
+Method = Shipped | Literal["own"]
 Layout = Literal["isotropic", "split", "diagonal"]
 
-METHODS: tuple[str, ...] = get_args(Method)
+METHODS: tuple[str, ...] = get_args(Shipped)
 LAYOUTS: tuple[str, ...] = get_args(Layout)
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -31,6 +33,7 @@ class Search(BaseModel):
     method: Method = Field(default="gradient", description="how to search")
     space: Layout = Field(default="isotropic", description="which axes share their gains")
     inertia: bool = Field(default=False, description="search the virtual inertia as well")
+    also: tuple[str, ...] = Field(default=(), description="gains of the law to search that are left alone otherwise")
     joint_gains: bool = Field(default=False, description="search kp and kd of the joint loop as well")
     bounds: dict[str, tuple[_Positive, _Positive]] = Field(
         default={}, description="lowest and highest value of a gain, as stiffness, stiffness.rotation, stiffness.rx"

@@ -56,6 +56,8 @@ def held(metrics: Values) -> str:
         return "the simulation diverges"
     if metrics["detached_limb"] is not None:
         return f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s"
+    if missed := metrics.get("missed_grips"):
+        return f"every grip holds, but {missed} missed the ground"
     return "every gripper holds"
 
 

@@ -8,6 +8,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from mjx_climb import plots
+from tuning.gains.gains_file import by_name
 from tuning.searches.result import Result
 
 
@@ -53,10 +54,10 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
     def mean(gain: ArrayLike) -> float:
         return float(np.exp(np.mean(np.log(gain))))
 
-    marks = {
-        "tuned": (mean(found.gains.stiffness), mean(found.gains.damping)),
-        "config": (mean(control.stiffness), mean(control.damping)),
-    }
+    tuned = by_name(found.gains)
+    marks = {"tuned": (mean(tuned["stiffness"]), mean(tuned["damping"]))}
+    if found.law is None:
+        marks["config"] = mean(control.stiffness), mean(control.damping)
     with plots.style():
         figure = plots.plot_map(walks, "objective", marks, baseline=1.0)
         panel = figure.axes[0]

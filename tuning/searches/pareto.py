@@ -74,7 +74,7 @@ def front(
     space, plain = problem.space, problem.objective
     assert isinstance(plain, Objective)
     rng = np.random.default_rng(settings.seed)
-    identity = {**tune._identity(problem, settings, None), "front": [better, against, points]}
+    identity = {**tune.search_identity(problem, settings), "front": [better, against, points]}
     stages = [space.ties] + [np.eye(space.size) if len(space.ties) < space.size else space.ties] * (STAGES - 1)
     rounds = Rounds(1 + STAGES * ITERATIONS, progress, out, identity)
     archive: _Archive = {"theta": [], "x": [], "y": [], "held": []}
@@ -211,6 +211,6 @@ def _dataset(
     data["held"] = ("point", np.concatenate(archive["held"]), {"units": "1", "long_name": "all constraints met"})
     data["theta"] = (("point", "coordinate"), theta, {"units": "1", "long_name": "log of the gains"})
     attrs = {"title": "Pareto front of two metrics", "better": better, "against": against, "env_steps": env_steps}
-    attrs |= {"search": settings.to_yaml(), **dataset._provenance(scenario)}
+    attrs |= {"search": settings.to_yaml(), **dataset.provenance(scenario)}
     coordinates = {"six": SIX, "coordinate": list(problem.space.names), "reference": ["config", "pd"]}
     return xr.Dataset(data, coordinates, attrs)

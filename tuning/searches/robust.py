@@ -17,7 +17,8 @@ import mjx_climb as mc
 from mjx_climb.compilation.options import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
-from mjx_climb.quantities.batches import batch_shape
+from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES, PREFIX
 from tuning.problem import ensemble as ensembles
@@ -79,11 +80,11 @@ class RobustObjective:
             total += term.weight
             if self.margin is not None:
                 for ratio in ratios:
-                    penalty += objectives._penalty(ratio - 1 + self.margin)
+                    penalty += objectives.penalty_of(ratio - 1 + self.margin)
                     feasible &= ratio <= 1
         for limit in self.limits:
             slack = objectives.violation(limit, metrics[limit.metric])
-            penalty += self._worst(objectives._penalty(slack + limit.margin))
+            penalty += self._worst(objectives.penalty_of(slack + limit.margin))
             feasible &= (slack <= 0).all(0)
         mean = jnp.asarray(value / total)
         whole = jnp.broadcast_to(jnp.asarray(penalty, mean.dtype), mean.shape)
@@ -136,7 +137,7 @@ def objective(
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest = {name: float(values.max()) for name, values in baseline.items()}
     plain = objectives.objective(scenario, search.model_copy(update={"no_worse_than_pd": False}), widest)
-    margin = objectives._PD_MARGIN if search.no_worse_than_pd else None
+    margin = objectives.PD_MARGIN if search.no_worse_than_pd else None
     return RobustObjective(tuple(terms), plain.limits, ensemble.worst, margin)
 
 
@@ -147,14 +148,16 @@ def pd_of(scenario: mc.Scenario, numbers: mc.Parameters, *, engine: str = DEFAUL
     return _walked(pd, mc.Gains(ones, ones, ones), numbers, engine)
 
 
-def _walked(scenario: mc.Scenario, gains: mc.Gains, numbers: mc.Parameters, engine: str) -> dict[str, np.ndarray]:
+def _walked(
+    scenario: mc.Scenario, gains: AnyGains, numbers: mc.Parameters, engine: str, law: mc.Law | None = None
+) -> dict[str, np.ndarray]:
     """Return metrics and their smooth companions with nothing torn off, in float32, with the batch axes."""
     enable_cache()
     gains, numbers = jax.tree.map(lambda value: np.asarray(value, np.float32), (gains, numbers))
-    walks = math.prod(batch_shape(gains, numbers))
+    walks = math.prod(given_in(scenario, law, gains, numbers, np.float32).shape)
     in_pieces = mc.pieces_pay(engine)
     simulate = jax.jit(
-        mc.simulator(scenario, engine=engine, smooth=True, in_pieces=in_pieces),
+        mc.simulator(scenario, law=law, engine=engine, smooth=True, in_pieces=in_pieces),
         compiler_options=mc.compiler_options(walks, in_pieces=in_pieces),
     )
     return {name: np.asarray(value) for name, value in simulate(gains, numbers).items()}
@@ -165,6 +168,7 @@ def search(
     ensemble: Ensemble,
     settings: Search | None = None,
     *,
+    law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Callable[[tune.Progress], None] | None = None,
@@ -178,7 +182,9 @@ def search(
         changes["weights"] = ROBUST_WEIGHTS
     settings = tune.changed(settings, changes)
     target, numbers = goal(scenario, ensemble, settings, engine), ensembles.draw(scenario, ensemble)
-    return tune.tune(scenario, settings, objective=target, numbers=numbers, engine=engine, out=out, progress=progress)
+    return tune.tune(
+        scenario, settings, law=law, objective=target, numbers=numbers, engine=engine, out=out, progress=progress
+    )
 
 
 def goal(scenario: mc.Scenario, ensemble: Ensemble, settings: Search, engine: str = DEFAULT_ENGINE) -> RobustObjective:
@@ -199,10 +205,11 @@ def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str) -> dict[st
 
 def judge(
     scenario: mc.Scenario,
-    gains: Mapping[str, mc.Gains],
+    gains: Mapping[str, AnyGains],
     ensemble: Ensemble,
     *,
     members: int = 128,
+    law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
 ) -> xr.Dataset:
@@ -216,6 +223,7 @@ def judge(
         gains: by name.
         ensemble: drawn again with another seed.
         members: walks of each.
+        law: whose gains they are, where it is not the scenario's.
         engine: the dynamics.
         progress: called with walks done and in all.
 
@@ -224,15 +232,13 @@ def judge(
     """
     fresh = ensemble.model_copy(update={"members": members, "seed": ensemble.seed + FRESH_SEED})
     numbers = ensembles.draw(scenario, fresh)
-    six = {
-        name: np.stack([np.broadcast_to(np.asarray(getattr(g, name), float), 6) for g in gains.values()])
-        for name in ("inertia", "damping", "stiffness")
-    }
+    whole = [given_in(scenario, law, g, None, np.float64).law for g in gains.values()]
+    stacked = {name: np.stack([getattr(each, name) for each in whole]) for name in whole[0].GAINS}
     total, parts = members * (len(gains) + 1), []
     for start in range(0, members, CHUNK):
         rows = {n: v[start : start + CHUNK] if v.shape[:1] == (members,) else v for n, v in vars(numbers).items()}
         part = mc.Parameters(**rows)
-        both = _walked(scenario, mc.Gains(**six), part, engine), pd_of(scenario, part, engine=engine)
+        both = _walked(scenario, stacked, part, engine, law), pd_of(scenario, part, engine=engine)
         parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in mc.METRICS.names})
         if progress is not None:
             progress(min(start + CHUNK, members) * (len(gains) + 1), total)
@@ -254,7 +260,7 @@ def judge(
     for name, (values, units, text) in drawn.items():
         values = np.broadcast_to(np.reshape(values, -1), members)
         data[name] = ("member", values, {"units": units, "long_name": text})
-    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset._provenance(scenario)}
+    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset.provenance(scenario)}
     attrs["ensemble"] = fresh.to_yaml()
     attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
     return xr.Dataset(data, {"gains": [*gains, "pd"], "member": np.arange(members)}, attrs)

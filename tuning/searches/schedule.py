@@ -80,7 +80,7 @@ def schedule(
     dtype = np.dtype(settings.precision).type
     problem = Problem(scenario, space, _rows(each), dtype=dtype, engine=engine)
     own = tune.start_of(problem)
-    identity = {**tune._identity(problem, settings, None), "operating_points": [list(gravity), list(cargo)]}
+    identity = {**tune.search_identity(problem, settings), "operating_points": [list(gravity), list(cargo)]}
     rounds = Rounds(1 + sum(ITERATIONS) + 2, progress, out, identity)
 
     def at(places: np.ndarray) -> Problem:
@@ -237,7 +237,7 @@ def _dataset(
         "six": SIX,
     }
     attrs = {"title": "gain schedule", "search": settings.to_yaml(), "env_steps": spent, "space": " ".join(space.names)}
-    return xr.Dataset(data, coordinates, {**attrs, **dataset._provenance(scenario)})
+    return xr.Dataset(data, coordinates, {**attrs, **dataset.provenance(scenario)})
 
 
 def lookup(table: xr.Dataset, gravity: float, cargo: float) -> mc.Gains:
