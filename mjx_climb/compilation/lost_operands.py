@@ -1,6 +1,6 @@
 """Operations that XLA may simplify until they no longer read one of their operands: `x and False`, `where(p, x, x)`."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -10,81 +10,92 @@ from jax.extend import core
 # results that are the same numbers as the operand, so that XLA may see through them
 _TRANSPARENT = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
 # of an array of equal numbers they make another one
-_SPREADING = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "transpose", "rev", "slice"} | _TRANSPARENT
+_SPREADING = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "transpose", "rev", "slice"}
 _OF_EQUAL_OPERANDS = {"sub", "xor", "rem", "eq", "ne", "lt", "le", "gt", "ge"}  # constant, for whole numbers
 _COMPARISONS = {"lt", "le", "gt", "ge"}
 
 
 def losing(equations: Sequence[core.JaxprEqn], constants: Mapping[core.Var, Any]) -> set[int]:
     """Return the ids of the equations that may lose an operand."""
-    names: dict[core.Var, Hashable] = {}  # equal names, equal values
-    uniform: dict[Hashable, Any] = {}  # by name: the one number that an array consists of
+    values = _Values(constants)
     lost = set()
-
-    def name_of(atom: core.Var | core.Literal) -> Hashable:
-        if isinstance(atom, core.Literal):
-            aval: Any = atom.aval
-            name: Hashable = "literal", aval.dtype, aval.shape, np.asarray(atom.val).tobytes()
-            _note_uniform(uniform, name, atom.val)
-            return name
-        if atom not in names:
-            names[atom] = "variable", id(atom)
-            if atom in constants:
-                _note_uniform(uniform, names[atom], constants[atom])
-        return names[atom]
-
     for equation in equations:
-        operands = [name_of(atom) for atom in equation.invars]
-        if _may_lose(equation, operands, uniform):
+        operands = [values.of(atom) for atom in equation.invars]
+        if _may_lose(equation, operands, values.uniform):
             lost.add(id(equation))
-        primitive = equation.primitive.name
-        for index, variable in enumerate(equation.outvars):
-            if primitive in _TRANSPARENT:
-                names[variable] = operands[index]
-                continue
-            names[variable] = _result_name(equation, index, operands)
-            if primitive in _SPREADING and operands[0] in uniform:
-                uniform[names[variable]] = uniform[operands[0]]
-            elif primitive == "convert_element_type" and operands[0] in uniform:
-                _note_uniform(
-                    uniform, names[variable], np.asarray(uniform[operands[0]], cast(Any, variable.aval).dtype)
-                )
-            elif primitive in ("and", "or", "mul") and id(equation) in lost:
-                absorbing = next(uniform[o] for o in operands if o in uniform and _absorbs(primitive, uniform[o]))
-                uniform[names[variable]] = absorbing
+        values.note(equation, operands, absorbed=id(equation) in lost)
     return lost
 
 
-def _result_name(equation: core.JaxprEqn, index: int, operands: Sequence[Hashable]) -> Hashable:
-    try:
-        name = equation.primitive.name, tuple(sorted(equation.params.items())), tuple(operands), index
-        hash(name)
-    except TypeError:  # parameters that are no plain values
-        return "variable", id(equation.outvars[index])
-    return name
+class _Values:
+    """Numbers for values, the same for what is surely equal; and which are arrays of one number only."""
+
+    def __init__(self, constants: Mapping[core.Var, Any]) -> None:
+        self.uniform: dict[int, Any] = {}
+        self._numbers: dict[Any, int] = {}
+        self._of: dict[core.Var, int] = {}
+        for variable, value in constants.items():
+            self._uniform(self.of(variable), value)
+
+    def of(self, atom: core.Var | core.Literal) -> int:
+        """Return the number of a value."""
+        if isinstance(atom, core.Literal):
+            aval: Any = atom.aval
+            number = self._number((aval.dtype, aval.shape, np.asarray(atom.val).tobytes()))
+            self._uniform(number, atom.val)
+            return number
+        if atom not in self._of:
+            self._of[atom] = self._number(("variable", id(atom)))
+        return self._of[atom]
+
+    def note(self, equation: core.JaxprEqn, operands: Sequence[int], *, absorbed: bool) -> None:
+        """Take down the results of an equation."""
+        name = equation.primitive.name
+        for index, variable in enumerate(equation.outvars):
+            if name in _TRANSPARENT:
+                self._of[variable] = operands[index]
+                continue
+            number = self._of[variable] = self._result(equation, index, operands)
+            known = [self.uniform[operand] for operand in operands if operand in self.uniform]
+            if name in _SPREADING and known:
+                self.uniform[number] = known[0]
+            elif name == "convert_element_type" and known:
+                self.uniform[number] = np.asarray(known[0], cast(Any, variable.aval).dtype)[()]
+            elif name in ("and", "or", "mul") and absorbed:
+                self.uniform[number] = next(value for value in known if _absorbs(name, value))
+
+    def _result(self, equation: core.JaxprEqn, index: int, operands: Sequence[int]) -> int:
+        try:
+            return self._number((equation.primitive.name, tuple(equation.params.items()), tuple(operands), index))
+        except TypeError:  # parameters that are no plain values
+            return self._number(("variable", id(equation.outvars[index])))
+
+    def _number(self, name: Any) -> int:
+        return self._numbers.setdefault(name, len(self._numbers))
+
+    def _uniform(self, number: int, value: Any) -> None:
+        if isinstance(value, (bool, int, float, np.generic, np.ndarray)) and np.size(value):
+            array = np.asarray(value)
+            if (array == array.flat[0]).all():
+                self.uniform[number] = array.flat[0]
 
 
-def _note_uniform(uniform: dict[Hashable, Any], name: Hashable, value: Any) -> None:
-    if isinstance(value, (bool, int, float, np.generic, np.ndarray)) and np.size(value):
-        array = np.asarray(value)
-        if array.size == 1 or (array == array.flat[0]).all():
-            uniform[name] = array.flat[0]
-
-
-def _may_lose(equation: core.JaxprEqn, operands: Sequence[Hashable], uniform: Mapping[Hashable, Any]) -> bool:
+def _may_lose(equation: core.JaxprEqn, operands: Sequence[int], uniform: Mapping[int, Any]) -> bool:
     name = equation.primitive.name
     constant = [uniform[operand] for operand in operands if operand in uniform]
     if name == "select_n":
-        cases = [("uniform", uniform[case]) if case in uniform else case for case in operands[1:]]
+        cases = [("uniform", uniform[case]) if case in uniform else ("value", case) for case in operands[1:]]
         return operands[0] in uniform or len(set(cases)) < len(cases)
     if name == "clamp":
         return len(constant) >= 2
     if name == "pow":
         return operands[1] in uniform and uniform[operands[1]] == 0
-    aval: Any = equation.invars[0].aval if equation.invars else None
-    if aval is None or jnp.issubdtype(aval.dtype, jnp.inexact):
+    if not equation.invars:
+        return False
+    aval: Any = equation.invars[0].aval
+    if jnp.issubdtype(aval.dtype, jnp.inexact):
         return name in ("max", "min") and any(np.isinf(value) for value in constant)
-    if name in _OF_EQUAL_OPERANDS and len(operands) == 2 and operands[0] == operands[1]:
+    if name in _OF_EQUAL_OPERANDS and operands[0] == operands[1]:
         return True
     return any(_absorbs(name, value) for value in constant)
 

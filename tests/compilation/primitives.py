@@ -70,7 +70,7 @@ KNOWN = {
     "pad": lambda v, m, n: (jnp.pad(m, ((1, 2), (0, 1))), lax.pad(v, 1.5, [(-1, 2, 1)]), lax.pad(v, 0.0, [(1, -2, 0)])),
     "moves": lambda v, m, n: (m.T, m.reshape(3, 4), m[::-1, ::2], jnp.roll(m, 1, 0), jnp.concatenate([v, v * 2])),
     "split": lambda v, m, n: jnp.split(m, [1, 3]),
-    "bits": lambda v, m, n: (n << 3, n >> 1, n ^ 5, ~n, n & 6, n | 8, lax.population_count(n), lax.clz(n)),
+    "bits": lambda v, m, n: (n << 3, n >> 1, n ^ 5, ~n, n & 6, n | 8, lax.population_count(n), lax.clz(jnp.abs(n))),
     "shift_right_logical": lambda v, m, n: lax.shift_right_logical(n, jnp.int32(2)),
     "whole numbers": lambda v, m, n: (
         n * 7 % 5,
