@@ -20,11 +20,10 @@ from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.metrics import METRICS, Metric
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
-JOINTS = ["coxa", "femur", "tibia"]
 AXES = ["x", "y", "z"]
 QUATERNION = ["w", "x", "y", "z"]
 SIX = ["x", "y", "z", "rx", "ry", "rz"]
@@ -125,7 +124,7 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     }
     labels: dict[str, tuple[Sequence[str], str]] = {
         "limb": (list(trajectory.limbs), "limb"),
-        "joint": (JOINTS, "joint, from the base outwards"),
+        "joint": (list(load_robot(trajectory.scenario.robot).joint_names), "joint, from the base outwards"),
         "axis": (AXES, "axis of the world frame, z up"),
         "six": (SIX, "translations, then rotations"),
         "quaternion": (QUATERNION, "component of the quaternion"),
@@ -136,6 +135,7 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
     attrs = {"title": "walk of a limbed climbing robot", **provenance(trajectory.scenario)}
     attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.numbers)}
+    attrs |= {"law": trajectory.law} if trajectory.law else {}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -143,14 +143,16 @@ def sweep_dataset(
     metrics: Mapping[str, np.ndarray],
     coordinates: Mapping[str, np.ndarray | xr.DataArray],
     scenario: Scenario,
+    table: MetricTable = METRICS,
 ) -> xr.Dataset:
     """Return the metrics of a grid of walks as labelled arrays.
 
     Arguments:
-        metrics: arrays of `mjx_climb.METRICS`, with one axis per coordinate, in their order.
+        metrics: arrays of metrics, with one axis per coordinate, in their order.
         coordinates: the values along each axis: names of `COORDINATES`, or others with a DataArray that has
             units.
         scenario: what all the walks have in common.
+        table: the metrics themselves.
 
     Raises:
         ValueError: an unknown metric or coordinate, or shapes that do not fit.
@@ -169,11 +171,11 @@ def sweep_dataset(
     data = {}
     for name, values in metrics.items():
         values = np.asarray(values)
-        if name not in METRICS.names:
-            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS.names)}")
+        if name not in table.names:
+            raise ValueError(f"metric {name}: expected one of {', '.join(table.names)}")
         if values.shape != tuple(shape):
             raise ValueError(f"metric {name}: expected shape {tuple(shape)} as the coordinates, got {values.shape}")
-        attrs = metric_attributes(METRICS[name])
+        attrs = metric_attributes(table[name])
         if name == "detached_limb":
             limbs = load_robot(scenario.robot).limbs
             values = values.astype(np.int32)
@@ -298,7 +300,8 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)
-    return Trajectory(scenario_of(dataset), gains, Parameters(**numbers | pushes), limbs, **arrays)
+    given = Parameters(**numbers | pushes)
+    return Trajectory(scenario_of(dataset), gains, given, limbs, law=dataset.attrs.get("law", ""), **arrays)
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:

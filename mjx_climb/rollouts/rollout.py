@@ -213,7 +213,10 @@ def rollout(
         samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
         samples = jax.tree.map(np.asarray, samples)
     own = dataclasses.replace(walker.numbers, **walker.replaced)
-    return from_samples(samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs)
+    name = "" if law is None else type(law).__name__
+    return from_samples(
+        samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs, name
+    )
 
 
 def given_in(
@@ -251,8 +254,9 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
             heading,
             trajectory.scenario.time_step,
         )
-        found = _accumulated(MetricTable(metrics), samples, context)
-        values = {name: value.item() for name, value in found.items()}
+        table = MetricTable(metrics)
+        found = _accumulated(table, samples, context)
+        values = {name: found[name].item() for name in table.names}
     return named(values, trajectory.limbs)
 
 
@@ -320,6 +324,11 @@ def rollout_metrics(
     return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress)
 
 
+def _batched(tree: Any, axes: Any, count: int) -> Any:
+    """Return a flattened tree whose values all have the batch axis, before each one's own `axes`."""
+    return jax.tree.map(lambda v, own: v if v.ndim > own else np.broadcast_to(v, (count, *v.shape)), tree, axes)
+
+
 def walk_batch(
     compiled: Callable[[int], Callable[..., Metrics]],
     structure: Structure,
@@ -349,7 +358,9 @@ def walk_batch(
 
     def walk(rows: np.ndarray, sharding: Sharding) -> Metrics:
         law, numbers, *others = rows_of(flat, axes, rows)
-        numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, share))  # batched, come what may
+        # batched, come what may: one robot's would have lost the axis
+        numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, share))
+        others = [_batched(tree, own, share) for tree, own in zip(others, axes[2:], strict=True)]
         with jax.enable_x64(double):  # holds for one thread
             return walked(*jax.device_put((law, numbers, *others), sharding))
 

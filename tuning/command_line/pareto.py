@@ -69,8 +69,8 @@ def pareto(
         scenario = options.scenario_from(config, controller, changes)
         engine = options.engine_from(engine)
         wanted = options.search_from(search, space, scenario, config)
-        settings.make({"weights": {better: 1.0}}, "--better")
-        settings.make({"limits": {against: 1.0}}, "--against")
+        for option, metric in (("--better", better), ("--against", against)):
+            settings.check_metrics(settings.make({"weights": {metric: 1.0}}), mc.METRICS, option)
         if better == against:
             raise InputError(f"--against: expected another metric than {better}")
         out = out or Path("results") / f"{config.stem}-pareto"

@@ -9,7 +9,9 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.walk.metrics import FAILURES
+from tuning.gains.gains_file import applied, by_name
 from tuning.judged import maps, stability_limit
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
@@ -21,6 +23,7 @@ from tuning.searches.tune import problem_of
 STEP = 0.2  # relative change of a gain
 PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
 UNRESPONSIVE = 1e-3  # largest relative change of any metric
+BINDING = 0.05  # of a limit's scale: as near to it, it is what holds the search there
 GRID = 12  # cells along each axis of the map
 
 
@@ -32,6 +35,7 @@ class Verification:
     value: float  # of that walk
     search_value: float
     broken_limits: list[str]  # in words
+    binding_limits: list[str]  # kept with hardly any room
     less: dict[str, float | None]  # change of the value with a gain 20 % less; None: infeasible or diverged
     more: dict[str, float | None]
     shape: dict[str, str]  # plateau, slope or cliff
@@ -50,21 +54,25 @@ class Verification:
 def map_of(
     found: Result, *, progress: Callable[[int, int], None] | None = None, engine: str = DEFAULT_ENGINE
 ) -> xr.Dataset | None:
-    """Return the metrics over an isotropic grid of stiffness and damping, with the objective as `objective`.
+    """Return the metrics over an isotropic grid of two gains, with the objective as `objective`; None with one gain.
+
+    They are stiffness and damping, where the law has them and they were searched, or else the first two that were.
 
     A variable `spectral_radius` tells where the closed loop is unstable.
     """
-    problem = problem_of(found.scenario, found.search, engine=engine)
+    problem = problem_of(found.scenario, found.search, engine=engine, metrics=found.judged_by, law=found.law)
+    kinds = list(dict.fromkeys(name.split(".")[0] for name in problem.space.names))
     box = {}
-    for kind in ("stiffness", "damping"):
+    for kind in sorted(kinds, key=lambda kind: {"stiffness": 0, "damping": 1}.get(kind, 2))[:2]:
         rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
-        if not rows:
-            return None
         low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
         box[kind] = np.geomspace(low, high, GRID)
-    walks = grid.sweep(found.scenario, box["stiffness"], box["damping"], progress=progress, engine=engine)
-    judged = maps.with_objective(walks, found.scenario, found.search, engine=engine)
-    return maps.with_stability(judged, found.scenario, engine=engine)
+    if len(box) < 2 or (found.law is None and set(box) != {"stiffness", "damping"}):
+        return None
+    how: dict[str, Any] = {"law": found.law, "engine": engine}
+    walks = grid.sweep(found.scenario, axes=box, progress=progress, metrics=found.judged_by, **how)
+    judged = maps.with_objective(walks, found.scenario, found.search, metrics=found.judged_by, **how)
+    return maps.with_stability(judged, found.scenario, **how)
 
 
 def verify(
@@ -84,10 +92,12 @@ def verify(
         function: the user's objective, where the search had one.
         engine: the dynamics.
     """
-    problem = dataclasses.replace(problem_of(found.scenario, found.search, function, engine=engine), dtype=np.float64)
+    problem = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by, law=found.law)
+    problem = dataclasses.replace(problem, dtype=np.float64)
     space, objective = problem.space, problem.objective
     if metrics is None:
-        metrics = mc.metrics(mc.rollout(found.scenario, found.gains, engine=engine))
+        alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=engine)
+        metrics = mc.metrics(alone_walk, found.judged_by)
     alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
@@ -97,11 +107,10 @@ def verify(
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
     best = None if walks is None else maps.best_cell(walks)
-    held = {name: value for name, value in vars(found.gains).items() if value is not None}
-    alone_gains = mc.Gains(
-        **{n: np.broadcast_to(np.asarray(v, float), (1, 6) if n in mc.Gains.AXES else (1,)) for n, v in held.items()}
-    )
-    radius = float(stability_limit.spectral_radius(found.scenario, alone_gains, engine=engine)[0])
+    single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
+    alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
+    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=engine)
+    radius = float(limit[0])
 
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None
@@ -110,16 +119,22 @@ def verify(
         metrics=dict(metrics),
         value=float(alone.value),
         search_value=found.value,
-        broken_limits=_broken(objective, metrics),
+        broken_limits=broken_limits(objective, metrics),
+        binding_limits=binding_limits(objective, metrics),
         less={name: number(v) for name, v in zip(space.names, change[0], strict=True)},
         more={name: number(v) for name, v in zip(space.names, change[1], strict=True)},
         shape=shape,
         slopes={name: float(v) for name, v in zip(space.names, slopes, strict=True)},
         grid_value=None if best is None else float(best["objective"]),
-        grid_gains=None if best is None else {n: float(best[n]) for n in ("stiffness", "damping")},
+        grid_gains=None if best is None else {n: float(best[n]) for n in _axes(best)},
         spectral_radius=radius,
         warnings=_warnings(found, problem, around, shape, best, radius, alone),
     )
+
+
+def _axes(cell: xr.Dataset) -> list[str]:
+    """Return the gains that a cell of a map has."""
+    return [str(name) for name in cell.coords if not cell[name].ndim]
 
 
 def _shape(change: np.ndarray) -> str:
@@ -128,7 +143,8 @@ def _shape(change: np.ndarray) -> str:
     return "plateau" if np.abs(change).max() < PLATEAU else "slope"
 
 
-def _broken(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+def broken_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+    """Return in words which limits a walk breaks, by its metrics as `mjx_climb.metrics` gives them."""
     if metrics["diverged"]:
         return ["the walk diverged"]
     broken = []
@@ -139,6 +155,18 @@ def _broken(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
         if value is not None and objectives.violation(limit, value) > 0:
             broken.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
     return broken
+
+
+def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+    """Return in words which limits a walk keeps with hardly any room, `BINDING` of their scale: they hold it there."""
+    if metrics["diverged"]:
+        return []
+    near = []
+    for limit in objective.limits:
+        value = metrics[limit.metric]
+        if value is not None and -BINDING <= objectives.violation(limit, value) <= 0:
+            near.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
+    return near
 
 
 def _warnings(
@@ -156,7 +184,7 @@ def _warnings(
     for name in space.on_bound(found.theta):
         lines.append(f"{name} lies on a bound: widen bounds.{name}")
     moved = np.zeros(space.size)
-    for name in mc.METRICS.names:
+    for name in problem.metrics.names:
         values = around.metrics[name].astype(float)
         if name in FAILURES or not np.isfinite(values[0]) or not values[0]:
             continue
@@ -168,10 +196,8 @@ def _warnings(
     if cliffs:
         lines.append(f"cliff within {STEP:.0%} of {', '.join(cliffs)}: a limit breaks or the objective jumps")
     if best is not None and float(best["objective"]) < found.value - 1e-4:
-        lines.append(
-            f"a coarse grid found better: {float(best['objective']):.4f} at stiffness {float(best['stiffness']):.4g}, "
-            f"damping {float(best['damping']):.4g}"
-        )
+        where = ", ".join(f"{name} {float(best[name]):.4g}" for name in _axes(best))
+        lines.append(f"a coarse grid found better: {float(best['objective']):.4f} at {where}")
     if radius > 1 + 1e-9:
         lines.append(f"the closed loop is unstable about the stance: a disturbance grows by {radius:.6f} a step")
     if abs(float(alone.value) - found.value) > 0.01:
@@ -180,7 +206,6 @@ def _warnings(
 
 
 def tuned(found: Result) -> mc.Scenario:
-    """Return the scenario with the gains of a result."""
-    from tuning.gains import gains_file
-
-    return gains_file.applied(found.scenario, found.gains)
+    """Return the scenario with the gains of a result, of another law than its own those of the joint loop."""
+    gains = by_name(found.gains)
+    return applied(found.scenario, {n: v for n, v in gains.items() if found.law is None or n not in found.law.GAINS})

@@ -57,6 +57,7 @@ class Problem:
     members: int = 1
     dtype: type = np.float32
     engine: str = DEFAULT_ENGINE
+    metrics: mc.MetricTable = mc.METRICS
     law: mc.Law | None = None  # the scenario's where None
 
     def env_steps(self, points: int, tangents: int = 0) -> int:
@@ -68,7 +69,9 @@ class Problem:
     ) -> Evaluation:
         """Walk with the gains of B points and judge them, with slopes along some directions."""
         theta = np.asarray(theta, float)
-        walk: dict[str, Any] = {"dtype": self.dtype, "engine": self.engine, "smooth": True, "law": self.law}
+        walk: dict[str, Any] = {
+            "metrics": self.metrics, "dtype": self.dtype, "engine": self.engine, "smooth": True, "law": self.law,
+        }  # fmt: skip
         if directions is None:
             metrics = mc.rollout_metrics(self.scenario, to_gains64(self.space, theta), self.numbers, **walk)
             with jax.enable_x64(np.dtype(self.dtype) == np.float64):
@@ -132,15 +135,17 @@ def _judged_slopes(
 
 
 @functools.lru_cache(maxsize=8)
-def baseline(scenario: mc.Scenario, engine: str = DEFAULT_ENGINE) -> dict[str, float]:
+def baseline(
+    scenario: mc.Scenario, engine: str = DEFAULT_ENGINE, metrics: mc.MetricTable = mc.METRICS
+) -> dict[str, float]:
     """Return the metrics of pd in float64 with nothing torn off, and their smooth companions."""
     enable_cache()
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
     with jax.enable_x64(True):
-        simulate = mc.simulator(pd, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
+        simulate = mc.simulator(pd, metrics=metrics, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
         numbers = jax.tree.map(np.asarray, mc.parameters(pd))
         gains = mc.Gains(np.ones(6), np.ones(6), np.ones(6))
-        metrics = jax.jit(simulate, compiler_options=mc.compiler_options(1, in_pieces=mc.pieces_pay(engine)))(
+        found = jax.jit(simulate, compiler_options=mc.compiler_options(1, in_pieces=mc.pieces_pay(engine)))(
             gains, numbers
         )
-        return {name: float(value) for name, value in metrics.items()}
+        return {name: float(value) for name, value in found.items()}

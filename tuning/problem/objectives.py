@@ -75,8 +75,8 @@ Judge = Callable[[Metrics], Array] | Goal  # what a user may give: a function in
 class Objective:
     """Terms and limits, or the user's own function in place of the terms.
 
-    `function` maps a mapping of metrics (those of `mjx_climb.METRICS` and their smooth companions, arrays of any
-    shape) to an array of that shape, by operations of jax.numpy.
+    `function` maps a mapping of metrics (those of the walks and their smooth companions, arrays of any shape) to an
+    array of that shape, by operations of jax.numpy.
     """
 
     terms: tuple[Term, ...]
@@ -116,13 +116,13 @@ def worthless(score: Score, lost: Array) -> Score:
     return Score(value, descent, penalty, score.feasible & ~lost)
 
 
-def penalty_of(over: Array) -> Array:
+def penalty_of(over: Array | np.ndarray) -> Array:
     """Return 0 inside, a parabola just outside, a straight line of slope 10 far outside."""
     over = jnp.maximum(over, 0.0)
     return _PENALTY * over**2 / (1 + over / _BEND)
 
 
-def violation(limit: Limit, value: Array) -> Array:
+def violation(limit: Limit, value: Array | np.ndarray) -> Array | np.ndarray:
     """Return by how much a limit is passed, relative to its scale; negative inside."""
     over = value - _by_row(limit.value)
     return (-over if limit.larger_is_better else over) / _by_row(limit.scale)
@@ -137,6 +137,7 @@ def objective(
     search: Search,
     baseline: Mapping[str, float],
     function: Callable[[Metrics], Array] | None = None,
+    metrics: mc.MetricTable = mc.METRICS,
 ) -> Objective:
     """Return the objective that the settings ask for.
 
@@ -145,6 +146,7 @@ def objective(
         search: weights and limits.
         baseline: metrics of pd with their smooth companions, see `tuning.problem.evaluation.baseline`.
         function: the user's own in place of the weighted terms.
+        metrics: what may be weighed and limited.
 
     Raises:
         ConfigError: pd diverges, or has no value of a metric that is weighed.
@@ -162,11 +164,11 @@ def objective(
             raise ConfigError(
                 f"weights.{metric}: expected a metric that pd has here, got {baseline[metric]:g} under pd"
             )
-        terms.append(Term(metric, weight, baseline[metric], smooth, mc.METRICS[metric].larger_is_better))
+        terms.append(Term(metric, weight, baseline[metric], smooth, metrics[metric].larger_is_better))
     limits: list[Limit] = []
 
     def limit(metric: str, value: float, margin: float, reason: str) -> None:
-        about = mc.METRICS[metric]
+        about = metrics[metric]
         scale = about.scale or abs(value) or 1.0
         limits.append(Limit(metric, float(value), max(scale, abs(value)), margin, reason, about.larger_is_better))
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-import mjx_climb as mc
-from mjx_climb.walk.metrics import FAILURES
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import FAILURES, MetricTable
 from tuning.problem import settings
 
 Shipped = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
@@ -57,10 +57,7 @@ class Search(BaseModel):
     precision: Literal["float32", "float64"] = Field(default="float32", description="of the search's simulations")
 
     @model_validator(mode="after")
-    def _known_metrics(self) -> "Search":
-        for name in (*self.weights, *self.limits):
-            if name not in mc.METRICS.names or name in FAILURES:
-                raise ValueError(f"{name!r} is no metric to weigh or limit")
+    def _makes_sense(self) -> "Search":
         if not any(self.weights.values()):
             raise ValueError("weights: expected one above 0")
         for name, (low, high) in self.bounds.items():
@@ -80,6 +77,17 @@ def make(values: dict[str, Any], source: str = "search") -> Search:
         ConfigError: in one line, key and what is wrong.
     """
     return settings.validated(Search, values, source)
+
+
+def check_metrics(search: Search, metrics: MetricTable, source: str = "search") -> None:
+    """Refuse settings that weigh or limit what is no metric.
+
+    Raises:
+        ConfigError: in one line, the source and the name.
+    """
+    for name in (*search.weights, *search.limits):
+        if name not in metrics.names or name in FAILURES:
+            raise ConfigError(f"{source}: {name!r} is no metric to weigh or limit")
 
 
 def load(path: str | os.PathLike[str]) -> Search:

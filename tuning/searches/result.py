@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ class Result:
     best_at: int  # env-steps spent when the best was found
     interrupted: bool
     history: xr.Dataset
+    judged_by: mc.MetricTable = mc.METRICS
     law: mc.Law | None = None  # with the gains found, where another than the scenario's was searched
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -55,6 +56,7 @@ def from_history(
     arrays: Mapping[str, np.ndarray],
     *,
     law: mc.Law | None = None,
+    metrics: mc.MetricTable = mc.METRICS,
     interrupted: bool,
 ) -> Result:
     """Return the result of the points judged so far.
@@ -78,7 +80,7 @@ def from_history(
         data[name] = (
             "point",
             values,
-            dataset.metric_attributes(mc.METRICS[name]) if name in mc.METRICS.names else about,
+            dataset.metric_attributes(metrics[name]) if name in metrics.names else about,
         )
     attrs: dict[str, Any] = {"title": "search for gains", **dataset.provenance(scenario), "search": search.to_yaml()}
     attrs["interrupted"] = int(interrupted)
@@ -88,7 +90,7 @@ def from_history(
     history.attrs["gains"] = dataset.fields_as_json(by_name(gains))
     if law is not None:
         history.attrs["law"] = reference(law)
-    return _of(history, scenario, search, gains, best, law)
+    return _of(history, scenario, search, gains, best, law, metrics)
 
 
 def best_of(arrays: Mapping[str, np.ndarray]) -> int:
@@ -100,9 +102,15 @@ def best_of(arrays: Mapping[str, np.ndarray]) -> int:
 
 
 def _of(
-    history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: AnyGains, best: int, law: mc.Law | None
+    history: xr.Dataset,
+    scenario: mc.Scenario,
+    search: Search,
+    gains: AnyGains,
+    best: int,
+    law: mc.Law | None,
+    metrics: mc.MetricTable,
 ) -> Result:
-    names = [name for name in mc.METRICS.names if name in history]
+    names = [name for name in metrics.names if name in history]
     return Result(
         scenario=scenario,
         search=search,
@@ -115,16 +123,18 @@ def _of(
         best_at=int(history["env_steps"][best]),
         interrupted=bool(history.attrs["interrupted"]),
         history=history,
+        judged_by=metrics,
         law=None if law is None else with_gains(law, gains),
     )
 
 
-def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> Result:
-    """Read the result that `Result.save` wrote; its scenario, law and settings repeat the search.
+def load(path: str | os.PathLike[str], law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS) -> Result:
+    """Read the result that `Result.save` wrote; its scenario, law, metrics and settings repeat the search.
 
     Arguments:
         path: the file.
         law: the one whose gains were searched, where it was not the scenario's.
+        metrics: those that its walks were judged by.
 
     Raises:
         ConfigError: no such file, or another one, or a search of another law.
@@ -144,4 +154,5 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> Result:
         mc.Gains(**gains) if of_the_paper else gains,
         best_of(arrays),
         law,
+        mc.MetricTable(metrics),
     )

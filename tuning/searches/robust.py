@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES, PREFIX
 from tuning.problem import ensemble as ensembles
 from tuning.problem import objectives
+from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble, Worst
 from tuning.problem.objectives import Limit, Metrics, Score
 from tuning.problem.search import WEIGHTS, Search
@@ -105,7 +106,11 @@ class RobustObjective:
 
 
 def objective(
-    scenario: mc.Scenario, search: Search, ensemble: Ensemble, baseline: Mapping[str, np.ndarray]
+    scenario: mc.Scenario,
+    search: Search,
+    ensemble: Ensemble,
+    baseline: Mapping[str, np.ndarray],
+    metrics: mc.MetricTable = mc.METRICS,
 ) -> RobustObjective:
     """Return the robust objective that the settings ask for.
 
@@ -114,6 +119,7 @@ def objective(
         search: weights and limits.
         ensemble: how the worst members count.
         baseline: metrics (members,) of pd with their smooth companions, see `pd_of`.
+        metrics: what may be weighed and limited.
 
     Raises:
         ConfigError: pd diverges in a member, or has no value of a metric that is weighed.
@@ -122,7 +128,7 @@ def objective(
     for metric, weight in search.weights.items():
         if not weight:
             continue
-        larger = mc.METRICS[metric].larger_is_better
+        larger = metrics[metric].larger_is_better
         smooth = baseline.get(PREFIX + metric, baseline[metric])
         worst = [ensembles.worst_mean(v, ensemble.worst.share, larger_is_better=larger) for v in (smooth, smooth)]
         worst[0] = ensembles.worst_mean(baseline[metric], ensemble.worst.share, larger_is_better=larger)
@@ -136,20 +142,33 @@ def objective(
         terms.append(RobustTerm(metric, weight, larger, *numbers))
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest = {name: float(values.max()) for name, values in baseline.items()}
-    plain = objectives.objective(scenario, search.model_copy(update={"no_worse_than_pd": False}), widest)
+    plain = objectives.objective(
+        scenario, search.model_copy(update={"no_worse_than_pd": False}), widest, metrics=metrics
+    )
     margin = objectives.PD_MARGIN if search.no_worse_than_pd else None
     return RobustObjective(tuple(terms), plain.limits, ensemble.worst, margin)
 
 
-def pd_of(scenario: mc.Scenario, numbers: mc.Parameters, *, engine: str = DEFAULT_ENGINE) -> dict[str, np.ndarray]:
+def pd_of(
+    scenario: mc.Scenario,
+    numbers: mc.Parameters,
+    *,
+    engine: str = DEFAULT_ENGINE,
+    metrics: mc.MetricTable = mc.METRICS,
+) -> dict[str, np.ndarray]:
     """Return what a search sees of pd in the walks that `numbers` (with leading batch axes) holds; see `_walked`."""
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
     ones = np.ones(6)
-    return _walked(pd, mc.Gains(ones, ones, ones), numbers, engine)
+    return _walked(pd, mc.Gains(ones, ones, ones), numbers, engine, metrics)
 
 
 def _walked(
-    scenario: mc.Scenario, gains: AnyGains, numbers: mc.Parameters, engine: str, law: mc.Law | None = None
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    numbers: mc.Parameters,
+    engine: str,
+    metrics: mc.MetricTable,
+    law: mc.Law | None = None,
 ) -> dict[str, np.ndarray]:
     """Return metrics and their smooth companions with nothing torn off, in float32, with the batch axes."""
     enable_cache()
@@ -157,7 +176,7 @@ def _walked(
     walks = math.prod(given_in(scenario, law, gains, numbers, np.float32).shape)
     in_pieces = mc.pieces_pay(engine)
     simulate = jax.jit(
-        mc.simulator(scenario, law=law, engine=engine, smooth=True, in_pieces=in_pieces),
+        mc.simulator(scenario, metrics=metrics, law=law, engine=engine, smooth=True, in_pieces=in_pieces),
         compiler_options=mc.compiler_options(walks, in_pieces=in_pieces),
     )
     return {name: np.asarray(value) for name, value in simulate(gains, numbers).items()}
@@ -168,6 +187,7 @@ def search(
     ensemble: Ensemble,
     settings: Search | None = None,
     *,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
@@ -181,25 +201,32 @@ def search(
     if settings is None and "weights" not in changes:
         changes["weights"] = ROBUST_WEIGHTS
     settings = tune.changed(settings, changes)
-    target, numbers = goal(scenario, ensemble, settings, engine), ensembles.draw(scenario, ensemble)
-    return tune.tune(
-        scenario, settings, law=law, objective=target, numbers=numbers, engine=engine, out=out, progress=progress
-    )
+    table = tune.complete(metrics)
+    target, numbers = goal(scenario, ensemble, settings, engine, table), ensembles.draw(scenario, ensemble)
+    how: dict[str, Any] = {"law": law, "metrics": table, "engine": engine, "out": out, "progress": progress}
+    return tune.tune(scenario, settings, objective=target, numbers=numbers, **how)
 
 
-def goal(scenario: mc.Scenario, ensemble: Ensemble, settings: Search, engine: str = DEFAULT_ENGINE) -> RobustObjective:
+def goal(
+    scenario: mc.Scenario,
+    ensemble: Ensemble,
+    settings: Search,
+    engine: str = DEFAULT_ENGINE,
+    metrics: mc.MetricTable = mc.METRICS,
+) -> RobustObjective:
     """Return what a search over an ensemble minimises; pd walks through the members first.
 
     Raises:
         ConfigError: see `objective`.
     """
-    return objective(scenario, settings, ensemble, _baseline(scenario, ensemble, engine))
+    search_settings.check_metrics(settings, metrics)
+    return objective(scenario, settings, ensemble, _baseline(scenario, ensemble, engine, metrics), metrics)
 
 
 @functools.lru_cache(maxsize=8)
-def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str) -> dict[str, np.ndarray]:
+def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str, metrics: mc.MetricTable) -> dict[str, np.ndarray]:
     """Return the metrics (members,) of pd with their smooth companions."""
-    walked = pd_of(scenario, ensembles.draw(scenario, ensemble), engine=engine)
+    walked = pd_of(scenario, ensembles.draw(scenario, ensemble), engine=engine, metrics=metrics)
     return {name: value.reshape(-1) for name, value in walked.items()}
 
 
@@ -209,6 +236,7 @@ def judge(
     ensemble: Ensemble,
     *,
     members: int = 128,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
@@ -223,6 +251,7 @@ def judge(
         gains: by name.
         ensemble: drawn again with another seed.
         members: walks of each.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         law: whose gains they are, where it is not the scenario's.
         engine: the dynamics.
         progress: called with walks done and in all.
@@ -232,14 +261,16 @@ def judge(
     """
     fresh = ensemble.model_copy(update={"members": members, "seed": ensemble.seed + FRESH_SEED})
     numbers = ensembles.draw(scenario, fresh)
+    table = tune.complete(metrics)
     whole = [given_in(scenario, law, g, None, np.float64).law for g in gains.values()]
     stacked = {name: np.stack([getattr(each, name) for each in whole]) for name in whole[0].GAINS}
     total, parts = members * (len(gains) + 1), []
     for start in range(0, members, CHUNK):
         rows = {n: v[start : start + CHUNK] if v.shape[:1] == (members,) else v for n, v in vars(numbers).items()}
         part = mc.Parameters(**rows)
-        both = _walked(scenario, stacked, part, engine, law), pd_of(scenario, part, engine=engine)
-        parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in mc.METRICS.names})
+        walked = _walked(scenario, stacked, part, engine, table, law)
+        both = walked, pd_of(scenario, part, engine=engine, metrics=table)
+        parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in table.names})
         if progress is not None:
             progress(min(start + CHUNK, members) * (len(gains) + 1), total)
     data: dict[str, Any] = {
@@ -248,7 +279,7 @@ def judge(
             np.concatenate([part[metric.name] for part in parts]).T,
             dataset.metric_attributes(metric),
         )
-        for metric in mc.METRICS
+        for metric in table
     }
     drawn = {
         "cargo_mass": (numbers.cargo_mass, "kg", "mass of the cargo"),
@@ -285,12 +316,9 @@ def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:
     if not held.sizes["member"]:
         raise ValueError("expected a member of the draw in which nothing diverges, got none")
     data: dict[str, Any] = {}
-    for metric in mc.METRICS:
-        name = metric.name
-        if name in FAILURES:
-            continue
+    for name in [str(n) for n, v in judged.data_vars.items() if "larger_is_better" in v.attrs and n not in FAILURES]:
         values = held[name].transpose("member", "gains").values.astype(float)
-        worst = ensembles.worst_mean(values, share, larger_is_better=metric.larger_is_better)
+        worst = ensembles.worst_mean(values, share, larger_is_better=dataset.larger_is_better(judged[name]))
         data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), judged[name].attrs)
     about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
     data["failed"] = ("gains", failed(judged).mean("member").values, about)

@@ -10,7 +10,7 @@ import hashlib
 import importlib.metadata
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,9 @@ from mjx_climb.files.dataset import PACKAGES, OutputError
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.robot.constants import model_path
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import evaluation, objectives, spaces
+from tuning.problem import search as search_settings
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Judge
 from tuning.problem.search import OWN_METHOD, Search
@@ -58,6 +60,7 @@ def tune(
     law: mc.Law | None = None,
     method: str | Method | Callable[[Task], Points] | None = None,
     objective: Judge | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     numbers: mc.Parameters | None = None,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
@@ -76,6 +79,8 @@ def tune(
             `tuning.searches.methods.task`. It must ask for the same when it is told the same.
         objective: a pure function of the metrics in place of the weighted terms, see
             `tuning.problem.objectives.Objective`.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may
+            name them. The shipped ones must be among them.
         numbers: parameters in place of the scenario's; with leading axes (members, 1), an ensemble over which the
             score is the mean.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
@@ -99,7 +104,7 @@ def tune(
     search = changed(search, settings)
     if method is None and search.method == OWN_METHOD:
         raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
-    problem = problem_of(scenario, search, objective, numbers, engine, law=law)
+    problem = problem_of(scenario, search, objective, numbers, engine, law=law, metrics=metrics)
     task = Task(problem, search, start_of(problem))
     kept = None if out is None else Parts(out, search_identity(problem, search, objective, method))
     chosen = method or METHODS[search.method]
@@ -131,7 +136,9 @@ def tune(
             raise
         interrupted = True
     joined = {name: np.concatenate(values) for name, values in arrays.items()}
-    return result.from_history(scenario, search, problem.space, joined, law=law, interrupted=interrupted)
+    return result.from_history(
+        scenario, search, problem.space, joined, law=law, metrics=problem.metrics, interrupted=interrupted
+    )
 
 
 def changed(search: Search | None, settings: Mapping[str, Any]) -> Search:
@@ -151,17 +158,37 @@ def problem_of(
     engine: str = DEFAULT_ENGINE,
     *,
     law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
 ) -> Problem:
-    """Return what the settings ask to search: space, objective relative to pd, and walks."""
+    """Return what the settings ask to search: space, objective relative to pd, and walks.
+
+    Raises:
+        ConfigError: settings that make no sense for the scenario or the metrics.
+    """
+    table = complete(metrics)
+    search_settings.check_metrics(search, table)
     space = spaces.space(scenario, search, law)
     target: Goal
     if isinstance(function, Goal):
         target = function
     else:
-        target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine), function)
+        target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine, table), function, table)
     members = 1 if numbers is None else math.prod(batch_shape(numbers))
     dtype = np.dtype(search.precision).type
-    return Problem(scenario, space, target, numbers, members, dtype, engine, law=law)
+    return Problem(scenario, space, target, numbers, members, dtype, engine, metrics=table, law=law)
+
+
+def complete(metrics: Iterable[mc.Metric]) -> mc.MetricTable:
+    """Return metrics as a table with the shipped ones in it, by which searches know what failed.
+
+    Raises:
+        ConfigError: one of the shipped ones is missing or replaced.
+    """
+    table = mc.MetricTable(metrics)
+    for metric in mc.METRICS:
+        if metric not in table:
+            raise ConfigError(f"metrics: expected the shipped {metric.name} among them, as in METRICS + (mine,)")
+    return table
 
 
 def start_of(problem: Problem) -> np.ndarray:
@@ -184,7 +211,7 @@ def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evalua
         "row": np.arange(count),
         "phase": np.full(count, request.phase),
         "env_steps": np.full(count, spent),
-        **{name: found.metrics[name] for name in mc.METRICS.names},
+        **{name: found.metrics[name] for name in found.metrics if not name.startswith(PREFIX)},
     }
     for name, values in columns.items():
         arrays.setdefault(name, []).append(values)
@@ -244,6 +271,7 @@ def search_identity(
         "method": None if method is None else identity.identity(method, "method"),
         "objective": None if function is None else identity.identity(function, "objective"),
         "numbers": None if problem.numbers is None else identity.identity(problem.numbers, "numbers"),
+        "metrics": identity.of_metrics(problem.metrics),
         "engine": problem.engine,
         "platform": jax.default_backend(),
         "robot_model": hashlib.sha256(model_path(problem.scenario.robot).read_bytes()).hexdigest(),
