@@ -14,7 +14,7 @@ from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State, integrate
-from mjx_climb.hardware.control_period import period_steps
+from mjx_climb.hardware.pace import pace as pace_of
 from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
 from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.robot.constants import Robot, load_robot
@@ -112,8 +112,8 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
     stages, time_step = structure.stages, structure.time_step
-    period = jnp.asarray(numbers.control_period)
-    held = time_step * period_steps(period, time_step) if stages.control_period else time_step
+    pace = pace_of(numbers, stages, time_step)
+    held = time_step * pace.period if stages.control_period else time_step
     drives = _with_armature(robot, jnp.asarray(numbers.armature)) if stages.armature else robot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
     plan = gait.plan(robot, feet, numbers, structure.sequence, structure.time_step)
@@ -123,7 +123,7 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=plan,
-        controller=control_loop.Controller(begun, geometry, numbers, stages, time_step),
+        controller=control_loop.Controller(begun, geometry, numbers, stages, pace, time_step),
         engine=ENGINES[structure.engine],
         drives=drives,
         time_step=structure.time_step,
