@@ -116,7 +116,7 @@ def test_engines_agree_on_hardware(scenario):
 
 
 SLOPES = (
-    "force_delay", "command_delay", "servo_delay", "force_filter", "force_noise", "force_bias", "armature",
+    "force_delay", "servo_delay", "force_filter", "force_noise", "force_bias", "armature",
     "coulomb_friction", "viscous_friction", "load_friction", "backlash",
 )  # fmt: skip
 
@@ -144,6 +144,7 @@ def slopes(scenario):
     return dict(zip(SLOPES, zip(np.asarray(forward), (sides[0] - sides[1]) / widths, strict=True), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SLOPES)
 def test_derivative_of_a_walk_by_its_hardware(slopes, name):
     exact, differences = slopes[name]
