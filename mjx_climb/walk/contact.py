@@ -32,7 +32,7 @@ class Grip(NamedTuple):
     force: Array  # (3, L, B) N, of the ground on the foot, world axes
     support: Array  # (L, B) bool: the gripper holds
     torn_off: Array  # (L, B) bool: the holding limit was passed in this step
-    missed: Array  # (L, B) bool: it shut out of reach in this step
+    missed: Any  # (L, B) bool: it shut out of reach in this step; () without a `Reach`
 
 
 def grip(contact: Contact, feet: Feet, closed: Array, ground: Array, numbers: Parameters) -> tuple[Contact, Grip]:
@@ -49,15 +49,17 @@ def grip(contact: Contact, feet: Feet, closed: Array, ground: Array, numbers: Pa
     """
     ground = jnp.broadcast_to(ground, feet.position[2].shape)
     support, reach = closed & ~contact.detached, contact.reach
-    shuts = missed = jnp.zeros_like(support)
-    anywhere = jnp.isinf(numbers.capture_distance)
+    missed: Any = ()
     if reach:
+        anywhere = jnp.isinf(numbers.capture_distance)
         shuts = support & ~reach.shut & ~anywhere
         missed = shuts & (feet.position[2] - ground > numbers.capture_distance)
         reach = Reach(closed, closed & (reach.missed | missed))
         support = support & ~reach.missed
     touching = support | (feet.position[2] <= ground)
-    fresh = (touching & ~contact.touching) | shuts
+    fresh = touching & ~contact.touching
+    if reach:
+        fresh = fresh | shuts
     below = jnp.stack([feet.position[0], feet.position[1], ground])
     grip_point = jnp.where(fresh, below, contact.grip_point)
     spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity

@@ -275,7 +275,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         contact=contact.touching,
         detached=carry.contact.detached,
         torn_off=held.torn_off,
-        missed=held.missed,
+        missed=held.missed if contact.reach else jnp.zeros_like(held.support),
         reachable=driven.joints.reachable,
         base_reference=reference.base_position,
         base_displacement=driven.command.base_displacement,
