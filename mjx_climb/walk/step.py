@@ -19,6 +19,7 @@ from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import disturbance, gait
+from mjx_climb.walk.action import Action, BaseShift, JointTargets
 from mjx_climb.walk.contact import Contact, grip
 from mjx_climb.walk.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
 from mjx_climb.walk.sample import Sample
@@ -140,8 +141,11 @@ def begin(walk: Walk, batch: int) -> Carry:
     )
 
 
-def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
-    """Return the walk one time step later, and all that is known about this step."""
+def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tuple[Carry, Sample]:
+    """Return the walk one time step later, and all that is known about this step.
+
+    `step` counts them, () or (B,). An action takes the place of the law, which then stays as it is.
+    """
     robot, numbers, state = walk.robot, walk.numbers, carry.state
     rotation = quaternion_to_matrix(state.base_orientation)
     frames = limb_frames(robot, rotation, state.joint_angles)
@@ -166,11 +170,16 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         wrench,
         held.support,
     )
-    law_state, command = walk.law.command(carry.law, measurement, reference)
+    if action is None:
+        law_state, command = walk.law.command(carry.law, measurement, reference)
+    else:
+        shift = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(wrench)
+        law_state, command = carry.law, shifted_by(reference, shift)
     target_rotation = quaternion_to_matrix(command.base_orientation)
     target = rotate_back(target_rotation[:, :, None], command.foot_position - command.base_position[:, None])
     joints = inverse_kinematics(walk.geometry, target)
-    torque = joint_torque(numbers, joints.joint_angles, state.joint_angles, state.joint_rates)
+    joint_targets = action.angles if isinstance(action, JointTargets) else joints.joint_angles
+    torque = joint_torque(numbers, joint_targets, state.joint_angles, state.joint_rates)
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
     push = disturbance.push(numbers, step, walk.time_step)
@@ -196,7 +205,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         joint_angles=state.joint_angles,
         joint_rates=state.joint_rates,
         joint_accelerations=acceleration.joints,
-        joint_targets=joints.joint_angles,
+        joint_targets=joint_targets,
         joint_torque=torque,
         foot_position=feet.position,
         foot_velocity=feet.velocity,

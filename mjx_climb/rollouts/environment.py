@@ -1,0 +1,227 @@
+"""Robots stepped by hand: a reset and one step as pure functions, the batch first."""
+
+import dataclasses
+import functools
+import math
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike, DTypeLike
+
+from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.forward_only import forward_only
+from mjx_climb.compilation.options import pieces_pay
+from mjx_climb.control import Law, law_of
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.dynamics.state import State
+from mjx_climb.quantities.batches import batch_last, own_axes
+from mjx_climb.quantities.parameters import Parameters, parameters
+from mjx_climb.rollouts.given import AnyGains, checked, given
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk import action as hot
+from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
+
+Tree = TypeVar("Tree")
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class JointTargets:
+    """An action: where the joint loop should take the joints, in place of the law and the inverse kinematics."""
+
+    angles: ArrayLike  # (*batch, limb, joint) rad
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class BaseShift:
+    """An action: how far the base should be from its reference, in place of what the law says; the feet as planned."""
+
+    displacement: ArrayLike  # (*batch, 6) m, rad: translation and rotation vector along the axes of the reference
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class EnvironmentState:
+    """Robots between two steps: every array has the batch axes first, so that `vmap`, `where` and slices take it."""
+
+    law: Law  # gains (*batch, n)
+    parameters: Parameters  # values (*batch, ...)
+    step: Array  # (*batch,) how many have been made
+    carry: Carry  # what one step hands to the next: values (*batch, ...)
+
+    @property
+    def robot(self) -> State:
+        """The mechanical state, joints (*batch, limb x joint), as `mjx_climb.forward_dynamics` takes it."""
+        state = self.carry.state
+        joints = {
+            name: jnp.swapaxes(getattr(state, name), -1, -2).reshape(*self.step.shape, -1)
+            for name in ("joint_angles", "joint_rates")
+        }
+        return dataclasses.replace(state, **joints)
+
+
+class Environment:
+    """A scenario's robots, to be stepped by hand under its law or another, or under actions of one's own.
+
+    ```python
+    env = mjx_climb.Environment(scenario)
+    state = env.reset(parameters)
+    state, sample = env.step(state)
+    ```
+
+    `reset` and `step` are pure and compiled, for `jit`, `vmap`, `scan` and forward derivatives; made again from equal
+    arguments, an environment is not compiled again. The walk is that of `mjx_climb.rollout`, bit for bit, and goes on
+    where a rollout would end.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        law: Law | None = None,
+        engine: str = DEFAULT_ENGINE,
+        dtype: DTypeLike | None = None,
+        in_pieces: bool | None = None,
+    ) -> None:
+        """Prepare an environment.
+
+        Arguments:
+            scenario: what walks where; its numbers are the default parameters.
+            law: the control law, the scenario's own where None.
+            engine: the dynamics, one of `mjx_climb.ENGINES`.
+            dtype: precision of the simulation; JAX's own setting where None.
+            in_pieces: as `mjx_climb.simulator` takes it; where it pays, if None. False for reverse derivatives.
+
+        Raises:
+            ConfigError: no such engine.
+            ValueError: no control law.
+        """
+        pieces = pieces_pay(engine) if in_pieces is None else in_pieces
+        self.scenario = scenario
+        self.law = law_of(scenario) if law is None else checked(law)
+        self.dtype = jnp.dtype(jnp.result_type(float) if dtype is None else dtype)
+        self._structure = structure(scenario, engine, in_pieces=pieces)
+
+    def reset(
+        self, parameters: Parameters | None = None, gains: AnyGains | None = None, *, batch: tuple[int, ...] = ()
+    ) -> EnvironmentState:
+        """Return robots in the rest stance with all grippers shut.
+
+        Arguments:
+            parameters: with any leading batch axes; the scenario's own where None.
+            gains: in place of the law's own, by name, with leading batch axes that broadcast with the parameters'.
+            batch: further axes, where neither has them: `batch=(64,)` for 64 equal robots.
+
+        Raises:
+            ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
+        """
+        numbers = _own(self.scenario, self.dtype) if parameters is None else parameters
+        numbers = jax.tree.map(self._array, numbers)
+        law, numbers, shape, _ = given(self.scenario, self.law, gains, numbers, self._array)
+        shape = jnp.broadcast_shapes(shape, tuple(batch))
+        law, numbers = _spread(law, shape), _spread(numbers, shape)
+        carry = _batch_first(_begun(self._structure, law, numbers, shape), shape)
+        return EnvironmentState(law, numbers, jnp.zeros(shape, jnp.int32), carry)
+
+    def step(
+        self, state: EnvironmentState, action: JointTargets | BaseShift | None = None
+    ) -> tuple[EnvironmentState, Sample]:
+        """Return the robots one time step later, and all that is known about this step.
+
+        Arguments:
+            state: what `reset` or the last `step` gave.
+            action: for this step, with the batch axes of the state; None: what the law says. The law stays as it is
+                while actions take its place.
+
+        Returns:
+            The state after the step; and the sample, fields as in `mjx_climb.Trajectory` with the batch axes in place
+            of time: the state at the start of the step, and the forces and accelerations that act in it.
+        """
+        return _stepped(self._structure, state, action)
+
+    def _array(self, value: Any) -> Array:
+        return jnp.asarray(value, self.dtype)
+
+
+def _own(scenario: Scenario, dtype: jnp.dtype) -> Parameters:
+    return parameters(scenario, dtype)
+
+
+def _spread(tree: Tree, shape: tuple[int, ...]) -> Tree:
+    """Return a tree whose values all have the batch axes."""
+
+    def wide(value: Array, own: int) -> Array:
+        return jnp.broadcast_to(value, (*shape, *value.shape[value.ndim - own :]))
+
+    result: Tree = jax.tree.map(wide, tree, own_axes(tree))
+    return result
+
+
+@functools.partial(jax.jit, static_argnums=(0, 3))
+def _begun(structure: Structure, law: Law, numbers: Parameters, shape: tuple[int, ...]) -> Carry:
+    robots = math.prod(shape)
+    dtype = numbers.kp.dtype
+    walk = prepare(structure, batch_last(law, shape, dtype), batch_last(numbers, shape, dtype), robots)
+    return jax.tree.map(lambda leaf: _with_batch(leaf, robots), begin(walk, robots))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _stepped(
+    structure: Structure, state: EnvironmentState, action: JointTargets | BaseShift | None
+) -> tuple[EnvironmentState, Sample]:
+    shape, dtype = state.step.shape, state.parameters.kp.dtype
+    robots = math.prod(shape)
+    walk = prepare(structure, batch_last(state.law, shape, dtype), batch_last(state.parameters, shape, dtype), robots)
+    carry = jax.tree.map(lambda leaf: _last(leaf, shape), state.carry)
+    step = functools.partial(advance, walk)
+    if structure.in_pieces:
+        step = in_kernels(step)
+        carry = forward_only(carry, "an Environment with in_pieces=False has reverse ones, and is slower")
+    after, sample = step(carry, state.step.reshape(robots), _hot(action, shape, dtype))
+    sample = jax.tree.map(lambda leaf: _public(_with_batch(leaf, robots), shape), sample)
+    return EnvironmentState(state.law, state.parameters, state.step + 1, _batch_first(after, shape)), sample
+
+
+def _with_batch(leaf: ArrayLike, robots: int) -> Array:
+    """Return a value (..., B), of one that all robots share."""
+    leaf = jnp.asarray(leaf)
+    lead = leaf.shape[:-1] if leaf.ndim and leaf.shape[-1] in (1, robots) else leaf.shape
+    leaf = leaf if leaf.ndim > len(lead) else leaf[..., None]
+    return jnp.broadcast_to(leaf, (*lead, robots))
+
+
+def _last(leaf: Array, shape: tuple[int, ...]) -> Array:
+    """Return a value (*batch, ...) as (..., B)."""
+    return jnp.moveaxis(leaf.reshape(math.prod(shape), *leaf.shape[len(shape) :]), 0, -1)
+
+
+def _batch_first(tree: Tree, shape: tuple[int, ...]) -> Tree:
+    """Return values (..., B) as (*batch, ...)."""
+
+    def first(leaf: Array) -> Array:
+        return jnp.moveaxis(leaf, -1, 0).reshape(*shape, *leaf.shape[:-1])
+
+    result: Tree = jax.tree.map(first, tree)
+    return result
+
+
+def _public(leaf: Array, shape: tuple[int, ...]) -> Array:
+    """Return a value (..., B) of a sample in the layout of `Trajectory`: (*batch, limb, component)."""
+    leaf = jnp.swapaxes(leaf, 0, 1) if leaf.ndim == 3 else leaf
+    return _batch_first(leaf, shape)
+
+
+def _hot(action: JointTargets | BaseShift | None, shape: tuple[int, ...], dtype: jnp.dtype) -> hot.Action:
+    """Return an action in the layout of the hot path."""
+    if action is None:
+        return None
+    [value] = jax.tree.leaves(action)
+    own = 2 if isinstance(action, JointTargets) else 1
+    value = jnp.asarray(value, dtype)
+    value = jnp.broadcast_to(value, (*shape, *value.shape[value.ndim - own :]))
+    value = _last(value, shape)
+    return hot.JointTargets(jnp.swapaxes(value, 0, 1)) if own == 2 else hot.BaseShift(value)
