@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mjx_climb.scenario.load import load_scenario
     from mjx_climb.scenario.messages import ConfigError
     from mjx_climb.scenario.model import Scenario
-    from mjx_climb.walk.metrics import METRICS
+    from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
 _PUBLIC = {
     "compilation.options": ("compiler_options", "pieces_pay"),
@@ -38,7 +38,7 @@ _PUBLIC = {
     "scenario.load": ("load_scenario",),
     "scenario.messages": ("ConfigError",),
     "scenario.model": ("Scenario",),
-    "walk.metrics": ("METRICS",),
+    "walk.metrics": ("METRICS", "Metric", "MetricTable"),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
@@ -55,6 +55,8 @@ __all__ = [
     "JointTargets",
     "Law",
     "Measurement",
+    "Metric",
+    "MetricTable",
     "Parameters",
     "Reference",
     "RobotError",

@@ -23,10 +23,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from mjx_climb.files.dataset import AXES, JOINTS, write_bytes_atomically
+from mjx_climb.files.dataset import AXES, JOINTS, larger_is_better, write_bytes_atomically
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import HeightMap
-from mjx_climb.walk.metrics import METRICS
+from mjx_climb.walk.metrics import FAILURES
 
 COLUMN = 3.5  # inch, width of a column
 
@@ -41,7 +41,6 @@ RED = "#D00000"  # what must not be passed: a torn gripper, on maps the baseline
 CARGO, PUSH = "#F6F0E1", "#DCE9F4"
 GREY = "#BDBDBD"
 
-LARGER_IS_BETTER = {"min_tsm", "min_gia_margin", "joint_limit_margin", "detached_at", "travel"}
 
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -712,7 +711,7 @@ def _draw_map(
     """Draw one map with its colour bar; return the handles of its legend, what its colours stand for, and the bar."""
     variable = _grid(dataset, metric, x, y)
     failed = _failed(dataset, x, y)
-    values = variable.values.astype(float)
+    values = comparable(dataset, metric).transpose(y, x).values.astype(float)
     x_edges, y_edges = (_log_edges(dataset[name].values) for name in (x, y))
     flags = variable.attrs.get("flag_meanings", "").split()
     colormap: Colormap
@@ -726,8 +725,9 @@ def _draw_map(
             "neither",
         )
     else:
-        colormap = mpl.colormaps["viridis" if metric in LARGER_IS_BETTER else "viridis_r"]
-        norm, extend = _robust_norm(values, failed, baseline, metric in LARGER_IS_BETTER)
+        larger = larger_is_better(variable)
+        colormap = mpl.colormaps["viridis" if larger else "viridis_r"]
+        norm, extend = _robust_norm(values, failed, baseline, larger)
     panel.set_facecolor(GREY)
     mesh = panel.pcolormesh(
         x_edges,
@@ -827,6 +827,14 @@ def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:
     )
 
 
+def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
+    """Return a metric of walks, NaN for those that diverged: their values until then compare with no other's."""
+    variable = dataset[metric]
+    if "diverged" not in dataset or metric in FAILURES or "larger_is_better" not in variable.attrs:
+        return variable
+    return variable.where(~dataset["diverged"].astype(bool))
+
+
 def _grid(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
     """Return a variable as (y, x).
 
@@ -905,6 +913,6 @@ def _robust_norm(
 
 def _label(variable: xr.DataArray, name: str) -> str:
     """Return "long name [unit]"; numbers without a unit stand alone."""
-    unit = variable.attrs.get("units", METRICS.get(name, "1"))
+    unit = variable.attrs.get("units", "1")
     text = variable.attrs.get("long_name", name.replace("_", " "))
     return text if unit in ("1", "") else f"{text} [{unit.replace('^2', '$^2$')}]"

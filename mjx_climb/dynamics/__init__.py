@@ -17,7 +17,7 @@ from mjx_climb.dynamics.state import Acceleration, State, batch_last, joints_to_
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 
-# state, joint torque (3, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
+# state, joint torque (N, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
 
 ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.build, "limb": limb_engine.build}
@@ -52,8 +52,8 @@ def forward_dynamics(
 
     Arguments:
         state: with any leading batch axes, or none.
-        tau: joint torques (..., 12) N m.
-        foot_force: force of the ground on each foot (..., 4, 3) N, world axes.
+        tau: joint torques (..., joints) N m, forces N of sliding joints, limb after limb.
+        foot_force: force of the ground on each foot (..., limbs, 3) N, world axes.
         base_wrench: force and moment on the base at its centre of mass (..., 6) N and N m, world axes.
         cargo_mass: point mass at the base's centre of mass (...,) kg.
         gravity: (..., 3) m/s^2, world axes.
@@ -82,17 +82,18 @@ def _forward_dynamics(
 ) -> Acceleration:
     dtype = jnp.result_type(state.base_position)
     shape = state.base_position.shape[:-1]
-    limbs = len(robot.limbs)
+    limbs, joints = len(robot.limbs), robot.joints
 
     def flat(value: ArrayLike | tuple[float, ...], *tail: int) -> Array:
         return jnp.broadcast_to(jnp.asarray(value, dtype), (*shape, *tail)).reshape(-1, *tail)
 
     hot = batch_last(
         State(**{name: flat(value, value.shape[-1]) for name, value in vars(state).items()}),
+        limbs,
     )
     result = ENGINES[engine](robot)(
         hot,
-        joints_to_limbs(flat(tau, 3 * limbs)),
+        joints_to_limbs(flat(tau, joints * limbs), limbs),
         jnp.moveaxis(flat(foot_force, limbs, 3), (0, 1, 2), (2, 1, 0)),
         flat(base_wrench, 6).T,
         flat(cargo_mass),
@@ -101,5 +102,5 @@ def _forward_dynamics(
     return Acceleration(
         base_linear=result.base_linear.T.reshape(*shape, 3),
         base_angular=result.base_angular.T.reshape(*shape, 3),
-        joints=limbs_to_joints(result.joints).reshape(*shape, 3 * limbs),
+        joints=limbs_to_joints(result.joints).reshape(*shape, joints * limbs),
     )

@@ -28,13 +28,17 @@ class Feet(NamedTuple):
 
 
 def limb_frames(robot: Robot, base_rotation: Array, joint_angles: Array) -> LimbFrames:
-    """Return the link frames for a base rotation (3, 3, B) and joint angles (3, L, B) rad."""
-    rotation, position = base_rotation[:, :, None, :], jnp.zeros_like(joint_angles)
+    """Return the link frames for a base rotation (3, 3, B) and joint angles (N, L, B) rad, or m of sliding joints."""
+    rotation, position = base_rotation[:, :, None, :], jnp.zeros((3, *joint_angles.shape[1:]), joint_angles.dtype)
     rotations, positions = [], []
-    for link in range(3):
+    for link in range(robot.joints):
         position = position + rotate(rotation, robot.frame_position[link])
         zero_rotation = compose(rotation, robot.frame_rotation[link])
-        c, s = jnp.cos(joint_angles[link]), jnp.sin(joint_angles[link])
+        slides, angles = robot.sliding(link), joint_angles
+        if slides is not None:
+            position = position + zero_rotation[:, 2] * jnp.where(slides, joint_angles[link], 0.0)
+            angles = jnp.where(slides, 0.0, joint_angles)
+        c, s = jnp.cos(angles[link]), jnp.sin(angles[link])
         x, y, z = zero_rotation[:, 0], zero_rotation[:, 1], zero_rotation[:, 2]
         turned = c * x + s * y
         rotation = jnp.stack([turned, c * y - s * x, jnp.broadcast_to(z, turned.shape)], axis=1)
@@ -43,16 +47,22 @@ def limb_frames(robot: Robot, base_rotation: Array, joint_angles: Array) -> Limb
     return LimbFrames(tuple(rotations), tuple(positions), position + rotate(rotation, robot.foot_center))
 
 
-def foot_kinematics(frames: LimbFrames, state: State) -> Feet:
+def foot_kinematics(robot: Robot, frames: LimbFrames, state: State) -> Feet:
     """Return positions, velocities and Jacobians of the feet for a state in the layout of the hot path."""
     jacobian = tuple(
-        cross(rotation[:, 2], frames.foot - position)
-        for rotation, position in zip(frames.rotation, frames.position, strict=True)
+        foot_velocity_per_rate(robot, link, rotation[:, 2], frames.foot - position)
+        for link, (rotation, position) in enumerate(zip(frames.rotation, frames.position, strict=True))
     )
     velocity = state.base_linear_velocity[:, None] + cross(state.base_angular_velocity[:, None], frames.foot)
     for column, rate in zip(jacobian, state.joint_rates, strict=True):
         velocity = velocity + column * rate
     return Feet(state.base_position[:, None] + frames.foot, velocity, frames.foot, jacobian)
+
+
+def foot_velocity_per_rate(robot: Robot, link: int, axis: Array, lever: Array) -> Array:
+    """Return the velocity (3, L, B) of the foot per rate of a joint with `axis`, from which it is `lever` m away."""
+    turning, slides = cross(axis, lever), robot.sliding(link)
+    return turning if slides is None else jnp.where(slides, axis, turning)
 
 
 def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo_mass: Array) -> Array:
@@ -67,7 +77,7 @@ def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo
 
 
 def joint_torque_of_foot_force(feet: Feet, foot_force: Array) -> Array:
-    """Return `J_m^T F_e`, the joint torques (3, L, B) N m that foot forces (3, L, B) N amount to."""
+    """Return `J_m^T F_e`, the joint torques (N, L, B) N m that foot forces (3, L, B) N amount to."""
     return jnp.stack([dot(column, foot_force) for column in feet.jacobian])
 
 

@@ -1,19 +1,20 @@
-"""The equations of motion written for what the robot is: a base with limbs of three joints each.
+"""The equations of motion written for what the robot is: a base with limbs, each a chain of joints.
 
-The limbs meet in the base alone, so the mass matrix is an arrow: a 6 x 6 block of the base, a 3 x 3 block for each limb
-and 6 x 3 couplings between them. Composite inertias and Newton-Euler run per limb, the limbs are eliminated with closed
-3 x 3 factors, and a 6 x 6 Schur complement is left for the base (Featherstone, Rigid Body Dynamics Algorithms, 2008:
-chapters 5 and 6). Everything is elementwise over (limb, batch). World axes; moments about the base's centre of mass.
+The limbs meet in the base alone, so the mass matrix is an arrow: a 6 x 6 block of the base, an N x N block for each
+limb of N joints and 6 x N couplings between them. Composite inertias and Newton-Euler run per limb, the limbs are
+eliminated with N x N factors, written out, and a 6 x 6 Schur complement is left for the base (Featherstone, Rigid Body
+Dynamics Algorithms, 2008: chapters 5 and 6). Everything is elementwise over (limb, batch). World axes; moments about
+the base's centre of mass.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.dynamics.kinematics import LimbFrames, base_wrench_of_foot_force, limb_frames
+from mjx_climb.dynamics.kinematics import LimbFrames, base_wrench_of_foot_force, foot_velocity_per_rate, limb_frames
 from mjx_climb.dynamics.spatial import compose, cross, dot, quaternion_to_matrix, rotate, rotate_back
 from mjx_climb.dynamics.state import Acceleration, State
 from mjx_climb.robot.constants import Robot
@@ -76,9 +77,18 @@ class Limbs(NamedTuple):
 
     inertia: Inertia  # of each whole limb
     bias: Wrench  # on the base
-    joint_bias: Array  # (3, L, B) N m
+    joint_bias: Array  # (N, L, B) N m
     joint_mass: dict[tuple[int, int], Array]  # M_jj, upper triangle
     coupling: list[Wrench]  # M_bj, a column for each joint
+
+
+def joint_motion(robot: Robot, frames: LimbFrames, joint: int) -> tuple[Array, Array]:
+    """Return the motion of the links beyond a joint per unit of its rate: angular, and linear at the base's centre."""
+    axis, slides = frames.rotation[joint][:, 2], robot.sliding(joint)
+    turning = cross(frames.position[joint], frames.rotation[joint][:, 2])
+    if slides is None:
+        return axis, turning
+    return jnp.where(slides, 0.0, axis), jnp.where(slides, axis, turning)
 
 
 def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array) -> Limbs:
@@ -88,7 +98,7 @@ def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array
     anchor_acceleration = -gravity[:, None]
     anchor = jnp.zeros_like(angular_velocity)
     inertias, forces = [], []
-    for link in range(3):
+    for link in range(robot.joints):
         axis, position = frames.rotation[link][:, 2], frames.position[link]
         arm = position - anchor
         anchor_acceleration = (
@@ -98,6 +108,9 @@ def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array
         )
         anchor = position
         spin = axis * state.joint_rates[link]
+        if (slides := robot.sliding(link)) is not None:
+            anchor_acceleration = anchor_acceleration + jnp.where(slides, 2 * cross(angular_velocity, spin), 0.0)
+            spin = jnp.where(slides, 0.0, spin)
         angular_acceleration = angular_acceleration + cross(angular_velocity, spin)
         angular_velocity = angular_velocity + spin
 
@@ -116,13 +129,13 @@ def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array
         inertias.append(about_base(robot.link_mass[link], center, rotational))
         forces.append(Wrench(force, moment + cross(center, force)))
 
-    composite, bias = inertias[2], forces[2]
+    composite, bias = inertias[-1], forces[-1]
     joint_bias: dict[int, Array] = {}
     joint_mass: dict[tuple[int, int], Array] = {}
     coupling: dict[int, Wrench] = {}
-    motions = [(frames.rotation[k][:, 2], cross(frames.position[k], frames.rotation[k][:, 2])) for k in range(3)]
-    for joint in (2, 1, 0):
-        if joint < 2:
+    motions = [joint_motion(robot, frames, joint) for joint in range(robot.joints)]
+    for joint in reversed(range(robot.joints)):
+        if joint < robot.joints - 1:
             composite, bias = composite.plus(inertias[joint]), bias.plus(forces[joint])
         angular, linear = motions[joint]
         joint_bias[joint] = dot(angular, bias.moment) + dot(linear, bias.force)
@@ -130,49 +143,63 @@ def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array
         for other in range(joint + 1):
             angular, linear = motions[other]
             joint_mass[other, joint] = dot(angular, coupling[joint].moment) + dot(linear, coupling[joint].force)
-    joint_biases = jnp.stack([joint_bias[joint] for joint in range(3)])
-    return Limbs(composite, bias, joint_biases, joint_mass, [coupling[joint] for joint in range(3)])
+        if robot.armature is not None:
+            joint_mass[joint, joint] = joint_mass[joint, joint] + robot.armature[joint]
+    joint_biases = jnp.stack([joint_bias[joint] for joint in range(robot.joints)])
+    return Limbs(composite, bias, joint_biases, joint_mass, [coupling[joint] for joint in range(robot.joints)])
 
 
 class Factor(NamedTuple):
-    """`L D L^T` of a symmetric 3 x 3 matrix: the three multipliers and the inverse of D."""
+    """Unit lower triangle and inverse diagonal of `L D L^T`."""
 
-    l10: Array
-    l20: Array
-    l21: Array
-    inverse: tuple[Array, Array, Array]
+    lower: dict[tuple[int, int], Array]  # by row and column
+    inverse: list[Array]
 
 
-def factorize(m00: Array, m01: Array, m02: Array, m11: Array, m12: Array, m22: Array) -> Factor:
-    """Return the factors of a symmetric positive definite 3 x 3 matrix."""
-    i0 = 1 / m00
-    l10, l20 = m01 * i0, m02 * i0
-    i1 = 1 / (m11 - l10 * m01)
-    t = m12 - l20 * m01
-    l21 = t * i1
-    i2 = 1 / (m22 - l20 * m02 - l21 * t)
-    return Factor(l10, l20, l21, (i0, i1, i2))
+def factorize(upper: Mapping[tuple[int, int], Array]) -> Factor:
+    """Return the factors of a symmetric positive definite matrix, given by the elements of its upper triangle."""
+    size = max(upper)[1] + 1
+    lower: dict[tuple[int, int], Array] = {}
+    scaled: dict[tuple[int, int], Array] = {}  # (D L^T)
+    inverse: list[Array] = []
+    for row in range(size):
+        for column in range(row, size):
+            value = upper[row, column]
+            for k in range(row):
+                value = value - lower[column, k] * scaled[k, row]
+            if column == row:
+                inverse.append(1 / value)
+            else:
+                scaled[row, column], lower[column, row] = value, value * inverse[row]
+    return Factor(lower, inverse)
 
 
 def solve(factor: Factor, right: Array) -> Array:
-    """Return the solution of the factorised 3 x 3 system for a right-hand side (3, ...)."""
-    y0 = right[0]
-    y1 = right[1] - factor.l10 * y0
-    y2 = right[2] - factor.l20 * y0 - factor.l21 * y1
-    x2 = y2 * factor.inverse[2]
-    x1 = y1 * factor.inverse[1] - factor.l21 * x2
-    x0 = y0 * factor.inverse[0] - factor.l10 * x1 - factor.l20 * x2
-    return jnp.stack([x0, x1, x2])
+    """Return the solution of the factorised system of N unknowns for a right-hand side (N, ...)."""
+    size = len(factor.inverse)
+    partial: list[Array] = []
+    for row in range(size):
+        value = right[row]
+        for k in range(row):
+            value = value - factor.lower[row, k] * partial[k]
+        partial.append(value)
+    solution: dict[int, Array] = {}
+    for row in reversed(range(size)):
+        value = partial[row] * factor.inverse[row]
+        for k in range(row + 1, size):
+            value = value - factor.lower[k, row] * solution[k]
+        solution[row] = value
+    return jnp.stack([solution[row] for row in range(size)])
 
 
 def solve_base(linear: Array, mixed: Array, rotational: Array, force: Array, moment: Array) -> tuple[Array, Array]:
     """Solve `[A C; C^T D] [a; alpha] = [f; n]` by blocks, for symmetric A, D (6, B) and C (3, 3, B)."""
     order = (0, 3, 4, 1, 5, 2)
-    first = factorize(*(linear[i] for i in order))
-    columns = jnp.stack([solve(first, mixed[:, j]) for j in range(3)], axis=1)  # A^-1 C
     pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-    schur = [rotational[k] - dot(mixed[:, i], columns[:, j]) for k, (i, j) in zip(order, pairs, strict=True)]
-    angular = solve(factorize(*schur), moment - rotate_back(columns, force))
+    first = factorize({pair: linear[k] for pair, k in zip(pairs, order, strict=True)})
+    columns = jnp.stack([solve(first, mixed[:, j]) for j in range(3)], axis=1)  # A^-1 C
+    schur = {(i, j): rotational[k] - dot(mixed[:, i], columns[:, j]) for k, (i, j) in zip(order, pairs, strict=True)}
+    angular = solve(factorize(schur), moment - rotate_back(columns, force))
     return solve(first, force) - rotate(columns, angular), angular
 
 
@@ -190,7 +217,10 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
         lever = [frames.foot - position for position in frames.position]
         joint_force = torque - limbs.joint_bias
         joint_force = joint_force + jnp.stack(
-            [dot(cross(frames.rotation[k][:, 2], lever[k]), foot_force) for k in range(3)]
+            [
+                dot(foot_velocity_per_rate(robot, k, frames.rotation[k][:, 2], lever[k]), foot_force)
+                for k in range(robot.joints)
+            ]
         )
         base_rotational = rotated_inertia(rotation, robot.base_inertia)
         omega = state.base_angular_velocity
@@ -200,8 +230,7 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
         moment = wrench[3:] - cross(omega, symmetric_times(base_rotational, omega)) - limbs.bias.moment.sum(1)
 
         # eliminate the joints: G = M_jj^-1 M_bj^T, a column for each of the base's six axes
-        m = limbs.joint_mass
-        factor = factorize(m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2])
+        factor = factorize(limbs.joint_mass)
         force_rows = jnp.stack([column.force for column in limbs.coupling])  # (joint, 3, L, B)
         moment_rows = jnp.stack([column.moment for column in limbs.coupling])
         force_solved, moment_solved = solve(factor, force_rows), solve(factor, moment_rows)

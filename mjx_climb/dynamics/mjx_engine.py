@@ -35,11 +35,19 @@ def _put_model(model: mujoco.MjModel, x64: bool) -> tuple[mjx.Model, mjx.Data]:
 
 
 def _accelerations(
-    model: mjx.Model, data: mjx.Data, qpos: Array, qvel: Array, force: Array, cargo_mass: Array, gravity: Array
+    model: mjx.Model,
+    data: mjx.Data,
+    qpos: Array,
+    qvel: Array,
+    force: Array,
+    cargo_mass: Array,
+    gravity: Array,
+    armature: Array,
 ) -> Array:
-    """Return MuJoCo's qacc (18,) of one robot: linear in world axes, angular in base axes, joints."""
+    """Return MuJoCo's qacc (6 + joints,) of one robot: linear in world axes, angular in base axes, joints."""
     model = model.replace(
         body_mass=model.body_mass.at[_BASE].add(cargo_mass),
+        dof_armature=model.dof_armature.at[6:].set(armature),
         opt=model.opt.replace(gravity=gravity),
     )
     data = data.replace(qpos=qpos, qvel=qvel)
@@ -65,7 +73,7 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
             for tree in (model, data)
         )
         rotation = quaternion_to_matrix(state.base_orientation)
-        feet = foot_kinematics(limb_frames(robot, rotation, state.joint_angles), state)
+        feet = foot_kinematics(robot, limb_frames(robot, rotation, state.joint_angles), state)
         wrench = base_wrench + base_wrench_of_foot_force(feet.lever, foot_force)
         joint_force = torque + joint_torque_of_foot_force(feet, foot_force)
         # MuJoCo's free joint: linear velocity in world axes, angular velocity in the body's own
@@ -81,13 +89,15 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
         batch = qpos.shape[-1]
         cargo_mass = jnp.broadcast_to(cargo_mass, (batch,))
         gravity = jnp.broadcast_to(gravity, (3, batch))
+        armature = jnp.zeros((), dtype) if robot.armature is None else jnp.asarray(robot.armature, dtype)
+        armature = jnp.broadcast_to(armature, state.joint_angles.shape)
         qacc = jax.vmap(functools.partial(_accelerations, model, data), in_axes=-1, out_axes=-1)(
-            qpos, qvel, force, cargo_mass, gravity
+            qpos, qvel, force, cargo_mass, gravity, limbs_to_joints(armature).T
         )
         return Acceleration(
             base_linear=qacc[:3],
             base_angular=rotate(rotation, qacc[3:6]),
-            joints=joints_to_limbs(qacc[6:].T),
+            joints=joints_to_limbs(qacc[6:].T, len(robot.limbs)),
         )
 
     return forward_dynamics

@@ -10,8 +10,11 @@ from jax import Array
 
 
 def dot(a: Array | np.ndarray, b: Array) -> Array:
-    """Return the scalar product over the leading axis."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    """Return the scalar product over the leading axis, of any length."""
+    product = a[0] * b[0]
+    for i in range(1, a.shape[0]):
+        product = product + a[i] * b[i]
+    return product
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -8,7 +8,6 @@ from jax import Array
 from jaxtyping import Float
 
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_normalize
-from mjx_climb.robot.constants import JOINTS_PER_LIMB
 
 
 @jax.tree_util.register_dataclass
@@ -20,8 +19,8 @@ class State:
     base_orientation: Float[Array, "*batch 4"]  # unit quaternion wxyz, base to world
     base_linear_velocity: Float[Array, "*batch 3"]  # m/s, world axes
     base_angular_velocity: Float[Array, "*batch 3"]  # rad/s, world axes
-    joint_angles: Float[Array, "*batch joints"]  # rad, limb after limb, coxa, femur, tibia
-    joint_rates: Float[Array, "*batch joints"]  # rad/s
+    joint_angles: Float[Array, "*batch joints"]  # rad, or m, limb after limb, from the base outwards
+    joint_rates: Float[Array, "*batch joints"]  # rad/s, or m/s
 
 
 @jax.tree_util.register_dataclass
@@ -31,23 +30,23 @@ class Acceleration:
 
     base_linear: Float[Array, "*batch 3"]  # m/s^2, world axes, of the base's centre of mass
     base_angular: Float[Array, "*batch 3"]  # rad/s^2, world axes
-    joints: Float[Array, "*batch joints"]  # rad/s^2
+    joints: Float[Array, "*batch joints"]  # rad/s^2, or m/s^2
 
 
-def joints_to_limbs(joints: Array) -> Array:
-    """Turn joint values (B, 3 L) into the layout of the hot path, (3, L, B)."""
-    return jnp.moveaxis(joints.reshape(joints.shape[0], -1, JOINTS_PER_LIMB), (0, 1, 2), (2, 1, 0))
+def joints_to_limbs(joints: Array, limbs: int) -> Array:
+    """Turn joint values (B, L N) of robots with L limbs of N joints into the layout of the hot path, (N, L, B)."""
+    return jnp.moveaxis(joints.reshape(joints.shape[0], limbs, -1), (0, 1, 2), (2, 1, 0))
 
 
 def limbs_to_joints(limbs: Array) -> Array:
-    """Turn joint values (3, L, B) of the hot path into (B, 3 L)."""
+    """Turn joint values (N, L, B) of the hot path into (B, L N)."""
     return jnp.moveaxis(limbs, (0, 1, 2), (2, 1, 0)).reshape(limbs.shape[2], -1)
 
 
-def batch_last(state: State) -> State:
-    """Turn a state with one leading batch axis into the layout of the hot path: (3, B), (4, B), joints (3, L, B)."""
+def batch_last(state: State, limbs: int) -> State:
+    """Turn a state with one leading batch axis into the layout of the hot path: (3, B), (4, B), joints (N, L, B)."""
     moved = {
-        field.name: joints_to_limbs(value) if field.name.startswith("joint") else jnp.moveaxis(value, 0, -1)
+        field.name: joints_to_limbs(value, limbs) if field.name.startswith("joint") else jnp.moveaxis(value, 0, -1)
         for field in dataclasses.fields(state)
         for value in [getattr(state, field.name)]
     }

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.quantities.parameters import Gains, Parameters, parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.metrics import METRICS
+from mjx_climb.walk.metrics import METRICS, Metric
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
@@ -54,6 +54,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact": (_LIMB, "1", "the ground acts on the foot"),
     "detached": (_LIMB, "1", "the gripper was torn off before"),
     "torn_off": (_LIMB, "1", "the gripper is torn off in this step"),
+    "missed": (_LIMB, "1", "the gripper shuts out of reach in this step"),
     "reachable": (_LIMB, "1", "the foot target is within reach"),
     "base_reference": (_VECTOR, "m", "base position that the gait asks for"),
     "base_displacement": (_SIX, "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law"),
@@ -63,22 +64,6 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "center_of_mass": (_VECTOR, "m", "centre of mass of robot and cargo"),
     "tsm": (("time",), "m", "tumble stability margin"),
     "gia_margin": (("time",), "m/s^2", "gravito-inertial acceleration margin"),
-}
-
-METRIC_NAMES: dict[str, str] = {
-    "peak_foot_force": "peak foot force",
-    "force_variation": "variation of the largest foot force",
-    "peak_pull_force": "peak pulling force",
-    "peak_joint_torque": "peak joint torque",
-    "cost_of_transport": "cost of transport",
-    "travel": "travel",
-    "base_deviation": "largest deviation of the base",
-    "min_tsm": "smallest tumble stability margin",
-    "min_gia_margin": "smallest GIA margin",
-    "joint_limit_margin": "smallest margin to a joint limit",
-    "detached_at": "time of the first detachment",
-    "detached_limb": "limb that detached first",
-    "diverged": "the simulation diverged",
 }
 
 # what a sweep may run over: units, long name
@@ -98,6 +83,25 @@ COORDINATES: dict[str, tuple[str, str]] = {
     "heading": ("rad", "heading"),
     "cargo_mass": ("kg", "mass of the cargo"),
     "mass_scale": ("1", "scale of the robot's masses and inertias"),
+    "capture_distance": ("m", "reach of a gripper"),
+    "control_period": ("s", "control period"),
+    "command_delay": ("s", "delay of commands"),
+    "force_delay": ("s", "delay of the force sensors"),
+    "force_noise": ("N", "noise of the force sensors"),
+    "force_bias": ("N", "offset of the force sensors"),
+    "force_resolution": ("N", "resolution of the force sensors"),
+    "force_filter": ("Hz", "cut-off of the force filter"),
+    "base_delay": ("s", "delay of the base estimate"),
+    "position_noise": ("m", "noise of the base's position"),
+    "velocity_noise": ("m/s", "noise of the base's velocity"),
+    "torque_limit": ("N m", "torque limit"),
+    "no_load_speed": ("rad/s", "speed without load"),
+    "armature": ("kg m^2", "armature"),
+    "coulomb_friction": ("N m", "dry friction"),
+    "viscous_friction": ("N m s/rad", "viscous friction"),
+    "load_friction": ("1", "friction under load"),
+    "backlash": ("rad", "backlash"),
+    "servo_delay": ("s", "delay of the servos"),
 }
 
 
@@ -165,11 +169,11 @@ def sweep_dataset(
     data = {}
     for name, values in metrics.items():
         values = np.asarray(values)
-        if name not in METRICS:
-            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS)}")
+        if name not in METRICS.names:
+            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS.names)}")
         if values.shape != tuple(shape):
             raise ValueError(f"metric {name}: expected shape {tuple(shape)} as the coordinates, got {values.shape}")
-        attrs: dict[str, Any] = {"units": METRICS[name], "long_name": METRIC_NAMES[name]}
+        attrs = metric_attributes(METRICS[name])
         if name == "detached_limb":
             limbs = load_robot(scenario.robot).limbs
             values = values.astype(np.int32)
@@ -178,6 +182,22 @@ def sweep_dataset(
         data[name] = (tuple(coords), values, attrs)
     attrs = {"title": "metrics of walks of a limbed climbing robot", **_provenance(scenario)}
     return xr.Dataset(data, coords, attrs)
+
+
+def metric_attributes(metric: Metric) -> dict[str, Any]:
+    """Return the attributes of a variable that holds values of a metric."""
+    return {
+        "units": metric.unit,
+        "long_name": metric.long_name,
+        "larger_is_better": int(metric.larger_is_better),
+    }
+
+
+def larger_is_better(variable: xr.DataArray) -> bool:
+    """Return whether a variable should be large: as its attributes say, else as the shipped metric of its name."""
+    name = str(variable.name)
+    by_name = name in METRICS.names and METRICS[name].larger_is_better
+    return bool(variable.attrs.get("larger_is_better", by_name))
 
 
 def scenario_of(dataset: xr.Dataset) -> Scenario:
@@ -273,7 +293,7 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     by_name = _from_json(dataset.attrs["gains"], dtype)
     of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
     gains = Gains(**by_name) if of_the_paper else by_name
-    numbers = _from_json(dataset.attrs["parameters"], dtype)
+    numbers = vars(parameters(scenario_of(dataset), dtype)) | _from_json(dataset.attrs["parameters"], dtype)
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)

@@ -13,6 +13,7 @@ from jax import Array
 from jaxtyping import Float
 
 from mjx_climb.quantities.ground import foothold_heights
+from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.model import Scenario
 
 _Gain = Float[Array, "*batch_axis"] | Float[np.ndarray, "*batch_axis"] | float
@@ -70,6 +71,26 @@ class Parameters:
     push_start: Array | np.ndarray  # (pushes,) s
     push_stop: Array | np.ndarray  # (pushes,) s
     mass_scale: Array | np.ndarray  # 1, of all masses and inertias of the robot; the cargo's not
+    capture_distance: Array | np.ndarray  # m, infinite: a gripper holds however far off the ground it shuts
+    control_period: Array | np.ndarray  # s, rounded to time steps; 0: the time step
+    command_delay: Array | np.ndarray  # s
+    force_delay: Array | np.ndarray  # s
+    force_noise: Array | np.ndarray  # N
+    force_bias: Array | np.ndarray  # N
+    force_resolution: Array | np.ndarray  # N
+    force_filter: Array | np.ndarray  # Hz, infinite: none
+    base_delay: Array | np.ndarray  # s
+    position_noise: Array | np.ndarray  # m
+    velocity_noise: Array | np.ndarray  # m/s
+    torque_limit: Array | np.ndarray  # N m, infinite: none
+    no_load_speed: Array | np.ndarray  # rad/s, infinite: none
+    armature: Array | np.ndarray  # kg m^2, beside what the robot's file says
+    coulomb_friction: Array | np.ndarray  # N m
+    viscous_friction: Array | np.ndarray  # N m s/rad
+    load_friction: Array | np.ndarray  # 1
+    backlash: Array | np.ndarray  # rad
+    servo_delay: Array | np.ndarray  # s
+    seed: Array | np.ndarray  # whole, below 2^24 so that single precision holds it
 
 
 def _or_infinite(value: float | None) -> float:
@@ -101,6 +122,8 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         push_start=[push.start for push in pushes],
         push_stop=[_or_infinite(push.stop) for push in pushes],
         mass_scale=1.0,
+        capture_distance=_or_infinite(contact.capture_distance),
+        **_hardware(scenario.hardware),
     )
     arrays = {}
     for name, value in values.items():
@@ -108,6 +131,31 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         without_pushes = name in ("push_force", "push_moment") and array.size == 0
         arrays[name] = array.reshape(0, 3) if without_pushes else array
     return Parameters(**arrays)
+
+
+def _hardware(hardware: Hardware) -> dict[str, float]:
+    force, base, servo = hardware.force_sensor, hardware.base_estimate, hardware.servo
+    return dict(
+        control_period=hardware.control_period,
+        command_delay=hardware.command_delay,
+        force_delay=force.delay,
+        force_noise=force.noise,
+        force_bias=force.bias,
+        force_resolution=force.resolution,
+        force_filter=_or_infinite(force.filter),
+        base_delay=base.delay,
+        position_noise=base.position_noise,
+        velocity_noise=base.velocity_noise,
+        torque_limit=_or_infinite(servo.torque_limit),
+        no_load_speed=_or_infinite(servo.no_load_speed),
+        armature=servo.armature,
+        coulomb_friction=servo.coulomb_friction,
+        viscous_friction=servo.viscous_friction,
+        load_friction=servo.load_friction,
+        backlash=servo.backlash,
+        servo_delay=servo.delay,
+        seed=hardware.seed,
+    )
 
 
 def gains(scenario: Scenario) -> Gains:

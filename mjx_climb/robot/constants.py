@@ -14,7 +14,6 @@ from mjx_climb.robot.robot_file import RobotError, model_of, spec_of
 from mjx_climb.scenario.model import RobotFile
 
 __all__ = [
-    "JOINTS_PER_LIMB",
     "Robot",
     "RobotError",
     "load_model",
@@ -24,7 +23,7 @@ __all__ = [
     "robot_from_model",
 ]
 
-JOINTS_PER_LIMB = 3
+_KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 @functools.partial(
@@ -32,16 +31,18 @@ JOINTS_PER_LIMB = 3
     data_fields=[
         "base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation",
         "foot_center", "joint_lower", "joint_upper", "stance_position", "stance_orientation", "stance_joints",
+        "armature",
     ],
-    meta_fields=["name", "limbs", "model"],
+    meta_fields=["name", "limbs", "model", "slides"],
 )  # fmt: skip
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """A base with limbs of three revolute joints: masses, frames and limits.
+    """A base with limbs of N joints each, revolute or prismatic: masses, frames and limits.
 
     Every link has a frame at its joint whose z axis is the joint's axis; with the joint at zero, `frame_rotation` and
-    `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: link (coxa,
-    femur, tibia) before components, limbs (L) second to last, batch (1) last. SI units.
+    `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: link (from
+    the base outwards) before components, limbs (L) second to last, batch (1) last. SI units; a prismatic joint's values
+    are in m where a revolute one's are in rad.
     """
 
     name: str
@@ -49,17 +50,28 @@ class Robot:
     model: mujoco.MjModel  # what the numbers were read off
     base_mass: np.ndarray  # (1,) kg
     base_inertia: np.ndarray  # (3, 3, 1) kg m^2, base frame
-    link_mass: np.ndarray  # (3, L, 1) kg
-    link_center: np.ndarray  # (3, 3, L, 1) m: [link, component], link frame
-    link_inertia: np.ndarray  # (3, 3, 3, L, 1) kg m^2 about the link's centre of mass, link frame
-    frame_position: np.ndarray  # (3, 3, L, 1) m: [link, component], parent frame
-    frame_rotation: np.ndarray  # (3, 3, 3, L, 1): [link, row, column]
-    foot_center: np.ndarray  # (3, L, 1) m, tibia frame
-    joint_lower: np.ndarray  # (3, L, 1) rad
-    joint_upper: np.ndarray  # (3, L, 1) rad
+    link_mass: np.ndarray  # (N, L, 1) kg
+    link_center: np.ndarray  # (N, 3, L, 1) m: [link, component], link frame
+    link_inertia: np.ndarray  # (N, 3, 3, L, 1) kg m^2 about the link's centre of mass, link frame
+    frame_position: np.ndarray  # (N, 3, L, 1) m: [link, component], parent frame
+    frame_rotation: np.ndarray  # (N, 3, 3, L, 1): [link, row, column]
+    foot_center: np.ndarray  # (3, L, 1) m, frame of the last link
+    joint_lower: np.ndarray  # (N, L, 1) rad
+    joint_upper: np.ndarray  # (N, L, 1) rad
     stance_position: np.ndarray  # (3, 1) m, world
     stance_orientation: np.ndarray  # (4, 1) wxyz
-    stance_joints: np.ndarray  # (3, L, 1) rad
+    stance_joints: np.ndarray  # (N, L, 1) rad
+    armature: np.ndarray | None = None  # (N, L, 1 or B) kg m^2, of the drives, seen at the joints; None: none
+    slides: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: the joint is prismatic; (): none is
+
+    @property
+    def joints(self) -> int:
+        """Number of joints of each limb."""
+        return len(self.frame_position)
+
+    def sliding(self, link: int) -> np.ndarray | None:
+        """Return which limbs have a prismatic joint at a link, (L, 1) bool; None where all are revolute."""
+        return np.array(self.slides[link])[:, None] if self.slides and any(self.slides[link]) else None
 
     @property
     def total_mass(self) -> np.ndarray:
@@ -102,31 +114,31 @@ def load_robot(name: str | RobotFile) -> Robot:
     """Return the constants of a robot, read off its MuJoCo model with the joints at zero.
 
     Raises:
-        RobotError: no such robot, or a model other than a floating base with limbs of three hinges and a foot site.
+        RobotError: no such robot, or a model other than a floating base with limbs of as many joints each and a foot.
     """
     return robot_from_model(load_model(name), name if isinstance(name, str) else Path(name.file).stem)
 
 
 def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:
-    """Return the body ids of each limb, coxa to tibia, in the order of the model."""
+    """Return the body ids of each limb, from the base outwards, in the order of the model."""
     if model.nq < 7 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
         raise RobotError(f"{name}: expected a base on a free joint as the first body")
     limbs = []
-    for coxa in np.flatnonzero(model.body_parentid == 1):
-        chain = [int(coxa)]
+    for first in np.flatnonzero(model.body_parentid == 1):
+        chain = [int(first)]
         while len(children := np.flatnonzero(model.body_parentid == chain[-1])) == 1:
             chain.append(int(children[0]))
-        hinges = all(
-            model.body_jntnum[b] == 1 and model.jnt_type[model.body_jntadr[b]] == mujoco.mjtJoint.mjJNT_HINGE
-            for b in chain
-        )
-        if len(children) or len(chain) != JOINTS_PER_LIMB or not hinges:
+        one = all(model.body_jntnum[b] == 1 and int(model.jnt_type[model.body_jntadr[b]]) in _KINDS for b in chain)
+        if len(children) or not one:
             raise RobotError(
-                f"{name}: expected limbs of {JOINTS_PER_LIMB} hinges each, got body {model.body(coxa).name!r}"
+                f"{name}: expected limbs that are chains of one hinge or slide a body, got body "
+                f"{model.body(first).name!r}"
             )
         limbs.append(chain)
-    if not limbs or model.nbody != 2 + JOINTS_PER_LIMB * len(limbs):
-        raise RobotError(f"{name}: expected a base with limbs of {JOINTS_PER_LIMB} hinges and no other bodies")
+    lengths = {len(chain) for chain in limbs}
+    if len(lengths) != 1 or model.nbody != 2 + sum(map(len, limbs)):
+        got = f"{len(limbs)} limbs of {', '.join(map(str, sorted(lengths))) or 'no'} joints, {model.nbody - 1} bodies"
+        raise RobotError(f"{name}: expected a base with limbs of as many joints each and no other bodies, got {got}")
     return limbs
 
 
@@ -142,7 +154,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
     """Return the constants of a MuJoCo model: see `load_robot`."""
     limbs = _limb_bodies(model, name)
     data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
+    data.qpos[:] = 0
     data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
     mujoco.mj_kinematics(model, data)
     if np.abs(model.body_ipos[1]).max() > 1e-12:
@@ -154,7 +166,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
         return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
 
-    keys = ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper")
+    keys = ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper", "armature", "slides")
     fields: dict[str, list[np.ndarray]] = {key: [] for key in keys}
     for chain in limbs:
         parent_position, parent_rotation = np.zeros(3), np.eye(3)
@@ -170,6 +182,8 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             column["rotation"].append(parent_rotation.T @ rotation)
             column["lower"].append(model.jnt_range[joint, 0] if model.jnt_limited[joint] else -np.pi)
             column["upper"].append(model.jnt_range[joint, 1] if model.jnt_limited[joint] else np.pi)
+            column["armature"].append(model.dof_armature[model.jnt_dofadr[joint]])
+            column["slides"].append(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
             parent_position, parent_rotation = position, rotation
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
         if len(sites) != 1:
@@ -197,5 +211,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         joint_upper=stacked["upper"],
         stance_position=stance[:3, None].copy(),
         stance_orientation=stance[3:7, None].copy(),
-        stance_joints=stance[7:].reshape(-1, JOINTS_PER_LIMB).T[..., None].copy(),
+        stance_joints=stance[7:].reshape(len(limbs), -1).T[..., None].copy(),
+        armature=stacked["armature"] if stacked["armature"].any() else None,
+        slides=tuple(map(tuple, stacked["slides"][..., 0].tolist())) if stacked["slides"].any() else (),
     )

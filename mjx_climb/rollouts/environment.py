@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
@@ -16,6 +17,7 @@ from mjx_climb.compilation.options import pieces_pay
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.state import State
+from mjx_climb.hardware.stages import stages_of
 from mjx_climb.quantities.batches import batch_last, own_axes
 from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.rollouts.given import AnyGains, checked, given
@@ -117,11 +119,13 @@ class Environment:
             batch: further axes, where neither has them: `batch=(64,)` for 64 equal robots.
 
         Raises:
-            ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
+            ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, or parameters
+                with hardware that the scenario does not have.
         """
         numbers = _own(self.scenario, self.dtype) if parameters is None else parameters
         numbers = jax.tree.map(self._array, numbers)
         law, numbers, shape, _ = given(self.scenario, self.law, gains, numbers, self._array)
+        self._check_hardware(numbers)
         shape = jnp.broadcast_shapes(shape, tuple(batch))
         law, numbers = _spread(law, shape), _spread(numbers, shape)
         carry = _batch_first(_begun(self._structure, law, numbers, shape), shape)
@@ -141,10 +145,22 @@ class Environment:
             The state after the step; and the sample, fields as in `mjx_climb.Trajectory` with the batch axes in place
             of time: the state at the start of the step, and the forces and accelerations that act in it.
         """
-        return _stepped(self._structure, state, action)
+        after: tuple[EnvironmentState, Sample] = _stepped(self._structure, state, action)
+        return after
 
     def _array(self, value: Any) -> Array:
         return jnp.asarray(value, self.dtype)
+
+    def _check_hardware(self, numbers: Parameters) -> None:
+        """Refuse numbers whose stages of hardware are not compiled: known before anything is traced, or not asked."""
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(numbers)):
+            return
+        built, asked = self._structure.stages, stages_of(self.scenario, numbers)
+        if asked != built:
+            raise ValueError(
+                f"parameters: expected the stages of hardware and the longest delays of the scenario, {built}, "
+                f"got {asked}; make the Environment of a scenario that has them"
+            )
 
 
 def _own(scenario: Scenario, dtype: jnp.dtype) -> Parameters:
@@ -166,7 +182,8 @@ def _begun(structure: Structure, law: Law, numbers: Parameters, shape: tuple[int
     robots = math.prod(shape)
     dtype = numbers.kp.dtype
     walk = prepare(structure, batch_last(law, shape, dtype), batch_last(numbers, shape, dtype), robots)
-    return jax.tree.map(lambda leaf: _with_batch(leaf, robots), begin(walk, robots))
+    carry: Carry = jax.tree.map(lambda leaf: _with_batch(leaf, robots), begin(walk, robots))
+    return carry
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -177,7 +194,7 @@ def _stepped(
     robots = math.prod(shape)
     walk = prepare(structure, batch_last(state.law, shape, dtype), batch_last(state.parameters, shape, dtype), robots)
     carry = jax.tree.map(lambda leaf: _last(leaf, shape), state.carry)
-    step = functools.partial(advance, walk)
+    step: Callable[..., tuple[Carry, Sample]] = functools.partial(advance, walk)
     if structure.in_pieces:
         step = in_kernels(step)
         carry = forward_only(carry, "an Environment with in_pieces=False has reverse ones, and is slower")

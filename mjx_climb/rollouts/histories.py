@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -15,11 +15,13 @@ from numpy.typing import DTypeLike
 from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.rollouts.rollout import Metrics, given_in, walk_batch, walk_recorded
 from mjx_climb.rollouts.trajectory import Trajectory, to_samples
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Structure, structure
 
@@ -52,6 +54,7 @@ def rollout_histories(
     numbers: Parameters | None = None,
     *,
     law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
     dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -64,7 +67,7 @@ def rollout_histories(
         largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
     """
     walkers = given_in(scenario, law, gains, numbers, dtype)
-    walk = structure(scenario, engine, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     return walk_batch(compiled, walk, walkers, batch_size=batch_size, progress=progress)
 
@@ -96,7 +99,7 @@ def _extremes(lines: Mapping[str, Array]) -> dict[str, Array]:
 
 def _histories_of(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
     metrics, lines = walk_recorded(structure, law, numbers, _lines)
-    shape = metrics["diverged"].shape
+    shape = batch_shape(law, numbers)
     return metrics | {name: v.reshape(*shape, *v.shape[1:]) for name, v in _extremes(lines).items()}
 
 

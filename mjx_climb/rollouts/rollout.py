@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -23,17 +23,16 @@ from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, rows_of, varying
 from mjx_climb.quantities.parameters import Parameters, parameters
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.given import AnyGains, Given, checked, given, recorded
 from mjx_climb.rollouts.trajectory import Trajectory, from_samples, to_samples
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk import metrics as metrics_module
-from mjx_climb.walk import smooth_extremes
+from mjx_climb.walk.metrics import METRICS, Context, Metric, MetricTable, running
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure, weighing
 
 Metrics = dict[str, Array]
-Progress = tuple[Carry, metrics_module.Accumulator, dict[str, smooth_extremes.Mean]]
+Progress = tuple[Carry, running.Running]
 
 
 def metrics_of(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
@@ -48,21 +47,18 @@ def walk_recorded(
     shape, dtype = batch_shape(law, numbers), jnp.result_type(numbers.kp)
     batch = math.prod(shape)
     walk = prepare(structure, batch_last(law, shape, dtype), batch_last(numbers, shape, dtype), batch)
+    metrics = structure.metrics
+    context = Context(walk.robot, walk.numbers.gravity, walk.numbers.heading, walk.time_step)
 
     def step(carry: Progress, _: None) -> tuple[Progress, Any]:
-        walked, total, means = carry
-        walked, sample = advance(walk, walked, total.steps)
-        total = metrics_module.accumulate(total, sample, walk.robot, walk.time_step)
-        means = smooth_extremes.accumulate(means, sample, walk.robot) if structure.smooth else means
-        return (walked, total, means), record(sample)
+        walked, values = carry
+        walked, sample = advance(walk, walked, values.steps)
+        return (walked, running.accumulate(metrics, values, sample, context)), record(sample)
 
-    means = smooth_extremes.start(batch, dtype) if structure.smooth else {}
-    start = (begin(walk, batch), metrics_module.start(batch, dtype), means)
+    start = (begin(walk, batch), running.start(metrics, batch, dtype))
     step = in_kernels(step) if structure.in_pieces else step
-    (_, total, means), records = jax.lax.scan(step, start, length=structure.steps)
-    result = metrics_module.finish(total, walk.numbers.gravity, walk.numbers.heading)
-    for name, value in smooth_extremes.finish(means).items():
-        result[name] = jnp.where(total.finite, value, jnp.nan)
+    (_, values), records = jax.lax.scan(step, start, length=structure.steps)
+    result = running.finish(metrics, values, context)
     return {name: value.reshape(shape) for name, value in result.items()}, records
 
 
@@ -99,6 +95,7 @@ def simulator(
     scenario: Scenario,
     *,
     law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
     engine: str = DEFAULT_ENGINE,
     smooth: bool = False,
     in_pieces: bool = False,
@@ -110,24 +107,26 @@ def simulator(
     Arguments:
         scenario: what walks where; its numbers are the default parameters.
         law: the control law, the scenario's own where None; its gains are the defaults of those not given.
+        metrics: what the walk is judged by, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
         smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics have
-            smooth companions, see `mjx_climb.walk.smooth_extremes`.
+            smooth companions, see `mjx_climb.walk.metrics.extremes`.
         in_pieces: several times faster on a CPU (see `mjx_climb.pieces_pay`), for values and forward derivatives alone.
 
     Returns:
         A function of gains (`Gains`, a mapping by name, or a law) and `Parameters` with any leading batch axes, in the
-        precision of the gains. It gives a dict of arrays with those batch axes, named and in units as
-        `mjx_climb.METRICS` says. A batch axis in the gains is faster than `vmap`: it stays contiguous. NaN stands for
-        what is not defined: `detached_at` while all limbs hold (`detached_limb` is then -1, else the index of the
-        limb), and everything but `diverged` where the state stopped being finite. Under `grad` and other reverse modes
-        a function in pieces raises `NotImplementedError`.
+        precision of the gains. It gives a dict of arrays with those batch axes, named and in units as the metrics say.
+        A batch axis in the gains is faster than `vmap`: it stays contiguous. NaN stands for what is not defined:
+        `detached_at` while all limbs hold (`detached_limb` is then -1, else the index of the limb). Where the state
+        stopped being finite, `diverged`, the others are those of the walk until then. Under `grad` and other reverse
+        modes a function in pieces raises `NotImplementedError`.
 
     Raises:
         ConfigError: no such engine.
-        ValueError: no control law. The function raises it for gains that the law does not have, or cannot have.
+        ValueError: no control law, or two metrics of one name. The function raises it for gains that the law does not
+            have, or cannot have, and for a metric that does not keep its shapes.
     """
-    shape = structure(scenario, engine, smooth=smooth, in_pieces=in_pieces)
+    shape = structure(scenario, engine, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
     law = law_of(scenario) if law is None else checked(law)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(law)):
         return _simulate(scenario, law, shape)
@@ -203,7 +202,7 @@ def rollout(
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
     enable_cache()
     in_pieces = pieces_pay(engine)
-    shape = structure(scenario, engine, in_pieces=in_pieces)
+    shape = structure(scenario, engine, walker.numbers, in_pieces=in_pieces)
     with jax.enable_x64(np.dtype(dtype) == np.float64):
         samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
         samples = jax.tree.map(np.asarray, samples)
@@ -225,36 +224,46 @@ def given_in(
         return given(scenario, law, gains, jax.tree.map(array, numbers), array)
 
 
-def metrics(trajectory: Trajectory) -> dict[str, float | str | bool | None]:
-    """Return the metrics of one walk: the numbers of `mjx_climb.METRICS`, in their units.
+def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict[str, float | str | bool | None]:
+    """Return the metrics of one walk, those of `mjx_climb.METRICS` or others, in their units.
 
-    `detached_at` and `detached_limb` (a name) are None while all limbs hold; where the state stopped being finite
-    everything but `diverged` is None, as is what is not defined.
+    `detached_at` and `detached_limb` (a name) are None while all limbs hold, as is what is not defined. Where the state
+    stopped being finite, `diverged`, the others are those of the walk until then.
+
+    Raises:
+        ValueError: two metrics of one name, or one that does not keep its shapes.
     """
-    robot = load_robot(trajectory.scenario.robot)
+    robot, numbers = load_robot(trajectory.scenario.robot), trajectory.numbers
     samples = to_samples(trajectory)
     dtype = samples.base_position.dtype
     with jax.enable_x64(dtype == np.float64):
         robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
-        robot = weighing(robot, jnp.asarray(trajectory.numbers.mass_scale, dtype)[None])
-        total = _accumulated(samples, robot, trajectory.scenario.time_step)
-        gravity = jnp.asarray(trajectory.numbers.gravity, dtype)[:, None]
-        heading = jnp.asarray(trajectory.numbers.heading, dtype)[None]
-        values = {name: value.item() for name, value in metrics_module.finish(total, gravity, heading).items()}
+        gravity, heading = jnp.asarray(numbers.gravity, dtype)[:, None], jnp.asarray(numbers.heading, dtype)[None]
+        context = Context(
+            weighing(robot, jnp.asarray(numbers.mass_scale, dtype)[None]),
+            gravity,
+            heading,
+            trajectory.scenario.time_step,
+        )
+        found = _accumulated(MetricTable(metrics), samples, context)
+        values = {name: value.item() for name, value in found.items()}
     return named(values, trajectory.limbs)
 
 
-@jax.jit
-def _accumulated(samples: Sample, robot: Robot, time_step: float) -> metrics_module.Accumulator:
-    dtype = samples.base_position.dtype
-    step = lambda total, sample: (metrics_module.accumulate(total, sample, robot, time_step), None)  # noqa: E731
-    return jax.lax.scan(step, metrics_module.start(1, dtype), samples)[0]
+@functools.partial(jax.jit, static_argnums=0)
+def _accumulated(metrics: MetricTable, samples: Sample, context: Context) -> Metrics:
+    def step(values: running.Running, sample: Sample) -> tuple[running.Running, None]:
+        return running.accumulate(metrics, values, sample, context), None
+
+    values = running.start(metrics, 1, samples.base_position.dtype)
+    return running.finish(metrics, jax.lax.scan(step, values, samples)[0], context)
 
 
 def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
     """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
     result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
-    result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
+    if "detached_limb" in values:
+        result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
     return result
 
 
@@ -264,6 +273,7 @@ def rollout_metrics(
     numbers: Parameters | None = None,
     *,
     law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
     dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -278,6 +288,7 @@ def rollout_metrics(
             batch axes.
         numbers: parameters with leading batch axes that broadcast with the gains'.
         law: the control law with its gains, which may have leading batch axes too; the scenario's own where None.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         dtype: precision of the simulation.
         batch_size: at most so many robots in one call of the compiled program, one call at a time on a GPU and one on
             each core of a CPU.
@@ -286,15 +297,14 @@ def rollout_metrics(
         smooth: for searches, see `simulator`.
 
     Returns:
-        Arrays with the batch axes of gains and parameters, named as in `mjx_climb.METRICS`; NaN and -1 as `simulator`
-        says.
+        Arrays with the batch axes of gains and parameters, by the names of the metrics; NaN and -1 as `simulator` says.
 
     Raises:
         ConfigError: no such engine.
         ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
     """
     walkers = given_in(scenario, law, gains, numbers, dtype)
-    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     in_kernel = kernel_pays(engine, dtype)
 
     def program(robots: int) -> Callable[..., Metrics]:

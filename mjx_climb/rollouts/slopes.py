@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.rollouts.given import AnyGains, Given, values_by_name
 from mjx_climb.rollouts.rollout import Metrics, given_in, metrics_of, walk_batch
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.step import Structure, structure
 
 _SLOPE = "slope of "
@@ -29,6 +30,7 @@ def rollout_slopes(
     numbers: Parameters | None = None,
     *,
     law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
     dtype: DTypeLike = np.float32,
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -40,8 +42,8 @@ def rollout_slopes(
     A direction costs about as much as the walk itself, and nothing is kept over time.
 
     Arguments:
-        scenario, gains, numbers, law, dtype, batch_size, progress, engine, smooth: as `mjx_climb.rollout_metrics` takes
-            them.
+        scenario, gains, numbers, law, metrics, dtype, batch_size, progress, engine, smooth: as
+            `mjx_climb.rollout_metrics` takes them.
         directions: rates of change of the gains, in their units and by their names: values (k, *batch, n), of length 1
             and for `kp` and `kd` (k, *batch), with batch axes that broadcast to the gains'. A gain of the law without
             rates stays as it is.
@@ -56,7 +58,7 @@ def rollout_slopes(
     _check_same_gains(gains, directions)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     rates, axes = _rates(walkers, directions, dtype)
-    walk = structure(scenario, engine, smooth=smooth, in_pieces=pieces_pay(engine))
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
     found = walk_batch(compiled, walk, walkers, rates, axes, batch_size, progress)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}

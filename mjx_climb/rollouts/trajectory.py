@@ -45,6 +45,7 @@ class Trajectory:
     contact: Bool[np.ndarray, "time limb"]  # the ground acts on the foot
     detached: Bool[np.ndarray, "time limb"]  # the gripper was torn off before
     torn_off: Bool[np.ndarray, "time limb"]  # it is torn off in this step
+    missed: Bool[np.ndarray, "time limb"]  # it shuts out of reach in this step
     reachable: Bool[np.ndarray, "time limb"]  # the foot target was within reach
     base_reference: Float[np.ndarray, "time 3"]  # m, where the gait wants the base
     base_displacement: Float[np.ndarray, "time 6"]  # m, rad: shift by the control law, axes of the reference
@@ -85,6 +86,6 @@ def to_samples(trajectory: Trajectory) -> Sample:
         return (np.swapaxes(value, 1, 2) if value.ndim == 3 else value)[..., None]
 
     samples = {name: hot(name) for name in Sample._fields}
-    for name in ("support", "contact", "detached", "torn_off", "reachable"):
+    for name in ("support", "contact", "detached", "torn_off", "missed", "reachable"):
         samples[name] = np.asarray(getattr(trajectory, name))[..., None]
     return Sample(**samples)

@@ -6,12 +6,14 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError, model_validator
 
+from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.messages import failure, refusal
 from mjx_climb.scenario.overrides import override
+from mjx_climb.scenario.section import Section
 from mjx_climb.scenario.values import (
     Angle,
     Duty,
@@ -34,29 +36,10 @@ from mjx_climb.scenario.yaml_text import dump, parse
 MAX_STEPS = 10_000_000
 PATHS = (("robot", "file"), ("ground", "map", "file"))  # keys whose values are paths
 
-Section = TypeVar("Section", bound=BaseModel)
-
-if TYPE_CHECKING:
-    from pydantic._internal._model_construction import ModelMetaclass as _ModelMetaclass
-else:
-    _ModelMetaclass = type(BaseModel)
+AnySection = TypeVar("AnySection", bound=BaseModel)
 
 
-class _OneLine(_ModelMetaclass):
-    """Makes a section that is built in Python refuse bad values as one from YAML does."""
-
-    def __call__(cls, *args: Any, **values: Any) -> Any:
-        try:
-            return super().__call__(*args, **values)
-        except ValidationError as invalid:
-            raise refusal(invalid, cast(type[BaseModel], cls), cls.__name__) from None
-
-
-class _Section(BaseModel, metaclass=_OneLine):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Gait(_Section):
+class Gait(Section):
     """Periodic crawl with one limb in the air at a time."""
 
     cycle: Positive = Field(default=4.0, description="period of the gait, s; a whole number of time steps")
@@ -71,7 +54,7 @@ class Gait(_Section):
     heading: Angle = Field(default=0.0, description="direction of walking and initial yaw about world z, rad")
 
 
-class Footholds(_Section):
+class Footholds(Section):
     """Heights of each limb's footholds in the order in which it uses them, the first included; the last one stays."""
 
     LF: Heights = Field(default=(0.0,), description="left front, m")
@@ -80,7 +63,7 @@ class Footholds(_Section):
     RF: Heights = Field(default=(0.0,), description="right front, m")
 
 
-class HeightMap(_Section):
+class HeightMap(Section):
     """Heights on a grid: rows along y, columns along x; a PNG's top row is its far side, the largest y."""
 
     file: FileName = Field(description="grid, .csv, .npy or .png (grey, 0 to 1); beside the config, if relative")
@@ -89,7 +72,7 @@ class HeightMap(_Section):
     scale: Number = Field(default=1.0, description="height of one unit of the file, m")
 
 
-class Ground(_Section):
+class Ground(Section):
     """Uneven ground; flat at height zero unless one of these is given."""
 
     footholds: Footholds | None = Field(default=None, description="a height for each foothold")
@@ -102,7 +85,7 @@ class Ground(_Section):
         return self
 
 
-class Contact(_Section):
+class Contact(Section):
     """Spring-damper between a gripped foot and its grip point."""
 
     stiffness: Positive = Field(default=1.0e4, description="contact stiffness per axis, N/m")
@@ -110,9 +93,13 @@ class Contact(_Section):
     holding_limit: Limit = Field(
         default=15.0, description="force above which a pulled gripper lets go, N; null: grippers never let go"
     )
+    capture_distance: Limit = Field(
+        default=None,
+        description="how far off the ground a foot may be for its shutting gripper to hold, m; null: any distance",
+    )
 
 
-class Control(_Section):
+class Control(Section):
     """Joint loop and an admittance law around it. Six values: translations x, y, z, then rotations."""
 
     controller: Literal["pd", "base_admittance", "end_effector_admittance"] = Field(
@@ -137,7 +124,7 @@ class Control(_Section):
         return self
 
 
-class _Window(_Section):
+class _Window(Section):
     """A span of time, start <= t < stop."""
 
     if TYPE_CHECKING:  # each kind of window has them in its own order
@@ -169,14 +156,14 @@ class Push(_Window):
     stop: Limit = Field(default=None, description="last instant, s; null: until the end")
 
 
-class Disturbance(_Section):
+class Disturbance(Section):
     """What happens to the robot on its way."""
 
     cargo: Cargo = Field(default=Cargo(), description="cargo on the base")
     pushes: tuple[Push, ...] = Field(default=(), description="pushes on the base; they add up where they overlap")
 
 
-class Limb(_Section):
+class Limb(Section):
     """One limb of a robot from a file."""
 
     joints: ThreeWords = Field(description="names of its three revolute joints, from the base outwards")
@@ -186,7 +173,7 @@ class Limb(_Section):
     )
 
 
-class Limbs(_Section):
+class Limbs(Section):
     """The four limbs of a robot from a file."""
 
     LF: Limb = Field(description="left front")
@@ -195,7 +182,7 @@ class Limbs(_Section):
     RF: Limb = Field(description="right front")
 
 
-class RobotFile(_Section):
+class RobotFile(Section):
     """A robot of one's own; its base link's axes are x ahead, y left, z up."""
 
     file: FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
@@ -213,7 +200,7 @@ AnyRobot = Annotated[
 ]
 
 
-class Scenario(_Section):
+class Scenario(Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
     robot: AnyRobot = Field(default="hubrobo_v3_2", description="name of the robot, or one's own from a file")
@@ -225,6 +212,7 @@ class Scenario(_Section):
     contact: Contact = Field(default=Contact(), description="how the grippers hold the ground")
     control: Control = Field(default=Control(), description="controller and gains")
     disturbance: Disturbance = Field(default=Disturbance(), description="cargo and pushes")
+    hardware: Hardware = Field(default=Hardware(), description="sensors, rate, bus and servos; ideal ones by default")
 
     @model_validator(mode="after")
     def _whole_steps(self) -> Scenario:
@@ -234,6 +222,10 @@ class Scenario(_Section):
                 raise failure(f"at most {MAX_STEPS} time steps of {self.time_step:g} s", key=key, got=span)
             if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
                 raise failure(f"a whole number of time steps of {self.time_step:g} s", key=key, got=span)
+        period = self.hardware.control_period / self.time_step
+        if not math.isclose(period, round(period), rel_tol=1e-9, abs_tol=1e-9):
+            expected = f"a whole number of time steps of {self.time_step:g} s, or 0"
+            raise failure(expected, key="hardware.control_period", got=self.hardware.control_period)
         if round((1 - self.gait.duty) * self.gait.cycle / self.time_step) < 2:
             expected = f"a swing, (1 - duty) cycle, of two time steps of {self.time_step:g} s or more"
             raise failure(expected, key="gait.duty", got=self.gait.duty)
@@ -283,7 +275,7 @@ def at(data: Any, keys: Sequence[str]) -> Any:
     return data
 
 
-def validated(kind: type[Section], data: Any, source: str) -> Section:
+def validated(kind: type[AnySection], data: Any, source: str) -> AnySection:
     """Return the model of plain data.
 
     Raises:

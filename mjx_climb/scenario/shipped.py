@@ -12,6 +12,27 @@ def names() -> list[str]:
     return sorted({file.stem for folder in _FOLDERS for file in folder.glob("*.yaml")} - {ENSEMBLE})
 
 
+def profiles() -> list[str]:
+    """Return the names of the shipped profiles of hardware."""
+    return sorted({file.stem for folder in _FOLDERS for file in (folder / "hardware").glob("*.yaml")})
+
+
+def found_profile(path: Path) -> Path:
+    """Return the path of a profile, or that of the shipped one where it is a bare name and no file.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    if path.suffix or len(path.parts) > 1 or path.is_file():
+        return path
+    for folder in _FOLDERS:
+        if (shipped := folder / "hardware" / f"{path.name}.yaml").is_file():
+            return shipped
+    from mjx_climb.scenario.messages import ConfigError
+
+    raise ConfigError(f"{path.name}: expected a file, or a profile of hardware ({', '.join(profiles())}), got neither")
+
+
 def config_path(name: str) -> Path:
     """Return where a shipped config lies, by its file's name.
 

@@ -40,6 +40,8 @@ NonNegative = Annotated[Finite, Field(ge=0), _expects("a finite number, 0 or abo
 Duty = Annotated[Finite, Field(ge=0.75, lt=1), _expects("a number from 0.75 to below 1")]
 Angle = Annotated[Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an angle in rad between -2 pi and 2 pi")]
 Limit = Annotated[NonNegative | None, _expects("a finite number, 0 or above, or null")]
+PositiveOrNull = Annotated[Positive | None, _expects("a finite number above 0, or null")]
+Seed = Annotated[int, Strict(), Field(ge=0, lt=2**24), _expects("a whole number from 0 to below 2^24")]
 Vector = Annotated[tuple[Finite, Finite, Finite], _expects("a list of three finite numbers")]
 Gain = Annotated[
     Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive],

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jax import Array
 
 
@@ -18,3 +19,8 @@ class BaseShift(NamedTuple):
 
 
 Action = JointTargets | BaseShift | None  # None: what the law says
+
+
+def displacement_of(action: JointTargets | BaseShift, wrench: Array) -> Array:
+    """Return by how much an action shifts the base, (6, B) like the wrench: by nothing where it moves the joints."""
+    return action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(wrench)

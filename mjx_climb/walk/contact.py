@@ -1,6 +1,6 @@
 """Grip: a spring-damper between a foot and the point where it gripped, and its letting go."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -16,6 +16,14 @@ class Contact(NamedTuple):
     grip_point: Array  # (3, L, B) m, world
     touching: Array  # (L, B) bool: the ground acted on the foot at the last step
     detached: Array  # (L, B) bool: the gripper was torn off, for good
+    reach: Any = ()  # `Reach` where grippers hold only what is within reach
+
+
+class Reach(NamedTuple):
+    """What grippers with a reach remember."""
+
+    shut: Array  # (L, B) bool: commanded shut at the last step
+    missed: Array  # (L, B) bool: shut out of reach, and open since
 
 
 class Grip(NamedTuple):
@@ -24,6 +32,7 @@ class Grip(NamedTuple):
     force: Array  # (3, L, B) N, of the ground on the foot, world axes
     support: Array  # (L, B) bool: the gripper holds
     torn_off: Array  # (L, B) bool: the holding limit was passed in this step
+    missed: Array  # (L, B) bool: it shut out of reach in this step
 
 
 def grip(contact: Contact, feet: Feet, closed: Array, ground: Array, numbers: Parameters) -> tuple[Contact, Grip]:
@@ -33,15 +42,31 @@ def grip(contact: Contact, feet: Feet, closed: Array, ground: Array, numbers: Pa
     ways. An open one, or one torn off, feels the ground while its foot is at or below it. The grip point is below the
     foot, at the ground's height, where the gripper shuts or the foot first touches. A supporting limb lets go, from the
     next step on, when the ground pulls its foot down with more than the holding limit in all (ClimbLab's rule).
+
+    With a `Reach` a gripper that shuts further off the ground than the capture distance holds nothing and stays open
+    until its next swing, and the ground only pushes a foot whose gripper is open, along its normal.
     """
     ground = jnp.broadcast_to(ground, feet.position[2].shape)
-    support = closed & ~contact.detached
+    support, reach = closed & ~contact.detached, contact.reach
+    shuts = missed = jnp.zeros_like(support)
+    if reach:
+        shuts = support & ~reach.shut
+        missed = shuts & (feet.position[2] - ground > numbers.capture_distance)
+        reach = Reach(closed, closed & (reach.missed | missed))
+        support = support & ~reach.missed
     touching = support | (feet.position[2] <= ground)
-    fresh = touching & ~contact.touching
+    fresh = (touching & ~contact.touching) | shuts
     below = jnp.stack([feet.position[0], feet.position[1], ground])
     grip_point = jnp.where(fresh, below, contact.grip_point)
     spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
     force = jnp.where(touching, spring_damper, 0.0)
+    if reach:
+        force = jnp.where(support, force, _push(force))
     torn_off = support & (force[2] < 0) & (norm(force) > numbers.holding_limit)
-    after = Contact(grip_point, touching, contact.detached | torn_off)
-    return after, Grip(force, support, torn_off)
+    after = Contact(grip_point, touching, contact.detached | torn_off, reach)
+    return after, Grip(force, support, torn_off, missed)
+
+
+def _push(force: Array) -> Array:
+    """Return what of a force (3, L, B) pushes along the ground's normal."""
+    return jnp.stack([jnp.zeros_like(force[0]), jnp.zeros_like(force[1]), jnp.maximum(force[2], 0.0)])

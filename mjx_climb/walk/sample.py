@@ -29,6 +29,7 @@ class Sample(NamedTuple):
     contact: Array  # (L, B) bool: the ground acts on the foot
     detached: Array  # (L, B) bool: the gripper was torn off before this step
     torn_off: Array  # (L, B) bool: it is torn off in this step
+    missed: Array  # (L, B) bool: it shuts out of reach in this step
     reachable: Array  # (L, B) bool: the target was within the limb's reach
     base_reference: Array  # (3, B)
     base_displacement: Array  # (6, B), shift of the base by the control law, reference axes

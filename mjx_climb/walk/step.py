@@ -1,27 +1,29 @@
 """One walk in the layout of the hot path: what happens in a step, in the order in which it happens."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.control import Law, Measurement, Reference, Start, running
-from mjx_climb.control.joint_loop import joint_torque
+from mjx_climb.control import Law, Reference, Start, running
 from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State, integrate
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.hardware.control_period import period_steps
+from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
+from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
-from mjx_climb.walk import disturbance, gait
-from mjx_climb.walk.action import Action, BaseShift, JointTargets
-from mjx_climb.walk.contact import Contact, grip
-from mjx_climb.walk.inverse_kinematics import LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.walk import control_loop, disturbance, gait
+from mjx_climb.walk.action import Action
+from mjx_climb.walk.contact import Contact, Reach, grip
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
@@ -35,7 +37,9 @@ class Structure(NamedTuple):
     base_reference: str
     steps: int
     time_step: float
-    smooth: bool = False  # no gripper is torn off, and the metrics have smooth companions
+    metrics: MetricTable = METRICS
+    smooth: bool = False  # no gripper is torn off
+    stages: Stages = IDEAL  # of hardware between law and joints
     in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`
 
 
@@ -43,11 +47,10 @@ class Walk(NamedTuple):
     """What stays the same from step to step."""
 
     robot: Robot
-    geometry: LimbGeometry
     numbers: Parameters
     grip_numbers: Parameters  # with an infinite holding limit where nothing is torn off
     plan: gait.Plan
-    law: running.Running
+    controller: control_loop.Controller
     forward_dynamics: ForwardDynamics
     cycle_start: Callable[[gait.Plan, gait.Schedule, Array, Array], tuple[Array, Array]]
     time_step: float
@@ -60,14 +63,30 @@ class Carry(NamedTuple):
     contact: Contact
     gait: Array  # (3, B) m, what the gait remembers of the base
     law: running.Leaves
+    hardware: control_loop.Memory
 
 
-def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_pieces: bool = False) -> Structure:
-    """Return what a compiled walk of the scenario depends on beside its numbers and its law.
+def structure(
+    scenario: Scenario,
+    engine: str,
+    numbers: Parameters | None = None,
+    *,
+    metrics: Iterable[Metric] = METRICS,
+    smooth: bool = False,
+    in_pieces: bool = False,
+) -> Structure:
+    """Return what a compiled walk of the scenario depends on beside its law and its numbers: its own where None.
+
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off.
 
     Raises:
         ConfigError: no such engine.
+        ValueError: two metrics of one name.
     """
+    if numbers is None:
+        with jax.enable_x64(True), jax.ensure_compile_time_eval():
+            numbers = parameters(scenario)
+    table = MetricTable(metrics)
     return Structure(
         robot=scenario.robot,
         engine=checked_engine(engine),
@@ -75,7 +94,9 @@ def structure(scenario: Scenario, engine: str, *, smooth: bool = False, in_piece
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
+        metrics=table.with_companions if smooth else table,
         smooth=smooth,
+        stages=stages_of(scenario, numbers),
         in_pieces=in_pieces,
     )
 
@@ -90,16 +111,20 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
     robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
+    stages, time_step = structure.stages, structure.time_step
+    period = jnp.asarray(numbers.control_period)
+    held = time_step * period_steps(period, time_step) if stages.control_period else time_step
+    drives = _with_armature(robot, jnp.asarray(numbers.armature)) if stages.armature else robot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
     plan = gait.plan(robot, feet, numbers, structure.sequence, structure.time_step)
+    begun = running.begin(law, Start(held, _first_reference(plan, batch)))
     return Walk(
         robot=weighing(robot, numbers.mass_scale),
-        geometry=geometry,
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=plan,
-        law=running.begin(law, Start(structure.time_step, _first_reference(plan, batch))),
-        forward_dynamics=ENGINES[structure.engine](robot),
+        controller=control_loop.Controller(begun, geometry, numbers, stages, time_step),
+        forward_dynamics=ENGINES[structure.engine](_lighter_drives(drives, numbers.mass_scale)),
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
@@ -124,20 +149,34 @@ def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
     return dataclasses.replace(robot, **{name: getattr(robot, name) * scale for name in names})
 
 
+def _with_armature(robot: Robot, armature: Array) -> Robot:
+    """Return the robot with `armature` (B,) kg m^2 more at every joint than its file says."""
+    own: Any = jnp.zeros_like(robot.joint_lower) if robot.armature is None else robot.armature
+    return dataclasses.replace(robot, armature=own + armature)
+
+
+def _lighter_drives(robot: Robot, scale: Array | np.ndarray) -> Robot:
+    """Return the robot whose drives have their armature over `scale` (B,): the engine is given forces over it."""
+    return robot if robot.armature is None else dataclasses.replace(robot, armature=robot.armature / scale)
+
+
 def begin(walk: Walk, batch: int) -> Carry:
     """Return the rest stance with all grippers shut."""
     position, orientation, feet = _first_reference(walk.plan, batch)
     joints = _each(walk.robot.stance_joints, batch)
     if not gait.is_flat(walk.plan):
         rotation = quaternion_to_matrix(orientation)[:, :, None]
-        joints = inverse_kinematics(walk.geometry, rotate_back(rotation, feet - position[:, None])).joint_angles
+        target = rotate_back(rotation, feet - position[:, None])
+        joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     shut = jnp.ones(feet.shape[1:], bool)
     still = jnp.zeros_like(position)
+    state = State(position, orientation, still, still, joints, jnp.zeros_like(joints))
     return Carry(
-        state=State(position, orientation, still, still, joints, jnp.zeros_like(joints)),
-        contact=Contact(grip_point=feet, touching=shut, detached=~shut),
+        state=state,
+        contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if walk.controller.stages.capture else ()),
         gait=position,
-        law=walk.law.initial,
+        law=walk.controller.law.initial,
+        hardware=control_loop.start(state, feet, walk.controller.stages),
     )
 
 
@@ -149,7 +188,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
     robot, numbers, state = walk.robot, walk.numbers, carry.state
     rotation = quaternion_to_matrix(state.base_orientation)
     frames = limb_frames(robot, rotation, state.joint_angles)
-    feet = foot_kinematics(frames, state)
+    feet = foot_kinematics(robot, frames, state)
 
     now = gait.schedule(walk.plan, step)
     contact, held = grip(carry.contact, feet, now.closed, gait.ground_height(walk.plan, now), walk.grip_numbers)
@@ -161,32 +200,28 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         base_orientation=walk.plan.base_orientation,
         foot_position=gait.foot_targets(walk.plan, now, contact.grip_point),
     )
-    measurement = Measurement(
-        state.base_position,
-        state.base_orientation,
-        state.base_linear_velocity,
-        state.base_angular_velocity,
-        held.force,
-        wrench,
-        held.support,
+    hardware, law_state, driven = control_loop.run(
+        walk.controller,
+        carry.hardware,
+        carry.law,
+        state,
+        control_loop.Contacts(feet.lever, held.force, held.support, wrench),
+        reference,
+        step,
+        action,
     )
-    if action is None:
-        law_state, command = walk.law.command(carry.law, measurement, reference)
-    else:
-        shift = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(wrench)
-        law_state, command = carry.law, shifted_by(reference, shift)
-    target_rotation = quaternion_to_matrix(command.base_orientation)
-    target = rotate_back(target_rotation[:, :, None], command.foot_position - command.base_position[:, None])
-    joints = inverse_kinematics(walk.geometry, target)
-    joint_targets = action.angles if isinstance(action, JointTargets) else joints.joint_angles
-    torque = joint_torque(numbers, joint_targets, state.joint_angles, state.joint_rates)
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
     push = disturbance.push(numbers, step, walk.time_step)
     # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
     share = 1 / numbers.mass_scale
     acceleration = walk.forward_dynamics(
-        state, torque * share, held.force * share, push * share, cargo * share, jnp.asarray(numbers.gravity)
+        state,
+        driven.joint_torque * share,
+        held.force * share,
+        push * share,
+        cargo * share,
+        jnp.asarray(numbers.gravity),
     )
 
     mass = cargo + robot.total_mass
@@ -205,20 +240,21 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         joint_angles=state.joint_angles,
         joint_rates=state.joint_rates,
         joint_accelerations=acceleration.joints,
-        joint_targets=joint_targets,
-        joint_torque=torque,
+        joint_targets=driven.joints.joint_angles,
+        joint_torque=driven.motor_torque,
         foot_position=feet.position,
         foot_velocity=feet.velocity,
-        foot_target=command.foot_position,
+        foot_target=driven.command.foot_position,
         foot_force=held.force,
         grip_point=contact.grip_point,
         support=held.support,
         contact=contact.touching,
         detached=carry.contact.detached,
         torn_off=held.torn_off,
-        reachable=joints.reachable,
+        missed=held.missed,
+        reachable=driven.joints.reachable,
         base_reference=reference.base_position,
-        base_displacement=command.base_displacement,
+        base_displacement=driven.command.base_displacement,
         base_wrench=wrench,
         push=push,
         cargo_mass=cargo,
@@ -228,6 +264,6 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         ),
         gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
     )
-    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state)
+    after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state, hardware)
     # what all environments share (a gait of one timing, say) has a batch axis of one until here
     return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry), sample

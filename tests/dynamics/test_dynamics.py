@@ -61,9 +61,9 @@ def test_accelerations_are_those_of_climblab(engine, states, forces):
 
 def test_feet_are_where_climblab_has_them(states):
     """Forward kinematics and the true foot velocity (not ClimbLab's) of robots in any state."""
-    hot, robot = batch_last(states), load_robot("hubrobo_v3_2")
+    hot, robot = batch_last(states, 4), load_robot("hubrobo_v3_2")
     frames = limb_frames(robot, quaternion_to_matrix(hot.base_orientation), hot.joint_angles)
-    feet = foot_kinematics(frames, hot)
+    feet = foot_kinematics(robot, frames, hot)
     theirs = of_cases("kinematics", "foot_pos_world"), of_cases("kinematics", "foot_linvel_world_true")
     np.testing.assert_allclose(feet.position.T, theirs[0], atol=1e-12)
     np.testing.assert_allclose(feet.velocity.T, theirs[1], atol=1e-12)

@@ -122,7 +122,7 @@ def static_shift(gravity, stiffness=None):
         robot.stance_position, robot.stance_orientation, still, still, robot.stance_joints, 0 * robot.stance_joints
     )
     frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
-    feet = jax.tree.map(np.asarray, foot_kinematics(frames, state))
+    feet = jax.tree.map(np.asarray, foot_kinematics(robot, frames, state))
     mass = robot.total_mass[0]
     lever = (
         np.asarray(center_of_mass(robot, frames, state.base_position, np.zeros(1)))[:, 0] - state.base_position[:, 0]

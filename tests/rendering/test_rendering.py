@@ -50,7 +50,7 @@ def walk_of(force=UNLOADED, push=UNLOADED, duration=0.4, shift=(0.0, 0.0, 0.0), 
         "push": always([*push, 0, 0, 0]),
         "cargo_mass": always(0.0),
         **{name: np.full((time.size, 4), True) for name in ("support", "contact", "reachable")},
-        **{name: np.full((time.size, 4), False) for name in ("detached", "torn_off")},
+        **{name: np.full((time.size, 4), False) for name in ("detached", "torn_off", "missed")},
     }
     fixed = {"scenario": scenario, "gains": None, "numbers": None, "limbs": ("LF", "LH", "RH", "RF")}
     others = {f.name: None for f in dataclasses.fields(Trajectory)}

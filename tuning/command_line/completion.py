@@ -22,6 +22,11 @@ def ensemble(incomplete: str) -> list[str]:
     return [*_beginning(incomplete, [shipped.ENSEMBLE]), *_files(incomplete)]
 
 
+def hardware(incomplete: str) -> list[str]:
+    """Return the shipped profiles of hardware and the YAML files that a word may become."""
+    return [*_beginning(incomplete, shipped.profiles()), *_files(incomplete)]
+
+
 def engine(incomplete: str) -> list[str]:
     """Return the engines that a word may become."""
     return _beginning(incomplete, ENGINES)

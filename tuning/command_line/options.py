@@ -43,6 +43,15 @@ Set = Annotated[
         help="Change a key of the config, SI units; may be given several times. Example: control.damping=2e3",
     ),
 ]
+Hardware = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"Hardware in place of the config's: a YAML file, or one of {', '.join(shipped.profiles())}.",
+        show_default="the config's",
+        autocompletion=completion.hardware,
+    ),
+]
 GainsFile = Annotated[
     Path | None,
     typer.Option("--gains", metavar="FILE", help="Gains file in place of the config's gains."),
@@ -87,14 +96,21 @@ def origin(name: str, again: str, config: str) -> "Origin":
     return Origin(name, typed(), again, without_folders(config))
 
 
-def scenario_from(config: Path, controller: str | None, changes: list[str] | None) -> "mc.Scenario":
-    """Return the scenario of a config with the options applied, before any gains file."""
+def scenario_from(
+    config: Path, controller: str | None, changes: list[str] | None, hardware: str | None = None
+) -> "mc.Scenario":
+    """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     import mjx_climb as mc
     from mjx_climb.checks.time_step import check_time_step
     from mjx_climb.quantities.ground import check_reach
+    from mjx_climb.scenario import profiles
+    from mjx_climb.scenario.model import overridden
 
     config = shipped.found(config)
-    scenario = mc.load_scenario(config, changes or ())
+    scenario = mc.load_scenario(config, () if hardware else changes or ())
+    if hardware:
+        profile = profiles.load_hardware(hardware)
+        scenario = overridden(profiles.with_hardware(scenario, profile, hardware), changes or (), str(config))
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
     check_time_step(scenario, str(config))

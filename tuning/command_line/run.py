@@ -11,6 +11,7 @@ from tuning.command_line import options, visible
 def run(
     config: options.Config,
     controller: options.Controller = None,
+    hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
     out: Annotated[
@@ -52,7 +53,7 @@ def run(
         from tuning.command_line import interruption, progress, report
         from tuning.gains import gains_file
 
-        scenario = options.scenario_from(config, controller, changes)
+        scenario = options.scenario_from(config, controller, changes, hardware)
         if gains is not None:
             scenario = gains_file.applied(scenario, gains_file.load(gains))
         engine = options.engine_from(engine)

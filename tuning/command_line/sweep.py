@@ -36,6 +36,7 @@ def sweep(
         typer.Option(metavar=RANGE, help="Virtual damping D, N s/m and N m s/rad, spaced likewise."),
     ],
     controller: options.Controller = None,
+    hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
     out: Annotated[
@@ -77,7 +78,7 @@ def sweep(
         from tuning.searches import finished_parts, grid
 
         begin = time.perf_counter()
-        own = options.scenario_from(config, controller, changes)
+        own = options.scenario_from(config, controller, changes, hardware)
         scenario = own if gains is None else gains_file.applied(own, gains_file.load(gains))
         engine = options.engine_from(engine)
         if scenario.control.controller == "pd":
@@ -297,7 +298,9 @@ def _draw(
     from mjx_climb import plots
 
     walks = {_label(name, own): trajectories[name] for name in reversed(trajectories)}
-    metrics = [name for name in mc.METRICS if name not in ("detached_limb", "diverged")]  # the hatching shows these
+    metrics = [
+        name for name in mc.METRICS.names if name not in ("detached_limb", "diverged")
+    ]  # the hatching shows these
     pd = {name: value for name, value in compared["pd"][1].items() if name in metrics and value is not None}
 
     plots.save_figure(plots.plot_comparison(walks), out / "walks")

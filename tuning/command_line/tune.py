@@ -74,6 +74,7 @@ def tune(
         int | None, typer.Option(min=1, metavar="N", help="Walks of the ensemble.", show_default="the file's")
     ] = None,
     controller: options.Controller = None,
+    hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
     out: Annotated[
@@ -129,7 +130,7 @@ def tune(
         from tuning.searches import tune as tuning_tune
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes)
+        scenario = options.scenario_from(config, controller, changes, hardware)
         if gains is not None:
             scenario = gains_file.applied(scenario, gains_file.load(gains))
         engine = options.engine_from(engine)

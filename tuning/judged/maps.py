@@ -30,7 +30,7 @@ def with_objective(
     """
     problem = problem_of(scenario, search or Search(), engine=engine)
     walks = walks.transpose(*DIMENSIONS, ...)
-    score = score_of(problem.objective, {name: walks[name].values for name in mc.METRICS})
+    score = score_of(problem.objective, {name: walks[name].values for name in mc.METRICS.names})
     value = np.where(np.isfinite(score.value), score.value, np.nan)
     return walks.assign(
         objective=(DIMENSIONS, value, {"units": "1", "long_name": "objective, 1 for pd"}),

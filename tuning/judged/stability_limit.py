@@ -23,11 +23,12 @@ from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State
+from mjx_climb.hardware.stages import IDEAL
 from mjx_climb.quantities.batches import batch_last, flattened, own_axes, rows_of
 from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.walk import gait
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
-from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
+from mjx_climb.walk.step import Structure, advance, begin, prepare, structure
 
 _CHUNK = 64  # gain sets per compiled batch
 _EQUATIONS = 400  # in a piece: compiles faster than smaller ones, see `mjx_climb.compilation.cpu_pieces`
@@ -41,7 +42,7 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
     count = math.prod(shape)
     trees, axes = (law, numbers), (own_axes(law), own_axes(numbers))
     flat = flattened(trees, axes, shape)
-    walk = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine))
+    walk = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine))._replace(stages=IDEAL)
     radii = []
     with jax.enable_x64(True):
         run = _program(walk, scenario.gait.cycle * (1 - scenario.gait.duty))
@@ -103,7 +104,7 @@ def _jacobian(shape: Structure, swing_time: float, law: Law, numbers: mc.Paramet
     base = jnp.broadcast_to(gait.base_reference(walk.plan, now, walk.plan.base_start), (3, batch))
     rotation = quaternion_to_matrix(walk.plan.base_orientation)[:, :, None]
     target = gait.foot_targets(walk.plan, now, carry.contact.grip_point)
-    joints = inverse_kinematics(walk.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
+    joints = inverse_kinematics(walk.controller.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
     closed = jnp.broadcast_to(now.closed, carry.contact.touching.shape)
     carry = carry._replace(
         state=dataclasses.replace(carry.state, base_position=base, joint_angles=joints),
@@ -119,7 +120,7 @@ def _jacobian(shape: Structure, swing_time: float, law: Law, numbers: mc.Paramet
     ]
 
     def stepped(before: _Varied) -> _Varied:
-        after, _ = advance(walk, Carry(before[0], carry.contact, carry.gait, before[1]), step)
+        after, _ = advance(walk, carry._replace(state=before[0], law=before[1]), step)
         return after.state, after.law
 
     def columns(before: _Varied, directions: _Varied) -> _Varied:

@@ -9,6 +9,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.walk.metrics import FAILURES
 from tuning.judged import maps, stability_limit
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
@@ -155,9 +156,9 @@ def _warnings(
     for name in space.on_bound(found.theta):
         lines.append(f"{name} lies on a bound: widen bounds.{name}")
     moved = np.zeros(space.size)
-    for name in mc.METRICS:
+    for name in mc.METRICS.names:
         values = around.metrics[name].astype(float)
-        if name in ("detached_at", "detached_limb", "diverged") or not np.isfinite(values[0]) or not values[0]:
+        if name in FAILURES or not np.isfinite(values[0]) or not values[0]:
             continue
         moved = np.fmax(moved, np.abs(values[1:] / values[0] - 1).reshape(2, -1).max(0))
     for name, much in zip(space.names, moved, strict=True):

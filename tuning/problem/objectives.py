@@ -14,9 +14,8 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.plots import LARGER_IS_BETTER
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.walk.smooth_extremes import PREFIX
+from mjx_climb.walk.metrics import PREFIX
 from tuning.problem.search import Search
 
 Metrics = Mapping[str, Array]
@@ -25,7 +24,6 @@ _PENALTY = 100.0
 _BEND = 0.1
 _MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
 _PD_MARGIN = 0.005
-_SCALES = {"joint_limit_margin": 0.1, "min_tsm": 0.01, "min_gia_margin": 1.0}  # rad, m, m/s^2: for limits near zero
 
 
 class Score(NamedTuple):
@@ -44,6 +42,7 @@ class Term(NamedTuple):
     weight: float
     baseline: float | tuple[float, ...]
     smooth_baseline: float | tuple[float, ...]
+    larger_is_better: bool = False
 
 
 class Limit(NamedTuple):
@@ -54,6 +53,7 @@ class Limit(NamedTuple):
     scale: float | tuple[float, ...]
     margin: float
     reason: str
+    larger_is_better: bool = False
 
 
 @runtime_checkable
@@ -92,10 +92,10 @@ class Objective:
         slacks = [violation(limit, metrics[limit.metric]) for limit in self.limits]
         pairs = zip(self.limits, slacks, strict=True)
         penalty = sum((_penalty(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
-        feasible = jnp.isfinite(value) & ~metrics["diverged"]
+        feasible = jnp.isfinite(value)
         for slack in slacks:
             feasible &= slack <= 0
-        return Score(value, smooth + penalty, penalty, feasible)
+        return worthless(Score(value, smooth + penalty, penalty, feasible), metrics["diverged"])
 
     def _weighted(self, metrics: Metrics, *, smooth: bool) -> Array:
         total: Array | float = 0.0
@@ -104,9 +104,16 @@ class Objective:
             name = PREFIX + term.metric if smooth and PREFIX + term.metric in metrics else term.metric
             baseline = term.baseline if name == term.metric else term.smooth_baseline
             ratio = metrics[name] / _by_row(baseline)
-            total += term.weight * (2 - ratio if term.metric in LARGER_IS_BETTER else ratio)
+            total += term.weight * (2 - ratio if term.larger_is_better else ratio)
             weights += term.weight
         return jnp.asarray(total / weights)
+
+
+def worthless(score: Score, lost: Array) -> Score:
+    """Return a score, with its slopes, without a number and infeasible where `lost` (...) is true."""
+    number = jnp.where(lost, jnp.nan, jnp.ones_like(score.value))
+    value, descent, penalty = (jnp.asarray(part * number) for part in score[:3])
+    return Score(value, descent, penalty, score.feasible & ~lost)
 
 
 def _penalty(over: Array) -> Array:
@@ -118,7 +125,7 @@ def _penalty(over: Array) -> Array:
 def violation(limit: Limit, value: Array) -> Array:
     """Return by how much a limit is passed, relative to its scale; negative inside."""
     over = value - _by_row(limit.value)
-    return (-over if limit.metric in LARGER_IS_BETTER else over) / _by_row(limit.scale)
+    return (-over if limit.larger_is_better else over) / _by_row(limit.scale)
 
 
 def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:
@@ -147,16 +154,21 @@ def objective(
         if not weight or function is not None:
             continue
         smooth = baseline.get(PREFIX + metric, baseline[metric])
+        if baseline["diverged"]:
+            raise ConfigError(
+                f"weights.{metric}: expected a metric that pd has here, got a walk that diverges under pd"
+            )
         if not (np.isfinite([baseline[metric], smooth]).all() and baseline[metric] and smooth):
             raise ConfigError(
                 f"weights.{metric}: expected a metric that pd has here, got {baseline[metric]:g} under pd"
             )
-        terms.append(Term(metric, weight, baseline[metric], smooth))
+        terms.append(Term(metric, weight, baseline[metric], smooth, mc.METRICS[metric].larger_is_better))
     limits: list[Limit] = []
 
     def limit(metric: str, value: float, margin: float, reason: str) -> None:
-        scale = _SCALES.get(metric) or abs(value) or 1.0
-        limits.append(Limit(metric, float(value), max(scale, abs(value)), margin, reason))
+        about = mc.METRICS[metric]
+        scale = about.scale or abs(value) or 1.0
+        limits.append(Limit(metric, float(value), max(scale, abs(value)), margin, reason, about.larger_is_better))
 
     standard = {"joint_limit_margin": (0.0, "joint limits")}
     if scenario.contact.holding_limit is not None:

@@ -7,6 +7,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 import mjx_climb as mc
+from mjx_climb.walk.metrics import FAILURES
 from tuning.problem import settings
 
 Method = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
@@ -55,7 +56,7 @@ class Search(BaseModel):
     @model_validator(mode="after")
     def _known_metrics(self) -> "Search":
         for name in (*self.weights, *self.limits):
-            if name not in mc.METRICS or name in ("detached_at", "detached_limb", "diverged"):
+            if name not in mc.METRICS.names or name in FAILURES:
                 raise ValueError(f"{name!r} is no metric to weigh or limit")
         if not any(self.weights.values()):
             raise ValueError("weights: expected one above 0")

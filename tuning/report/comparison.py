@@ -61,11 +61,11 @@ def held(metrics: Values) -> str:
 
 def worsened(metrics: Values, baseline: Values, least: float = 5.0) -> list[str]:
     """Return what got worse than under the baseline by at least so many per cent, as "base_deviation +414 %"."""
-    from mjx_climb.plots import LARGER_IS_BETTER
+    from mjx_climb import METRICS
 
     found = []
     for name, value in metrics.items():
         percent = change(value, baseline[name])
-        if percent and (float(percent) if name not in LARGER_IS_BETTER else -float(percent)) >= least:
+        if percent and (-float(percent) if METRICS[name].larger_is_better else float(percent)) >= least:
             found.append(f"{name} {percent} %")
     return found

@@ -10,8 +10,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
-from mjx_climb.files.dataset import METRIC_NAMES
-from mjx_climb.plots import LARGER_IS_BETTER
+from mjx_climb.files import dataset
 from mjx_climb.rollouts.histories import LINES, histories, stretches
 from tuning.report.numbers import gain, plain
 
@@ -92,9 +91,10 @@ def grid_points(
     failed = plots._failed(shown, *_AXES)
     scales = {}
     for name in [str(n) for n in shown.data_vars if n not in LINES]:
-        values = shown[name].transpose(*reversed(_AXES)).values.astype(float)
+        values = plots.comparable(shown, name).transpose(*reversed(_AXES)).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
-            scales[name] = _scale(values, failed, baseline.get(name), larger=name in LARGER_IS_BETTER)
+            larger = dataset.larger_is_better(shown[name])
+            scales[name] = _scale(values, failed, baseline.get(name), larger=larger)
     listed = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
     stored = [
         i * shown.sizes["damping"] + j
@@ -110,7 +110,7 @@ def grid_points(
         "axes": [_axis(shown[name], name) for name in _AXES],
         "gains": {name: _values(flat[name]) for name in _AXES},
         "values": listed,
-        "texts": {n: _text(shown[n], n) for n in listed if n not in mc.METRICS},
+        "texts": {n: _text(shown[n], n) for n in listed if n not in mc.METRICS.names},
         "scales": scales,
         "failed": [_failure({n: listed[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
@@ -133,7 +133,7 @@ def listed_points(
         trade: the two metrics that are drawn against each other.
     """
     count = walks.sizes["front"]
-    values = {name: _values(walks[name]) for name in mc.METRICS}
+    values = {name: _values(walks[name]) for name in mc.METRICS.names}
     values["detached_limb"] = [None] * count  # nothing lets go on a front
     gains = [{name: walks[name].values[i] for name in _AXES} for i in range(count)]
     return {
@@ -210,12 +210,12 @@ def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger
 
 def _metric_texts() -> dict[str, Any]:
     return {
-        name: {
-            "label": METRIC_NAMES[name],
-            "unit": "" if unit == "1" else unit,
-            "larger_is_better": name in LARGER_IS_BETTER,
+        metric.name: {
+            "label": metric.long_name,
+            "unit": "" if metric.unit == "1" else metric.unit,
+            "larger_is_better": metric.larger_is_better,
         }
-        for name, unit in mc.METRICS.items()
+        for metric in mc.METRICS
     }
 
 

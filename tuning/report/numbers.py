@@ -46,7 +46,8 @@ def unit(name: str) -> str:
     """Return the unit of a metric, empty where it has none."""
     from mjx_climb import METRICS
 
-    return "" if METRICS[name] == "1" else METRICS[name]
+    text = METRICS[name].unit
+    return "" if text == "1" else text
 
 
 def change(value: float | str | None, base: float | str | None) -> str:

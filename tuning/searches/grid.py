@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
-from mjx_climb.files.dataset import PACKAGES, sweep_dataset
+from mjx_climb.files.dataset import PACKAGES, larger_is_better, sweep_dataset
 from mjx_climb.robot.constants import model_path
 from mjx_climb.rollouts.histories import LINES, stretches
 from tuning.searches.finished_parts import Parts
@@ -131,7 +131,7 @@ def sweep(
             progress(done, walks)
     whole = {name: np.concatenate([parts[n][name] for n in range(count)])[:walks] for name in parts[0]}
     whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
-    dataset = sweep_dataset({name: whole[name] for name in mc.METRICS}, axes, scenario)
+    dataset = sweep_dataset({name: whole[name] for name in mc.METRICS.names}, axes, scenario)
     dataset = dataset.assign(_histories(whole, scenario))
     return dataset.assign_attrs(engine=engine, dtype=np.dtype(dtype).name, batch_size=size)
 
@@ -156,14 +156,12 @@ def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dat
     """Return the cell with the least `objective` among those that neither let go nor diverge, None where all fail.
 
     The result has no axes; its coordinates are the best gains. Margins and other metrics that should be large are
-    maximised (`mjx_climb.plots.LARGER_IS_BETTER`).
+    maximised.
     """
-    from mjx_climb.plots import LARGER_IS_BETTER
-
     values = dataset[objective].where((dataset["detached_limb"] < 0) & ~dataset["diverged"].astype(bool))
     if not np.isfinite(values).any():
         return None
-    values = -values if objective in LARGER_IS_BETTER else values
+    values = -values if larger_is_better(dataset[objective]) else values
     return dataset.isel(values.argmin(dim=...))
 
 

@@ -16,8 +16,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
-from mjx_climb.files.dataset import METRIC_NAMES, SIX
-from mjx_climb.plots import LARGER_IS_BETTER
+from mjx_climb.files.dataset import SIX
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective
@@ -89,7 +88,8 @@ def front(
     start = np.concatenate([tune.start_of(problem)[None], space.draw_tied(rng, CANDIDATES - 1)])
     keep(start, rounds.evaluate(problem, start, "random points"))
     limits = _limits(archive, better, against, plain.limits, points)
-    ceiling = Limit(against, tuple(limits), tuple(np.abs(limits)), _MARGIN, "the row's own")
+    larger = mc.METRICS[against].larger_is_better
+    ceiling = Limit(against, tuple(limits), tuple(np.abs(limits)), _MARGIN, "the row's own", larger)
     kept = tuple(limit for limit in plain.limits if limit.metric != against)
     rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*kept, ceiling)))
     task = Task(rows, settings, start[0])
@@ -131,7 +131,7 @@ def gains_of(result: xr.Dataset, index: int) -> mc.Gains:
 
 
 def _sign(metric: str) -> float:
-    return -1.0 if metric in LARGER_IS_BETTER else 1.0
+    return -1.0 if mc.METRICS[metric].larger_is_better else 1.0
 
 
 def _slack(limit: Limit, found: Evaluation) -> np.ndarray:
@@ -201,12 +201,12 @@ def _dataset(
     own = [mc.rollout_metrics(s, dtype=np.float64, engine=engine) for s in (scenario, pd)]
     data: dict[str, Any] = {name: (("front", "six"), values[on]) for name, values in six.items()}
     data |= {name: ("front", values[on]) for name, values in extra.items()}
-    for name in mc.METRICS:
-        about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}
+    for metric in mc.METRICS:
+        name, about = metric.name, dataset.metric_attributes(metric)
         data[name] = ("front", exact[name][on], about)
         data[f"reference_{name}"] = ("reference", np.array([m[name] for m in own]), about)
     for name, key in ((against, "x"), (better, "y")):
-        about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}
+        about = dataset.metric_attributes(mc.METRICS[name])
         data[f"walked_{name}"] = ("point", np.concatenate(archive[key]), about)
     data["held"] = ("point", np.concatenate(archive["held"]), {"units": "1", "long_name": "all constraints met"})
     data["theta"] = (("point", "coordinate"), theta, {"units": "1", "long_name": "log of the gains"})

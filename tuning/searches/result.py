@@ -12,7 +12,6 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.files.dataset import METRIC_NAMES
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import search as search_settings
 from tuning.problem.search import Search
@@ -65,8 +64,12 @@ def from_history(
     for name, values in arrays.items():
         if name == "theta":
             continue
-        units = mc.METRICS.get(name, "1")
-        data[name] = ("point", values, {"units": units, "long_name": METRIC_NAMES.get(name, name.replace("_", " "))})
+        about = {"units": "1", "long_name": name.replace("_", " ")}
+        data[name] = (
+            "point",
+            values,
+            dataset.metric_attributes(mc.METRICS[name]) if name in mc.METRICS.names else about,
+        )
     attrs: dict[str, Any] = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
     attrs["interrupted"] = int(interrupted)
     history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
@@ -85,7 +88,7 @@ def best_of(arrays: Mapping[str, np.ndarray]) -> int:
 
 
 def _of(history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Gains, best: int) -> Result:
-    names = [name for name in mc.METRICS if name in history]
+    names = [name for name in mc.METRICS.names if name in history]
     return Result(
         scenario=scenario,
         search=search,

@@ -17,11 +17,9 @@ import mjx_climb as mc
 from mjx_climb.compilation.options import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
-from mjx_climb.files.dataset import METRIC_NAMES
-from mjx_climb.plots import LARGER_IS_BETTER
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.walk.smooth_extremes import PREFIX
+from mjx_climb.walk.metrics import FAILURES, PREFIX
 from tuning.problem import ensemble as ensembles
 from tuning.problem import objectives
 from tuning.problem.ensemble import Ensemble, Worst
@@ -41,6 +39,7 @@ class RobustTerm(NamedTuple):
 
     metric: str
     weight: float
+    larger_is_better: bool
     mean: float
     worst: float
     smooth_mean: float
@@ -65,11 +64,16 @@ class RobustObjective:
         value: Array | float = 0.0
         smooth: Array | float = 0.0
         penalty: Array | float = 0.0
-        total, feasible = 0.0, ~metrics["diverged"].any(0)
+        total, lost = 0.0, metrics["diverged"].any(0)
+        feasible = ~lost
         for term in self.terms:
             ratios = self._ratios(metrics[term.metric], term, term.mean, term.worst)
             name = PREFIX + term.metric if PREFIX + term.metric in metrics else term.metric
-            soft = ratios if name == term.metric else self._ratios(metrics[name], term, *term[4:])
+            soft = (
+                ratios
+                if name == term.metric
+                else self._ratios(metrics[name], term, term.smooth_mean, term.smooth_worst)
+            )
             value += term.weight * self._mixed(*ratios)
             smooth += term.weight * self._mixed(*soft)
             total += term.weight
@@ -83,14 +87,15 @@ class RobustObjective:
             feasible &= (slack <= 0).all(0)
         mean = jnp.asarray(value / total)
         whole = jnp.broadcast_to(jnp.asarray(penalty, mean.dtype), mean.shape)
-        return Score(mean, smooth / total + whole, whole, feasible & jnp.isfinite(mean))
+        score = Score(mean, smooth / total + whole, whole, feasible & jnp.isfinite(mean))
+        return objectives.worthless(score, lost)
 
     def _worst(self, values: Array, *, larger_is_better: bool = False) -> Array:
         return jnp.asarray(ensembles.worst_mean(values, self.worst.share, larger_is_better=larger_is_better, numpy=jnp))
 
     def _ratios(self, values: Array, term: RobustTerm, mean: float, worst: float) -> tuple[Array, Array]:
         """Return mean and worst relative to pd's, smaller is better."""
-        larger = term.metric in LARGER_IS_BETTER
+        larger = term.larger_is_better
         of_mean, of_worst = values.mean(0) / mean, self._worst(values, larger_is_better=larger) / worst
         return (2 - of_mean, 2 - of_worst) if larger else (of_mean, of_worst)
 
@@ -116,16 +121,18 @@ def objective(
     for metric, weight in search.weights.items():
         if not weight:
             continue
-        larger = metric in LARGER_IS_BETTER
+        larger = mc.METRICS[metric].larger_is_better
         smooth = baseline.get(PREFIX + metric, baseline[metric])
         worst = [ensembles.worst_mean(v, ensemble.worst.share, larger_is_better=larger) for v in (smooth, smooth)]
         worst[0] = ensembles.worst_mean(baseline[metric], ensemble.worst.share, larger_is_better=larger)
         numbers = [float(v) for v in (baseline[metric].mean(), worst[0], smooth.mean(), worst[1])]
+        if np.any(baseline["diverged"]):
+            raise ConfigError(f"weights.{metric}: expected a metric that pd has in every member, got one that diverges")
         if not (np.isfinite(numbers).all() and all(numbers)):
             raise ConfigError(
                 f"weights.{metric}: expected a metric that pd has in every member, got {numbers[0]:g} in the mean"
             )
-        terms.append(RobustTerm(metric, weight, *numbers))
+        terms.append(RobustTerm(metric, weight, larger, *numbers))
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest = {name: float(values.max()) for name, values in baseline.items()}
     plain = objectives.objective(scenario, search.model_copy(update={"no_worse_than_pd": False}), widest)
@@ -226,16 +233,16 @@ def judge(
         rows = {n: v[start : start + CHUNK] if v.shape[:1] == (members,) else v for n, v in vars(numbers).items()}
         part = mc.Parameters(**rows)
         both = _walked(scenario, mc.Gains(**six), part, engine), pd_of(scenario, part, engine=engine)
-        parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in mc.METRICS})
+        parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in mc.METRICS.names})
         if progress is not None:
             progress(min(start + CHUNK, members) * (len(gains) + 1), total)
     data: dict[str, Any] = {
-        name: (
+        metric.name: (
             ("gains", "member"),
-            np.concatenate([part[name] for part in parts]).T,
-            {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]},
+            np.concatenate([part[metric.name] for part in parts]).T,
+            dataset.metric_attributes(metric),
         )
-        for name in mc.METRICS
+        for metric in mc.METRICS
     }
     drawn = {
         "cargo_mass": (numbers.cargo_mass, "kg", "mass of the cargo"),
@@ -272,11 +279,12 @@ def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:
     if not held.sizes["member"]:
         raise ValueError("expected a member of the draw in which nothing diverges, got none")
     data: dict[str, Any] = {}
-    for name in mc.METRICS:
-        if name in ("detached_at", "detached_limb", "diverged"):
+    for metric in mc.METRICS:
+        name = metric.name
+        if name in FAILURES:
             continue
         values = held[name].transpose("member", "gains").values.astype(float)
-        worst = ensembles.worst_mean(values, share, larger_is_better=name in LARGER_IS_BETTER)
+        worst = ensembles.worst_mean(values, share, larger_is_better=metric.larger_is_better)
         data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), judged[name].attrs)
     about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
     data["failed"] = ("gains", failed(judged).mean("member").values, about)

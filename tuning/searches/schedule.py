@@ -21,7 +21,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.files import dataset
-from mjx_climb.files.dataset import METRIC_NAMES, SIX
+from mjx_climb.files.dataset import SIX
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import objectives, spaces
@@ -173,7 +173,7 @@ def _rows(rows: Sequence[Objective]) -> Objective:
     def joined(kind: type[_Part], items: Sequence[_Part]) -> _Part:
         merged: dict[str, Any] = {name: tuple(getattr(item, name) for item in items) for name in kind._fields}
         same = {name: values[0] for name, values in merged.items() if isinstance(values[0], str)}
-        same |= {name: merged[name][0] for name in ("weight", "margin") if name in merged}
+        same |= {name: merged[name][0] for name in ("weight", "margin", "larger_is_better") if name in merged}
         return kind(**{**merged, **same})
 
     terms = tuple(joined(Term, items) for items in zip(*(row.terms for row in rows), strict=True))
@@ -225,9 +225,9 @@ def _dataset(
     data["transfer"] = (("gravity", "cargo", "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
     bounds = [", ".join(space.on_bound(point)) for point in theta]
     data["on_bound"] = (("gravity", "cargo"), np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})
-    for name in mc.METRICS:
-        about = {"units": mc.METRICS[name], "long_name": METRIC_NAMES[name]}
-        data[name] = (("walk", "gravity", "cargo"), np.stack([m[name].reshape(shape) for m in metrics]), about)
+    for metric in mc.METRICS:
+        values_of = np.stack([m[metric.name].reshape(shape) for m in metrics])
+        data[metric.name] = (("walk", "gravity", "cargo"), values_of, dataset.metric_attributes(metric))
     coordinates = {
         "gravity": ("gravity", np.asarray(gravity, float), {"units": "G", "long_name": "gravity"}),
         "cargo": ("cargo", np.asarray(cargo, float), {"units": "kg", "long_name": "mass of the cargo"}),

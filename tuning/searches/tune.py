@@ -165,7 +165,7 @@ def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evalua
         "row": np.arange(count),
         "phase": np.full(count, request.phase),
         "env_steps": np.full(count, spent),
-        **{name: found.metrics[name] for name in mc.METRICS},
+        **{name: found.metrics[name] for name in mc.METRICS.names},
     }
     for name, values in columns.items():
         arrays.setdefault(name, []).append(values)

@@ -197,7 +197,7 @@ def test_run_writes_and_prints(call, tmp_path):
     scenario = mc.load_scenario(tmp_path / "config.yaml")
     assert scenario == mc.load_scenario(CONFIG, ["duration=0.2", "control.controller=pd"])
     metrics = strict_json((tmp_path / "metrics.json").read_text())
-    assert list(metrics) == list(mc.METRICS)
+    assert list(metrics) == list(mc.METRICS.names)
     assert metrics["detached_at"] is None
     with xr.open_dataset(tmp_path / "trajectory.nc", engine="h5netcdf") as walk:
         assert walk.sizes["time"] == 200
@@ -251,7 +251,7 @@ def test_sweep_prints_json_alone_on_stdout(swept):
     assert found["grid"]["walks"] == 6
     assert found["pd"]["gains"] is None
     assert found["config"]["gains"] == {"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}
-    assert all(list(found[name]["metrics"]) == list(mc.METRICS) for name in ("best", "config", "pd"))
+    assert all(list(found[name]["metrics"]) == list(mc.METRICS.names) for name in ("best", "config", "pd"))
     for word in ("compil", "cache", "6 of 6 walks", "paper", "force_variation", str(out)):
         assert word in done.stderr
 
@@ -262,7 +262,7 @@ def test_sweep_writes_grid_maps_and_config(swept):
     pictures = {f"{name}.{kind}" for name in ("maps", "walks") for kind in ("png", "svg", "pdf")}
     assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps", *pictures}
     maps = {path.stem for path in (out / "maps").iterdir()}
-    assert maps == set(mc.METRICS) - {"detached_limb", "diverged"}
+    assert maps == set(mc.METRICS.names) - {"detached_limb", "diverged"}
     with xr.open_dataset(out / "sweep.nc", engine="h5netcdf") as result:
         np.testing.assert_allclose(result["stiffness"], [1e3, 1e4, 1e5])
         best = grid.best_cell(result.load())

@@ -95,7 +95,7 @@ def test_names_complete(line, expected, tmp_path):
 
 def test_names_written_for_completion_are_the_real_ones():
     assert set(completion.ENGINES) == set(mc.ENGINES)
-    assert set(completion.METRICS) == set(mc.METRICS) - {"detached_at", "detached_limb", "diverged"}
+    assert set(completion.METRICS) == set(mc.METRICS.names) - {"detached_at", "detached_limb", "diverged"}
     assert shipped.names() == ["case_1_1", "case_1_2", "case_2"]
 
 

@@ -32,7 +32,7 @@ def walk(**changes):
     for name in Sample._fields:
         is_joint = name.startswith(("joint", "foot", "grip"))
         arrays[name] = np.zeros(shapes.get(name, joints if is_joint else (STEPS, 3)))
-    for name in ("support", "contact", "detached", "torn_off", "reachable"):
+    for name in ("support", "contact", "detached", "torn_off", "missed", "reachable"):
         arrays[name] = np.full(limbs, name in ("support", "contact", "reachable"))
     arrays["time"] = TIME
     arrays["base_position"] = np.stack([0.05 * TIME, 0 * TIME, 0 * TIME + 0.11], 1)
@@ -245,7 +245,7 @@ def test_the_whole_command(tmp_path, capsys):
     for name, case in found["cases"].items():
         assert set(case["runs"]) == set(paper.METHODS)
         for method, run in case["runs"].items():
-            assert set(run["metrics"]) == set(mc.METRICS)
+            assert set(run["metrics"]) == set(mc.METRICS.names)
             with xr.open_dataset(tmp_path / f"{reproduce.stem(name)}-{method}.nc") as dataset:
                 assert dataset.sizes["time"] == 8000
         for kind in ("png", "svg", "pdf", "yaml"):

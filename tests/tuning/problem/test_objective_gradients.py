@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.plots import LARGER_IS_BETTER
-from mjx_climb.walk.smooth_extremes import PREFIX
+from mjx_climb.walk.metrics import FAILURES, PREFIX
 from tuning.problem import search, spaces
 from tuning.problem.objectives import Limit, Objective, Term
 
@@ -22,7 +21,7 @@ QUICK_NUMBERS = {
 STEPS = np.array([1e-4, 1e-5, 1e-6])  # in the logarithm of the gains
 ROUNDING = 1e-12  # of a metric, relative
 STEEPEST_PENALTY = 10.0  # per relative change of the metric: so much more does its rounding count
-TERMS = tuple(name for name in mc.METRICS if name not in ("detached_at", "detached_limb", "diverged"))
+TERMS = tuple(name for name in mc.METRICS.names if name not in FAILURES)
 # holding force, joint limits, base deviation; `no worse than pd` adds the metrics with a weight
 LIMITS = ("peak_pull_force", "joint_limit_margin", "base_deviation", "force_variation", "peak_foot_force",
           "cost_of_transport")  # fmt: skip
@@ -120,7 +119,7 @@ def judgements(metrics: dict) -> dict:
         if smooth != name:
             functions[f"{name}, smooth"] = lambda m, goal=goal: goal.score(m).descent
     for name, over in itertools.product(LIMITS, OVERSHOOTS):
-        sign = -1.0 if name in LARGER_IS_BETTER else 1.0
+        sign = -1.0 if mc.METRICS[name].larger_is_better else 1.0
         bound = tuple(one[name] - sign * over * np.array(by_row(name)))
         limit = Limit(name, bound, by_row(name), 0.02, "")
         goal = Objective((), (limit,), lambda m: m["travel"] * 0)

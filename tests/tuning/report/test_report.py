@@ -128,7 +128,7 @@ def test_hover_shows_every_metric_of_the_cell(opened, swept):
         assert {n: float(v) for n, v in told.items()} == {
             n: float(f"{here[n].item():.4g}") for n in ("stiffness", "damping")
         }
-        for name in mc.METRICS:
+        for name in mc.METRICS.names:
             shown = find(opened, f".readout tr[data-metric='{name}'] td").text
             value = here[name].item()
             if name == "diverged":
@@ -271,7 +271,7 @@ def test_the_page_of_a_search(swept, named):
 def test_the_page_of_a_front(swept, named):
     flat = swept[1].stack(front=("stiffness", "damping"), create_index=False)
     six = {name: ("front", flat[name].values) for name in ("stiffness", "damping")}
-    front = flat[list(mc.METRICS)].drop_vars(["stiffness", "damping"]).assign(six)
+    front = flat[list(mc.METRICS.names)].drop_vars(["stiffness", "damping"]).assign(six)
     front = front.assign_attrs(better="force_variation", against="base_deviation")
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
     table = page.Table("The front", ["", "a"], [("", [["knee", "1"]])], 1)

@@ -10,7 +10,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
-from mjx_climb.walk.smooth_extremes import PREFIX
+from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import ensemble as ensembles
 from tuning.problem import search
 from tuning.problem.ensemble import Ensemble
@@ -194,7 +194,7 @@ def test_slopes_of_the_robust_objective(scenario, ensemble):
 
 
 def test_walks_that_fail_are_counted():
-    names = [n for n in mc.METRICS if n not in ("detached_limb", "diverged")]
+    names = [n for n in mc.METRICS.names if n not in ("detached_limb", "diverged")]
     data = {n: (("gains", "member"), np.array([[1.0, 2.0, 16.0], [4.0, 5.0, np.nan]])) for n in names}
     data["diverged"] = (("gains", "member"), np.array([[False] * 3, [False, False, True]]))
     judged = xr.Dataset(data, {"gains": ["robust", "pd"]}, {"holding_limit": 15.0})

@@ -167,7 +167,7 @@ class Bowl(Problem):
         value = np.where((ratio < 0.1).any(1), np.nan, value)
         slopes = slope @ (np.zeros((0, theta.shape[1])) if directions is None else directions).T
         slopes[np.isnan(value)] = np.nan
-        metrics = {name: np.zeros(len(theta)) for name in mc.METRICS}
+        metrics = {name: np.zeros(len(theta)) for name in mc.METRICS.names}
         zero = np.zeros(len(theta))
         return Evaluation(value, value, zero, np.isfinite(value), slopes, slopes, metrics)
 

@@ -1,0 +1,39 @@
+"""A signal that comes late, by a time that need not be whole steps: a buffer of fixed length, read between samples."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+_MULTIPLE = 4  # lengths are rounded up to it, so that drawing other delays seldom needs another program
+
+
+def samples(delay: ArrayLike, time_step: float) -> int:
+    """Return how long a buffer the longest of some delays in s needs, 0 where there is none."""
+    longest = float(np.max(np.asarray(delay), initial=0.0)) / time_step
+    if longest == 0:
+        return 0
+    return -(-(int(longest * (1 + 1e-6)) + 2) // _MULTIPLE) * _MULTIPLE
+
+
+def start(value: Array, length: int) -> tuple[Array, ...]:
+    """Return the buffer of a signal that has always been `value` (..., B), newest sample first."""
+    return (value,) * length
+
+
+def delayed(buffer: tuple[Array, ...], value: Array, steps: Array) -> tuple[tuple[Array, ...], Array]:
+    """Return the buffer with the newest sample, and the signal as it was `steps` (B,) steps ago.
+
+    Between samples it is linear, so that the delay has a derivative: at a whole number of steps the one towards longer
+    delays. A delay beyond the buffer is cut to what the buffer holds.
+    """
+    buffer = (value, *buffer[:-1])
+    steps = jnp.minimum(steps, len(buffer) - 2)
+    whole = jax.lax.stop_gradient(jnp.floor(steps))
+    part = steps - whole
+    late = jnp.zeros_like(value)
+    for age, sample in enumerate(buffer):
+        weight = jnp.where(whole == age, 1 - part, jnp.where(whole == age - 1, part, 0.0))
+        late = late + weight * sample
+    return buffer, late

@@ -1,0 +1,48 @@
+"""The joints' servos: from the torque that the joint loop asks for to the one that turns the joint."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.hardware import delay, friction
+from mjx_climb.hardware.backlash import across
+from mjx_climb.hardware.stages import Stages
+from mjx_climb.hardware.torque_limit import limited
+from mjx_climb.quantities.parameters import Parameters
+
+
+class Servo(NamedTuple):
+    """What the servos remember."""
+
+    buffer: Any  # of torques (N, L, B) N m, newest first
+    bristle: Any  # (N, L, B) 1, see `friction`
+
+
+def start(rest: Array, stages: Stages) -> Servo:
+    """Return servos without torque; `rest` is zero in the shape of the joints (N, L, B)."""
+    return Servo(delay.start(rest, stages.servo_delay), rest if stages.dry_friction else ())
+
+
+def target_across_play(target: Array, angles: Array, numbers: Parameters, stages: Stages) -> Array:
+    """Return the target (N, L, B) rad that a joint at `angles` feels through its gears."""
+    return angles + across(target - angles, jnp.asarray(numbers.backlash)) if stages.backlash else target
+
+
+def driven(
+    servo: Servo, torque: Array, rates: Array, numbers: Parameters, stages: Stages, time_step: float
+) -> tuple[Servo, Array, Array]:
+    """Return the servos after this step, the torques of the motors and those left for the joints, (N, L, B) N m."""
+    buffer, bristle = servo
+    if stages.servo_delay:
+        buffer, torque = delay.delayed(buffer, torque, jnp.asarray(numbers.servo_delay) / time_step)
+    if stages.torque_limit:
+        torque = limited(torque, rates, jnp.asarray(numbers.torque_limit), jnp.asarray(numbers.no_load_speed))
+    joint_torque = torque
+    if stages.dry_friction:
+        bristle = friction.bent(bristle, rates, time_step)
+        coulomb, load = jnp.asarray(numbers.coulomb_friction), jnp.asarray(numbers.load_friction)
+        joint_torque = joint_torque + friction.dry(bristle, torque, coulomb, load)
+    if stages.viscous_friction:
+        joint_torque = joint_torque + friction.viscous(rates, jnp.asarray(numbers.viscous_friction))
+    return Servo(buffer, bristle), torque, joint_torque

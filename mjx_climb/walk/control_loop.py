@@ -1,0 +1,139 @@
+"""One pass of the robot's own loop: sensors, law, inverse kinematics, bus, joint loop, servos."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.control import Command, Measurement, Reference, running
+from mjx_climb.control.base_shift import shifted_by
+from mjx_climb.control.joint_loop import joint_torque
+from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
+from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
+from mjx_climb.dynamics.state import State
+from mjx_climb.hardware import base_estimate, control_period, delay, force_sensor, servo
+from mjx_climb.hardware.stages import Stages
+from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.walk.action import Action, JointTargets, displacement_of
+from mjx_climb.walk.inverse_kinematics import JointSolution, LimbGeometry, inverse_kinematics
+
+
+class Controller(NamedTuple):
+    """What stays the same from step to step."""
+
+    law: running.Running
+    geometry: LimbGeometry
+    numbers: Parameters
+    stages: Stages
+    time_step: float
+
+
+class Said(NamedTuple):
+    """What the law said when it was worked out last, and where the joint targets were before."""
+
+    command: Command
+    joints: JointSolution
+    before: Any  # (N, L, B) rad, () where targets are held
+
+
+class Memory(NamedTuple):
+    """What the stages of hardware remember; empty where a walk has no such stage."""
+
+    force_sensor: force_sensor.ForceSensor
+    base_estimate: Any
+    said: Any  # `Said`
+    targets: Any  # buffer of joint targets (N, L, B) rad
+    servo: servo.Servo
+
+
+class Contacts(NamedTuple):
+    """What acts on the feet, and the wrench that it amounts to."""
+
+    lever: Array  # (3, L, B) m, from the base to the feet
+    force: Array  # (3, L, B) N
+    support: Array  # (L, B) bool
+    wrench: Array  # (6, B) N, N m
+
+
+class Driven(NamedTuple):
+    """What a pass ends in."""
+
+    command: Command
+    joints: JointSolution  # with the targets that the joint loop got
+    motor_torque: Array  # (N, L, B) N m
+    joint_torque: Array  # (N, L, B) N m, less friction
+
+
+def start(state: State, feet: Array, stages: Stages) -> Memory:
+    """Return the memory of a robot that has always rested in a state, with `feet` (3, L, B) m in the world."""
+    angles = state.joint_angles
+    said: Any = ()
+    if stages.control_period:
+        no_shift = jnp.zeros_like(jnp.concatenate([state.base_position, state.base_position]))
+        command = Command(state.base_position, state.base_orientation, feet, no_shift)
+        joints = JointSolution(angles, jnp.ones(angles.shape[1:], bool))
+        said = Said(command, joints, angles if stages.linear else ())
+    return Memory(
+        force_sensor=force_sensor.start(jnp.zeros_like(feet), stages),
+        base_estimate=base_estimate.start(base_estimate.true_base(state), stages),
+        said=said,
+        targets=delay.start(angles, stages.command_delay),
+        servo=servo.start(jnp.zeros_like(angles), stages),
+    )
+
+
+def run(
+    controller: Controller,
+    memory: Memory,
+    law_state: Any,
+    state: State,
+    contacts: Contacts,
+    reference: Reference,
+    step: Array,
+    action: Action = None,
+) -> tuple[Memory, Any, Driven]:
+    """Return the memory and the law's state after a step, and what the joints do in it.
+
+    An action takes the place of the law, which then stays as it is; its way to the joints is the same.
+    """
+    numbers, stages, time_step = controller.numbers, controller.stages, controller.time_step
+    sensor, force, wrench = memory.force_sensor, contacts.force, contacts.wrench
+    if stages.force:
+        sensor, force = force_sensor.measured(sensor, force, step, numbers, stages, time_step)
+        wrench = base_wrench_of_foot_force(contacts.lever, force)
+    buffers, base = base_estimate.estimated(
+        memory.base_estimate, base_estimate.true_base(state), step, numbers, stages, time_step
+    )
+
+    measurement = Measurement(*base, force, wrench, contacts.support)
+    if action is None:
+        after, command = controller.law.command(law_state, measurement, reference)
+    else:
+        after, command = law_state, shifted_by(reference, displacement_of(action, wrench))
+    rotation = quaternion_to_matrix(command.base_orientation)
+    target = rotate_back(rotation[:, :, None], command.foot_position - command.base_position[:, None])
+    joints = inverse_kinematics(controller.geometry, target)
+    if isinstance(action, JointTargets):
+        joints = joints._replace(joint_angles=action.angles)
+
+    said = memory.said
+    if stages.control_period:
+        steps = control_period.period_steps(jnp.asarray(numbers.control_period), time_step)
+        into = control_period.steps_into(step, steps)
+        now = into == 0
+        after = control_period.held(now, after, law_state)
+        before: Any = control_period.held(now, said.joints.joint_angles, said.before) if stages.linear else ()
+        said = Said(*control_period.held(now, (command, joints), (said.command, said.joints)), before)
+        command, joints = said.command, said.joints
+        if stages.linear:
+            line = control_period.interpolated(before, joints.joint_angles, into, steps)
+            joints = joints._replace(joint_angles=line)
+    targets = memory.targets
+    if stages.command_delay:
+        targets, late = delay.delayed(targets, joints.joint_angles, jnp.asarray(numbers.command_delay) / time_step)
+        joints = joints._replace(joint_angles=late)
+
+    felt = servo.target_across_play(joints.joint_angles, state.joint_angles, numbers, stages)
+    asked = joint_torque(numbers, felt, state.joint_angles, state.joint_rates)
+    servos, motor, left = servo.driven(memory.servo, asked, state.joint_rates, numbers, stages, time_step)
+    return Memory(sensor, buffers, said, targets, servos), after, Driven(command, joints, motor, left)

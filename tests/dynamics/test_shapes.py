@@ -1,0 +1,119 @@
+"""Robots of all shapes, two to eight limbs of two to seven joints, made at random: both engines against MuJoCo."""
+
+import functools
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.robot.constants import robot_from_model
+
+STATES = 100
+GRAVITY = (0.3, -0.2, -4.0)
+# limbs, joints of each, which of them slide, armature
+SHAPES = {
+    "two arms of seven": (2, 7, (), 0.0),
+    "three of four, one slides": (3, 4, (2,), 0.0),
+    "four of two": (4, 2, (), 0.0),
+    "four of three with armature": (4, 3, (), 0.02),
+    "four of four": (4, 4, (), 0.0),
+    "four of six": (4, 6, (), 0.0),
+    "four booms": (4, 3, (2,), 0.01),
+    "six of three": (6, 3, (), 0.0),
+    "four of seven, armature, two slide": (4, 7, (0, 4), 0.01),
+    "eight of three": (8, 3, (), 0.0),
+}
+QUICK = ("three of four, one slides", "four of three with armature")
+
+
+def numbers(values):
+    return " ".join(f"{value:.17g}" for value in np.atleast_1d(values))
+
+
+def unit(rng, size):
+    vector = rng.normal(size=size)
+    return vector / np.linalg.norm(vector)
+
+
+def weight(rng):
+    """Return an inertial element that a body can have, its axes turned."""
+    sides = rng.uniform(0.02, 0.1, 3)
+    mass = rng.uniform(0.1, 0.5)
+    inertia = mass * (np.sum(sides**2) - sides**2)
+    return f'quat="{numbers(unit(rng, 4))}" mass="{mass:.17g}" diaginertia="{numbers(inertia)}"/>'
+
+
+def mjcf(limbs, joints, slides=(), armature=0.0, seed=0):
+    """Return a robot with frames, axes, anchors and masses at random; a lone slide is one in every other limb."""
+    rng = np.random.default_rng(seed)
+    parts, qpos = [], [0, 0, 0.2, 1, 0, 0, 0]
+    for limb in range(limbs):
+        for joint in range(joints):
+            kind = "slide" if joint in slides and (limb % 2 == 0 or len(slides) > 1) else "hinge"
+            drive = armature * rng.uniform(0.5, 1.5)
+            parts.append(
+                f'<body name="limb{limb}_{joint}" pos="{numbers(rng.normal(scale=0.05, size=3))}" '
+                f'quat="{numbers(unit(rng, 4))}"><joint type="{kind}" axis="{numbers(unit(rng, 3))}" '
+                f'pos="{numbers(rng.normal(scale=0.02, size=3))}" armature="{drive:.17g}"/>'
+                f'<inertial pos="{numbers(rng.normal(scale=0.03, size=3))}" {weight(rng)}'
+            )
+        parts.append(f'<site name="foot{limb}" pos="{numbers(rng.normal(scale=0.05, size=3))}"/>' + "</body>" * joints)
+        qpos += [0.0] * joints
+    return (
+        '<mujoco><option><flag contact="disable" constraint="disable"/></option><worldbody><body name="base">'
+        f'<freejoint/><inertial pos="0 0 0" {weight(rng)}{"".join(parts)}</body></worldbody>'
+        f'<keyframe><key qpos="{numbers(qpos)}"/></keyframe></mujoco>'
+    )
+
+
+def random_states(rng, limbs, joints):
+    """Return states, joint torques, foot forces and base wrenches."""
+    batch = lambda *shape: rng.normal(size=(STATES, *shape))  # noqa: E731
+    orientation = batch(4)
+    orientation /= np.linalg.norm(orientation, axis=-1, keepdims=True)
+    state = mc.State(batch(3), orientation, batch(3), batch(3), batch(limbs * joints), batch(limbs * joints))
+    return state, batch(limbs * joints), batch(limbs, 3), batch(6)
+
+
+def theirs(model, state, torque, foot_force, push):
+    """Return MuJoCo's accelerations, linear and angular in world axes, then joints."""
+    data, rows = mujoco.MjData(model), []
+    model.opt.gravity[:] = GRAVITY
+    for i in range(STATES):
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, state.base_orientation[i])
+        rotation = rotation.reshape(3, 3)
+        data.qpos[:] = np.concatenate([state.base_position[i], state.base_orientation[i], state.joint_angles[i]])
+        spin = rotation.T @ state.base_angular_velocity[i]
+        data.qvel[:] = np.concatenate([state.base_linear_velocity[i], spin, state.joint_rates[i]])
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        data.xfrc_applied[1], data.qfrc_applied[:] = push[i], 0
+        for site, force in enumerate(foot_force[i]):
+            body = model.site_bodyid[site]
+            mujoco.mj_applyFT(model, data, force, np.zeros(3), data.site_xpos[site], body, data.qfrc_applied)
+        data.qfrc_applied[6:] += torque[i]
+        mujoco.mj_forward(model, data)
+        rows.append(np.concatenate([data.qacc[:3], rotation @ data.qacc[3:6], data.qacc[6:]]))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in SHAPES]
+)
+def test_accelerations_are_those_of_mujoco(engine, name):
+    """A hundred random states under torques, foot forces and a push: each acceleration to 1e-9 of its vector."""
+    limbs, joints, slides, armature = SHAPES[name]
+    model = mujoco.MjModel.from_xml_string(mjcf(*SHAPES[name]))
+    robot = robot_from_model(model, "random")
+    assert (len(robot.limbs), robot.joints) == (limbs, joints)
+    assert (robot.armature is not None) == (armature > 0) and bool(robot.slides) == bool(slides)
+    given = random_states(np.random.default_rng(1), limbs, joints)
+    forward = functools.partial(mc.forward_dynamics, robot=robot, engine=engine, gravity=GRAVITY)
+    ours = jax.jit(lambda *given: forward(*given, 0.0))(*given)
+    ours = np.concatenate([ours.base_linear, ours.base_angular, ours.joints], axis=-1)
+    expected = theirs(model, *given)
+    error = np.linalg.norm(ours - expected, axis=-1) / np.linalg.norm(expected, axis=-1)
+    assert error.max() < 1e-9
