@@ -8,7 +8,6 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -64,7 +63,7 @@ def jumps(values: np.ndarray, slopes: np.ndarray, step: float) -> np.ndarray:
 def draw(values: dict, slopes: dict) -> Figure:
     """Draw values above derivatives, a column for each metric."""
     step = np.log(DAMPING[1] / DAMPING[0])
-    with mpl.rc_context(plots._STYLE):
+    with plots.style():
         figure = Figure(figsize=(2 * plots.COLUMN, 3.6), layout="constrained")
         axes = figure.subplots(2, 2, sharex=True)
         for (above, below), (name, label) in zip(axes.T, METRICS.items(), strict=True):

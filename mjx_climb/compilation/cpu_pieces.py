@@ -8,6 +8,7 @@ them is worked out once.
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -15,6 +16,9 @@ import jax
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
+
+from mjx_climb.compilation.element_moves import MOVES
+from mjx_climb.compilation.element_operations import ELEMENTWISE
 
 _Result = TypeVar("_Result")
 _Parts = dict[int, tuple[jax.Array, int, list[jax.Array]]]
@@ -33,7 +37,7 @@ _REDUCTIONS = {
 def in_kernels(function: Callable[..., _Result], equations: int = EQUATIONS) -> Callable[..., _Result]:
     """Return the function with its equations in pieces of so many, each a kernel of its own.
 
-    For values and forward derivatives, on a CPU.
+    For values and forward derivatives, on a CPU. What is not known to fit in a kernel stays between the pieces.
     """
 
     def cut(*arguments: Any) -> _Result:
@@ -44,7 +48,10 @@ def in_kernels(function: Callable[..., _Result], equations: int = EQUATIONS) -> 
         values = dict(zip(jaxpr.constvars, closed.consts, strict=True)) | dict(zip(jaxpr.invars, leaves, strict=True))
         for inputs, piece, outputs in _pieces(jaxpr, equations):
             part = core.ClosedJaxpr(jaxpr.replace(constvars=(), invars=inputs, outvars=outputs, eqns=piece), ())
-            results = _one_kernel(core.jaxpr_as_fun(part))(*(values[variable] for variable in inputs))
+            carried_out = core.jaxpr_as_fun(part)
+            results = (_one_kernel(carried_out) if _fits(piece[0]) else carried_out)(
+                *(values[variable] for variable in inputs)
+            )
             values |= zip(outputs, results, strict=True)
         results = [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in jaxpr.outvars]
         result: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
@@ -80,13 +87,23 @@ def _pieces(jaxpr: core.Jaxpr, equations: int) -> list[tuple[list[core.Var], lis
 
     result = []
     later = _variables(jaxpr.outvars)
-    for start in reversed(range(0, len(living), equations)):
-        part = living[start : start + equations]
+    for part in reversed(_parts(living, equations)):
         made = {variable: None for equation in part for variable in equation.outvars}
         read = _variables([atom for equation in part for atom in equation.invars])
         result.append(([v for v in read if v not in made], part, [v for v in made if v in later]))
         later |= read
     return result[::-1]
+
+
+def _parts(equations: Sequence[core.JaxprEqn], most: int) -> list[list[core.JaxprEqn]]:
+    """Return the equations in parts of at most so many; what is not known to fit in a kernel is in parts of its own."""
+    runs = (list(run) for _, run in itertools.groupby(equations, _fits))
+    return [run[start : start + most] for run in runs for start in range(0, len(run), most)]
+
+
+def _fits(equation: core.JaxprEqn) -> bool:
+    """Return whether XLA:CPU is known to compile an operation within a kernel: others call libraries, or loop."""
+    return equation.primitive.name in {*ELEMENTWISE, *MOVES, "iota"}
 
 
 def _variables(atoms: Sequence[core.Var | core.Literal]) -> dict[core.Var, None]:
@@ -158,6 +175,7 @@ def _sliced(
 ) -> jax.Array:
     """Return a slice of an array, of the one part that holds it where the array is a concatenation."""
     starts, limits = list(start_indices), list(limit_indices)
+    strides = None if strides is None or all(stride == 1 for stride in strides) else strides
     while strides is None and id(array) in parts:
         _, axis, pieces = parts[id(array)]
         begin = 0
@@ -170,4 +188,4 @@ def _sliced(
             break
         array, starts[axis], limits[axis] = piece, starts[axis] - begin, limits[axis] - begin
     whole = all(s == 0 for s in starts) and tuple(limits) == array.shape
-    return array if whole else lax.slice(array, starts, limits, strides)
+    return array if whole and strides is None else lax.slice(array, starts, limits, strides)

@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mjx_climb.plots import detachments
+from mjx_climb.plots.walk_events import detachments
 from mjx_climb.rendering import marks
 from mjx_climb.rendering.camera import MICROGRAVITY, View
 from mjx_climb.rendering.replay import whole

@@ -7,7 +7,7 @@ from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, VERMILLION
+from mjx_climb.plots.colors import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, VERMILLION
 from mjx_climb.rendering.replay import whole
 from mjx_climb.rollouts.trajectory import Trajectory
 

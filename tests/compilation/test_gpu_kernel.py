@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import types
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.options import kernel_pays
 from mjx_climb.quantities.batches import varying
@@ -89,6 +91,40 @@ def test_elements_known_beforehand_and_halves():
         np.testing.assert_array_equal(found[name], values, err_msg=name)
 
 
-def test_the_kernel_is_for_gpus():
-    """On a CPU walks are compiled in pieces."""
-    assert not kernel_pays("limb", np.float32)
+@pytest.mark.parametrize(
+    ("backend", "capability", "paid"), [("cpu", None, False), ("gpu", "9.0", True), ("gpu", "7.5", False)]
+)
+def test_the_kernel_is_for_new_gpus(monkeypatch, backend, capability, paid):
+    """From compute capability 8.0 on, whatever this machine has; not in float64, not for MJX's engine."""
+    device = types.SimpleNamespace(compute_capability=capability) if capability else types.SimpleNamespace()
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    monkeypatch.setattr(jax, "devices", lambda: [device])
+    assert kernel_pays("limb", np.float32) == paid
+    assert not kernel_pays("limb", np.float64)
+    assert not kernel_pays("mjx", np.float32)
+
+
+def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla():
+    """A loop of unknown length goes by the plain program; the next structure goes by the kernel again."""
+
+    def function(structure, value):
+        loop = lambda v: jax.lax.while_loop(lambda a: a < 9, lambda a: a * 2, v)  # noqa: E731
+        return loop(value) if structure == "loop" else value * 2
+
+    def fast(structure, values):
+        return over_robots(functools.partial(function, structure), [True], interpret=True)(values)
+
+    traced = []
+
+    def plain(structure, values):
+        traced.append(structure)
+        return jax.vmap(functools.partial(function, structure))(values)
+
+    program = first_possible(jax.jit(fast, static_argnums=0), lambda: plain, "the kernel")
+    values = np.arange(1.0, 4.0)
+    with pytest.warns(UserWarning, match="the kernel cannot do the operation while") as said:
+        for _ in range(2):
+            np.testing.assert_array_equal(program("loop", values), [16.0, 16.0, 12.0])
+    assert len(said) == 1
+    np.testing.assert_array_equal(program("double", values), values * 2)
+    assert traced == ["loop", "loop"]

@@ -56,7 +56,7 @@ def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation",
                 panel.axvline(limit, color=plots.RED, linewidth=0.8)
         handles.append(Line2D([], [], color="0.3", marker="o", ms=4, linestyle="", label="mean"))
         handles.append(Line2D([], [], color="0.3", marker="D", ms=4, linestyle="", label="worst 5 %"))
-        plots._legend(figure, handles)
+        plots.legend(figure, handles)
     return figure
 
 
@@ -137,7 +137,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             handles=[Line2D([], [], color="0.3", ls=d, label=w) for w, d in (("tuned", "-"), ("config", ":"))],
             fontsize=6.5,
         )
-        plots._legend(
+        plots.legend(
             figure, [Line2D([], [], color=c, label=f"{load:g} kg") for load, c in zip(loads, colors, strict=False)],
             "cargo",
         )  # fmt: skip

@@ -52,8 +52,8 @@ def explorer(
             "stretch": steps * first.scenario.time_step,
             "end": first.scenario.steps * first.scenario.time_step,
         },
-        "windows": [window[:3] for window in plots._windows(first)],
-        "grips": plots._grip_changes(first).tolist(),
+        "windows": [window[:3] for window in plots.disturbances(first)],
+        "grips": plots.grip_changes(first).tolist(),
         "holding_limit": first.scenario.contact.holding_limit,
         "walks": [
             {
@@ -88,7 +88,7 @@ def grid_points(
     walks = grid["diverged"].size
     shown = coarser_grid(grid, chosen, MOST_CELLS)
     flat = shown.transpose(*_AXES, ...).stack(cell=_AXES, create_index=False)
-    failed = plots._failed(shown, *_AXES)
+    failed = plots.failed_walks(shown, *_AXES)
     scales = {}
     for name in [str(n) for n in shown.data_vars if n not in LINES]:
         values = plots.comparable(shown, name).transpose(*reversed(_AXES)).values.astype(float)
@@ -200,7 +200,7 @@ def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger
 
     As on the pictures, but what is far worse than the baseline shares one colour: better ones are to be told apart.
     """
-    norm, _ = plots._robust_norm(values, failed, base)
+    norm, _ = plots.color_scale(values, failed, base)
     low, high, log = float(norm.vmin or 0.0), float(norm.vmax or 0.0), isinstance(norm, mpl.colors.LogNorm)
     if base is not None and low < base < high and not log:
         reach = max(2 * (high - base if larger else base - low), 0.5 * abs(base))

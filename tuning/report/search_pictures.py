@@ -29,7 +29,7 @@ def plot_convergence(found: Result) -> Figure:
             axes[0].set_ylim(low - 0.03, min(np.nanmax(value), max(1.1, low + 0.5)) + 0.03)
         axes[0].axhline(1.0, color=plots.RED, linewidth=0.8, label="pd")
         axes[0].set_ylabel("objective")
-        plots._legend(figure, axes[0].get_legend_handles_labels()[0])
+        plots.legend(figure, axes[0].get_legend_handles_labels()[0])
         if sloped:
             axes[1].semilogy(spent, norm, ".", color=plots.BLUE, markersize=2.5)
             axes[1].set_ylabel("norm of\nthe gradient")
@@ -72,5 +72,5 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         handles.append(Line2D([], [], color="0.1", linewidth=0.7, label="descents"))
         handles.append(Line2D([], [], color="0.1", marker=".", markersize=2, linestyle="none", label="other points"))
         figure.legends[0].remove()
-        plots._map_legend(figure, handles if descending.any() else [*handles[:-2], handles[-1]], 3)
+        plots.legend_below(figure, handles if descending.any() else [*handles[:-2], handles[-1]], 3)
     return figure

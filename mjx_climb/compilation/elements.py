@@ -1,0 +1,57 @@
+"""Arrays written out element by element, as a GPU kernel sees them: numpy arrays whose entries are traced numbers.
+
+An element is a number known when compiling, a traced number of all robots (), one of each robot (threads,), or the two
+words of a random key. An array whose elements are all known is a plain numpy array.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jax import Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Key:
+    """A random key of the Threefry kind: two words of 32 bits."""
+
+    high: "np.generic | Array"
+    low: "np.generic | Array"
+
+
+Element = np.generic | Array | Key
+Elements = np.ndarray  # of such elements, or of numbers
+
+
+def as_array(elements: Iterator[Element], shape: tuple[int, ...]) -> Elements:
+    """Return elements as an array, of plain numbers where all are known."""
+    flat = list(elements)
+    if flat and all(isinstance(element, np.generic) for element in flat):
+        return np.array(flat).reshape(shape)
+    array = np.empty(len(flat), object)
+    for index, element in enumerate(flat):
+        array[index] = element
+    return array.reshape(shape)
+
+
+def flat(arrays: Sequence[Elements]) -> list[Element]:
+    """Return the elements of arrays, one after the other."""
+    return [element for array in arrays for element in array.reshape(-1)]
+
+
+def objects(array: Elements) -> Elements:
+    """Return an array of elements that keep their types among others."""
+    result = np.empty(array.shape, object)
+    for index in np.ndindex(*array.shape):
+        result[index] = array[index]
+    return result
+
+
+def along(array: Elements, axis: int) -> list[Elements]:
+    """Return an array's parts along an axis, as arrays even where they are single elements."""
+    return [np.moveaxis(array, axis, 0)[index, ...] for index in range(array.shape[axis])]
+
+
+def known(array: Elements) -> bool:
+    """Return whether all elements are plain numbers."""
+    return array.dtype != object

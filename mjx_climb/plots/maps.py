@@ -1,0 +1,327 @@
+"""Maps of a metric over two gains."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
+
+from mjx_climb.files.dataset import larger_is_better
+from mjx_climb.plots.colors import BLACK, GREY, LIMB_COLORS, RED
+from mjx_climb.plots.styling import COLUMN, legend_below, styled
+from mjx_climb.walk.metrics import FAILURES
+
+_MARKERS = ("*", "o", "D", "^", "s", "P", "v")
+
+
+@styled
+def plot_map(
+    dataset: xr.Dataset,
+    metric: str,
+    marks: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    baseline: float | None = None,
+    baseline_name: str = "pd",
+    x: str = "stiffness",
+    y: str = "damping",
+    title: str | None = None,
+) -> Figure:
+    """Draw a metric over two gains, both on logarithmic axes; brighter is better.
+
+    Arguments:
+        dataset: a grid of metrics over `x` and `y`, as of `dataset.sweep_dataset`.
+        metric: the variable to draw.
+        marks: points (x, y) by their name in the legend, as of the paper's gains.
+        baseline: value of another controller, a line on the colour bar.
+        baseline_name: what stands at that line.
+        x: the dimension along the horizontal axis.
+        y: the dimension along the vertical axis.
+        title: above the figure.
+
+    Walks that failed, `detached_at` set or `diverged`, are hatched; what is not a number is grey. Where the dataset has
+    a `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
+    """
+    figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
+    handles, label, bar = _draw_map(
+        figure, figure.subplots(), dataset, metric, marks or {}, baseline, baseline_name, x, y
+    )
+    bar.set_label(label)
+    legend_below(figure, handles, 3)
+    if title:
+        figure.suptitle(title, fontsize=8.5)
+    return figure
+
+
+@styled
+def plot_maps(
+    dataset: xr.Dataset,
+    metrics: Sequence[str],
+    marks: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    baselines: Mapping[str, float] | None = None,
+    baseline_name: str = "pd",
+    x: str = "stiffness",
+    y: str = "damping",
+    columns: int = 2,
+    title: str | None = None,
+) -> Figure:
+    """Draw a sheet of maps, one per metric, with one legend.
+
+    `baselines` are by metric; all other arguments are those of `plot_map`.
+    """
+    if not metrics:
+        raise ValueError("expected at least one metric to draw")
+    rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
+    figure = Figure(figsize=(COLUMN * columns, 0.5 + 2.5 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    handles = {}
+    for metric, panel in zip(metrics, axes.flat, strict=False):
+        value = (baselines or {}).get(metric)
+        found, label, _ = _draw_map(figure, panel, dataset, metric, marks or {}, value, baseline_name, x, y)
+        panel.set_title(label)
+        handles.update({handle.get_label(): handle for handle in found})
+    for number, panel in enumerate(axes.flat):
+        if number >= len(metrics):
+            panel.remove()
+        elif number + columns < len(metrics):
+            panel.set_xlabel("")
+        else:
+            panel.tick_params(axis="x", labelbottom=True)
+        if number % columns:
+            panel.set_ylabel("")
+    legend_below(figure, list(handles.values()), 3 * columns)
+    if title:
+        figure.suptitle(title, fontsize=8.5)
+    return figure
+
+
+def _draw_map(
+    figure: Figure,
+    panel: Axes,
+    dataset: xr.Dataset,
+    metric: str,
+    marks: Mapping[str, tuple[float, float]],
+    baseline: float | None,
+    baseline_name: str,
+    x: str,
+    y: str,
+) -> tuple[list[Artist], str, Colorbar]:
+    """Draw one map with its colour bar; return the handles of its legend, what its colours stand for, and the bar."""
+    variable = _grid(dataset, metric, x, y)
+    failed = failed_walks(dataset, x, y)
+    values = comparable(dataset, metric).transpose(y, x).values.astype(float)
+    x_edges, y_edges = (_log_edges(dataset[name].values) for name in (x, y))
+    flags = variable.attrs.get("flag_meanings", "").split()
+    colormap: Colormap
+    norm: Normalize
+    if flags:
+        codes = np.asarray(variable.attrs["flag_values"], float)
+        colors = ["0.9", *LIMB_COLORS][: len(flags)]
+        colormap, norm, extend = (
+            ListedColormap(colors),
+            BoundaryNorm([*(codes - 0.5), codes[-1] + 0.5], len(codes)),
+            "neither",
+        )
+    else:
+        larger = larger_is_better(variable)
+        colormap = mpl.colormaps["viridis" if larger else "viridis_r"]
+        norm, extend = color_scale(values, failed, baseline, larger)
+    panel.set_facecolor(GREY)
+    mesh = panel.pcolormesh(
+        x_edges,
+        y_edges,
+        np.ma.masked_invalid(values),
+        cmap=colormap,
+        norm=norm,
+        linewidth=0,
+        rasterized=values.size > 1e4,
+    )
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.set_xlabel(_label(dataset[x], x))
+    panel.set_ylabel(_label(dataset[y], y))
+
+    handles: list[Artist] = []
+    if failed.any():
+        shades = colormap(norm(np.nan_to_num(values, nan=norm.vmin or 0.0)))[..., :3] @ [0.299, 0.587, 0.114]
+        dark = (shades < 0.4) & np.isfinite(values)
+        hatched: dict[str, Any] = {"facecolor": "none", "hatch": "/////", "linewidth": 0}
+        for chosen, color in ((failed & ~dark, "0.15"), (failed & dark, "0.85")):
+            cells = [
+                Rectangle((x_edges[i], y_edges[j]), x_edges[i + 1] - x_edges[i], y_edges[j + 1] - y_edges[j])
+                for j, i in zip(*np.nonzero(chosen), strict=True)
+            ]
+            if cells:
+                panel.add_collection(
+                    PatchCollection(cells, **hatched, edgecolor=color, gid="failed walks"), autolim=False
+                )
+        handles.append(Patch(**hatched | {"facecolor": "white"}, edgecolor="0.15", label="failed walk"))
+    if np.isnan(values).any():
+        handles.append(Patch(facecolor=GREY, label="no value"))
+    for number, (name, (at_x, at_y)) in enumerate(marks.items()):
+        marker = _MARKERS[number % len(_MARKERS)]
+        look: dict[str, Any] = {
+            "marker": marker,
+            "linestyle": "none",
+            "markerfacecolor": "white",
+            "markeredgecolor": BLACK,
+            "markeredgewidth": 0.9,
+            "markersize": 9 if marker == "*" else 6,
+        }
+        panel.plot([at_x], [at_y], **look, zorder=4, label=name)
+        handles.append(Line2D([], [], **look, label=name))
+    if "spectral_radius" in dataset and _draw_stability_limit(panel, _grid(dataset, "spectral_radius", x, y)):
+        handles.append(Line2D([], [], color=RED, linewidth=1.0, label="stability limit"))
+    # a mark beside the grid is shown too
+    panel.set_xlim(*_span(x_edges, [mark[0] for mark in marks.values()]))
+    panel.set_ylim(*_span(y_edges, [mark[1] for mark in marks.values()]))
+
+    bar = figure.colorbar(mesh, ax=panel, extend=extend, pad=0.02, aspect=25)
+    bar.outline.set_linewidth(0.6)
+    if flags:
+        bar.set_ticks(codes.tolist(), labels=flags)
+        bar.ax.minorticks_off()
+    elif (
+        isinstance(norm, LogNorm) and mesh.get_clim()[1] < 1e3 * mesh.get_clim()[0]
+    ):  # so few decades want ticks between them
+        bar.locator = LogLocator(subs=(1, 2, 5))
+        bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
+        bar.minorformatter = NullFormatter()
+        bar.update_ticks()
+    if baseline is not None and not flags:
+        _mark_on_bar(bar, float(baseline), baseline_name)
+    return handles, _label(variable, metric), bar
+
+
+def _draw_stability_limit(panel: Axes, radius: xr.DataArray) -> bool:
+    """Draw where a radius (y, x) passes 1 and return whether it does; rows and columns without values are left out."""
+    y, x = radius.dims
+    radius = radius.dropna(x, how="all").dropna(y, how="all")
+    excess = np.clip((radius.values - 1) * 1e3, -1, 1)  # beyond the limit it grows without bounds
+    if min(excess.shape) < 2 or not (excess > 0).any() or not (excess <= 0).any():
+        return False
+    panel.contour(radius[x], radius[y], excess, [0.0], colors=[RED], linewidths=1.0, zorder=3)
+    return True
+
+
+def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:
+    """Draw a line across a colour bar, or an arrow at the end beyond which the value lies."""
+    low, high = np.asarray(bar.mappable.get_clim(), float)
+    arrow = " \N{UPWARDS ARROW}" if value > high else " \N{DOWNWARDS ARROW}" if value < low else ""
+    place = min(max(value, low), high)
+    bar.ax.axhline(place, color=RED, linewidth=1.4, gid="baseline")
+    bar.ax.annotate(
+        name + arrow,
+        (0, place),
+        xycoords=bar.ax.get_yaxis_transform(),
+        xytext=(-2, 0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        fontsize=6.5,
+        color=RED,
+        bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6},
+        zorder=6,
+    )
+
+
+def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
+    """Return a metric of walks, NaN for those that diverged: their values until then compare with no other's."""
+    variable = dataset[metric]
+    if "diverged" not in dataset or metric in FAILURES or "larger_is_better" not in variable.attrs:
+        return variable
+    return variable.where(~dataset["diverged"].astype(bool))
+
+
+def _grid(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
+    """Return a variable as (y, x).
+
+    Raises:
+        ValueError: no such variable, or other dimensions.
+    """
+    if name not in dataset:
+        raise ValueError(f"{name}: expected one of {', '.join(map(str, dataset.data_vars))}")
+    if set(dataset[name].dims) != {x, y}:
+        raise ValueError(f"{name}: expected dimensions {x} and {y}, got {', '.join(map(str, dataset[name].dims))}")
+    return dataset[name].transpose(y, x)
+
+
+def failed_walks(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
+    """Return which walks failed, (y, x): a gripper was torn off, or the state stopped being finite."""
+    failed = np.zeros((dataset.sizes[y], dataset.sizes[x]), bool)
+    if "detached_at" in dataset:
+        failed |= np.isfinite(_grid(dataset, "detached_at", x, y).values)
+    if "detached_limb" in dataset:
+        failed |= _grid(dataset, "detached_limb", x, y).values >= 0
+    if "diverged" in dataset:
+        failed |= _grid(dataset, "diverged", x, y).values.astype(bool)
+    return failed
+
+
+def _log_edges(centers: np.ndarray) -> np.ndarray:
+    """Return the edges of cells around positive, ordered `centers`, half-way on a logarithmic scale."""
+    if not (np.isfinite(centers).all() and (centers > 0).all()):
+        raise ValueError("a map needs gains above 0: its axes are logarithmic")
+    logs = np.log(np.asarray(centers, float))
+    if logs.size == 1:
+        return np.asarray(np.exp(logs[0] + np.array([-0.5, 0.5])))
+    middle = (logs[1:] + logs[:-1]) / 2
+    return np.asarray(np.exp(np.concatenate([[2 * logs[0] - middle[0]], middle, [2 * logs[-1] - middle[-1]]])))
+
+
+def _span(edges: np.ndarray, marks: Sequence[float]) -> tuple[float, float]:
+    """Return the limits that show all cells, and the marks beside them with a margin."""
+    low, high = edges.min(), edges.max()
+    return (
+        min([low, *(mark / 1.5 for mark in marks if mark < low)]),
+        max([high, *(mark * 1.5 for mark in marks if mark > high)]),
+    )
+
+
+def color_scale(
+    values: np.ndarray, failed: np.ndarray, baseline: float | None, larger_is_better: bool = False
+) -> tuple[Normalize, str]:
+    """Return a scale from the 2nd to the 98th percentile, and which ends of it are passed.
+
+    It is of the walks that held (of all, where fewer than four did), takes in a baseline that is near, goes beyond it
+    to the worse side at most three times as far as to the better one, and is logarithmic where it spans more than a
+    factor of 30.
+    """
+    finite = values[np.isfinite(values)]
+    held = values[np.isfinite(values) & ~failed]
+    if finite.size == 0:
+        return Normalize(0, 1), "neither"
+    low, high = np.percentile(held if held.size >= 4 else finite, [2, 98])
+    if baseline is not None and np.isfinite(baseline):
+        reach = 0.5 * (high - low)
+        low, high = (min(low, baseline), high) if baseline > low - reach else (low, high)
+        high = max(high, baseline) if baseline < high + reach else high
+        if low < baseline < high:  # colours for what is better, and for how little is worse
+            low, high = (
+                (max(low, baseline - 3 * (high - baseline)), high)
+                if larger_is_better
+                else (low, min(high, baseline + 3 * (baseline - low)))
+            )
+    if low == high:
+        low, high = low - 0.5 * abs(low or 1), high + 0.5 * abs(high or 1)
+    ends = (finite.min() < low - 1e-9 * abs(low), finite.max() > high + 1e-9 * abs(high))
+    extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[ends]
+    return (LogNorm if low > 0 and high > 30 * low else Normalize)(low, high), extend
+
+
+def _label(variable: xr.DataArray, name: str) -> str:
+    """Return "long name [unit]"; numbers without a unit stand alone."""
+    unit = variable.attrs.get("units", "1")
+    text = variable.attrs.get("long_name", name.replace("_", " "))
+    return text if unit in ("1", "") else f"{text} [{unit.replace('^2', '$^2$')}]"

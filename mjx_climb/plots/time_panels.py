@@ -1,0 +1,170 @@
+"""Panels over one axis of time: lines, shaded disturbances, marks of failure, the gait."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+
+from mjx_climb.plots.colors import GREY, LIMB_COLORS, RED
+from mjx_climb.plots.styling import COLUMN
+from mjx_climb.plots.walk_events import (
+    detachments,
+    disturbances,
+    end_of,
+    failure_time,
+    grip_changes,
+    rows_before_divergence,
+)
+from mjx_climb.rollouts.trajectory import Trajectory
+
+
+def panels_over_time(heights: Sequence[float], end: float, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a tall figure of panels over one time axis that runs to `end`."""
+    layout = ConstrainedLayoutEngine(h_pad=0.02, w_pad=0.02, hspace=0.0)
+    figure = Figure(figsize=(COLUMN, height), layout=layout)
+    axes = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
+    axes[0].set_xlim(0, end)
+    axes[-1].set_xlabel("time [s]")
+    for panel in axes:
+        panel.grid(axis="y", color="0.9", linewidth=0.4)
+        panel.set_axisbelow(True)
+        panel.locator_params(axis="y", nbins=4)
+    figure.align_ylabels(axes)
+    return figure, axes
+
+
+def draw_line(axes: Axes, trajectory: Trajectory, values: np.ndarray, **style: Any) -> None:
+    """Draw one line over time, up to where the state stopped being finite.
+
+    What comes after a failure may be thousands of times larger: the axes reach at most two spans beyond what
+    was before.
+    """
+    rows = rows_before_divergence(trajectory)
+    if not rows:
+        return
+    time, drawn = thin(trajectory.time[:rows], values[:rows])
+    before = drawn[(time <= failure_time(trajectory)) & np.isfinite(drawn)]
+    if not before.size:  # a margin that is not defined, as the TSM without gravity
+        return
+    low, high = before.min(), before.max()
+    low, high = max(np.nanmin(drawn), 3 * low - 2 * high), min(np.nanmax(drawn), 3 * high - 2 * low)
+    # unlike plot, add_artist leaves the limits alone
+    axes.add_artist(Line2D(time, drawn, solid_joinstyle="round", **style))
+    axes.update_datalim([(time[0], low), (time[-1], high)])
+    axes.autoscale_view(scalex=False)
+
+
+def thin(time: np.ndarray, values: np.ndarray, points: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """Return about `points` samples of a line that look like all of it: both extremes of every stretch."""
+    if time.size <= points:
+        return time, values
+    size = math.ceil(2 * time.size / points)
+    fill = -time.size % size
+    rows = np.arange(time.size + fill).clip(max=time.size - 1).reshape(-1, size)
+    stretches = values[rows]
+    low = np.where(np.isfinite(stretches), stretches, np.inf).argmin(1)
+    high = np.where(np.isfinite(stretches), stretches, -np.inf).argmax(1)
+    first = np.arange(len(rows))
+    kept = np.unique(np.concatenate([[0, time.size - 1], rows[first, low], rows[first, high]]))
+    return time[kept], values[kept]
+
+
+def mark_events(axes: Sequence[Axes], trajectory: Trajectory) -> None:
+    """Shade disturbances and mark changes of grip in every panel; name the disturbances above the first."""
+    changes = grip_changes(trajectory)
+    for start, stop, label, color in disturbances(trajectory):
+        for panel in axes:
+            panel.axvspan(start, stop, color=color, linewidth=0, zorder=0, gid="disturbance")
+        place: dict[str, Any] = {"xy": ((start + stop) / 2, 1), "xycoords": axes[0].get_xaxis_transform()}
+        text = axes[0].annotate(
+            label, **place, xytext=(0, 2), textcoords="offset points", ha="center", va="bottom", fontsize=6.5
+        )
+        text.set_gid("disturbance label")
+    for panel in axes:
+        for change in changes:
+            panel.axvline(change, color="0.7", linewidth=0.4, linestyle=(0, (4, 2)), zorder=0.5, gid="grip change")
+
+
+def mark_failure(
+    axes: Sequence[Axes],
+    trajectory: Trajectory,
+    lines: Sequence[np.ndarray],
+    color: str = RED,
+    level: int = 0,
+) -> bool:
+    """Mark the first torn gripper by a red cross on the line (T,) of every panel.
+
+    What failed when stands in the first panel, `level` lines below its top. False where nothing failed.
+    """
+    instants, words = [], []
+    if torn := detachments(trajectory):
+        instant, limb = torn[0]
+        row = int(np.searchsorted(trajectory.time, instant))
+        for panel, values in zip(axes, lines, strict=True):
+            panel.axvline(instant, color=RED, linewidth=0.5, zorder=1.5)
+            draw_cross(panel, instant, values[row])
+        instants.append(instant)
+        words.append(f"{limb} torn off, {instant:.2f} s")
+    if (rows := rows_before_divergence(trajectory)) < trajectory.time.size:
+        instants.append(float(trajectory.time[rows]))
+        words.append(f"diverged, {instants[-1]:.2f} s")
+    if not words:
+        return False
+    late = instants[0] > 0.5 * axes[0].get_xlim()[1]
+    axes[0].annotate(
+        "\n".join(words),
+        (instants[0], 1),
+        xycoords=axes[0].get_xaxis_transform(),
+        xytext=(-4 if late else 4, -3 - 17 * level),
+        textcoords="offset points",
+        ha="right" if late else "left",
+        va="top",
+        color=color,
+        fontsize=6.5,
+        bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8},
+        zorder=6,
+        gid="failure",
+    )
+    return True
+
+
+def draw_cross(panel: Axes, x: float, y: float) -> None:
+    """Mark a torn gripper."""
+    panel.plot([x], [y], "x", color=RED, markersize=5, markeredgewidth=1.3, zorder=5, clip_on=False, gid="detachment")
+
+
+def shade_divergence(axes: Sequence[Axes], trajectory: Trajectory) -> None:
+    """Grey out the time in which there is no state any more."""
+    if (rows := rows_before_divergence(trajectory)) < trajectory.time.size:
+        for panel in axes:
+            panel.axvspan(
+                trajectory.time[rows], end_of(trajectory), color=GREY, linewidth=0, zorder=0.2, gid="diverged"
+            )
+
+
+def draw_gait(panel: Axes, trajectory: Trajectory) -> None:
+    """Draw per limb when its gripper is shut and holds, and a red cross where it is torn off."""
+    end = end_of(trajectory)
+    support = trajectory.support[: rows_before_divergence(trajectory)]
+    panel.grid(False)
+    for number, color in enumerate(limb_colors(trajectory)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], support[:, number], [False]]).astype(int)))
+        time = np.append(trajectory.time, end)
+        bars = [(time[a], time[b] - time[a]) for a, b in edges.reshape(-1, 2)]
+        panel.broken_barh(bars, (number - 0.35, 0.7), facecolors=color, linewidth=0, gid="support")
+    for instant, limb in detachments(trajectory):
+        draw_cross(panel, instant, trajectory.limbs.index(limb))
+    panel.set_yticks(range(len(trajectory.limbs)), trajectory.limbs)
+    panel.set_ylim(len(trajectory.limbs) - 0.5, -0.5)
+    panel.tick_params(axis="y", length=0)
+    panel.set_ylabel("support")
+
+
+def limb_colors(trajectory: Trajectory) -> list[str]:
+    """Return a colour for each limb."""
+    return [LIMB_COLORS[number % len(LIMB_COLORS)] for number in range(len(trajectory.limbs))]

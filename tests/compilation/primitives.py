@@ -1,0 +1,155 @@
+"""One function for each of many operations of JAX's, each of a vector, a small matrix and a whole number."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+TABLE = np.linspace(-1.0, 2.0, 5)
+
+
+def _loop(vector, matrix, number):
+    return lax.scan(lambda carry, row: (carry + row * number, (carry * row).sum()), vector, matrix)
+
+
+def _backwards(vector, matrix, number):
+    return lax.scan(lambda carry, row: (carry * 0.5 + row, carry), vector, matrix, reverse=True)
+
+
+def _draw(vector, matrix, number):
+    key = jax.random.fold_in(jax.random.key(3), number)
+    first, second = jax.random.split(key)
+    chosen = jax.random.wrap_key_data(jnp.where(number > 0, jax.random.key_data(first), jax.random.key_data(second)))
+    return jax.random.uniform(chosen, (3,)) + vector, jax.random.bits(second, (2,)), jax.random.normal(first, (2,))
+
+
+@jax.custom_vjp
+def _own_rule(value):
+    return jnp.sin(value)
+
+
+_own_rule.defvjp(lambda value: (jnp.sin(value), value), lambda value, change: (change * jnp.cos(value),))
+
+# name: function(vector (3,), matrix (4, 3), number ()), of and to anything
+KNOWN = {
+    "reduce_sum": lambda v, m, n: m.sum(0) + m.sum(),
+    "reduce_prod": lambda v, m, n: m.prod(1),
+    "reduce_max": lambda v, m, n: (m.max(0), m.min(1)),
+    "reduce_and": lambda v, m, n: ((m > 0).all(0), (m > 1).any(1)),
+    "reduce_xor": lambda v, m, n: lax.reduce_xor_p.bind((m * 8).astype(jnp.int32), axes=(0,)),
+    "cumsum": lambda v, m, n: (jnp.cumsum(m, 0), lax.cumsum(m, 1, reverse=True)),
+    "cumprod": lambda v, m, n: (jnp.cumprod(m, 1), lax.cumprod(m, 0, reverse=True)),
+    "cummax": lambda v, m, n: (lax.cummax(m, 0), lax.cummin(m, 1, reverse=True)),
+    "argmax": lambda v, m, n: (m.argmax(0), m.argmin(1), jnp.round(m).argmax(), jnp.stack([v, v]).argmax(0)),
+    "argmax of NaN": lambda v, m, n: jnp.where(m > 1, jnp.nan, m).argmax(0),
+    "dot_general": lambda v, m, n: (m @ v, m @ m.T, jnp.einsum("ij,ij->i", m, m), jnp.dot(v, v)),
+    "dot_general of whole numbers": lambda v, m, n: lax.dot(
+        jnp.round(m).astype(jnp.int8), jnp.round(v).astype(jnp.int8), preferred_element_type=jnp.int32
+    ),
+    "select_n": lambda v, m, n: lax.select_n(jnp.clip(jnp.round(v), 0, 2).astype(jnp.int32), v, v + 1, 3 * v),
+    "select_n of known cases": lambda v, m, n: jnp.where(v > 0, 1.0, 2.0) + jnp.where(v > 0, 1065353216, 0),
+    "clamp": lambda v, m, n: (jnp.clip(v, -0.5, 0.5), lax.clamp(-1.0, v, v[0] ** 2)),
+    "dynamic_slice": lambda v, m, n: (
+        lax.dynamic_slice(m, (n, n), (2, 2)),
+        m[n],
+        lax.dynamic_slice(m, (jnp.int32(9), n), (1, 3)),
+    ),
+    "dynamic_update_slice": lambda v, m, n: lax.dynamic_update_slice(m, m[1:3, :2] * 2, (n, n - 1)),
+    "delay": lambda v, m, n: lax.dynamic_update_index_in_dim(m, v, n % 4, 0)[(n + 1) % 4],
+    "gather": lambda v, m, n: (m[jnp.stack([n, n + 9, n - 9])], jnp.take_along_axis(m, jnp.argmax(m, 0)[None], 0)),
+    "gather of known places": lambda v, m, n: (m[jnp.array([2, 0])], m[:, [2, 1]], v[::-1]),
+    "gather that fills": lambda v, m, n: m.at[n + 1].get(mode="fill", fill_value=7.0),
+    "gather that clips": lambda v, m, n: m.at[n + 2].get(mode="clip"),
+    "interp": lambda v, m, n: TABLE[1] + jnp.asarray(TABLE)[jnp.clip(jnp.round(v), 0, 4).astype(jnp.int32)],
+    "cond": lambda v, m, n: lax.cond(v[0] > 0, lambda a: (a * 2, 1), lambda a: (a - 1, 2), v),
+    "switch": lambda v, m, n: lax.switch(n, [lambda a: a, lambda a: a * a, lambda a: -a], v),
+    "cond of a known choice": lambda v, m, n: lax.cond(jnp.asarray(TABLE[0] > 0), lambda a: a * 2, lambda a: a - 1, v),
+    "scan": _loop,
+    "scan backwards": _backwards,
+    "fori_loop": lambda v, m, n: lax.fori_loop(0, 3, lambda step, total: total + step * v, v),
+    "pad": lambda v, m, n: (jnp.pad(m, ((1, 2), (0, 1))), lax.pad(v, 1.5, [(-1, 2, 1)]), lax.pad(v, 0.0, [(1, -2, 0)])),
+    "moves": lambda v, m, n: (m.T, m.reshape(3, 4), m[::-1, ::2], jnp.roll(m, 1, 0), jnp.concatenate([v, v * 2])),
+    "split": lambda v, m, n: jnp.split(m, [1, 3]),
+    "bits": lambda v, m, n: (n << 3, n >> 1, n ^ 5, ~n, n & 6, n | 8, lax.population_count(n), lax.clz(n)),
+    "shift_right_logical": lambda v, m, n: lax.shift_right_logical(n, jnp.int32(2)),
+    "whole numbers": lambda v, m, n: (
+        n * 7 % 5,
+        n // 3,
+        lax.rem(n, jnp.int32(4)),
+        jnp.abs(n),
+        jnp.sign(n),
+        lax.pow(v, 3),
+    ),
+    "whole numbers beyond 24 bits": lambda v, m, n: (n * 2**20 + 12345, n.astype(jnp.uint32) + jnp.uint32(2**31)),
+    "convert_element_type": lambda v, m, n: (v.astype(jnp.int32), n.astype(v.dtype), (v > 0).astype(jnp.int32)),
+    "threefry": _draw,
+    "known keys": lambda v, m, n: jax.random.normal(jax.random.key(1), (3,)) * v,
+    "custom_vjp_call": lambda v, m, n: _own_rule(v),
+    "stop_gradient": lambda v, m, n: lax.stop_gradient(v) * 2,
+    "is_finite": lambda v, m, n: (jnp.isfinite(1 / jnp.round(v)), jnp.isnan(jnp.sqrt(v))),
+    "round": lambda v, m, n: (jnp.round(v), jnp.floor(v), jnp.ceil(v), jnp.sign(v), jnp.trunc(v)),
+    "powers": lambda v, m, n: (v**3, jnp.abs(v) ** 1.7, jnp.square(v), jnp.cbrt(v), lax.rsqrt(jnp.abs(v))),
+    "exponents": lambda v, m, n: (
+        jnp.exp(v),
+        jnp.exp2(v),
+        jnp.expm1(v),
+        jnp.log(v**2),
+        jnp.log1p(v**2),
+        jnp.logaddexp(v, 1),
+    ),
+    "angles": lambda v, m, n: (
+        jnp.sin(v),
+        jnp.cos(v),
+        jnp.tan(v),
+        jnp.arctan2(v, v[0]),
+        jnp.arcsin(v / 9),
+        jnp.arccos(v / 9),
+    ),
+    "hyperbolic": lambda v, m, n: (
+        jnp.tanh(v),
+        jnp.sinh(v),
+        jnp.cosh(v),
+        jnp.arcsinh(v),
+        jax.nn.sigmoid(v),
+        jnp.arctan(v),
+    ),
+    "comparisons": lambda v, m, n: (v > v[0], v >= v[0], v == v[0], v != v[0], (v < 0) & (v <= 1) | (v > 2), ~(v > 0)),
+    "nextafter": lambda v, m, n: jnp.nextafter(v, 3.0),
+    "rem": lambda v, m, n: (lax.rem(v, 0.7), jnp.mod(v, 0.7), jnp.maximum(v, 0.1), jnp.minimum(v, v[1])),
+    "norm": lambda v, m, n: (jnp.linalg.norm(v), jnp.cross(v, m[0]), jnp.linalg.norm(m, axis=1)),
+    "convolve": lambda v, m, n: jnp.diff(m, axis=0),
+}
+# what no kernel does: it may be refused, not wrong
+OTHERS = {
+    "while_loop": lambda v, m, n: lax.while_loop(lambda a: a.sum() < 20, lambda a: jnp.abs(a) + 1, v),
+    "sort": lambda v, m, n: (jnp.sort(m, 0), jnp.argsort(v)),
+    "top_k": lambda v, m, n: lax.top_k(v, 2),
+    "cumlogsumexp": lambda v, m, n: lax.cumlogsumexp(m, 0),
+    "erf": lambda v, m, n: jax.scipy.special.erf(v),
+    "gammaln": lambda v, m, n: jax.scipy.special.gammaln(jnp.abs(v)),
+    "scatter": lambda v, m, n: (m.at[n].set(1.0), m.at[n].add(v), m.at[n].max(0.5)),
+    "fft": lambda v, m, n: jnp.abs(jnp.fft.fft(v)),
+    "complex": lambda v, m, n: jnp.abs(v + 1j * v),
+    "cholesky": lambda v, m, n: jnp.linalg.cholesky(m.T @ m + jnp.eye(3)),
+    "solve": lambda v, m, n: jnp.linalg.solve(m.T @ m + jnp.eye(3), v),
+    "eigh": lambda v, m, n: jnp.linalg.eigvalsh(m.T @ m),
+    "reduce_window": lambda v, m, n: lax.reduce_window(m, 0.0, lax.add, (2, 1), (1, 1), "VALID"),
+    "conv": lambda v, m, n: jnp.convolve(v, m[0]),
+    "reduce": lambda v, m, n: lax.reduce(m, 0.0, lambda a, b: a + b * b, (0,)),
+    "reduce_precision": lambda v, m, n: lax.reduce_precision(v, 5, 4),
+    "bitcast to another size": lambda v, m, n: lax.bitcast_convert_type(v, jnp.uint16),
+    "callback": lambda v, m, n: jax.pure_callback(
+        lambda a: np.asarray(a) * 2, jax.ShapeDtypeStruct(v.shape, v.dtype), v, vmap_method="sequential"
+    ),
+    "a large product": lambda v, m, n: (jnp.broadcast_to(v[0], (40, 40)) @ jnp.broadcast_to(v[1], (40, 40))).sum(0),
+    "a large table": lambda v, m, n: jnp.arange(200.0)[jnp.abs(n)] + v,
+    "a long loop": lambda v, m, n: lax.scan(lambda c, _: (c * 0.9, c), v, length=100)[1],
+    "other random bits": lambda v, m, n: jax.random.uniform(jax.random.key(1, impl="rbg"), (3,)) + v,
+    "associative_scan": lambda v, m, n: lax.associative_scan(jnp.add, m),
+    "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),
+    "igamma": lambda v, m, n: jax.scipy.special.gammainc(jnp.abs(v), 1.0),
+    "copy": lambda v, m, n: jnp.array(v, copy=True),
+    "linspace": lambda v, m, n: jnp.linspace(v, v * 2, 4),
+    "median": lambda v, m, n: jnp.median(v),
+}
+EVERY = KNOWN | OTHERS
