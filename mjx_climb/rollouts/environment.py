@@ -4,13 +4,14 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
+from mjx_climb.compilation.closed_over import closed_over
 from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.options import pieces_pay
@@ -19,12 +20,13 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.stages import stages_of
 from mjx_climb.quantities.batches import batch_last, own_axes
-from mjx_climb.quantities.parameters import Parameters, parameters
+from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.quantities.parameters import parameters as parameters_of
 from mjx_climb.rollouts.given import AnyGains, checked, given
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk import action as hot
 from mjx_climb.walk.sample import Sample
-from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
+from mjx_climb.walk.step import Carry, Structure, Walk, advance, begin, prepare, structure
 
 Tree = TypeVar("Tree")
 
@@ -50,10 +52,9 @@ class BaseShift:
 class EnvironmentState:
     """Robots between two steps: every array has the batch axes first, so that `vmap`, `where` and slices take it."""
 
-    law: Law  # gains (*batch, n)
-    parameters: Parameters  # values (*batch, ...)
     step: Array  # (*batch,) how many have been made
     carry: Carry  # what one step hands to the next: values (*batch, ...)
+    constants: list[Array]  # what law and parameters make of themselves once a walk: values (*batch, ...)
 
     @property
     def robot(self) -> State:
@@ -107,6 +108,8 @@ class Environment:
         self.law = law_of(scenario) if law is None else checked(law)
         self.dtype = jnp.dtype(jnp.result_type(float) if dtype is None else dtype)
         self._structure = structure(scenario, engine, in_pieces=pieces)
+        own = given(scenario, self.law, None, parameters_of(scenario, self.dtype), self._array)
+        self._kind = _kind(own.law, own.numbers)
 
     def reset(
         self, parameters: Parameters | None = None, gains: AnyGains | None = None, *, batch: tuple[int, ...] = ()
@@ -122,14 +125,16 @@ class Environment:
             ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, or parameters
                 with hardware that the scenario does not have.
         """
-        numbers = _own(self.scenario, self.dtype) if parameters is None else parameters
+        numbers = parameters_of(self.scenario, self.dtype) if parameters is None else parameters
         numbers = jax.tree.map(self._array, numbers)
         law, numbers, shape, _ = given(self.scenario, self.law, gains, numbers, self._array)
         self._check_hardware(numbers)
         shape = jnp.broadcast_shapes(shape, tuple(batch))
-        law, numbers = _spread(law, shape), _spread(numbers, shape)
-        carry = _batch_first(_begun(self._structure, law, numbers, shape), shape)
-        return EnvironmentState(law, numbers, jnp.zeros(shape, jnp.int32), carry)
+        law = batch_last(_spread(law, shape), shape, self.dtype)
+        numbers = batch_last(_spread(numbers, shape), shape, self.dtype)
+        carry, constants = _begun(self._structure, self._kind, law, numbers)
+        carry, constants = _batch_first((carry, constants), shape)
+        return EnvironmentState(jnp.zeros(shape, jnp.int32), carry, constants)
 
     def step(
         self, state: EnvironmentState, action: JointTargets | BaseShift | None = None
@@ -145,7 +150,7 @@ class Environment:
             The state after the step; and the sample, fields as in `mjx_climb.Trajectory` with the batch axes in place
             of time: the state at the start of the step, and the forces and accelerations that act in it.
         """
-        after: tuple[EnvironmentState, Sample] = _stepped(self._structure, state, action)
+        after: tuple[EnvironmentState, Sample] = _stepped(self._structure, self._kind, state, action)
         return after
 
     def _array(self, value: Any) -> Array:
@@ -163,8 +168,25 @@ class Environment:
             )
 
 
-def _own(scenario: Scenario, dtype: jnp.dtype) -> Parameters:
-    return parameters(scenario, dtype)
+class _Kind(NamedTuple):
+    """Of what structure and shapes law and parameters are, their batch axes apart. Hashable."""
+
+    tree: Any
+    shapes: tuple[tuple[int, ...], ...]
+    dtype: jnp.dtype
+
+    def like(self, robots: int) -> tuple[Law, Parameters]:
+        """Return law and parameters of so many robots, without values, in the layout of the hot path."""
+        leaves = [jax.ShapeDtypeStruct((*shape, robots), self.dtype) for shape in self.shapes]
+        both: tuple[Law, Parameters] = jax.tree.unflatten(self.tree, leaves)
+        return both
+
+
+def _kind(law: Law, numbers: Parameters) -> _Kind:
+    leaves, tree = jax.tree.flatten((law, numbers))
+    axes = jax.tree.leaves((own_axes(law), own_axes(numbers)))
+    shapes = tuple(leaf.shape[leaf.ndim - own :] for leaf, own in zip(leaves, axes, strict=True))
+    return _Kind(tree, shapes, numbers.kp.dtype)
 
 
 def _spread(tree: Tree, shape: tuple[int, ...]) -> Tree:
@@ -177,30 +199,55 @@ def _spread(tree: Tree, shape: tuple[int, ...]) -> Tree:
     return result
 
 
-@functools.partial(jax.jit, static_argnums=(0, 3))
-def _begun(structure: Structure, law: Law, numbers: Parameters, shape: tuple[int, ...]) -> Carry:
-    robots = math.prod(shape)
-    dtype = numbers.kp.dtype
-    walk = prepare(structure, batch_last(law, shape, dtype), batch_last(numbers, shape, dtype), robots)
-    carry: Carry = jax.tree.map(lambda leaf: _with_batch(leaf, robots), begin(walk, robots))
-    return carry
+def _prepared(structure: Structure, law: Law, numbers: Parameters, robots: int) -> tuple[Carry, Walk]:
+    """Return the start of a walk, every value with a batch axis, and the walk; in the layout of the hot path."""
+    walk = prepare(structure, law, numbers, robots)
+    return jax.tree.map(lambda leaf: _with_batch(leaf, robots), begin(walk, robots)), walk
 
 
-@functools.partial(jax.jit, static_argnums=0)
+def _differing(structure: Structure, kind: _Kind) -> list[bool]:
+    """Tell which constants of a step differ from robot to robot: their shapes follow the number of robots."""
+
+    def constants(law: Law, numbers: Parameters) -> list[Array]:
+        start, walk = _prepared(structure, law, numbers, numbers.kp.shape[-1])
+        return closed_over(
+            functools.partial(advance, walk), start, jnp.zeros(start.gait.shape[-1], jnp.int32)
+        ).constants
+
+    two, three = (jax.eval_shape(constants, *kind.like(robots)) for robots in (2, 3))
+    return [a.shape != b.shape for a, b in zip(two, three, strict=True)]
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _begun(structure: Structure, kind: _Kind, law: Law, numbers: Parameters) -> tuple[Carry, list[Array]]:
+    robots = numbers.kp.shape[-1]
+    start, walk = _prepared(structure, law, numbers, robots)
+    step = closed_over(functools.partial(advance, walk), start, jnp.zeros(robots, jnp.int32))
+    return start, [value for value, own in zip(step.constants, _differing(structure, kind), strict=True) if own]
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
 def _stepped(
-    structure: Structure, state: EnvironmentState, action: JointTargets | BaseShift | None
+    structure: Structure, kind: _Kind, state: EnvironmentState, action: JointTargets | BaseShift | None
 ) -> tuple[EnvironmentState, Sample]:
-    shape, dtype = state.step.shape, state.parameters.kp.dtype
+    shape = state.step.shape
     robots = math.prod(shape)
-    walk = prepare(structure, batch_last(state.law, shape, dtype), batch_last(state.parameters, shape, dtype), robots)
-    carry = jax.tree.map(lambda leaf: _last(leaf, shape), state.carry)
-    step: Callable[..., tuple[Carry, Sample]] = functools.partial(advance, walk)
+    carry, constants = jax.tree.map(lambda leaf: _last(leaf, shape), (state.carry, state.constants))
+    count = state.step.reshape(robots) if shape else state.step  # of one robot as a rollout has it: the same program
+    acting = _hot(action, shape, kind.dtype)
+    # the values of law and parameters do not matter here: all that depends on them is in the state
+    any_law, any_numbers = jax.tree.map(lambda leaf: jnp.ones(leaf.shape, leaf.dtype), kind.like(robots))
+    walk = _prepared(structure, any_law, any_numbers, robots)[1]
+    step = closed_over(functools.partial(advance, walk), carry, count, acting)
+    own = iter(constants)
+    pairs = zip(step.constants, _differing(structure, kind), strict=True)
+    call: Callable[..., tuple[Carry, Sample]] = functools.partial(step.call, [next(own) if d else c for c, d in pairs])
     if structure.in_pieces:
-        step = in_kernels(step)
+        call = in_kernels(call)
         carry = forward_only(carry, "an Environment with in_pieces=False has reverse ones, and is slower")
-    after, sample = step(carry, state.step.reshape(robots), _hot(action, shape, dtype))
+    after, sample = call(carry, count, acting)
     sample = jax.tree.map(lambda leaf: _public(_with_batch(leaf, robots), shape), sample)
-    return EnvironmentState(state.law, state.parameters, state.step + 1, _batch_first(after, shape)), sample
+    return EnvironmentState(state.step + 1, _batch_first(after, shape), state.constants), sample
 
 
 def _with_batch(leaf: ArrayLike, robots: int) -> Array:

@@ -106,9 +106,8 @@ def run(
     )
 
     measurement = Measurement(*base, force, wrench, contacts.support)
-    if action is None:
-        after, command = controller.law.command(law_state, measurement, reference)
-    else:
+    after, command = controller.law.command(law_state, measurement, reference)
+    if action is not None:
         after, command = law_state, shifted_by(reference, displacement_of(action, wrench))
     rotation = quaternion_to_matrix(command.base_orientation)
     target = rotate_back(rotation[:, :, None], command.foot_position - command.base_position[:, None])
