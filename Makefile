@@ -12,9 +12,10 @@ sweep: .venv/.installed
 test: .venv/.installed-test
 	$(PYTEST) -n 2 --dist loadfile -m "not slow" $(COVER)
 
-# One at a time: some of them compare speeds.
+# Those that compare speeds run alone.
 test-slow: .venv/.installed-test
-	$(PYTEST) -m slow
+	$(PYTEST) -n 2 --dist loadfile -m "slow and not timing"
+	$(PYTEST) -m timing
 
 lint: .venv/.installed-dev
 	$(BIN)/ruff check .

@@ -9,6 +9,10 @@ from pathlib import Path
 # before JAX is imported, here and in the programs that tests start; `pytest --cache-clear` empties it
 os.environ.setdefault("MJX_CLIMB_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "d" / "xla"))
 
+from tests import shapes
+
+shapes.check()  # before either package is imported
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +26,7 @@ from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
 options.enable_cache()
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 settings.register_profile("quick", deadline=None, max_examples=50, derandomize=True)
 settings.register_profile("thorough", deadline=None, max_examples=2000)

@@ -1,9 +1,9 @@
-"""Is the time step short enough for this robot's contacts and joint loop? Answered before anything is walked.
+"""Is the time step short enough for this robot's contacts and joints? Answered before anything is walked.
 
-Held by contact springs and joint loop alone (no admittance law, no gravity), the robot is a linear system near each
-posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D v)`, then `x += h v`. Light
-links at the end of a stiff contact are what takes it out of the unit circle. What a law adds is in
-`tuning.judged.stability_limit`.
+Held by contact springs, joint loop and the joints' friction alone (no admittance law, no gravity, no delays), the robot
+is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D
+v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a law
+adds is in `tuning.judged.stability_limit`.
 """
 
 import functools
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mjx_climb.hardware.friction import PRESLIDING, RELAXATION
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.posture import limb_joints
@@ -22,12 +23,13 @@ _ROUNDING = 1e-9
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
+@functools.lru_cache(maxsize=256)
 def growth(scenario: Scenario, time_step: float | None = None) -> float:
     """Return by how much a small disturbance grows in one step, at worst: 1 or less where the step is short enough."""
     h = scenario.time_step if time_step is None else time_step
     worst = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        for mass, stiffness, damping in _systems(scenario):
+        for mass, stiffness, damping in _systems(scenario, h):
             mobility, one = np.linalg.inv(mass), np.eye(len(mass))
             k, d = h * mobility @ stiffness, h * mobility @ damping
             step = np.block([[one - h * k, h * (one - d)], [-k, one - d]])
@@ -43,9 +45,11 @@ def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     Raises:
         ConfigError: there is none above 0.1 microseconds.
     """
+    spans = [scenario.duration, scenario.gait.cycle]
+    spans += [scenario.hardware.control_period] if scenario.hardware.control_period else []
     for step in _STEPS:
         whole = all(math.isclose(span / step, round(span / step), rel_tol=1e-9) and round(span / step) >= 1
-                    for span in (scenario.duration, scenario.gait.cycle))  # fmt: skip
+                    for span in spans)  # fmt: skip
         if whole and growth(scenario, step) <= 1 + _ROUNDING:
             return step
     raise ConfigError(
@@ -62,29 +66,32 @@ def check_time_step(scenario: Scenario, source: str = "scenario") -> None:
     grows = growth(scenario)
     if grows <= 1 + _ROUNDING:
         return
-    contact, control = scenario.contact, scenario.control
+    contact, control, friction = scenario.contact, scenario.control, scenario.hardware.servo.coulomb_friction
+    sticking = f", hardware.servo.coulomb_friction {friction:g}" if friction else ""
     raise ConfigError(
         f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with contact.stiffness "
-        f"{contact.stiffness:g}, contact.damping {contact.damping:g}, control.kp {control.kp:g} and control.kd "
-        f"{control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
+        f"{contact.stiffness:g}, contact.damping {contact.damping:g}{sticking}, control.kp {control.kp:g} and "
+        f"control.kd {control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
         f"{largest_time_step(scenario, source):g} would do"
     )
 
 
-def _systems(scenario: Scenario) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield mass, stiffness and damping matrix (18, 18) at stance and at the height of every limb's swing."""
+def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield mass, stiffness and damping matrix (18, 18) at stance and at the height of every swing, by steps of `h`."""
     model = load_model(scenario.robot)
-    contact, control, walk = scenario.contact, scenario.control, scenario.gait
+    contact, control, walk, servo = scenario.contact, scenario.control, scenario.gait, scenario.hardware.servo
     feet = np.arange(model.nsite)
     for limb in (None, *feet):
         mass, jacobians = _at(scenario.robot, walk.stride, walk.step_height, limb)
         joint = np.diag(np.repeat([0.0, 1.0], [6, model.nv - 6]))
         held = jacobians[feet != limb].reshape(-1, model.nv)
-        yield (
-            mass,
-            control.kp * joint + contact.stiffness * held.T @ held,
-            (control.kd * joint + contact.damping * held.T @ held),
-        )
+        for bristle in {0.0, servo.coulomb_friction / PRESLIDING}:  # slipping, sticking
+            damping = bristle * (RELAXATION + h)
+            yield (
+                mass + (servo.armature + h * damping) * joint,
+                (control.kp + bristle) * joint + contact.stiffness * held.T @ held,
+                (control.kd + servo.viscous_friction + damping) * joint + contact.damping * held.T @ held,
+            )
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,10 +1,13 @@
 """Control laws behind one seam: what is measured and planned goes in, targets of base and feet come out."""
 
+import math
+
 from mjx_climb.control.base_admittance import MeasuredPoseAdmittance, VirtualModelAdmittance
 from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
 from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.motion import Motion
 from mjx_climb.control.pd import PD
-from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.model import Control, Scenario
 
 # (controller, reading of the paper's equation), as a config names them
 LAWS: dict[tuple[str, str], type[Law]] = {
@@ -38,4 +41,17 @@ def law_of(scenario: Scenario) -> Law:
     values = {name: getattr(control, name) for name in law.GAINS}
     # six values of a law of translations alone: the rotations are not its own
     own = {n: v[: law.GAINS[n].length] if isinstance(v, tuple) else v for n, v in values.items()}
-    return law(**own)
+    options = {"motion": _motion(control)} if law in (VirtualModelAdmittance, EndEffectorAdmittance) else {}
+    return law(**own, **options)
+
+
+def _motion(control: Control) -> Motion:
+    def pair(value: float | tuple[float, float] | None) -> tuple[float, float]:
+        return value if isinstance(value, tuple) else (math.inf if value is None else value,) * 2
+
+    return Motion(
+        semi_implicit=control.integration == "semi_implicit",
+        deadband=pair(control.deadband),
+        max_offset=pair(control.max_offset),
+        max_velocity=pair(control.max_velocity),
+    )

@@ -11,7 +11,8 @@ from jax import Array
 from mjx_climb.control.base_shift import shifted
 from mjx_climb.control.impedance import SixAxes
 from mjx_climb.control.law import Command, Measurement, Reference, Start
-from mjx_climb.control.virtual_model import VirtualModel, advance, discretize, rest
+from mjx_climb.control.motion import Mass, Motion, begin, move
+from mjx_climb.control.virtual_model import rest
 from mjx_climb.dynamics.spatial import (
     quaternion_conjugate,
     quaternion_from_rotation_vector,
@@ -32,28 +33,34 @@ class VirtualModelAdmittance(SixAxes):
     The ground pushes the feet with w where something pushes the base with -w, so dx is driven by -w.
     """
 
-    def init(self, start: Start) -> VirtualModel:
-        """Return the virtual mass at rest, (6, B)."""
-        return VirtualModel(discretize(self, start.period), rest(self.stiffness))
+    motion: Motion = Motion()
 
-    def step(self, state: VirtualModel, measurement: Measurement, reference: Reference) -> tuple[VirtualModel, Command]:
+    def init(self, start: Start) -> Mass:
+        """Return the virtual mass at rest, (6, B)."""
+        return begin(self.motion, self, start.period, rest(self.stiffness))
+
+    def step(self, state: Mass, measurement: Measurement, reference: Reference) -> tuple[Mass, Command]:
         """Return the reference with the base shifted."""
         rotation = quaternion_to_matrix(reference.base_orientation)
-        moved = advance(state.transition, state.mass, -_in_reference_axes(rotation, measurement.wrench))
-        turn = quaternion_from_rotation_vector(moved.displacement[3:])
-        return state._replace(mass=moved), shifted(reference, rotation, moved.displacement, turn)
+        moved = move(self.motion, self, state, -_in_reference_axes(rotation, measurement.wrench))
+        displacement = moved.state.displacement
+        turn = quaternion_from_rotation_vector(displacement[3:])
+        return moved, shifted(reference, rotation, displacement, turn)
 
 
 class MeasuredPoseAdmittance(SixAxes):
     """Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
 
     `a = (w - D dxd - K dx) / M`, target `x_b + dt dxd + dt^2 a`; dx is the base's offset from its reference, dxd the
-    base's own velocity. Rotations are twice the vector part of the quaternion.
+    base's own velocity. Rotations are twice the vector part of the quaternion. dt is the `horizon`: what the gains do
+    depends on it.
     """
 
+    horizon: float | None = None  # s; None: the law's own period
+
     def init(self, start: Start) -> float | Array:
-        """Return the length of a step: there is nothing else to remember."""
-        return start.period
+        """Return the horizon: there is nothing else to remember."""
+        return start.period if self.horizon is None else self.horizon
 
     def step(
         self, state: float | Array, measurement: Measurement, reference: Reference

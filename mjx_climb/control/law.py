@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
 _LENGTHS = (1, 3, 6)
@@ -55,6 +56,12 @@ class Start(NamedTuple):
 
     period: float | Array  # s, from one step of the law to the next; an array (B,) where it differs
     reference: Reference  # at the start, with the whole batch: the shapes of all that follows
+
+
+def no_shift(start: Start) -> Array:
+    """Return the shift of a base that stays where the gait wants it, (6, B)."""
+    position = start.reference.base_position
+    return jnp.zeros((6, position.shape[-1]), position.dtype)
 
 
 class GainField(NamedTuple):

@@ -39,13 +39,6 @@ class Transition(NamedTuple):
     vf: Array
 
 
-class VirtualModel(NamedTuple):
-    """The state of a law with a virtual mass: how it moves in a step, which stays the same, and where it is."""
-
-    transition: Transition
-    mass: VirtualState
-
-
 def rest(like: ArrayLike) -> VirtualState:
     """Return the state of a virtual mass at rest, in the shape of `like`."""
     return VirtualState(jnp.zeros_like(like), jnp.zeros_like(like))

@@ -7,9 +7,10 @@ Trailing axes (limbs, batch) stay contiguous and broadcast, so every function he
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 
-def dot(a: Array | np.ndarray, b: Array) -> Array:
+def dot(a: Float[Array | np.ndarray, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*_"]:
     """Return the scalar product over the leading axis, of any length."""
     product = a[0] * b[0]
     for i in range(1, a.shape[0]):
@@ -17,40 +18,44 @@ def dot(a: Array | np.ndarray, b: Array) -> Array:
     return product
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return the vector product over the leading axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def norm(a: Array | np.ndarray) -> Array:
+def norm(a: Float[Array | np.ndarray, "n *rest"]) -> Float[Array, "*rest"]:
     """Return the Euclidean length over the leading axis, with derivative zero at the zero vector."""
     square = jnp.sum(a * a, axis=0)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def rotate(matrix: Array, vector: Array | np.ndarray) -> Array:
+def rotate(matrix: Float[Array, "m n *#rest"], vector: Float[Array | np.ndarray, "n *#rest"]) -> Float[Array, "m *_"]:
     """Return `matrix @ vector`."""
     return matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
 
 
-def rotate_back(matrix: Array | np.ndarray, vector: Array) -> Array:
+def rotate_back(
+    matrix: Float[Array | np.ndarray, "3 3 *#rest"], vector: Float[Array, "3 *#rest"]
+) -> Float[Array, "3 *_"]:
     """Return `matrix.T @ vector`."""
     return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])
 
 
-def compose(first: Array, second: Array | np.ndarray) -> Array:
+def compose(
+    first: Float[Array, "3 3 *#rest"], second: Float[Array | np.ndarray, "3 3 *#rest"]
+) -> Float[Array, "3 3 *_"]:
     """Return the matrix product `first @ second`."""
     return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
 
 
-def rotation_about_z(angle: Array | np.ndarray) -> Array:
+def rotation_about_z(angle: Float[Array | np.ndarray, "*rest"]) -> Float[Array, "3 3 *rest"]:
     """Return the rotation matrix about z, `(3, 3, ...)`, for an angle in rad."""
     c, s, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, zero + 1])])
 
 
-def quaternion_to_matrix(quaternion: Array) -> Array:
+def quaternion_to_matrix(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"]:
     """Return the rotation matrix of a unit quaternion wxyz."""
     w, x, y, z = quaternion
     return jnp.stack(
@@ -62,7 +67,7 @@ def quaternion_to_matrix(quaternion: Array) -> Array:
     )
 
 
-def quaternion_multiply(a: Array, b: Array | np.ndarray) -> Array:
+def quaternion_multiply(a: Float[Array, "4 *#rest"], b: Float[Array | np.ndarray, "4 *#rest"]) -> Float[Array, "4 *_"]:
     """Return the Hamilton product of two quaternions wxyz."""
     return jnp.stack(
         [
@@ -74,17 +79,17 @@ def quaternion_multiply(a: Array, b: Array | np.ndarray) -> Array:
     )
 
 
-def quaternion_conjugate(quaternion: Array) -> Array:
+def quaternion_conjugate(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "4 *rest"]:
     """Return the inverse of a unit quaternion wxyz."""
     return jnp.concatenate([quaternion[:1], -quaternion[1:]])
 
 
-def quaternion_normalize(quaternion: Array) -> Array:
+def quaternion_normalize(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "4 *rest"]:
     """Return the quaternion scaled to unit length."""
     return quaternion / jnp.sqrt(jnp.sum(quaternion * quaternion, axis=0))
 
 
-def quaternion_from_rotation_vector(vector: Array) -> Array:
+def quaternion_from_rotation_vector(vector: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
     """Return the quaternion wxyz of a rotation vector in rad, smooth through zero."""
     square = jnp.sum(vector * vector, axis=0)
     small = square < 1e-6
@@ -95,7 +100,7 @@ def quaternion_from_rotation_vector(vector: Array) -> Array:
     return jnp.concatenate([real[None], scale * vector])
 
 
-def quaternion_about_z(angle: Array | np.ndarray) -> Array:
+def quaternion_about_z(angle: Float[Array | np.ndarray, "*rest"]) -> Float[Array, "4 *rest"]:
     """Return the quaternion wxyz of a rotation about z by an angle in rad."""
     zero = jnp.zeros_like(angle)
     return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])

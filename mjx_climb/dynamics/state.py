@@ -9,18 +9,23 @@ from jaxtyping import Float
 
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_normalize
 
+# with leading batch axes, or in the layout of the hot path
+_Vector = Float[Array, "*batch 3"] | Float[Array, "3 B"]
+_Quaternion = Float[Array, "*batch 4"] | Float[Array, "4 B"]
+_Joints = Float[Array, "*batch joints"] | Float[Array, "N L B"]
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class State:
     """Configuration and velocity of the robot; any leading batch axes, the same for every field."""
 
-    base_position: Float[Array, "*batch 3"]  # m, world, of the base's centre of mass
-    base_orientation: Float[Array, "*batch 4"]  # unit quaternion wxyz, base to world
-    base_linear_velocity: Float[Array, "*batch 3"]  # m/s, world axes
-    base_angular_velocity: Float[Array, "*batch 3"]  # rad/s, world axes
-    joint_angles: Float[Array, "*batch joints"]  # rad, or m, limb after limb, from the base outwards
-    joint_rates: Float[Array, "*batch joints"]  # rad/s, or m/s
+    base_position: _Vector  # m, world, of the base's centre of mass
+    base_orientation: _Quaternion  # unit quaternion wxyz, base to world
+    base_linear_velocity: _Vector  # m/s, world axes
+    base_angular_velocity: _Vector  # rad/s, world axes
+    joint_angles: _Joints  # rad, or m, limb after limb, from the base outwards
+    joint_rates: _Joints  # rad/s, or m/s
 
 
 @jax.tree_util.register_dataclass
@@ -28,9 +33,9 @@ class State:
 class Acceleration:
     """What the equations of motion give; leading batch axes as in the state."""
 
-    base_linear: Float[Array, "*batch 3"]  # m/s^2, world axes, of the base's centre of mass
-    base_angular: Float[Array, "*batch 3"]  # rad/s^2, world axes
-    joints: Float[Array, "*batch joints"]  # rad/s^2, or m/s^2
+    base_linear: _Vector  # m/s^2, world axes, of the base's centre of mass
+    base_angular: _Vector  # rad/s^2, world axes
+    joints: _Joints  # rad/s^2, or m/s^2
 
 
 def joints_to_limbs(joints: Array, limbs: int) -> Array:

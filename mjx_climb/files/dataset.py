@@ -20,7 +20,7 @@ from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.metrics import METRICS, Metric
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
@@ -134,8 +134,9 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
         name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()
     }
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
-    attrs = {"title": "walk of a limbed climbing robot", **_provenance(trajectory.scenario)}
-    attrs |= {"gains": _to_json(trajectory.gains), "parameters": _to_json(trajectory.numbers)}
+    attrs = {"title": "walk of a limbed climbing robot", **provenance(trajectory.scenario)}
+    attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.numbers)}
+    attrs |= {"law": trajectory.law} if trajectory.law else {}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -143,14 +144,16 @@ def sweep_dataset(
     metrics: Mapping[str, np.ndarray],
     coordinates: Mapping[str, np.ndarray | xr.DataArray],
     scenario: Scenario,
+    table: MetricTable = METRICS,
 ) -> xr.Dataset:
     """Return the metrics of a grid of walks as labelled arrays.
 
     Arguments:
-        metrics: arrays of `mjx_climb.METRICS`, with one axis per coordinate, in their order.
+        metrics: arrays of metrics, with one axis per coordinate, in their order.
         coordinates: the values along each axis: names of `COORDINATES`, or others with a DataArray that has
             units.
         scenario: what all the walks have in common.
+        table: the metrics themselves.
 
     Raises:
         ValueError: an unknown metric or coordinate, or shapes that do not fit.
@@ -169,18 +172,18 @@ def sweep_dataset(
     data = {}
     for name, values in metrics.items():
         values = np.asarray(values)
-        if name not in METRICS.names:
-            raise ValueError(f"metric {name}: expected one of {', '.join(METRICS.names)}")
+        if name not in table.names:
+            raise ValueError(f"metric {name}: expected one of {', '.join(table.names)}")
         if values.shape != tuple(shape):
             raise ValueError(f"metric {name}: expected shape {tuple(shape)} as the coordinates, got {values.shape}")
-        attrs = metric_attributes(METRICS[name])
+        attrs = metric_attributes(table[name])
         if name == "detached_limb":
             limbs = load_robot(scenario.robot).limbs
             values = values.astype(np.int32)
             attrs["flag_values"] = np.arange(-1, len(limbs), dtype=np.int32)
             attrs["flag_meanings"] = " ".join(["none", *limbs])
         data[name] = (tuple(coords), values, attrs)
-    attrs = {"title": "metrics of walks of a limbed climbing robot", **_provenance(scenario)}
+    attrs = {"title": "metrics of walks of a limbed climbing robot", **provenance(scenario)}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -212,7 +215,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
     return Scenario.from_yaml(dataset.attrs["scenario"], source).beside(Path(source).parent)
 
 
-def _provenance(scenario: Scenario) -> dict[str, str]:
+def provenance(scenario: Scenario) -> dict[str, str]:
     """Return what is needed to repeat a computation."""
     attrs = {"scenario": scenario.to_yaml()}
     for name, distribution in PACKAGES.items():
@@ -234,7 +237,8 @@ def _git_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def _to_json(values: Gains | Parameters | Mapping[str, np.ndarray]) -> str:
+def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
+    """Return numbers by name as JSON, arrays as lists."""
     by_name = values if isinstance(values, Mapping) else vars(values)
     return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})
 
@@ -297,7 +301,8 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)
-    return Trajectory(scenario_of(dataset), gains, Parameters(**numbers | pushes), limbs, **arrays)
+    given = Parameters(**numbers | pushes)
+    return Trajectory(scenario_of(dataset), gains, given, limbs, law=dataset.attrs.get("law", ""), **arrays)
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:

@@ -11,6 +11,8 @@ from mjx_climb.hardware.stages import Stages
 from mjx_climb.hardware.torque_limit import limited
 from mjx_climb.quantities.parameters import Parameters
 
+_NONE: Any = ()
+
 
 class Servo(NamedTuple):
     """What the servos remember."""
@@ -29,20 +31,29 @@ def target_across_play(target: Array, angles: Array, numbers: Parameters, stages
     return angles + across(target - angles, jnp.asarray(numbers.backlash)) if stages.backlash else target
 
 
+class Drive(NamedTuple):
+    """What the servos do in a step."""
+
+    motor_torque: Array  # (N, L, B) N m
+    joint_torque: Array  # (N, L, B) N m, less friction
+    armature: Any  # (N, L, B) kg m^2, what sticking joints have more of it in this step; () without dry friction
+
+
 def driven(
     servo: Servo, torque: Array, rates: Array, numbers: Parameters, stages: Stages, time_step: float
-) -> tuple[Servo, Array, Array]:
-    """Return the servos after this step, the torques of the motors and those left for the joints, (N, L, B) N m."""
+) -> tuple[Servo, Drive]:
+    """Return the servos after this step and what they do in it, asked for `torque` (N, L, B) N m."""
     buffer, bristle = servo
     if stages.servo_delay:
         buffer, torque = delay.delayed(buffer, torque, jnp.asarray(numbers.servo_delay) / time_step)
     if stages.torque_limit:
         torque = limited(torque, rates, jnp.asarray(numbers.torque_limit), jnp.asarray(numbers.no_load_speed))
-    joint_torque = torque
+    joint_torque, armature = torque, _NONE
     if stages.dry_friction:
+        most = jnp.asarray(numbers.coulomb_friction) + jnp.asarray(numbers.load_friction) * jnp.abs(torque)
         bristle = friction.bent(bristle, rates, time_step)
-        coulomb, load = jnp.asarray(numbers.coulomb_friction), jnp.asarray(numbers.load_friction)
-        joint_torque = joint_torque + friction.dry(bristle, torque, coulomb, load)
+        lost, armature = friction.dry(bristle, rates, most, time_step)
+        joint_torque = joint_torque + lost
     if stages.viscous_friction:
         joint_torque = joint_torque + friction.viscous(rates, jnp.asarray(numbers.viscous_friction))
-    return Servo(buffer, bristle), torque, joint_torque
+    return Servo(buffer, bristle), Drive(torque, joint_torque, armature)

@@ -10,14 +10,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Real
 
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.model import Scenario
 
-_Gain = Float[Array, "*batch_axis"] | Float[np.ndarray, "*batch_axis"] | float
-_JointGain = Float[Array, "*batch"] | Float[np.ndarray, "*batch"] | float
+# batch axes of one gain need not be those of another: they broadcast; the hot path has them last
+_Values = Array | np.ndarray
+_Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | Real[_Values, "6 B"] | float
+_JointGain = Real[_Values, "..."] | float
+_Scalar = Real[_Values, "..."]
+_Vector = Real[_Values, "... 3"] | Real[_Values, "3 B"]
+_Footholds = Real[_Values, "... L N"]
+_Pushes = Real[_Values, "... pushes 3"] | Real[_Values, "pushes 3 B"]
+_PushTimes = Real[_Values, "... pushes"] | Real[_Values, "pushes B"]
 
 
 @jax.tree_util.register_dataclass
@@ -51,46 +58,46 @@ class Parameters:
         {"gravity": 1, "foothold_height": 2, "push_force": 2, "push_moment": 2, "push_start": 1, "push_stop": 1}
     )
 
-    gravity: Array | np.ndarray  # (3,) m/s^2
-    contact_stiffness: Array | np.ndarray  # N/m
-    contact_damping: Array | np.ndarray  # N s/m
-    holding_limit: Array | np.ndarray  # N, infinite where a gripper cannot be torn off
-    kp: Array | np.ndarray  # N m/rad
-    kd: Array | np.ndarray  # N m s/rad
-    stride: Array | np.ndarray  # m
-    step_height: Array | np.ndarray  # m
-    cycle: Array | np.ndarray  # s
-    duty: Array | np.ndarray  # 1
-    heading: Array | np.ndarray  # rad
-    foothold_height: Array | np.ndarray  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
-    cargo_mass: Array | np.ndarray  # kg
-    cargo_start: Array | np.ndarray  # s
-    cargo_stop: Array | np.ndarray  # s
-    push_force: Array | np.ndarray  # (pushes, 3) N
-    push_moment: Array | np.ndarray  # (pushes, 3) N m
-    push_start: Array | np.ndarray  # (pushes,) s
-    push_stop: Array | np.ndarray  # (pushes,) s
-    mass_scale: Array | np.ndarray  # 1, of all masses and inertias of the robot; the cargo's not
-    capture_distance: Array | np.ndarray  # m, infinite: a gripper holds however far off the ground it shuts
-    control_period: Array | np.ndarray  # s, rounded to time steps; 0: the time step
-    command_delay: Array | np.ndarray  # s
-    force_delay: Array | np.ndarray  # s
-    force_noise: Array | np.ndarray  # N
-    force_bias: Array | np.ndarray  # N
-    force_resolution: Array | np.ndarray  # N
-    force_filter: Array | np.ndarray  # Hz, infinite: none
-    base_delay: Array | np.ndarray  # s
-    position_noise: Array | np.ndarray  # m
-    velocity_noise: Array | np.ndarray  # m/s
-    torque_limit: Array | np.ndarray  # N m, infinite: none
-    no_load_speed: Array | np.ndarray  # rad/s, infinite: none
-    armature: Array | np.ndarray  # kg m^2, beside what the robot's file says
-    coulomb_friction: Array | np.ndarray  # N m
-    viscous_friction: Array | np.ndarray  # N m s/rad
-    load_friction: Array | np.ndarray  # 1
-    backlash: Array | np.ndarray  # rad
-    servo_delay: Array | np.ndarray  # s
-    seed: Array | np.ndarray  # whole, below 2^24 so that single precision holds it
+    gravity: _Vector  # (3,) m/s^2
+    contact_stiffness: _Scalar  # N/m
+    contact_damping: _Scalar  # N s/m
+    holding_limit: _Scalar  # N, infinite where a gripper cannot be torn off
+    kp: _Scalar  # N m/rad
+    kd: _Scalar  # N m s/rad
+    stride: _Scalar  # m
+    step_height: _Scalar  # m
+    cycle: _Scalar  # s
+    duty: _Scalar  # 1
+    heading: _Scalar  # rad
+    foothold_height: _Footholds  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
+    cargo_mass: _Scalar  # kg
+    cargo_start: _Scalar  # s
+    cargo_stop: _Scalar  # s
+    push_force: _Pushes  # (pushes, 3) N
+    push_moment: _Pushes  # (pushes, 3) N m
+    push_start: _PushTimes  # (pushes,) s
+    push_stop: _PushTimes  # (pushes,) s
+    mass_scale: _Scalar  # 1, of all masses and inertias of the robot; the cargo's not
+    capture_distance: _Scalar  # m, infinite: a gripper holds however far off the ground it shuts
+    control_period: _Scalar  # s, rounded to time steps; 0: the time step
+    command_delay: _Scalar  # s
+    force_delay: _Scalar  # s
+    force_noise: _Scalar  # N
+    force_bias: _Scalar  # N
+    force_resolution: _Scalar  # N
+    force_filter: _Scalar  # Hz, infinite: none
+    base_delay: _Scalar  # s
+    position_noise: _Scalar  # m
+    velocity_noise: _Scalar  # m/s
+    torque_limit: _Scalar  # N m, infinite: none
+    no_load_speed: _Scalar  # rad/s, infinite: none
+    armature: _Scalar  # kg m^2, beside what the robot's file says
+    coulomb_friction: _Scalar  # N m
+    viscous_friction: _Scalar  # N m s/rad
+    load_friction: _Scalar  # 1
+    backlash: _Scalar  # rad
+    servo_delay: _Scalar  # s
+    seed: _Scalar  # whole, below 2^24 so that single precision holds it
 
 
 def _or_infinite(value: float | None) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.robot_file import RobotError, model_of, spec_of
@@ -48,20 +49,20 @@ class Robot:
     name: str
     limbs: tuple[str, ...]
     model: mujoco.MjModel  # what the numbers were read off
-    base_mass: np.ndarray  # (1,) kg
-    base_inertia: np.ndarray  # (3, 3, 1) kg m^2, base frame
-    link_mass: np.ndarray  # (N, L, 1) kg
-    link_center: np.ndarray  # (N, 3, L, 1) m: [link, component], link frame
-    link_inertia: np.ndarray  # (N, 3, 3, L, 1) kg m^2 about the link's centre of mass, link frame
-    frame_position: np.ndarray  # (N, 3, L, 1) m: [link, component], parent frame
-    frame_rotation: np.ndarray  # (N, 3, 3, L, 1): [link, row, column]
-    foot_center: np.ndarray  # (3, L, 1) m, frame of the last link
-    joint_lower: np.ndarray  # (N, L, 1) rad
-    joint_upper: np.ndarray  # (N, L, 1) rad
-    stance_position: np.ndarray  # (3, 1) m, world
-    stance_orientation: np.ndarray  # (4, 1) wxyz
-    stance_joints: np.ndarray  # (N, L, 1) rad
-    armature: np.ndarray | None = None  # (N, L, 1 or B) kg m^2, of the drives, seen at the joints; None: none
+    base_mass: Float[np.ndarray, " #B"]  # kg
+    base_inertia: Float[np.ndarray, "3 3 #B"]  # kg m^2, base frame
+    link_mass: Float[np.ndarray, "N L #B"]  # kg
+    link_center: Float[np.ndarray, "N 3 L #B"]  # m: [link, component], link frame
+    link_inertia: Float[np.ndarray, "N 3 3 L #B"]  # kg m^2 about the link's centre of mass, link frame
+    frame_position: Float[np.ndarray, "N 3 L #B"]  # m: [link, component], parent frame
+    frame_rotation: Float[np.ndarray, "N 3 3 L #B"]  # [link, row, column]
+    foot_center: Float[np.ndarray, "3 L #B"]  # m, frame of the last link
+    joint_lower: Float[np.ndarray, "N L #B"]  # rad
+    joint_upper: Float[np.ndarray, "N L #B"]  # rad
+    stance_position: Float[np.ndarray, "3 #B"]  # m, world
+    stance_orientation: Float[np.ndarray, "4 #B"]  # wxyz
+    stance_joints: Float[np.ndarray, "N L #B"]  # rad
+    armature: Float[np.ndarray, "N L #B"] | None = None  # kg m^2, of the drives, seen at the joints; None: none
     slides: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: the joint is prismatic; (): none is
 
     @property
@@ -74,8 +75,8 @@ class Robot:
         return np.array(self.slides[link])[:, None] if self.slides and any(self.slides[link]) else None
 
     @property
-    def total_mass(self) -> np.ndarray:
-        """Mass of base and links, (1,) kg."""
+    def total_mass(self) -> Float[np.ndarray, " B"]:
+        """Mass of base and links, kg."""
         mass: np.ndarray = self.base_mass + self.link_mass.sum((0, 1))
         return mass
 

@@ -238,13 +238,14 @@ def _stepped(
     # the values of law and parameters do not matter here: all that depends on them is in the state
     any_law, any_numbers = jax.tree.map(lambda leaf: jnp.ones(leaf.shape, leaf.dtype), kind.like(robots))
     walk = _prepared(structure, any_law, any_numbers, robots)[1]
+    if structure.in_pieces:
+        why = "an Environment with in_pieces=False has reverse ones, and is slower"
+        carry, constants, acting = forward_only((carry, constants, acting), why)
     step = closed_over(functools.partial(advance, walk), carry, count, acting)
     own = iter(constants)
     pairs = zip(step.constants, _differing(structure, kind), strict=True)
     call: Callable[..., tuple[Carry, Sample]] = functools.partial(step.call, [next(own) if d else c for c, d in pairs])
-    if structure.in_pieces:
-        call = in_kernels(call)
-        carry = forward_only(carry, "an Environment with in_pieces=False has reverse ones, and is slower")
+    call = in_kernels(call) if structure.in_pieces else call
     after, sample = call(carry, count, acting)
     sample = jax.tree.map(lambda leaf: _public(_with_batch(leaf, robots), shape), sample)
     return EnvironmentState(state.step + 1, _batch_first(after, shape), state.constants), sample

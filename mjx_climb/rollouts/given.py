@@ -51,10 +51,9 @@ def given(
     law = law_of(scenario) if law is None else checked(law)
     values = values_by_name(law, gains)
     joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
-    own = {name: values.get(name, getattr(law, name)) for name in law.GAINS}
-    whole = {name: array(_full_length(law, name, value)) for name, value in own.items()}
+    law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
     replaced = {name: getattr(numbers, name) for name in joint}
-    law, numbers = dataclasses.replace(law, **whole), dataclasses.replace(numbers, **joint)  # type: ignore[type-var]
+    numbers = dataclasses.replace(numbers, **joint)
     # gains of a law without any still say how many walk
     others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
     shape = jnp.broadcast_shapes(batch_shape(law, numbers), *others)
@@ -63,13 +62,29 @@ def given(
     return Given(law, numbers, shape, replaced)
 
 
+def with_gains(law: Law, gains: AnyGains) -> Law:
+    """Return a law with some of its gains replaced, by name; those of the joint loop are no part of it.
+
+    Raises:
+        ValueError: a name that it does not have.
+    """
+    values = {name: value for name, value in values_by_name(law, gains).items() if name in law.GAINS}
+    changed: Law = dataclasses.replace(law, **values)  # type: ignore[type-var]
+    return changed
+
+
+def has_gains_of_the_paper(law: Law) -> bool:
+    """Tell whether a law's gains are those of `Gains`, as far as it has any."""
+    return isinstance(law, PD) or set(law.GAINS) == set(Gains.AXES)
+
+
 def recorded(scenario: Scenario, gains: AnyGains | None, walker: Given) -> Gains | dict[str, Any]:
     """Return the gains of a walk to be kept with it, six axes each where the law has those of the paper, or none.
 
     A law of translations leaves the rotations as they were given, or as the scenario has them.
     """
     joint = {name: getattr(walker.numbers, name) for name in walker.replaced}
-    if not set(walker.law.GAINS) <= set(Gains.AXES):
+    if not has_gains_of_the_paper(walker.law):
         return {name: getattr(walker.law, name) for name in walker.law.GAINS} | joint
     dtype, six = walker.numbers.kp.dtype, {}
     for name in Gains.AXES:
@@ -79,6 +94,18 @@ def recorded(scenario: Scenario, gains: AnyGains | None, walker: Given) -> Gains
         value[: own.size] = own
         six[name] = value
     return Gains(**six, **joint)
+
+
+def checked_gains(law: Law, values: Mapping[str, Any], array: Callable[[Any], Any] = np.asarray) -> Law:
+    """Return a law with some values replaced, all of its gains as arrays of their full length.
+
+    Raises:
+        ValueError: in one line, a wrong shape, or a gain that is not positive.
+    """
+    own = {name: values.get(name, getattr(law, name)) for name in law.GAINS}
+    whole = {name: array(_full_length(law, name, value)) for name, value in own.items()}
+    changed: Law = dataclasses.replace(law, **whole)  # type: ignore[type-var]
+    return changed
 
 
 def checked(law: Law) -> Law:

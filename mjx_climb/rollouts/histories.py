@@ -12,6 +12,7 @@ from jax import Array
 from jaxtyping import Float
 from numpy.typing import DTypeLike
 
+from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
@@ -66,6 +67,7 @@ def rollout_histories(
         The metrics, and by the names of `LINES` arrays (*batch, 2, stretches) in their units: the least and the
         largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
     """
+    check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, in_pieces=pieces_pay(engine))
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)

@@ -14,6 +14,7 @@ from jax import Array
 from jax.sharding import Sharding
 from numpy.typing import DTypeLike
 
+from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.compilation.first_possible import first_possible
@@ -196,9 +197,10 @@ def rollout(
         engine: the dynamics, one of `mjx_climb.ENGINES`.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: batched gains or parameters (see `rollout_metrics`), or gains that the law does not have.
     """
+    check_time_step(scenario)
     walker = given_in(scenario, law, gains, numbers, dtype)
     if walker.shape != ():
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
@@ -209,7 +211,10 @@ def rollout(
         samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
         samples = jax.tree.map(np.asarray, samples)
     own = dataclasses.replace(walker.numbers, **walker.replaced)
-    return from_samples(samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs)
+    name = "" if law is None else type(law).__name__
+    return from_samples(
+        samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs, name
+    )
 
 
 def given_in(
@@ -247,8 +252,9 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
             heading,
             trajectory.scenario.time_step,
         )
-        found = _accumulated(MetricTable(metrics), samples, context)
-        values = {name: value.item() for name, value in found.items()}
+        table = MetricTable(metrics)
+        found = _accumulated(table, samples, context)
+        values = {name: found[name].item() for name in table.names}
     return named(values, trajectory.limbs)
 
 
@@ -302,9 +308,10 @@ def rollout_metrics(
         Arrays with the batch axes of gains and parameters, by the names of the metrics; NaN and -1 as `simulator` says.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
     """
+    check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
     in_kernel = kernel_pays(engine, dtype)

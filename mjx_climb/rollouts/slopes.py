@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import DTypeLike
 
+from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
@@ -52,10 +53,11 @@ def rollout_slopes(
         The metrics (*batch), and the slopes (k, *batch) of those that are real numbers.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: rates of a gain that the law does not have, or `kp` or `kd` in one of two `Gains` alone.
     """
     _check_same_gains(gains, directions)
+    check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     rates, axes = _rates(walkers, directions, dtype)
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))

@@ -16,6 +16,7 @@ from mjx_climb.scenario.overrides import override
 from mjx_climb.scenario.section import Section
 from mjx_climb.scenario.values import (
     Angle,
+    Bound,
     Duty,
     FileName,
     Gain,
@@ -28,6 +29,7 @@ from mjx_climb.scenario.values import (
     Positive,
     Sequence4,
     ThreeWords,
+    Threshold,
     Vector,
     Word,
 )
@@ -115,12 +117,30 @@ class Control(Section):
     stiffness: Gain = Field(default=5.0e4, description="virtual stiffness K, N/m (translations), N m/rad (rotations)")
     kp: Positive = Field(default=50.0, description="proportional gain of the joint loop, N m/rad")
     kd: NonNegative = Field(default=0.2, description="derivative gain of the joint loop, N m s/rad")
+    integration: Literal["exact", "semi_implicit"] = Field(
+        default="exact",
+        description="of the virtual mass: exact, or semi-implicit Euler in substeps of at most 2 ms, as on the robot",
+    )
+    deadband: Threshold = Field(
+        default=0.0, description="forces and moments below it count as zero, N, N m; a number, or one of each"
+    )
+    max_offset: Bound = Field(
+        default=None, description="largest shift by the virtual mass, m, rad; a number, one of each, or null: any"
+    )
+    max_velocity: Bound = Field(
+        default=None, description="largest rate of the virtual mass, m/s, rad/s; a number, one of each, or null: any"
+    )
 
     @model_validator(mode="after")
     def _reading_fits(self) -> Control:
         if self.controller == "end_effector_admittance" and self.reading != "virtual_model":
             expected = "virtual_model with end_effector_admittance (measured_pose reads base_admittance only)"
             raise failure(expected, key="reading", got=self.reading)
+        if self.controller == "base_admittance" and self.reading == "measured_pose":
+            plain = Control()
+            for key in ("integration", "deadband", "max_offset", "max_velocity"):
+                if (value := getattr(self, key)) != getattr(plain, key):
+                    raise failure("none with measured_pose, which has no virtual mass", key=key, got=value)
         return self
 
 

@@ -42,6 +42,14 @@ Angle = Annotated[Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an a
 Limit = Annotated[NonNegative | None, _expects("a finite number, 0 or above, or null")]
 PositiveOrNull = Annotated[Positive | None, _expects("a finite number above 0, or null")]
 Seed = Annotated[int, Strict(), Field(ge=0, lt=2**24), _expects("a whole number from 0 to below 2^24")]
+Threshold = Annotated[
+    NonNegative | tuple[NonNegative, NonNegative],
+    _expects("a finite number, 0 or above, or two: of translations, of rotations"),
+]
+Bound = Annotated[
+    Positive | tuple[Positive, Positive] | None,
+    _expects("a finite number above 0, two of them (of translations, of rotations), or null"),
+]
 Vector = Annotated[tuple[Finite, Finite, Finite], _expects("a list of three finite numbers")]
 Gain = Annotated[
     Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive],

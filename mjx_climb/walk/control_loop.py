@@ -60,8 +60,7 @@ class Driven(NamedTuple):
 
     command: Command
     joints: JointSolution  # with the targets that the joint loop got
-    motor_torque: Array  # (N, L, B) N m
-    joint_torque: Array  # (N, L, B) N m, less friction
+    drive: servo.Drive
 
 
 def start(state: State, feet: Array, stages: Stages) -> Memory:
@@ -134,5 +133,5 @@ def run(
 
     felt = servo.target_across_play(joints.joint_angles, state.joint_angles, numbers, stages)
     asked = joint_torque(numbers, felt, state.joint_angles, state.joint_rates)
-    servos, motor, left = servo.driven(memory.servo, asked, state.joint_rates, numbers, stages, time_step)
-    return Memory(sensor, buffers, said, targets, servos), after, Driven(command, joints, motor, left)
+    servos, drive = servo.driven(memory.servo, asked, state.joint_rates, numbers, stages, time_step)
+    return Memory(sensor, buffers, said, targets, servos), after, Driven(command, joints, drive)

@@ -51,7 +51,8 @@ class Walk(NamedTuple):
     grip_numbers: Parameters  # with an infinite holding limit where nothing is torn off
     plan: gait.Plan
     controller: control_loop.Controller
-    forward_dynamics: ForwardDynamics
+    engine: Callable[[Robot], ForwardDynamics]
+    drives: Robot  # as the engine takes it: with the armature of the drives
     cycle_start: Callable[[gait.Plan, gait.Schedule, Array, Array], tuple[Array, Array]]
     time_step: float
 
@@ -124,7 +125,8 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=plan,
         controller=control_loop.Controller(begun, geometry, numbers, stages, time_step),
-        forward_dynamics=ENGINES[structure.engine](_lighter_drives(drives, numbers.mass_scale)),
+        engine=ENGINES[structure.engine],
+        drives=drives,
         time_step=structure.time_step,
         cycle_start=gait.CYCLE_STARTS[structure.base_reference],
     )
@@ -143,6 +145,11 @@ def _each(value: Array | np.ndarray, batch: int) -> Array:
     return jnp.broadcast_to(value, (*value.shape[:-1], batch))
 
 
+def _grown(value: Array, batch: int) -> Array:
+    """Return a value for every robot: of a law that each works out at its own steps."""
+    return jnp.broadcast_to(value, jnp.broadcast_shapes(value.shape, (batch,)))
+
+
 def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
     """Return the robot with all masses and inertias times `scale` (B,)."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
@@ -150,7 +157,7 @@ def weighing(robot: Robot, scale: Array | np.ndarray) -> Robot:
 
 
 def _with_armature(robot: Robot, armature: Array) -> Robot:
-    """Return the robot with `armature` (B,) kg m^2 more at every joint than its file says."""
+    """Return the robot with `armature` (B,) or (N, L, B) kg m^2 more at its joints."""
     own: Any = jnp.zeros_like(robot.joint_lower) if robot.armature is None else robot.armature
     return dataclasses.replace(robot, armature=own + armature)
 
@@ -170,13 +177,14 @@ def begin(walk: Walk, batch: int) -> Carry:
         joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     shut = jnp.ones(feet.shape[1:], bool)
     still = jnp.zeros_like(position)
+    stages, initial = walk.controller.stages, walk.controller.law.initial
     state = State(position, orientation, still, still, joints, jnp.zeros_like(joints))
     return Carry(
         state=state,
-        contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if walk.controller.stages.capture else ()),
+        contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if stages.capture else ()),
         gait=position,
-        law=walk.controller.law.initial,
-        hardware=control_loop.start(state, feet, walk.controller.stages),
+        law=[_grown(value, batch) for value in walk.controller.law.initial] if stages.control_period else initial,
+        hardware=control_loop.start(state, feet, stages),
     )
 
 
@@ -215,9 +223,11 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
     push = disturbance.push(numbers, step, walk.time_step)
     # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
     share = 1 / numbers.mass_scale
-    acceleration = walk.forward_dynamics(
+    sticking = driven.drive.armature
+    drives = _with_armature(walk.drives, sticking) if walk.controller.stages.dry_friction else walk.drives
+    acceleration = walk.engine(_lighter_drives(drives, numbers.mass_scale))(
         state,
-        driven.joint_torque * share,
+        driven.drive.joint_torque * share,
         held.force * share,
         push * share,
         cargo * share,
@@ -241,7 +251,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         joint_rates=state.joint_rates,
         joint_accelerations=acceleration.joints,
         joint_targets=driven.joints.joint_angles,
-        joint_torque=driven.motor_torque,
+        joint_torque=driven.drive.motor_torque,
         foot_position=feet.position,
         foot_velocity=feet.velocity,
         foot_target=driven.command.foot_position,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.hardware import backlash, control_period, delay, force_sensor, friction, noise, torque_limit
+from mjx_climb.hardware import backlash, control_period, delay, force_sensor, friction, noise, servo, torque_limit
 from mjx_climb.hardware.stages import IDEAL, stages_of
 
 STEP = 1e-3
@@ -182,15 +182,14 @@ def test_derivative_of_the_torque_speed_line(number):
     np.testing.assert_allclose(slope(torque, at[number]), central(torque, at[number]), rtol=1e-8, atol=1e-9)
 
 
-def slid(force, mass=0.01, coulomb=0.1, load=0.0, steps=4000, step=STEP):
+def slid(force, mass=0.01, coulomb=0.1, steps=4000, step=STEP):
     """Angle and rate of one joint on which `force(t)` N m acts against dry friction, over time."""
 
     def one(carry, n):
         angle, rate, bristle = carry
         bristle = friction.bent(bristle, rate, step)
-        torque = force(n * step)
-        # the contacts' and the joint loop's dampers, in small
-        rate = rate + step / mass * (torque - 0.05 * rate + friction.dry(bristle, torque, coulomb, load))
+        lost, armature = friction.dry(bristle, rate, coulomb, step)
+        rate = rate + step / (mass + armature) * (force(n * step) - 0.05 * rate + lost)
         return (angle + step * rate, rate, bristle), (angle, rate)
 
     return jax.lax.scan(one, (0.0, 0.0, 0.0), jnp.arange(steps))[1]
@@ -210,22 +209,34 @@ def test_a_joint_slips_above_the_friction():
     assert angle[-1] > 1
 
 
+@pytest.mark.parametrize("mass", [1e-5, 1e-3, 1.0])
+@pytest.mark.parametrize("step", [1e-4, 1e-3, 4e-3])
+def test_a_sticking_joint_comes_to_rest_at_any_step_and_mass(mass, step):
+    angle, rate = slid(lambda t: 0.05 * (t < 0.3), mass=mass, coulomb=1.0, steps=round(6 / step), step=step)
+    assert np.abs(angle).max() < friction.PRESLIDING
+    np.testing.assert_allclose(rate[-1], 0, atol=1e-6)
+
+
 def test_friction_dissipates():
-    """A joint that swings to and fro and back to where it was has lost friction times the way, but for the bristles."""
+    """A joint that swings to and fro has lost friction times the way, but for the bristles' bend at each turn."""
     amplitude, steps = 0.2, 4000
     angle = amplitude * np.sin(2 * np.pi * np.arange(steps + 1) / steps)
-    rate = jnp.asarray(np.diff(angle) / STEP)
-    bristle = jnp.zeros(())
-    lost = 0.0
-    for r in rate:
-        bristle = friction.bent(bristle, r, STEP)
-        lost -= float(friction.dry(bristle, jnp.zeros(()), 0.1, 0.0)) * float(r) * STEP
+    bristle, lost = jnp.zeros(()), 0.0
+    for rate in np.diff(angle) / STEP:
+        bristle = friction.bent(bristle, rate, STEP)
+        lost -= float(friction.dry(bristle, rate, 0.1, STEP)[0]) * rate * STEP
     way = np.abs(np.diff(angle)).sum()
     assert 0.1 * (way - 6 * friction.PRESLIDING) < lost < 0.1 * way
 
 
-def test_friction_grows_with_the_load():
-    assert float(friction.dry(jnp.asarray(1.0), jnp.asarray(-2.0), 0.1, 0.25)) == pytest.approx(-0.6)
+def test_friction_grows_with_the_load_and_the_rate():
+    scenario = mc.Scenario().with_overrides({"hardware.servo": {"load_friction": 0.25, "coulomb_friction": 0.1}})
+    numbers = mc.parameters(scenario)
+    rest = jnp.ones((3, 4, 1))
+    memory = servo.Servo((), rest)
+    _, drive = servo.driven(memory, -2.0 * rest, 0.01 * rest, numbers, stages_of(scenario, numbers), STEP)
+    np.testing.assert_allclose(drive.joint_torque, -2.0 - 0.6)
+    np.testing.assert_array_equal(drive.motor_torque, -2.0)
     assert float(friction.viscous(jnp.asarray(3.0), jnp.asarray(0.2))) == pytest.approx(-0.6)
 
 

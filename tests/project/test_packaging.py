@@ -15,7 +15,12 @@ import pytest
 import mjx_climb as mc
 
 ROOT = Path(__file__).parents[2]
-ASSETS = ("mjx_climb/robot/models/*.xml", "mjx_climb/checks/*.json", "tuning/report/page.*")  # beside the code
+ASSETS = (
+    "mjx_climb/robot/models/*.xml",
+    "mjx_climb/checks/*.json",
+    "tuning/report/page.*",
+    "*/py.typed",
+)  # beside the code
 
 pytestmark = pytest.mark.slow
 

@@ -361,7 +361,7 @@ def test_every_way_to_opengl_draws_the_same_picture(name, library, tmp_path):
     if platform.system() != "Linux" or ctypes.util.find_library(library) is None:
         pytest.skip(f"lib{library} is not installed")
     drawn = tmp_path / "drawn.png"
-    folders = os.pathsep.join([str(Path(__file__).parents[1]), str(CONFIG.parents[1])])
+    folders = os.pathsep.join([str(Path(__file__).parent), str(CONFIG.parents[1])])
     environment = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"}  # this process's own
     run = subprocess.run(
         [sys.executable, "-c", DRAW, drawn, name],
@@ -408,11 +408,12 @@ for walk in (shown[:second], shown[second:]):
 
 
 @pytest.mark.slow
+@pytest.mark.timing
 def test_the_viewer_plays_walks_in_turn_in_real_time_shows_their_forces_and_ends():
     """On a display of its own, without a graphics card; a process that ends before the viewer's thread would crash."""
     if shutil.which("xvfb-run") is None:
         pytest.skip("xvfb is not installed")
-    folders = os.pathsep.join([str(Path(__file__).parents[1]), str(CONFIG.parents[1])])
+    folders = os.pathsep.join([str(Path(__file__).parent), str(CONFIG.parents[1])])
     run = subprocess.run(
         ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", sys.executable, "-c", WATCH],
         env={**os.environ, "PYTHONPATH": folders},

@@ -59,10 +59,9 @@ def test_bad_neighbours_change_nothing(scenario, batch, together):
         np.testing.assert_array_equal(result[name][others], values[others], err_msg=name)
     assert result["detached_limb"][LOST] >= 0 and 0 <= result["detached_at"][LOST] < 2.0
     assert np.flatnonzero(result["diverged"]).tolist() == [BLOWN_UP]
-    assert result["detached_limb"][BLOWN_UP] == -1
+    assert result["detached_limb"][BLOWN_UP] >= 0 and 0 <= result["detached_at"][BLOWN_UP] < 2.0
     for name, values in result.items():
-        if values.dtype == float:
-            assert np.isnan(values[BLOWN_UP]), name
+        assert np.isfinite(values[BLOWN_UP]), name
 
 
 def test_parts_of_a_batch_have_its_shape(scenario, batch, together):

@@ -69,8 +69,8 @@ def pareto(
         scenario = options.scenario_from(config, controller, changes)
         engine = options.engine_from(engine)
         wanted = options.search_from(search, space, scenario, config)
-        settings.make({"weights": {better: 1.0}}, "--better")
-        settings.make({"limits": {against: 1.0}}, "--against")
+        for option, metric in (("--better", better), ("--against", against)):
+            settings.check_metrics(settings.make({"weights": {metric: 1.0}}), mc.METRICS, option)
         if better == against:
             raise InputError(f"--against: expected another metric than {better}")
         out = out or Path("results") / f"{config.stem}-pareto"
@@ -137,10 +137,10 @@ def pareto(
 
 def front_table(front: "xr.Dataset", chosen: int) -> "Table":
     """Return the table of a front, some twenty points of it, with the config's gains and pd below."""
-    from tuning.command_line.report import _table
+    from tuning.command_line.report import plain_table
 
     columns, sections = front_rows(front, chosen)
-    table = _table(*columns)
+    table = plain_table(*columns)
     for _, rows in sections:
         for row in rows:
             table.add_row(*row, end_section=row is rows[-1])

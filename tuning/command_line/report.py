@@ -8,7 +8,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from tuning.report.numbers import change, gain, number, to_json, unit
+from tuning.report.numbers import axis_values, change, gain, gain_units, number, to_json, unit
 
 if TYPE_CHECKING:
     import mjx_climb as mc
@@ -36,10 +36,13 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
         return f"diverged at {at:.3f} s"
     if metrics["detached_limb"] is not None:
         return f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s"
+    if missed := metrics.get("missed_grips"):
+        return f"every grip held, but {missed} missed the ground"
     return "held all the way"
 
 
-def _table(*columns: str) -> Table:
+def plain_table(*columns: str) -> Table:
+    """Return an empty table: words to the left, numbers to the right."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
     for name in columns:
         left = name in ("", "metric", "unit")
@@ -47,25 +50,26 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def walk_table(metrics: Mapping[str, Any]) -> Table:
+def walk_table(metrics: Mapping[str, Any], about: "mc.MetricTable | None" = None) -> Table:
     """Return the table of one walk."""
-    table = _table("metric", "value", "unit")
+    table = plain_table("metric", "value", "unit")
     for name, value in metrics.items():
-        table.add_row(name, number(value), unit(name))
+        table.add_row(name, number(value), unit(name, about))
     return table
 
 
-def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
+def comparison_table(walks: "Compared", baseline: str, width: int, about: "mc.MetricTable | None" = None) -> Table:
     """Return walks side by side, each with its change against the baseline where `width` characters have room.
 
     Arguments:
         walks: by name, gains (None for a controller without) and metrics; the baseline is one of them.
         width: of the terminal.
+        about: the metrics themselves; the shipped ones where None.
     """
     gains = {name: held for name, (held, _) in walks.items()}
     metrics = {name: values for name, (_, values) in walks.items()}
     compared = [name for name in walks if name != baseline and width >= 38 + 19 * (len(walks) - 1)]
-    table = _table(
+    table = plain_table(
         "metric", "unit", *(t for name in walks for t in [name, f"vs {baseline} %"][: 1 + (name in compared)])
     )
 
@@ -73,26 +77,29 @@ def comparison_table(walks: "Compared", baseline: str, width: int) -> Table:
         cells = [t for name in walks for t in [values[name], changes.get(name, "")][: 1 + (name in compared)]]
         table.add_row(key, text, *cells, end_section=last)
 
-    for key, text in (("stiffness", "N/m"), ("damping", "N s/m"), ("inertia", "kg")):
-        add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == "inertia")
+    units = gain_units(walks)
+    for key, text in units.items():
+        add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == list(units)[-1])
     for key, base in metrics[baseline].items():
         changes = {name: change(metrics[name][key], base) for name in compared}
-        add(key, unit(key), {name: number(metrics[name][key]) for name in walks}, changes)
+        add(key, unit(key, about), {name: number(metrics[name][key]) for name in walks}, changes)
     return table
 
 
 def gains_table(walks: "Compared") -> Table:
     """Return the gains of walks, axis by axis where the axes differ."""
-    table = _table("metric", *(name for name in walks if walks[name][0] is not None))
+    table = plain_table("metric", *(name for name in walks if walks[name][0] is not None))
     table.columns[0].header = "gain"
     held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
-    for key in ("stiffness", "damping", "inertia"):
-        six = {name: np.broadcast_to(np.asarray(gains[key], float), 6) for name, gains in held.items()}
+    for key in gain_units(walks):
+        six = {name: axis_values(gains.get(key)) for name, gains in held.items()}
         if all(np.ptp(values) == 0 for values in six.values()):
             table.add_row(key, *(f"{values[0]:.4g}" for values in six.values()))
             continue
         for axis, label in enumerate(("x", "y", "z", "rx", "ry", "rz")):
             table.add_row(f"{key} {label}", *(f"{values[axis]:.4g}" for values in six.values()), end_section=axis == 5)
     for key in ("kp", "kd"):
+        if any(key not in gains for gains in held.values()):
+            continue
         table.add_row(key, *(f"{gains[key]:.4g}" for gains in held.values()))
     return table

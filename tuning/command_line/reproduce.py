@@ -183,7 +183,7 @@ def as_json(found: Reproduction) -> dict[str, Any]:
     ]
     case = found.published
     published = {
-        "cost_of_transport": paper._pair([case.baseline_cost, case.proposed_cost]),
+        "cost_of_transport": paper.before_and_after([case.baseline_cost, case.proposed_cost]),
         "baseline_detaches": case.baseline_fails,
         "claims": {name: claim.text for name, claim in paper.CLAIMS.items()},
     }

@@ -117,9 +117,11 @@ def schedule(
 
 def schedule_table(rows: list[dict[str, Any]]) -> "Table":
     """Return the table of a schedule: gains, and force variation against pd."""
-    from tuning.command_line.report import _table, change, gain, number
+    from tuning.command_line.report import change, gain, number, plain_table
 
-    table = _table("gravity G", "cargo kg", "stiffness", "damping", "force variation N", "vs config %", "vs pd %", "")
+    table = plain_table(
+        "gravity G", "cargo kg", "stiffness", "damping", "force variation N", "vs config %", "vs pd %", ""
+    )
     for row in rows:
         tuned, config, pd = (row["force_variation"][walk] for walk in ("tuned", "config", "pd"))
         cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", gain(row, "stiffness"), gain(row, "damping")]

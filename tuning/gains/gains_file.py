@@ -1,57 +1,99 @@
-"""Gains files: the gains that a search found, as YAML with keys inertia, damping, stiffness and perhaps kp and kd."""
+"""Gains files: the gains that a search found, as YAML with keys inertia, damping, stiffness and perhaps kp and kd.
+
+Those of a law of one's own are named as the law names them, and `law` says whose they are.
+"""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
 import yaml
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import write_text_atomically
+from mjx_climb.rollouts.given import AnyGains, checked_gains
 from mjx_climb.scenario.messages import ConfigError, config_error
 from mjx_climb.scenario.model import overridden
 from mjx_climb.scenario.yaml_text import parse, read
+from tuning.gains import law_file
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
 OPTIONAL = ("kp", "kd")
+LAW = "law"  # FILE.py:NAME of the law whose gains they are, where it is not one of the program's
 
 
-def load(path: str | os.PathLike[str]) -> mc.Gains:
+@overload
+def load(path: str | os.PathLike[str], law: None = None) -> mc.Gains: ...
+
+
+@overload
+def load(path: str | os.PathLike[str], law: mc.Law) -> dict[str, Any]: ...
+
+
+def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> mc.Gains | dict[str, Any]:
     """Read a gains file.
 
+    Arguments:
+        path: the file.
+        law: whose gains are wanted, where it is not one of the program's.
+
     Raises:
-        ConfigError: in one line, what is wrong with the file or a value.
+        ConfigError: in one line, what is wrong with the file or a value, or the gains are those of another law.
     """
     source = os.fsdecode(path)
     data = parse(read(source), source)
+    required = REQUIRED if law is None else tuple(law.GAINS)
     if not isinstance(data, dict):
-        raise ConfigError(f"{source}: expected a mapping with keys {', '.join(REQUIRED + OPTIONAL)}")
+        raise ConfigError(f"{source}: expected a mapping with keys {', '.join((*required, *OPTIONAL))}")
+    law_file.check_reference(law, data.pop(LAW, None), source)
     for key in data:
-        if key not in REQUIRED + OPTIONAL:
-            raise config_error(source, key, f"only the keys {', '.join(REQUIRED + OPTIONAL)}", "another")
-    for key in REQUIRED:
+        if key not in (*required, *OPTIONAL):
+            raise config_error(source, key, f"only the keys {', '.join((*required, *OPTIONAL))}", "another")
+    for key in required:
         if key not in data:
             raise config_error(source, key, "a value", "none")
+    joint = data if law is None else {key: value for key, value in data.items() if key in OPTIONAL}
     try:
-        control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in data.items()}, source)
+        control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in joint.items()}, source).control
     except ConfigError as error:
         raise ConfigError(str(error).replace(f"{source}: control.", f"{source}: ", 1)) from None
-    return mc.Gains(**{key: np.asarray(getattr(control.control, key), float) for key in data})
+    values = {key: np.asarray(getattr(control, key), float) for key in joint}
+    return mc.Gains(**values) if law is None else values | _own(law, data, source)
 
 
-def save(gains: mc.Gains, path: str | os.PathLike[str], comment: str = "") -> Path:
-    """Write a gains file, with `comment` on top, and return its path.
+def _own(law: mc.Law, data: dict[str, Any], source: str) -> dict[str, Any]:
+    """Return the values of a law's own gains, checked."""
+    try:
+        values = {key: np.asarray(data[key], float) for key in law.GAINS}
+        changed = checked_gains(law, values)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{source}: {str(error).removeprefix('gains.')}") from None
+    return {key: getattr(changed, key) for key in values}
+
+
+def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: mc.Law | None = None) -> Path:
+    """Write a gains file, with `comment` on top, and return its path; `law` is the one that they belong to.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    values = {key: getattr(gains, key) for key in REQUIRED + OPTIONAL}
-    plain = {key: np.asarray(value, float).tolist() for key, value in values.items() if value is not None}
+    plain: dict[str, Any] = {} if law is None else {LAW: law_file.reference(law)}
+    plain |= {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
     lines = "".join(f"# {line}\n" for line in comment.splitlines())
     return write_text_atomically(path, lines + yaml.safe_dump(plain, sort_keys=False, default_flow_style=None))
 
 
-def applied(scenario: mc.Scenario, gains: mc.Gains) -> mc.Scenario:
-    """Return the scenario with these gains in its control section."""
-    values = {key: getattr(gains, key) for key in REQUIRED + OPTIONAL}
-    return scenario.with_overrides({f"control.{key}": value for key, value in values.items() if value is not None})
+def by_name(gains: AnyGains) -> dict[str, Any]:
+    """Return gains as a mapping, without those that are not given."""
+    if isinstance(gains, mc.Law):
+        return {name: getattr(gains, name) for name in gains.GAINS}
+    values = gains if isinstance(gains, Mapping) else vars(gains)
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
+    """Return the scenario with these gains in its control section, as far as it has them."""
+    values = {name: value for name, value in by_name(gains).items() if name in REQUIRED + OPTIONAL}
+    return scenario.with_overrides({f"control.{key}": value for key, value in values.items()})

@@ -127,9 +127,9 @@ def detachment(baseline: mc.Trajectory, proposed: mc.Trajectory, published: Case
     pull = [_peak_pull(walk) for walk in (baseline, proposed)]
     limit = baseline.scenario.contact.holding_limit
     measured = {
-        "detached_at": _pair([None if loss is None else loss[0] for loss in lost]),
-        "detached_limb": _pair([None if loss is None else loss[1] for loss in lost]),
-        "peak_pull_force": _pair(pull),
+        "detached_at": before_and_after([None if loss is None else loss[0] for loss in lost]),
+        "detached_limb": before_and_after([None if loss is None else loss[1] for loss in lost]),
+        "peak_pull_force": before_and_after(pull),
         "holding_limit": limit,
     }
     names = [
@@ -181,7 +181,7 @@ def cost_of_transport(baseline: mc.Trajectory, proposed: mc.Trajectory, publishe
     stated = f"in the paper {_went(paper, '')}" if None not in paper else ""
     if not stated and published.baseline_fails and published.proposed_cost is not None:
         stated = f"in the paper the baseline fails and the proposed controller costs {_number(published.proposed_cost)}"
-    measured = {**_measured(cost_of_transport=cost), "published": _pair(paper)}
+    measured = {**_measured(cost_of_transport=cost), "published": before_and_after(paper)}
     if None in cost:
         return Verdict(None, measured, "Nothing can be said of the cost of transport: a walk got nowhere.")
     holds = _falls(*cost)
@@ -199,7 +199,7 @@ def moves_with_push(baseline: mc.Trajectory, proposed: mc.Trajectory, _: Case) -
     listed = [", ".join(f"{1e3 * value:.2f}" for value in values) for values in shifts]
     return Verdict(
         holds,
-        _measured(mean_shift=mean) | {"shifts": _pair(shifts)},
+        _measured(mean_shift=mean) | {"shifts": before_and_after(shifts)},
         f"The base {'moves further with every push' if holds else 'does not move further with every push'}: "
         f"on average over each push {listed[1]} mm along it, {listed[0]} mm under the baseline.",
     )
@@ -312,13 +312,16 @@ def _falls(before: float, after: float) -> bool:
 # Words
 
 
-def _pair(values: Sequence[Any]) -> dict[str, Any]:
+def before_and_after(values: Sequence[Any]) -> dict[str, Any]:
+    """Return two values by whose they are: the baseline's, and the proposed controller's."""
     return dict(zip(("baseline", "proposed"), values, strict=True))
 
 
 def _measured(**pairs: Sequence[float | None]) -> dict[str, Any]:
     """Return pairs by name, and as `change` the relative change of the first."""
-    return {name: _pair(values) for name, values in pairs.items()} | {"change": _change(next(iter(pairs.values())))}
+    return {name: before_and_after(values) for name, values in pairs.items()} | {
+        "change": _change(next(iter(pairs.values())))
+    }
 
 
 def _change(values: Sequence[float | None]) -> float | None:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.compilation.options import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.rollouts.given import AnyGains
 from tuning.problem.objectives import Goal
 from tuning.problem.spaces import Space, to_gains64
 
@@ -56,6 +57,8 @@ class Problem:
     members: int = 1
     dtype: type = np.float32
     engine: str = DEFAULT_ENGINE
+    metrics: mc.MetricTable = mc.METRICS
+    law: mc.Law | None = None  # the scenario's where None
 
     def env_steps(self, points: int, tangents: int = 0) -> int:
         """Return what judging so many points costs; a step with k tangents counts 1 + k."""
@@ -66,7 +69,9 @@ class Problem:
     ) -> Evaluation:
         """Walk with the gains of B points and judge them, with slopes along some directions."""
         theta = np.asarray(theta, float)
-        walk: dict[str, Any] = {"dtype": self.dtype, "engine": self.engine, "smooth": True}
+        walk: dict[str, Any] = {
+            "metrics": self.metrics, "dtype": self.dtype, "engine": self.engine, "smooth": True, "law": self.law,
+        }  # fmt: skip
         if directions is None:
             metrics = mc.rollout_metrics(self.scenario, to_gains64(self.space, theta), self.numbers, **walk)
             with jax.enable_x64(np.dtype(self.dtype) == np.float64):
@@ -86,7 +91,7 @@ def _on_host(found: Evaluation) -> Evaluation:
     return arrays
 
 
-def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[mc.Gains, mc.Gains]:
+def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[AnyGains, AnyGains]:
     """Return the gains (B, 6) of points and their rates of change (k, B, 6) along directions (k, n)."""
     with jax.enable_x64(True):
         along = jnp.broadcast_to(directions[:, None, :], (len(directions), *theta.shape))
@@ -130,15 +135,17 @@ def _judged_slopes(
 
 
 @functools.lru_cache(maxsize=8)
-def baseline(scenario: mc.Scenario, engine: str = DEFAULT_ENGINE) -> dict[str, float]:
+def baseline(
+    scenario: mc.Scenario, engine: str = DEFAULT_ENGINE, metrics: mc.MetricTable = mc.METRICS
+) -> dict[str, float]:
     """Return the metrics of pd in float64 with nothing torn off, and their smooth companions."""
     enable_cache()
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
     with jax.enable_x64(True):
-        simulate = mc.simulator(pd, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
+        simulate = mc.simulator(pd, metrics=metrics, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
         numbers = jax.tree.map(np.asarray, mc.parameters(pd))
         gains = mc.Gains(np.ones(6), np.ones(6), np.ones(6))
-        metrics = jax.jit(simulate, compiler_options=mc.compiler_options(1, in_pieces=mc.pieces_pay(engine)))(
+        found = jax.jit(simulate, compiler_options=mc.compiler_options(1, in_pieces=mc.pieces_pay(engine)))(
             gains, numbers
         )
-        return {name: float(value) for name, value in metrics.items()}
+        return {name: float(value) for name, value in found.items()}

@@ -23,7 +23,7 @@ Metrics = Mapping[str, Array]
 _PENALTY = 100.0
 _BEND = 0.1
 _MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
-_PD_MARGIN = 0.005
+PD_MARGIN = 0.005
 
 
 class Score(NamedTuple):
@@ -75,8 +75,8 @@ Judge = Callable[[Metrics], Array] | Goal  # what a user may give: a function in
 class Objective:
     """Terms and limits, or the user's own function in place of the terms.
 
-    `function` maps a mapping of metrics (those of `mjx_climb.METRICS` and their smooth companions, arrays of any
-    shape) to an array of that shape, by operations of jax.numpy.
+    `function` maps a mapping of metrics (those of the walks and their smooth companions, arrays of any shape) to an
+    array of that shape, by operations of jax.numpy.
     """
 
     terms: tuple[Term, ...]
@@ -91,7 +91,7 @@ class Objective:
             value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
         slacks = [violation(limit, metrics[limit.metric]) for limit in self.limits]
         pairs = zip(self.limits, slacks, strict=True)
-        penalty = sum((_penalty(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
+        penalty = sum((penalty_of(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
         feasible = jnp.isfinite(value)
         for slack in slacks:
             feasible &= slack <= 0
@@ -116,13 +116,13 @@ def worthless(score: Score, lost: Array) -> Score:
     return Score(value, descent, penalty, score.feasible & ~lost)
 
 
-def _penalty(over: Array) -> Array:
+def penalty_of(over: Array | np.ndarray) -> Array:
     """Return 0 inside, a parabola just outside, a straight line of slope 10 far outside."""
     over = jnp.maximum(over, 0.0)
     return _PENALTY * over**2 / (1 + over / _BEND)
 
 
-def violation(limit: Limit, value: Array) -> Array:
+def violation(limit: Limit, value: Array | np.ndarray) -> Array | np.ndarray:
     """Return by how much a limit is passed, relative to its scale; negative inside."""
     over = value - _by_row(limit.value)
     return (-over if limit.larger_is_better else over) / _by_row(limit.scale)
@@ -137,6 +137,7 @@ def objective(
     search: Search,
     baseline: Mapping[str, float],
     function: Callable[[Metrics], Array] | None = None,
+    metrics: mc.MetricTable = mc.METRICS,
 ) -> Objective:
     """Return the objective that the settings ask for.
 
@@ -145,6 +146,7 @@ def objective(
         search: weights and limits.
         baseline: metrics of pd with their smooth companions, see `tuning.problem.evaluation.baseline`.
         function: the user's own in place of the weighted terms.
+        metrics: what may be weighed and limited.
 
     Raises:
         ConfigError: pd diverges, or has no value of a metric that is weighed.
@@ -162,11 +164,11 @@ def objective(
             raise ConfigError(
                 f"weights.{metric}: expected a metric that pd has here, got {baseline[metric]:g} under pd"
             )
-        terms.append(Term(metric, weight, baseline[metric], smooth, mc.METRICS[metric].larger_is_better))
+        terms.append(Term(metric, weight, baseline[metric], smooth, metrics[metric].larger_is_better))
     limits: list[Limit] = []
 
     def limit(metric: str, value: float, margin: float, reason: str) -> None:
-        about = mc.METRICS[metric]
+        about = metrics[metric]
         scale = about.scale or abs(value) or 1.0
         limits.append(Limit(metric, float(value), max(scale, abs(value)), margin, reason, about.larger_is_better))
 
@@ -184,5 +186,5 @@ def objective(
     if search.no_worse_than_pd:
         for term in terms:
             if term.metric not in search.limits:
-                limit(term.metric, baseline[term.metric], _PD_MARGIN, "no worse than pd")
+                limit(term.metric, baseline[term.metric], PD_MARGIN, "no worse than pd")
     return Objective(tuple(terms), tuple(limits), function)

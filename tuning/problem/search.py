@@ -6,14 +6,16 @@ from typing import Annotated, Any, Literal, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-import mjx_climb as mc
-from mjx_climb.walk.metrics import FAILURES
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import FAILURES, MetricTable
 from tuning.problem import settings
 
-Method = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+Shipped = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune.tune`
+Method = Shipped | Literal["own"]
 Layout = Literal["isotropic", "split", "diagonal"]
 
-METHODS: tuple[str, ...] = get_args(Method)
+METHODS: tuple[str, ...] = get_args(Shipped)
 LAYOUTS: tuple[str, ...] = get_args(Layout)
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -31,6 +33,7 @@ class Search(BaseModel):
     method: Method = Field(default="gradient", description="how to search")
     space: Layout = Field(default="isotropic", description="which axes share their gains")
     inertia: bool = Field(default=False, description="search the virtual inertia as well")
+    also: tuple[str, ...] = Field(default=(), description="gains of the law to search that are left alone otherwise")
     joint_gains: bool = Field(default=False, description="search kp and kd of the joint loop as well")
     bounds: dict[str, tuple[_Positive, _Positive]] = Field(
         default={}, description="lowest and highest value of a gain, as stiffness, stiffness.rotation, stiffness.rx"
@@ -54,10 +57,7 @@ class Search(BaseModel):
     precision: Literal["float32", "float64"] = Field(default="float32", description="of the search's simulations")
 
     @model_validator(mode="after")
-    def _known_metrics(self) -> "Search":
-        for name in (*self.weights, *self.limits):
-            if name not in mc.METRICS.names or name in FAILURES:
-                raise ValueError(f"{name!r} is no metric to weigh or limit")
+    def _makes_sense(self) -> "Search":
         if not any(self.weights.values()):
             raise ValueError("weights: expected one above 0")
         for name, (low, high) in self.bounds.items():
@@ -77,6 +77,17 @@ def make(values: dict[str, Any], source: str = "search") -> Search:
         ConfigError: in one line, key and what is wrong.
     """
     return settings.validated(Search, values, source)
+
+
+def check_metrics(search: Search, metrics: MetricTable, source: str = "search") -> None:
+    """Refuse settings that weigh or limit what is no metric.
+
+    Raises:
+        ConfigError: in one line, the source and the name.
+    """
+    for name in (*search.weights, *search.limits):
+        if name not in metrics.names or name in FAILURES:
+            raise ConfigError(f"{source}: {name!r} is no metric to weigh or limit")
 
 
 def load(path: str | os.PathLike[str]) -> Search:

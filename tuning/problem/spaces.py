@@ -2,11 +2,13 @@
 
 A point theta holds natural logarithms, so every gain is positive. Names of its coordinates: `damping` and
 `stiffness` where all axes share a gain; `damping.translation`, `damping.rotation`; or `damping.x`, .. `damping.rz`;
-likewise `inertia`; and `kp`, `kd`.
+likewise any other gain of six axes; a gain of three has translations alone, a gain of one number is one coordinate. And
+`kp`, `kd`.
 """
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,27 +17,14 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
-from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.search import Search
 
-SIX_AXES = ("inertia", "damping", "stiffness")
-JOINT = ("kp", "kd")
 PARTS = ("translation", "rotation")
-
-# kg, N s/m, N/m; kg m^2, N m s/rad, N m/rad; N m/rad; N m s/rad. A rotation's gain is about a lever squared, 0.04 m^2,
-# times that of a translation with the same effect at the feet.
-BOUNDS: dict[str, tuple[float, float]] = {
-    "inertia": (1e-1, 1e2),
-    "damping": (1e0, 1e5),
-    "stiffness": (1e2, 1e6),
-    "inertia.rotation": (1e-2, 1e1),
-    "damping.rotation": (1e-1, 1e4),
-    "stiffness.rotation": (1e1, 1e5),
-    "kp": (10.0, 200.0),
-    "kd": (0.02, 2.0),
-}
+JOINT = {"kp": (10.0, 200.0), "kd": (0.02, 2.0)}  # bounds, N m/rad and N m s/rad
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,20 +42,23 @@ class Space:
         """How many numbers are searched."""
         return len(self.names)
 
-    def to_gains(self, theta: Float[Array, "*batch n"]) -> mc.Gains:
-        """Return the gains of points, with their batch axes."""
+    def to_gains(self, theta: Float[Array, "*batch n"]) -> AnyGains:
+        """Return the gains of points, with their batch axes: `mc.Gains` where they are the paper's, else by name."""
         fixed = jnp.broadcast_to(jnp.asarray(self.fixed, theta.dtype), (*theta.shape[:-1], self.fixed.size))
         values = jnp.exp(jnp.concatenate([theta, fixed], axis=-1))
-        return mc.Gains(**{name: values[..., index] for name, index in self.index.items()})
+        by_name = {name: values[..., index] for name, index in self.index.items()}
+        return mc.Gains(**by_name) if set(by_name) - set(JOINT) == set(mc.Gains.AXES) else by_name
 
-    def from_gains(self, gains: mc.Gains) -> np.ndarray:
+    def from_gains(self, gains: AnyGains) -> np.ndarray:
         """Return the point (n,) nearest to some gains: geometric means of shared ones, clipped to the bounds."""
         theta = np.zeros(self.size)
+        by_name = gains if isinstance(gains, Mapping) else vars(gains)
         for name, index in self.index.items():
-            value = getattr(gains, name)
+            value = by_name.get(name)
             if value is None:
                 continue
-            logs = np.broadcast_to(np.log(np.asarray(value, float)), np.shape(index))
+            with np.errstate(divide="ignore"):
+                logs = np.broadcast_to(np.log(np.asarray(value, float)), np.shape(index))
             for place in np.unique(index[index < self.size]):
                 theta[place] = logs[index == place].mean()
         return self.clip(theta)
@@ -99,21 +91,21 @@ class Space:
         return [name for name, on in zip(self.names, beside, strict=True) if on]
 
 
-def space(scenario: mc.Scenario, search: Search) -> Space:
-    """Return the space that the settings ask for around a scenario's own gains.
+def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> Space:
+    """Return the space that the settings ask for around a law's own gains, the scenario's law where None is given.
 
     Raises:
         ConfigError: bounds or pins of a gain that is not there, a controller without gains, nothing left to search.
     """
-    control = scenario.control
-    if control.controller == "pd" and not search.joint_gains:
+    law = law_of(scenario) if law is None else law
+    if not law.GAINS and not search.joint_gains:
         raise ConfigError("control.controller: expected an admittance law, got pd, which has no gains to search")
-    own, defaults = gains_of(scenario), default_bounds(scenario)
-    wanted = [*(("inertia",) if search.inertia else ()), "damping", "stiffness"]
-    if control.controller == "pd":
-        wanted = []
-    translations_only = control.controller == "end_effector_admittance"
-    known = {"kp", "kd"} if search.joint_gains else set()
+    asked = {*search.also, *(("inertia",) if search.inertia else ())}
+    if unknown := sorted({*search.also} - set(law.GAINS)):
+        raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
+    wanted = [name for name, field in law.GAINS.items() if field.searched or name in asked]
+    defaults = {**law.search_bounds(scenario.time_step), **JOINT}
+    known = set(JOINT) if search.joint_gains else set()
     names, lower, upper, fixed = [], [], [], []
     places: dict[str, int | list[int]] = {}
 
@@ -125,34 +117,36 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
             fixed.append(np.log(pinned[-1]))
             return -len(fixed)
         low, high = _bounds(keys, search, defaults)
+        if not low > 0:
+            raise ConfigError(f"bounds.{name}: expected a low end above 0 to search it, got {low:g}")
         names.append(name)
         lower.append(np.log(low))
         upper.append(np.log(high))
         return len(names) - 1
 
     def keep(value: float) -> int:
-        fixed.append(np.log(value))
+        with np.errstate(divide="ignore"):
+            fixed.append(np.log(value))
         return -len(fixed)
 
-    for gain in SIX_AXES:
-        values = np.broadcast_to(np.asarray(getattr(own, gain), float), 6)
+    for gain, value in own_values(scenario, law).items():
+        values = np.atleast_1d(value)
+        axes = law.GAINS[gain].length if gain in law.GAINS else 0  # that the law has; more are kept
+        kept = values[axes:]
         if gain not in wanted:
             if gain in search.pins:
                 known.add(gain)
-                values = np.full(6, search.pins[gain])
-            places[gain] = [keep(value) for value in values]
-        elif search.space == "isotropic":
-            places[gain] = [add(gain, [gain])] * 6
+                values = np.full(values.size, search.pins[gain])
+            own = [keep(value) for value in values]
+        elif axes == 1 or search.space == "isotropic":
+            own = [add(gain, [gain])] * axes + [keep(value) for value in kept]
         elif search.space == "split":
-            pair = [add(f"{gain}.{part}", [gain, f"{gain}.{part}"]) for part in PARTS[: 2 - translations_only]]
-            places[gain] = [pair[0]] * 3 + ([keep(v) for v in values[3:]] if translations_only else [pair[1]] * 3)
+            pair = [add(f"{gain}.{part}", [gain, f"{gain}.{part}"]) for part in PARTS[: axes // 3]]
+            own = [place for place in pair for _ in range(3)] + [keep(value) for value in kept]
         else:
-            places[gain] = [
-                keep(values[axis])
-                if translations_only and axis > 2
-                else add(f"{gain}.{SIX[axis]}", [gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"])
-                for axis in range(6)
-            ]
+            keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"] for axis in range(axes)]
+            own = [add(each[-1], each) for each in keys] + [keep(value) for value in kept]
+        places[gain] = own if np.ndim(value) else own[0]
     if search.joint_gains:
         for gain in JOINT:
             places[gain] = add(gain, [gain])
@@ -170,10 +164,24 @@ def space(scenario: mc.Scenario, search: Search) -> Space:
     return Space(tuple(names), np.asarray(lower), np.asarray(upper), index, np.asarray(fixed, float))
 
 
-def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> mc.Gains:
+def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:
+    """Return the values of a law's gains by name, each (length,), of length 1 ().
+
+    A law with the paper's gains has six of each, or leaves those that it has not to the scenario, as `mc.Gains` does.
+    """
+    own = {n: np.broadcast_to(np.asarray(getattr(law, n), float), field.length) for n, field in law.GAINS.items()}
+    if not has_gains_of_the_paper(law):
+        return {name: values if law.AXES[name] else values[0] for name, values in own.items()}
+    whole = {name: np.array(np.broadcast_to(getattr(scenario.control, name), 6), float) for name in mc.Gains.AXES}
+    for name, values in own.items():
+        whole[name][: values.size] = values
+    return whole
+
+
+def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> AnyGains:
     """Return the gains of points in double precision, whatever JAX is set to."""
     with jax.enable_x64(True):
-        gains: mc.Gains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(theta)))
+        gains: AnyGains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(theta)))
         return gains
 
 
@@ -185,20 +193,3 @@ def _hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: n
 def _bounds(keys: list[str], search: Search, defaults: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
     """Return the bounds of a gain: the user's before the defaults, each from the particular key to the general."""
     return next(source[key] for source in (search.bounds, defaults) for key in reversed(keys) if key in source)
-
-
-def default_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
-    """Return the bounds by key: `BOUNDS`, and for the measured pose what its time step makes of the gains.
-
-    There one step takes the shares dt D / M of the rate and dt^2 K / M of the offset out of the target; the base is
-    held only by shares of the order of one.
-    """
-    if scenario.control.reading != "measured_pose":
-        return BOUNDS
-    mass = float(np.exp(np.log(scenario.control.inertia).mean()))
-    step = scenario.time_step
-    return {
-        **{key: BOUNDS[key] for key in ("inertia", "inertia.rotation", *JOINT)},
-        "damping": (mass / step, 1e2 * mass / step),
-        "stiffness": (1e-2 * mass / step**2, mass / step**2),
-    }

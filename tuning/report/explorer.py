@@ -26,6 +26,7 @@ def explorer(
     baseline: str = "pd",
     shown: tuple[str, ...] | None = None,
     points: Mapping[str, Any] | None = None,
+    about: mc.MetricTable = mc.METRICS,
 ) -> dict[str, Any]:
     """Return one interactive part of a page.
 
@@ -36,13 +37,14 @@ def explorer(
         baseline: the walk that all others are compared with; disturbances and grip changes are its own.
         shown: walks that are drawn at first; all where None.
         points: many walks to choose from, see `grid_points`.
+        about: the metrics themselves.
     """
     first = walks[baseline]
     count, steps = stretches(first.scenario.steps)
     return {
         "title": title,
         "baseline": baseline,
-        "metrics": _metric_texts(),
+        "metrics": _metric_texts(about),
         "lines": [
             {"name": name, "label": text, "unit": SCALES.get(unit, (1, unit))[1], "factor": SCALES.get(unit, (1, 0))[0]}
             for name, (unit, text, _) in LINES.items()
@@ -76,47 +78,48 @@ def grid_points(
     marks: Mapping[str, tuple[float, float]],
     chosen: xr.Dataset | None,
 ) -> dict[str, Any]:
-    """Return the cells of a grid over stiffness and damping for `explorer`.
+    """Return the cells of a grid over two gains for `explorer`.
 
     Arguments:
-        grid: metrics over (stiffness, damping), and other variables to draw over them.
+        grid: metrics over two gains, and other variables to draw over them.
         histories: a grid with time histories, over the same values or some of them.
         baseline: metrics of the baseline, for the colours.
-        marks: gains (stiffness, damping) to mark on the map, by name.
+        marks: points (x, y) to mark on the map, by name.
         chosen: the cell to begin with, as of `tuning.searches.grid.best_cell`; the first one where None.
     """
-    walks = grid["diverged"].size
+    walks, axes = grid["diverged"].size, axes_of(grid)
+    x, y = axes
     shown = coarser_grid(grid, chosen, MOST_CELLS)
-    flat = shown.transpose(*_AXES, ...).stack(cell=_AXES, create_index=False)
-    failed = plots.failed_walks(shown, *_AXES)
+    flat = shown.transpose(*axes, ...).stack(cell=axes, create_index=False)
+    failed = plots.failed_walks(shown, *axes)
     scales = {}
     for name in [str(n) for n in shown.data_vars if n not in LINES]:
-        values = plots.comparable(shown, name).transpose(*reversed(_AXES)).values.astype(float)
+        values = plots.comparable(shown, name).transpose(*reversed(axes)).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
             larger = dataset.larger_is_better(shown[name])
             scales[name] = _scale(values, failed, baseline.get(name), larger=larger)
     listed = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
     stored = [
-        i * shown.sizes["damping"] + j
-        for i, k in enumerate(shown["stiffness"].values)
-        for j, d in enumerate(shown["damping"].values)
-        if k in histories["stiffness"].values and d in histories["damping"].values
+        i * shown.sizes[y] + j
+        for i, across in enumerate(shown[x].values)
+        for j, up in enumerate(shown[y].values)
+        if across in histories[x].values and up in histories[y].values
     ]
-    kept = histories.sel({n: [v for v in shown[n].values if v in histories[n].values] for n in _AXES})
-    begin = dict.fromkeys(_AXES, 0) if chosen is None else place_of(shown, chosen)
+    kept = histories.sel({n: [v for v in shown[n].values if v in histories[n].values] for n in axes})
+    begin = dict.fromkeys(axes, 0) if chosen is None else place_of(shown, chosen)
     return {
         "count": flat.sizes["cell"],
         "left_out": walks - flat.sizes["cell"],
-        "axes": [_axis(shown[name], name) for name in _AXES],
-        "gains": {name: _values(flat[name]) for name in _AXES},
+        "axes": [_axis(shown[name], name) for name in axes],
+        "gains": {name: _values(flat[name]) for name in axes},
         "values": listed,
         "texts": {n: _text(shown[n], n) for n in listed if n not in mc.METRICS.names},
         "scales": scales,
         "failed": [_failure({n: listed[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
-        "begin": begin["stiffness"] * shown.sizes["damping"] + begin["damping"],
+        "begin": begin[x] * shown.sizes[y] + begin[y],
         "stored": stored,
-        "histories": {name: packed(kept[name].transpose(*_AXES, "extreme", "stretch").values) for name in LINES},
+        "histories": {name: packed(kept[name].transpose(*axes, "extreme", "stretch").values) for name in LINES},
         "colors": colors(),
     }
 
@@ -158,15 +161,20 @@ _AXES = ("stiffness", "damping")
 _FAILURES = ("detached_limb", "detached_at", "diverged")
 
 
+def axes_of(grid: xr.Dataset) -> tuple[str, ...]:
+    """Return the names of the two gains of a grid, the horizontal one first."""
+    return tuple(str(name) for name in grid["diverged"].dims)
+
+
 def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
     """Return a grid with at most about `most` of its cells, the chosen one among them."""
     kept = {} if chosen is None else place_of(grid, chosen)
-    return grid.isel(coarser({name: grid.sizes[name] for name in _AXES}, kept, most))
+    return grid.isel(coarser({name: grid.sizes[name] for name in axes_of(grid)}, kept, most))
 
 
 def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
     """Return the indices of a cell along the axes of a grid."""
-    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in _AXES}
+    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
 
 
 def coarser(sizes: Mapping[str, int], kept: Mapping[str, int], most: int) -> dict[str, np.ndarray]:
@@ -208,21 +216,22 @@ def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger
     return {"low": low, "high": high, "log": log}
 
 
-def _metric_texts() -> dict[str, Any]:
+def _metric_texts(about: mc.MetricTable) -> dict[str, Any]:
     return {
         metric.name: {
             "label": metric.long_name,
             "unit": "" if metric.unit == "1" else metric.unit,
             "larger_is_better": metric.larger_is_better,
         }
-        for metric in mc.METRICS
+        for metric in about
     }
 
 
 def _text(variable: xr.DataArray, name: str) -> dict[str, Any]:
     unit = variable.attrs.get("units", "1")
     label = variable.attrs.get("long_name", name.replace("_", " "))
-    return {"label": label, "unit": "" if unit == "1" else unit, "larger_is_better": False}
+    return {"label": label, "unit": "" if unit == "1" else unit,
+            "larger_is_better": dataset.larger_is_better(variable)}  # fmt: skip
 
 
 def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:

@@ -96,7 +96,7 @@ def inline_svg(text: str, prefix: str, label: str) -> Markup:
 def _facts(page: Page) -> dict[str, Any]:
     import jax
 
-    made = dataset._provenance(page.scenario)
+    made = dataset.provenance(page.scenario)
     made.pop("scenario")
     versions = {name.removesuffix("_version"): made.pop(name) for name in list(made) if name.endswith("_version")}
     versions["python"] = platform.python_version()

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
 
 _OWN = ("mjx_climb", "tuning")
@@ -47,6 +48,11 @@ def identity(value: Any, name: str = "value") -> str:
         Unidentifiable: it holds or calls what contents do not tell: a lock, a generator, an open file, `eval`.
     """
     return _Digests(name).of(value)
+
+
+def of_metrics(metrics: mc.MetricTable) -> list[str]:
+    """Return what tells metrics from others: the shipped ones by name, as they change with the version."""
+    return [m.name if m in mc.METRICS else f"{m.name} {identity(m, f'metric {m.name}')}" for m in metrics]
 
 
 class _Digests:

@@ -36,11 +36,11 @@ class Rounds:
     ) -> Evaluation:
         """Return what some points are worth."""
         stored = None if self._kept is None else self._kept.load(self.done)
-        found = None if stored is None else tune._restored(stored, theta, self._out)
+        found = None if stored is None else tune.restored(stored, theta, self._out)
         if found is None:
             found = problem.evaluate(theta, directions)
             if self._kept is not None:
-                self._kept.save(self.done, tune._stored(found, theta))
+                self._kept.save(self.done, tune.stored_arrays(found, theta))
         self.done += 1
         self.env_steps += problem.env_steps(len(theta), 0 if directions is None else len(directions))
         if self._progress is not None:

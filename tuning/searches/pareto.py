@@ -6,7 +6,7 @@ was walked on the way is a candidate; the front is what nothing else beats in bo
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from mjx_climb.files.dataset import SIX
 from mjx_climb.scenario.messages import ConfigError
+from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Search
@@ -41,6 +42,7 @@ def front(
     better: str = "force_variation",
     against: str = "base_deviation",
     points: int = POINTS,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Told | None = None,
@@ -55,6 +57,7 @@ def front(
         against: the metric that each row limits.
         points: how many limits, evenly spaced in the logarithm, from the least that is found to where `better` is
             best, within the settings' own limit on `against`.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics.
         out: a folder that keeps finished rounds, so that an interrupted search goes on.
         progress: called after each round.
@@ -70,11 +73,12 @@ def front(
     if better == against:
         raise ConfigError(f"against: expected another metric than {better}")
     settings = bettering(better, tune.changed(settings, changes))
-    problem = tune.problem_of(scenario, settings, engine=engine)
+    problem = tune.problem_of(scenario, settings, engine=engine, metrics=metrics)
+    table = problem.metrics
     space, plain = problem.space, problem.objective
     assert isinstance(plain, Objective)
     rng = np.random.default_rng(settings.seed)
-    identity = {**tune._identity(problem, settings, None), "front": [better, against, points]}
+    identity = {**tune.search_identity(problem, settings), "front": [better, against, points]}
     stages = [space.ties] + [np.eye(space.size) if len(space.ties) < space.size else space.ties] * (STAGES - 1)
     rounds = Rounds(1 + STAGES * ITERATIONS, progress, out, identity)
     archive: _Archive = {"theta": [], "x": [], "y": [], "held": []}
@@ -87,14 +91,15 @@ def front(
 
     start = np.concatenate([tune.start_of(problem)[None], space.draw_tied(rng, CANDIDATES - 1)])
     keep(start, rounds.evaluate(problem, start, "random points"))
-    limits = _limits(archive, better, against, plain.limits, points)
-    larger = mc.METRICS[against].larger_is_better
+    signs = _sign(table[against]), _sign(table[better])
+    limits = _limits(archive, signs, against, plain.limits, points)
+    larger = table[against].larger_is_better
     ceiling = Limit(against, tuple(limits), tuple(np.abs(limits)), _MARGIN, "the row's own", larger)
     kept = tuple(limit for limit in plain.limits if limit.metric != against)
     rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*kept, ceiling)))
     task = Task(rows, settings, start[0])
     for number, ties in enumerate(stages):
-        theta = _best_within(archive, limits, better, against)
+        theta = _best_within(archive, limits, signs)
         phase = f"descent {number + 1} of {STAGES}"
         visited = rounds.descend(
             rows, gradient.descend(task, theta, ties, ITERATIONS, rng, phase, np.full(len(theta), 0.5 * 0.6**number))
@@ -130,26 +135,27 @@ def gains_of(result: xr.Dataset, index: int) -> mc.Gains:
     return mc.Gains(**{name: row[name].values for name in (*mc.Gains.AXES, "kp", "kd") if name in row})
 
 
-def _sign(metric: str) -> float:
-    return -1.0 if mc.METRICS[metric].larger_is_better else 1.0
+def _sign(metric: mc.Metric) -> float:
+    return -1.0 if metric.larger_is_better else 1.0
 
 
 def _slack(limit: Limit, found: Evaluation) -> np.ndarray:
-    over = (found.metrics[limit.metric] - limit.value) * _sign(limit.metric)
-    return np.asarray(over / limit.scale)
+    return np.asarray(objectives.violation(limit, found.metrics[limit.metric]))
 
 
-def _joined(archive: _Archive, better: str, against: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _joined(archive: _Archive, signs: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points, and both metrics with the smaller better, infinite where a constraint is broken."""
     theta, x, y, held = (np.concatenate(archive[name]) for name in ("theta", "x", "y", "held"))
     held = held & np.isfinite(x) & np.isfinite(y)
-    return theta, np.where(held, _sign(against) * x, np.inf), np.where(held, _sign(better) * y, np.inf)
+    return theta, np.where(held, signs[0] * x, np.inf), np.where(held, signs[1] * y, np.inf)
 
 
-def _limits(archive: _Archive, better: str, against: str, own_limits: Sequence[Limit], points: int) -> np.ndarray:
+def _limits(
+    archive: _Archive, signs: tuple[float, float], against: str, own_limits: Sequence[Limit], points: int
+) -> np.ndarray:
     """Return the rows' limits (points,) on `against`, in its own sign."""
-    _, x, y = _joined(archive, better, against)
-    widest = [_sign(against) * float(np.asarray(limit.value)) for limit in own_limits if limit.metric == against]
+    _, x, y = _joined(archive, signs)
+    widest = [signs[0] * float(np.asarray(limit.value)) for limit in own_limits if limit.metric == against]
     within = np.isfinite(x) & (x <= min(widest, default=np.inf))
     if not within.any():
         raise ConfigError("limits: expected a walk that meets them all, got none of the first points")
@@ -159,14 +165,14 @@ def _limits(archive: _Archive, better: str, against: str, own_limits: Sequence[L
     if not low < high:
         high = low + 0.1 * abs(low)
     spaced = np.geomspace if low > 0 else np.linspace
-    return np.asarray(_sign(against) * spaced(low, high, points))
+    return np.asarray(signs[0] * spaced(low, high, points))
 
 
-def _best_within(archive: _Archive, limits: np.ndarray, better: str, against: str) -> np.ndarray:
+def _best_within(archive: _Archive, limits: np.ndarray, signs: tuple[float, float]) -> np.ndarray:
     """Return for each limit the best point within it (points, n), else the one that comes closest to it."""
-    theta, x, y = _joined(archive, better, against)
+    theta, x, y = _joined(archive, signs)
     rows = []
-    for limit in _sign(against) * limits:
+    for limit in signs[0] * limits:
         inside = x <= limit
         rows.append(np.argmin(np.where(inside, y, np.inf)) if inside.any() else np.argmin(x))
     return theta[rows]
@@ -183,34 +189,36 @@ def _dataset(
     env_steps: int,
     engine: str,
 ) -> xr.Dataset:
-    theta, x, y = _joined(archive, better, against)
+    table = problem.metrics
+    signs = _sign(table[against]), _sign(table[better])
+    theta, x, y = _joined(archive, signs)
     candidates = nondominated(x, y)
     candidates = candidates[np.isfinite(y[candidates])]
-    widest = _sign(against) * limits[-1] * (1 + 1e-6 * np.sign(_sign(against) * limits[-1]))
+    widest = signs[0] * limits[-1] * (1 + 1e-6 * np.sign(signs[0] * limits[-1]))
     within = x[candidates] <= widest
     candidates = candidates[within] if within.any() else candidates
     gains = to_gains64(problem.space, theta[candidates])
     six = {n: np.broadcast_to(getattr(gains, n), (len(candidates), 6)) for n in ("inertia", "damping", "stiffness")}
     extra = {n: getattr(gains, n) for n in ("kp", "kd") if getattr(gains, n) is not None}
-    exact = mc.rollout_metrics(scenario, mc.Gains(**six, **extra), dtype=np.float64, engine=engine)
+    exact = mc.rollout_metrics(scenario, mc.Gains(**six, **extra), metrics=table, dtype=np.float64, engine=engine)
     stays = (exact["detached_limb"] < 0) & ~exact["diverged"]
-    costs = [np.where(stays, _sign(name) * exact[name], np.inf) for name in (against, better)]
+    costs = [np.where(stays, s * exact[name], np.inf) for s, name in zip(signs, (against, better), strict=True)]
     on = nondominated(*costs)
     on = on[np.isfinite(costs[1][on])]
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
-    own = [mc.rollout_metrics(s, dtype=np.float64, engine=engine) for s in (scenario, pd)]
+    own = [mc.rollout_metrics(s, metrics=table, dtype=np.float64, engine=engine) for s in (scenario, pd)]
     data: dict[str, Any] = {name: (("front", "six"), values[on]) for name, values in six.items()}
     data |= {name: ("front", values[on]) for name, values in extra.items()}
-    for metric in mc.METRICS:
+    for metric in table:
         name, about = metric.name, dataset.metric_attributes(metric)
         data[name] = ("front", exact[name][on], about)
         data[f"reference_{name}"] = ("reference", np.array([m[name] for m in own]), about)
     for name, key in ((against, "x"), (better, "y")):
-        about = dataset.metric_attributes(mc.METRICS[name])
+        about = dataset.metric_attributes(table[name])
         data[f"walked_{name}"] = ("point", np.concatenate(archive[key]), about)
     data["held"] = ("point", np.concatenate(archive["held"]), {"units": "1", "long_name": "all constraints met"})
     data["theta"] = (("point", "coordinate"), theta, {"units": "1", "long_name": "log of the gains"})
     attrs = {"title": "Pareto front of two metrics", "better": better, "against": against, "env_steps": env_steps}
-    attrs |= {"search": settings.to_yaml(), **dataset._provenance(scenario)}
+    attrs |= {"search": settings.to_yaml(), **dataset.provenance(scenario)}
     coordinates = {"six": SIX, "coordinate": list(problem.space.names), "reference": ["config", "pd"]}
     return xr.Dataset(data, coordinates, attrs)

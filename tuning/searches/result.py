@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,10 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper, with_gains
 from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.gains_file import by_name
+from tuning.gains.law_file import check_reference, reference
 from tuning.problem import search as search_settings
 from tuning.problem.search import Search
 from tuning.problem.spaces import Space, to_gains64
@@ -29,7 +32,7 @@ class Result:
 
     scenario: mc.Scenario
     search: Search
-    gains: mc.Gains  # the best found, in float64
+    gains: AnyGains  # the best found, in float64: `mc.Gains`, or by name where the law has others than the paper's
     theta: np.ndarray  # (n,)
     value: float  # 1 for pd
     feasible: bool
@@ -38,6 +41,8 @@ class Result:
     best_at: int  # env-steps spent when the best was found
     interrupted: bool
     history: xr.Dataset
+    judged_by: mc.MetricTable = mc.METRICS
+    law: mc.Law | None = None  # with the gains found, where another than the scenario's was searched
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the whole result as netCDF and return its path."""
@@ -45,7 +50,14 @@ class Result:
 
 
 def from_history(
-    scenario: mc.Scenario, search: Search, space: Space, arrays: Mapping[str, np.ndarray], *, interrupted: bool
+    scenario: mc.Scenario,
+    search: Search,
+    space: Space,
+    arrays: Mapping[str, np.ndarray],
+    *,
+    law: mc.Law | None = None,
+    metrics: mc.MetricTable = mc.METRICS,
+    interrupted: bool,
 ) -> Result:
     """Return the result of the points judged so far.
 
@@ -68,15 +80,17 @@ def from_history(
         data[name] = (
             "point",
             values,
-            dataset.metric_attributes(mc.METRICS[name]) if name in mc.METRICS.names else about,
+            dataset.metric_attributes(metrics[name]) if name in metrics.names else about,
         )
-    attrs: dict[str, Any] = {"title": "search for gains", **dataset._provenance(scenario), "search": search.to_yaml()}
+    attrs: dict[str, Any] = {"title": "search for gains", **dataset.provenance(scenario), "search": search.to_yaml()}
     attrs["interrupted"] = int(interrupted)
     history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
     theta = np.asarray(arrays["theta"][best], float)
     gains = to_gains64(space, theta)
-    history.attrs["gains"] = dataset._to_json(gains)
-    return _of(history, scenario, search, gains, best)
+    history.attrs["gains"] = dataset.fields_as_json(by_name(gains))
+    if law is not None:
+        history.attrs["law"] = reference(law)
+    return _of(history, scenario, search, gains, best, law, metrics)
 
 
 def best_of(arrays: Mapping[str, np.ndarray]) -> int:
@@ -87,8 +101,16 @@ def best_of(arrays: Mapping[str, np.ndarray]) -> int:
     return int(np.argmin(ranked))
 
 
-def _of(history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Gains, best: int) -> Result:
-    names = [name for name in mc.METRICS.names if name in history]
+def _of(
+    history: xr.Dataset,
+    scenario: mc.Scenario,
+    search: Search,
+    gains: AnyGains,
+    best: int,
+    law: mc.Law | None,
+    metrics: mc.MetricTable,
+) -> Result:
+    names = [name for name in metrics.names if name in history]
     return Result(
         scenario=scenario,
         search=search,
@@ -101,19 +123,36 @@ def _of(history: xr.Dataset, scenario: mc.Scenario, search: Search, gains: mc.Ga
         best_at=int(history["env_steps"][best]),
         interrupted=bool(history.attrs["interrupted"]),
         history=history,
+        judged_by=metrics,
+        law=None if law is None else with_gains(law, gains),
     )
 
 
-def load(path: str | os.PathLike[str]) -> Result:
-    """Read the result that `Result.save` wrote; its scenario and settings repeat the search.
+def load(path: str | os.PathLike[str], law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS) -> Result:
+    """Read the result that `Result.save` wrote; its scenario, law, metrics and settings repeat the search.
+
+    Arguments:
+        path: the file.
+        law: the one whose gains were searched, where it was not the scenario's.
+        metrics: those that its walks were judged by.
 
     Raises:
-        ConfigError: no such file, or another one.
+        ConfigError: no such file, or another one, or a search of another law.
     """
     history = dataset.load(path)
     if "search" not in history.attrs:
         raise ConfigError(f"{os.fspath(path)}: expected the result of a search, got another dataset")
     gains = {name: np.asarray(v) for name, v in json.loads(history.attrs["gains"]).items() if v is not None}
+    check_reference(law, history.attrs.get("law"), os.fspath(path))
+    of_the_paper = law is None or has_gains_of_the_paper(law)
     arrays = {name: history[name].values for name in ("value", "penalty", "feasible")}
     settings = search_settings.parse(history.attrs["search"], os.fspath(path))
-    return _of(history, dataset.scenario_of(history), settings, mc.Gains(**gains), best_of(arrays))
+    return _of(
+        history,
+        dataset.scenario_of(history),
+        settings,
+        mc.Gains(**gains) if of_the_paper else gains,
+        best_of(arrays),
+        law,
+        mc.MetricTable(metrics),
+    )

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,11 +17,13 @@ import mjx_climb as mc
 from mjx_climb.compilation.options import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
-from mjx_climb.quantities.batches import batch_shape
+from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES, PREFIX
 from tuning.problem import ensemble as ensembles
 from tuning.problem import objectives
+from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble, Worst
 from tuning.problem.objectives import Limit, Metrics, Score
 from tuning.problem.search import WEIGHTS, Search
@@ -79,11 +81,11 @@ class RobustObjective:
             total += term.weight
             if self.margin is not None:
                 for ratio in ratios:
-                    penalty += objectives._penalty(ratio - 1 + self.margin)
+                    penalty += objectives.penalty_of(ratio - 1 + self.margin)
                     feasible &= ratio <= 1
         for limit in self.limits:
             slack = objectives.violation(limit, metrics[limit.metric])
-            penalty += self._worst(objectives._penalty(slack + limit.margin))
+            penalty += self._worst(objectives.penalty_of(slack + limit.margin))
             feasible &= (slack <= 0).all(0)
         mean = jnp.asarray(value / total)
         whole = jnp.broadcast_to(jnp.asarray(penalty, mean.dtype), mean.shape)
@@ -104,7 +106,11 @@ class RobustObjective:
 
 
 def objective(
-    scenario: mc.Scenario, search: Search, ensemble: Ensemble, baseline: Mapping[str, np.ndarray]
+    scenario: mc.Scenario,
+    search: Search,
+    ensemble: Ensemble,
+    baseline: Mapping[str, np.ndarray],
+    metrics: mc.MetricTable = mc.METRICS,
 ) -> RobustObjective:
     """Return the robust objective that the settings ask for.
 
@@ -113,6 +119,7 @@ def objective(
         search: weights and limits.
         ensemble: how the worst members count.
         baseline: metrics (members,) of pd with their smooth companions, see `pd_of`.
+        metrics: what may be weighed and limited.
 
     Raises:
         ConfigError: pd diverges in a member, or has no value of a metric that is weighed.
@@ -121,7 +128,7 @@ def objective(
     for metric, weight in search.weights.items():
         if not weight:
             continue
-        larger = mc.METRICS[metric].larger_is_better
+        larger = metrics[metric].larger_is_better
         smooth = baseline.get(PREFIX + metric, baseline[metric])
         worst = [ensembles.worst_mean(v, ensemble.worst.share, larger_is_better=larger) for v in (smooth, smooth)]
         worst[0] = ensembles.worst_mean(baseline[metric], ensemble.worst.share, larger_is_better=larger)
@@ -135,26 +142,41 @@ def objective(
         terms.append(RobustTerm(metric, weight, larger, *numbers))
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest = {name: float(values.max()) for name, values in baseline.items()}
-    plain = objectives.objective(scenario, search.model_copy(update={"no_worse_than_pd": False}), widest)
-    margin = objectives._PD_MARGIN if search.no_worse_than_pd else None
+    plain = objectives.objective(
+        scenario, search.model_copy(update={"no_worse_than_pd": False}), widest, metrics=metrics
+    )
+    margin = objectives.PD_MARGIN if search.no_worse_than_pd else None
     return RobustObjective(tuple(terms), plain.limits, ensemble.worst, margin)
 
 
-def pd_of(scenario: mc.Scenario, numbers: mc.Parameters, *, engine: str = DEFAULT_ENGINE) -> dict[str, np.ndarray]:
+def pd_of(
+    scenario: mc.Scenario,
+    numbers: mc.Parameters,
+    *,
+    engine: str = DEFAULT_ENGINE,
+    metrics: mc.MetricTable = mc.METRICS,
+) -> dict[str, np.ndarray]:
     """Return what a search sees of pd in the walks that `numbers` (with leading batch axes) holds; see `_walked`."""
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
     ones = np.ones(6)
-    return _walked(pd, mc.Gains(ones, ones, ones), numbers, engine)
+    return _walked(pd, mc.Gains(ones, ones, ones), numbers, engine, metrics)
 
 
-def _walked(scenario: mc.Scenario, gains: mc.Gains, numbers: mc.Parameters, engine: str) -> dict[str, np.ndarray]:
+def _walked(
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    numbers: mc.Parameters,
+    engine: str,
+    metrics: mc.MetricTable,
+    law: mc.Law | None = None,
+) -> dict[str, np.ndarray]:
     """Return metrics and their smooth companions with nothing torn off, in float32, with the batch axes."""
     enable_cache()
     gains, numbers = jax.tree.map(lambda value: np.asarray(value, np.float32), (gains, numbers))
-    walks = math.prod(batch_shape(gains, numbers))
+    walks = math.prod(given_in(scenario, law, gains, numbers, np.float32).shape)
     in_pieces = mc.pieces_pay(engine)
     simulate = jax.jit(
-        mc.simulator(scenario, engine=engine, smooth=True, in_pieces=in_pieces),
+        mc.simulator(scenario, metrics=metrics, law=law, engine=engine, smooth=True, in_pieces=in_pieces),
         compiler_options=mc.compiler_options(walks, in_pieces=in_pieces),
     )
     return {name: np.asarray(value) for name, value in simulate(gains, numbers).items()}
@@ -165,6 +187,8 @@ def search(
     ensemble: Ensemble,
     settings: Search | None = None,
     *,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Callable[[tune.Progress], None] | None = None,
@@ -177,32 +201,43 @@ def search(
     if settings is None and "weights" not in changes:
         changes["weights"] = ROBUST_WEIGHTS
     settings = tune.changed(settings, changes)
-    target, numbers = goal(scenario, ensemble, settings, engine), ensembles.draw(scenario, ensemble)
-    return tune.tune(scenario, settings, objective=target, numbers=numbers, engine=engine, out=out, progress=progress)
+    table = tune.complete(metrics)
+    target, numbers = goal(scenario, ensemble, settings, engine, table), ensembles.draw(scenario, ensemble)
+    how: dict[str, Any] = {"law": law, "metrics": table, "engine": engine, "out": out, "progress": progress}
+    return tune.tune(scenario, settings, objective=target, numbers=numbers, **how)
 
 
-def goal(scenario: mc.Scenario, ensemble: Ensemble, settings: Search, engine: str = DEFAULT_ENGINE) -> RobustObjective:
+def goal(
+    scenario: mc.Scenario,
+    ensemble: Ensemble,
+    settings: Search,
+    engine: str = DEFAULT_ENGINE,
+    metrics: mc.MetricTable = mc.METRICS,
+) -> RobustObjective:
     """Return what a search over an ensemble minimises; pd walks through the members first.
 
     Raises:
         ConfigError: see `objective`.
     """
-    return objective(scenario, settings, ensemble, _baseline(scenario, ensemble, engine))
+    search_settings.check_metrics(settings, metrics)
+    return objective(scenario, settings, ensemble, _baseline(scenario, ensemble, engine, metrics), metrics)
 
 
 @functools.lru_cache(maxsize=8)
-def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str) -> dict[str, np.ndarray]:
+def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str, metrics: mc.MetricTable) -> dict[str, np.ndarray]:
     """Return the metrics (members,) of pd with their smooth companions."""
-    walked = pd_of(scenario, ensembles.draw(scenario, ensemble), engine=engine)
+    walked = pd_of(scenario, ensembles.draw(scenario, ensemble), engine=engine, metrics=metrics)
     return {name: value.reshape(-1) for name, value in walked.items()}
 
 
 def judge(
     scenario: mc.Scenario,
-    gains: Mapping[str, mc.Gains],
+    gains: Mapping[str, AnyGains],
     ensemble: Ensemble,
     *,
     members: int = 128,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
 ) -> xr.Dataset:
@@ -216,6 +251,8 @@ def judge(
         gains: by name.
         ensemble: drawn again with another seed.
         members: walks of each.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
+        law: whose gains they are, where it is not the scenario's.
         engine: the dynamics.
         progress: called with walks done and in all.
 
@@ -224,16 +261,16 @@ def judge(
     """
     fresh = ensemble.model_copy(update={"members": members, "seed": ensemble.seed + FRESH_SEED})
     numbers = ensembles.draw(scenario, fresh)
-    six = {
-        name: np.stack([np.broadcast_to(np.asarray(getattr(g, name), float), 6) for g in gains.values()])
-        for name in ("inertia", "damping", "stiffness")
-    }
+    table = tune.complete(metrics)
+    whole = [given_in(scenario, law, g, None, np.float64).law for g in gains.values()]
+    stacked = {name: np.stack([getattr(each, name) for each in whole]) for name in whole[0].GAINS}
     total, parts = members * (len(gains) + 1), []
     for start in range(0, members, CHUNK):
         rows = {n: v[start : start + CHUNK] if v.shape[:1] == (members,) else v for n, v in vars(numbers).items()}
         part = mc.Parameters(**rows)
-        both = _walked(scenario, mc.Gains(**six), part, engine), pd_of(scenario, part, engine=engine)
-        parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in mc.METRICS.names})
+        walked = _walked(scenario, stacked, part, engine, table, law)
+        both = walked, pd_of(scenario, part, engine=engine, metrics=table)
+        parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in table.names})
         if progress is not None:
             progress(min(start + CHUNK, members) * (len(gains) + 1), total)
     data: dict[str, Any] = {
@@ -242,7 +279,7 @@ def judge(
             np.concatenate([part[metric.name] for part in parts]).T,
             dataset.metric_attributes(metric),
         )
-        for metric in mc.METRICS
+        for metric in table
     }
     drawn = {
         "cargo_mass": (numbers.cargo_mass, "kg", "mass of the cargo"),
@@ -254,7 +291,7 @@ def judge(
     for name, (values, units, text) in drawn.items():
         values = np.broadcast_to(np.reshape(values, -1), members)
         data[name] = ("member", values, {"units": units, "long_name": text})
-    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset._provenance(scenario)}
+    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset.provenance(scenario)}
     attrs["ensemble"] = fresh.to_yaml()
     attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
     return xr.Dataset(data, {"gains": [*gains, "pd"], "member": np.arange(members)}, attrs)
@@ -279,12 +316,9 @@ def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:
     if not held.sizes["member"]:
         raise ValueError("expected a member of the draw in which nothing diverges, got none")
     data: dict[str, Any] = {}
-    for metric in mc.METRICS:
-        name = metric.name
-        if name in FAILURES:
-            continue
+    for name in [str(n) for n, v in judged.data_vars.items() if "larger_is_better" in v.attrs and n not in FAILURES]:
         values = held[name].transpose("member", "gains").values.astype(float)
-        worst = ensembles.worst_mean(values, share, larger_is_better=metric.larger_is_better)
+        worst = ensembles.worst_mean(values, share, larger_is_better=dataset.larger_is_better(judged[name]))
         data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), judged[name].attrs)
     about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
     data["failed"] = ("gains", failed(judged).mean("member").values, about)

@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,6 +25,7 @@ from mjx_climb.files.dataset import SIX
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import objectives, spaces
+from tuning.problem import search as search_settings
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Search
@@ -49,6 +50,7 @@ def schedule(
     *,
     gravity: Sequence[float] = GRAVITIES,
     cargo: Sequence[float] = CARGO,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Told | None = None,
@@ -61,6 +63,7 @@ def schedule(
         settings: space, bounds, weights, limits and seed (the method is not used); `changes` replace keys of it.
         gravity: G, ascending.
         cargo: kg, ascending.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics.
         out: a folder that keeps finished rounds, so that an interrupted search goes on.
         progress: called after each round.
@@ -74,13 +77,14 @@ def schedule(
         ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
     """
     settings = tune.changed(settings, changes)
-    each, numbers = goals(scenario, settings, gravity, cargo, engine), _numbers(scenario, gravity, cargo)
+    table = tune.complete(metrics)
+    each, numbers = goals(scenario, settings, gravity, cargo, engine, table), _numbers(scenario, gravity, cargo)
     points = len(each)
     space, rng = spaces.space(scenario, settings), np.random.default_rng(settings.seed)
     dtype = np.dtype(settings.precision).type
-    problem = Problem(scenario, space, _rows(each), dtype=dtype, engine=engine)
+    problem = Problem(scenario, space, _rows(each), dtype=dtype, engine=engine, metrics=table)
     own = tune.start_of(problem)
-    identity = {**tune._identity(problem, settings, None), "operating_points": [list(gravity), list(cargo)]}
+    identity = {**tune.search_identity(problem, settings), "operating_points": [list(gravity), list(cargo)]}
     rounds = Rounds(1 + sum(ITERATIONS) + 2, progress, out, identity)
 
     def at(places: np.ndarray) -> Problem:
@@ -117,7 +121,7 @@ def schedule(
         crossed = rounds.evaluate(at(pairs[0]), theta, "gains of the neighbours")
         take(theta, crossed, pairs[0])
     transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(points, points)
-    return _dataset(scenario, settings, space, numbers, gravity, cargo, best, merit, transfer, rounds.env_steps, engine)
+    return _dataset(scenario, settings, problem, numbers, gravity, cargo, best, merit, transfer, rounds.env_steps)
 
 
 _VARIED = ("gravity", "cargo_mass")
@@ -129,6 +133,7 @@ def goals(
     gravity: Sequence[float] = GRAVITIES,
     cargo: Sequence[float] = CARGO,
     engine: str = DEFAULT_ENGINE,
+    metrics: mc.MetricTable = mc.METRICS,
 ) -> list[Objective]:
     """Return the objectives of all operating points, the cargo running fastest; pd walks at each first.
 
@@ -138,26 +143,33 @@ def goals(
     for name, values, least in (("gravity", gravity, 0.0), ("cargo", cargo, -1e-12)):
         if not len(values) or not np.isfinite(values).all() or min(values) <= least or (np.diff(values) <= 0).any():
             raise ConfigError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
-    baseline = _baseline(scenario, tuple(gravity), tuple(cargo), engine)
+    search_settings.check_metrics(settings, metrics)
+    baseline = _baseline(scenario, tuple(gravity), tuple(cargo), engine, metrics)
     points = range(len(gravity) * len(cargo))
-    return [objective_at(scenario, settings, {name: float(v[p]) for name, v in baseline.items()}) for p in points]
+    return [objective_at(scenario, settings, {n: float(v[p]) for n, v in baseline.items()}, metrics) for p in points]
 
 
 @functools.lru_cache(maxsize=8)
 def _baseline(
-    scenario: mc.Scenario, gravity: tuple[float, ...], cargo: tuple[float, ...], engine: str
+    scenario: mc.Scenario,
+    gravity: tuple[float, ...],
+    cargo: tuple[float, ...],
+    engine: str,
+    metrics: mc.MetricTable,
 ) -> dict[str, np.ndarray]:
     """Return the metrics of pd at all operating points (P,) with their smooth companions."""
-    return pd_of(scenario, _numbers(scenario, gravity, cargo), engine=engine)
+    return pd_of(scenario, _numbers(scenario, gravity, cargo), engine=engine, metrics=metrics)
 
 
-def objective_at(scenario: mc.Scenario, settings: Search, baseline: dict[str, float]) -> Objective:
+def objective_at(
+    scenario: mc.Scenario, settings: Search, baseline: dict[str, float], metrics: mc.MetricTable = mc.METRICS
+) -> Objective:
     """Return the objective of one operating point relative to pd there.
 
     A limit on the base's deviation that follows from pd's is at least a millimetre: without cargo or weight pd hardly
     sags.
     """
-    plain = objectives.objective(scenario, settings, baseline)
+    plain = objectives.objective(scenario, settings, baseline, metrics=metrics)
     limits = [
         limit._replace(value=max(limit.value, 1e-3), scale=max(limit.scale, 1e-3))
         if limit.metric == "base_deviation" and "base_deviation" not in settings.limits
@@ -196,7 +208,7 @@ def _numbers(scenario: mc.Scenario, gravity: Sequence[float], cargo: Sequence[fl
 def _dataset(
     scenario: mc.Scenario,
     settings: Search,
-    space: spaces.Space,
+    problem: Problem,
     numbers: mc.Parameters,
     gravity: Sequence[float],
     cargo: Sequence[float],
@@ -204,8 +216,8 @@ def _dataset(
     merit: np.ndarray,
     transfer: np.ndarray,
     spent: int,
-    engine: str,
 ) -> xr.Dataset:
+    space, table = problem.space, problem.metrics
     shape = (len(gravity), len(cargo))
     gains = to_gains64(space, theta)
     values = {n: np.broadcast_to(getattr(gains, n), (len(theta), 6)) for n in GAINS}
@@ -217,7 +229,8 @@ def _dataset(
         "config": (scenario, own),
         "pd": (pd, own),
     }
-    metrics = [mc.rollout_metrics(s, g, numbers, dtype=np.float64, engine=engine) for s, g in walks.values()]
+    how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
+    metrics = [mc.rollout_metrics(s, g, numbers, **how) for s, g in walks.values()]
     data: dict[str, Any] = {name: (("gravity", "cargo", "six"), values[name].reshape(*shape, 6)) for name in GAINS}
     data |= {name: (("gravity", "cargo"), v.reshape(shape)) for name, v in extra.items()}
     data["value"] = (("gravity", "cargo"), np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
@@ -225,7 +238,7 @@ def _dataset(
     data["transfer"] = (("gravity", "cargo", "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
     bounds = [", ".join(space.on_bound(point)) for point in theta]
     data["on_bound"] = (("gravity", "cargo"), np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})
-    for metric in mc.METRICS:
+    for metric in table:
         values_of = np.stack([m[metric.name].reshape(shape) for m in metrics])
         data[metric.name] = (("walk", "gravity", "cargo"), values_of, dataset.metric_attributes(metric))
     coordinates = {
@@ -237,7 +250,7 @@ def _dataset(
         "six": SIX,
     }
     attrs = {"title": "gain schedule", "search": settings.to_yaml(), "env_steps": spent, "space": " ".join(space.names)}
-    return xr.Dataset(data, coordinates, {**attrs, **dataset._provenance(scenario)})
+    return xr.Dataset(data, coordinates, {**attrs, **dataset.provenance(scenario)})
 
 
 def lookup(table: xr.Dataset, gravity: float, cargo: float) -> mc.Gains:

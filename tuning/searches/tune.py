@@ -10,7 +10,7 @@ import hashlib
 import importlib.metadata
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,18 +18,23 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import PACKAGES, OutputError
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.robot.constants import model_path
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import evaluation, objectives, spaces
+from tuning.problem import search as search_settings
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Judge
-from tuning.problem.search import Search
+from tuning.problem.search import OWN_METHOD, Search
 from tuning.searches import identity, result
 from tuning.searches.finished_parts import Parts
-from tuning.searches.methods import METHODS, Request, Task
+from tuning.searches.methods import METHODS, Method, Points, Request, Task
+from tuning.searches.methods.task import as_method, check_request
 from tuning.searches.result import Result
 
 
@@ -37,7 +42,7 @@ class Progress(NamedTuple):
     """How far a search has come."""
 
     rounds: int
-    rounds_in_all: int
+    rounds_in_all: int  # 0 where the method does not say
     phase: str
     best: float  # value of the best feasible point, NaN while there is none
     gradient_norm: float  # at the best point of the last round, NaN without gradients
@@ -52,21 +57,30 @@ def tune(
     scenario: mc.Scenario,
     search: Search | None = None,
     *,
+    law: mc.Law | None = None,
+    method: str | Method | Callable[[Task], Points] | None = None,
     objective: Judge | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
     numbers: mc.Parameters | None = None,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> Result:
-    """Search the gains of a scenario's controller.
+    """Search the gains of a control law.
 
     Arguments:
-        scenario: what walks where; its own gains are the first start.
+        scenario: what walks where.
+        law: whose gains are searched; its own are the first start. The scenario's where None.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it, as
             in `tune(scenario, method="gradient", space="diagonal")`.
+        method: the name of a shipped one; or one of your own, as a function that yields a `Request` of points and
+            receives what they are worth, or a `Method` that knows its rounds besides; see
+            `tuning.searches.methods.task`. It must ask for the same when it is told the same.
         objective: a pure function of the metrics in place of the weighted terms, see
             `tuning.problem.objectives.Objective`.
+        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may
+            name them. The shipped ones must be among them.
         numbers: parameters in place of the scenario's; with leading axes (members, 1), an ensemble over which the
             score is the mean.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
@@ -78,28 +92,36 @@ def tune(
         The best gains and all that was judged. Ctrl-C ends the search with the best so far (`interrupted`).
 
     Raises:
-        ConfigError: settings that make no sense for the scenario.
+        ConfigError: settings that make no sense for the scenario, or a method that asks for no points of the space.
         OutputError: the folder cannot be written, or holds an unfinished search for something else.
-        Unidentifiable: with `out`, an objective that cannot be told from another, see `tuning.searches.identity`.
+        Unidentifiable: with `out`, an objective or method that cannot be told from another; see
+            `tuning.searches.identity`.
     """
+    if isinstance(method, str):
+        settings["method"], method = method, None
+    elif method is not None:
+        settings["method"], method = OWN_METHOD, as_method(method)
     search = changed(search, settings)
-    problem = problem_of(scenario, search, objective, numbers, engine)
+    if method is None and search.method == OWN_METHOD:
+        raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
+    problem = problem_of(scenario, search, objective, numbers, engine, law=law, metrics=metrics)
     task = Task(problem, search, start_of(problem))
-    method = METHODS[search.method]
-    kept = None if out is None else Parts(out, _identity(problem, search, objective))
-    rounds_in_all, points = method.rounds(task), method.run(task)
+    kept = None if out is None else Parts(out, search_identity(problem, search, objective, method))
+    chosen = method or METHODS[search.method]
+    rounds_in_all, points = chosen.rounds(task), chosen.run(task)
     arrays: dict[str, list[np.ndarray]] = {}
     spent, number, interrupted = 0, 0, False
     try:
         request = next(points)
         while True:
+            check_request(request, task)
             begin = time.perf_counter()
             stored = None if kept is None else kept.load(number)
-            found = None if stored is None else _restored(stored, request.theta, out)
+            found = None if stored is None else restored(stored, request.theta, out)
             if found is None:
                 found = problem.evaluate(request.theta, request.directions)
                 if kept is not None:
-                    kept.save(number, _stored(found, request.theta))
+                    kept.save(number, stored_arrays(found, request.theta))
             spent += problem.env_steps(len(request.theta), request.tangents)
             _append(arrays, request, found, number, spent)
             number += 1
@@ -114,7 +136,9 @@ def tune(
             raise
         interrupted = True
     joined = {name: np.concatenate(values) for name, values in arrays.items()}
-    return result.from_history(scenario, search, problem.space, joined, interrupted=interrupted)
+    return result.from_history(
+        scenario, search, problem.space, joined, law=law, metrics=problem.metrics, interrupted=interrupted
+    )
 
 
 def changed(search: Search | None, settings: Mapping[str, Any]) -> Search:
@@ -132,24 +156,46 @@ def problem_of(
     function: Judge | None = None,
     numbers: mc.Parameters | None = None,
     engine: str = DEFAULT_ENGINE,
+    *,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
 ) -> Problem:
-    """Return what the settings ask to search: space, objective relative to pd, and walks."""
-    space = spaces.space(scenario, search)
+    """Return what the settings ask to search: space, objective relative to pd, and walks.
+
+    Raises:
+        ConfigError: settings that make no sense for the scenario or the metrics.
+    """
+    table = complete(metrics)
+    search_settings.check_metrics(search, table)
+    space = spaces.space(scenario, search, law)
     target: Goal
     if isinstance(function, Goal):
         target = function
     else:
-        target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine), function)
+        target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine, table), function, table)
     members = 1 if numbers is None else math.prod(batch_shape(numbers))
     dtype = np.dtype(search.precision).type
-    return Problem(scenario, space, target, numbers, members, dtype, engine)
+    return Problem(scenario, space, target, numbers, members, dtype, engine, metrics=table, law=law)
+
+
+def complete(metrics: Iterable[mc.Metric]) -> mc.MetricTable:
+    """Return metrics as a table with the shipped ones in it, by which searches know what failed.
+
+    Raises:
+        ConfigError: one of the shipped ones is missing or replaced.
+    """
+    table = mc.MetricTable(metrics)
+    for metric in mc.METRICS:
+        if metric not in table:
+            raise ConfigError(f"metrics: expected the shipped {metric.name} among them, as in METRICS + (mine,)")
+    return table
 
 
 def start_of(problem: Problem) -> np.ndarray:
-    """Return the scenario's own gains as a point of the space."""
+    """Return the law's own gains, and the scenario's of the joint loop, as a point of the space."""
     control = problem.scenario.control
-    six = {name: np.asarray(getattr(control, name), float) for name in mc.Gains.AXES}
-    return problem.space.from_gains(mc.Gains(**six, kp=control.kp, kd=max(control.kd, 1e-12)))
+    own = spaces.own_values(problem.scenario, problem.law or law_of(problem.scenario))
+    return problem.space.from_gains({**own, "kp": control.kp, "kd": max(control.kd, 1e-12)})
 
 
 def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evaluation, number: int, spent: int) -> None:
@@ -165,7 +211,7 @@ def _append(arrays: dict[str, list[np.ndarray]], request: Request, found: Evalua
         "row": np.arange(count),
         "phase": np.full(count, request.phase),
         "env_steps": np.full(count, spent),
-        **{name: found.metrics[name] for name in mc.METRICS.names},
+        **{name: found.metrics[name] for name in found.metrics if not name.startswith(PREFIX)},
     }
     for name, values in columns.items():
         arrays.setdefault(name, []).append(values)
@@ -189,12 +235,18 @@ def _progress(
     return Progress(number, rounds, request.phase, best, norm, alive, len(request.theta), spent, walked, took)
 
 
-def _stored(found: Evaluation, theta: np.ndarray) -> dict[str, np.ndarray]:
+def stored_arrays(found: Evaluation, theta: np.ndarray) -> dict[str, np.ndarray]:
+    """Return a judged batch as named arrays, for `finished_parts`."""
     fields = {name: getattr(found, name) for name in Evaluation._fields if name != "metrics"}
     return {"theta": theta, **fields, **{f"metric_{name}": value for name, value in found.metrics.items()}}
 
 
-def _restored(stored: dict[str, np.ndarray], theta: np.ndarray, out: Path | None) -> Evaluation:
+def restored(stored: dict[str, np.ndarray], theta: np.ndarray, out: Path | None) -> Evaluation:
+    """Return what `stored_arrays` gave for a batch.
+
+    Raises:
+        OutputError: it is of other points than `theta`.
+    """
     if not np.array_equal(stored["theta"], theta):
         raise OutputError(f"{out}: expected the rounds of this search, got others (remove {out}/parts to start again)")
     metrics = {name.removeprefix("metric_"): value for name, value in stored.items() if name.startswith("metric_")}
@@ -202,7 +254,9 @@ def _restored(stored: dict[str, np.ndarray], theta: np.ndarray, out: Path | None
     return Evaluation(**fields, metrics=metrics)
 
 
-def _identity(problem: Problem, search: Search, function: Judge | None) -> dict[str, Any]:
+def search_identity(
+    problem: Problem, search: Search, function: Judge | None = None, method: Method | None = None
+) -> dict[str, Any]:
     """Return all that determines a search, bit by bit."""
     versions: dict[str, str | None] = {}
     for name, distribution in {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}.items():
@@ -212,9 +266,12 @@ def _identity(problem: Problem, search: Search, function: Judge | None) -> dict[
             versions[name] = None
     return {
         "scenario": scenario_files.identity(problem.scenario),
+        "law": None if problem.law is None else identity.identity(problem.law, "law"),
         "search": search.to_yaml(),
+        "method": None if method is None else identity.identity(method, "method"),
         "objective": None if function is None else identity.identity(function, "objective"),
         "numbers": None if problem.numbers is None else identity.identity(problem.numbers, "numbers"),
+        "metrics": identity.of_metrics(problem.metrics),
         "engine": problem.engine,
         "platform": jax.default_backend(),
         "robot_model": hashlib.sha256(model_path(problem.scenario.robot).read_bytes()).hexdigest(),

@@ -11,7 +11,7 @@ from mjx_climb.walk.metrics.metric import Context, Metric
 from mjx_climb.walk.metrics.table import MetricTable
 from mjx_climb.walk.sample import Sample
 
-FAILURES = ("detached_at", "detached_limb", "diverged")  # how a walk failed: nothing to better
+FAILURES = ("detached_at", "detached_limb", "missed_grips", "diverged")  # how a walk failed: nothing to better
 
 
 def foot_forces(sample: Sample, _: Context) -> Array:
@@ -140,6 +140,12 @@ METRICS = MetricTable(
             "detached_limb", "1", "limb that detached first", larger_is_better=False,  # its place among the limbs
             init=lambda zero: jnp.full(zero.shape, -1, jnp.int32),
             update=_first_limb,
+            finish=lambda running, _: running,
+        ),
+        Metric(
+            "missed_grips", "1", "grips that missed the ground", larger_is_better=False,
+            init=lambda zero: jnp.zeros(zero.shape, jnp.int32),
+            update=lambda running, sample, _: running + sample.missed.sum(0, dtype=jnp.int32),
             finish=lambda running, _: running,
         ),
         Metric(

@@ -24,6 +24,7 @@ def test_work_takes_turns_and_the_first_turn_does_not_count():
 
 
 @pytest.mark.slow
+@pytest.mark.timing
 def test_quick_bench_prints_every_figure_and_sane_ratios():
     command = [sys.executable, "-m", "tuning.command_line", "bench", "--quick", "--json", "--batch", "256"]
     output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout

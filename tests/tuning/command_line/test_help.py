@@ -10,6 +10,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
+from mjx_climb.walk.metrics import FAILURES
 from tuning.command_line import completion, main
 from tuning.command_line.program import app
 from tuning.problem import search
@@ -95,7 +96,7 @@ def test_names_complete(line, expected, tmp_path):
 
 def test_names_written_for_completion_are_the_real_ones():
     assert set(completion.ENGINES) == set(mc.ENGINES)
-    assert set(completion.METRICS) == set(mc.METRICS.names) - {"detached_at", "detached_limb", "diverged"}
+    assert set(completion.METRICS) == set(mc.METRICS.names) - set(FAILURES)
     assert shipped.names() == ["case_1_1", "case_1_2", "case_2"]
 
 

@@ -20,7 +20,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.searches import result
-from tuning.searches.methods import METHODS, Task
+from tuning.searches.methods import METHODS, Method, Request, Task
 from tuning.searches.tune import problem_of, start_of, tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.05}
@@ -273,6 +273,51 @@ def test_a_search_for_another_objective_is_not_taken_for_an_interrupted_one(scen
     with pytest.raises(OutputError, match="another that differs in objective"):
         tune(scenario, objective=judge(100.0), **settings)
     assert tune(scenario, objective=judge(1.0), progress=stop, **settings).interrupted
+
+
+def random_search(spread, task):
+    """A method in five lines: points round the best so far."""
+    rng, best = np.random.default_rng(task.search.seed), task.start
+    for _ in range(3):
+        theta = task.problem.space.clip(best + spread * rng.standard_normal((24, best.size)))
+        found = yield Request(theta, None, "round the best")
+        best = theta[np.argmin(found.merit)]
+
+
+def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path):
+    def stop(now):
+        assert now.rounds_in_all == 0 and now.phase == "round the best"
+        raise KeyboardInterrupt
+
+    how = {"limits": {"base_deviation": 0.02}, "seed": 3}
+    method = functools.partial(random_search, 1.0)
+    assert tune(scenario, method=method, out=tmp_path, progress=stop, **how).history.sizes["point"] == 24
+    with pytest.raises(OutputError, match="another that differs in method"):
+        tune(scenario, method=functools.partial(random_search, 2.0), out=tmp_path, **how)
+    walked = []
+    resumed = tune(scenario, method=method, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
+    undisturbed = tune(scenario, method=Method(lambda task: 3, method), **how)
+    assert walked == [False, True, True] and resumed.search.method == "own"
+    np.testing.assert_array_equal(resumed.history["theta"], undisturbed.history["theta"])
+    np.testing.assert_array_equal(resumed.history["value"], undisturbed.history["value"])
+    assert resumed.value == undisturbed.value < 1
+
+
+@pytest.mark.parametrize(
+    "method, message",
+    [
+        ("own", "expected the method itself"),
+        (3.0, "expected a name, a Method, or a function"),
+        (lambda task: iter([np.zeros((2, 2))]), "finite theta .B, 2., got a ndarray"),
+        (lambda task: iter([Request(np.zeros((2, 5)), None, "")]), r"finite theta .B, 2., got .2, 5."),
+        (lambda task: iter([Request(np.full((2, 2), np.nan), None, "")]), "got .2, 2. with values that are not finite"),
+        (lambda task: iter([Request(np.zeros((2, 2)), np.ones((1, 3)), "")]), "expected directions .k, 2."),
+    ],
+)
+def test_a_method_that_is_none_is_refused_in_one_line(scenario, method, message):
+    with pytest.raises(ConfigError, match=f"^method: .*{message}") as error:
+        tune(scenario, method=method)
+    assert "\n" not in str(error.value)
 
 
 _KILLED = """

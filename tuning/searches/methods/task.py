@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.search import Search
 
@@ -39,3 +40,41 @@ class Method(NamedTuple):
 
     rounds: Callable[[Task], int]
     run: Callable[[Task], Points]
+
+
+def as_method(method: Method | Callable[[Task], Points]) -> Method:
+    """Return a method; the rounds of a bare function are the setting `iterations`, 0 where that is not set.
+
+    Raises:
+        ConfigError: neither a method nor a function.
+    """
+    if isinstance(method, Method):
+        return method
+    if not callable(method):
+        raise ConfigError(f"method: expected a name, a Method, or a function of a Task, got {method!r}")
+    return Method(_iterations, method)
+
+
+def _iterations(task: Task) -> int:
+    return task.search.iterations or 0
+
+
+def check_request(request: Request, task: Task) -> None:
+    """Refuse what no batch of points of the space is.
+
+    Raises:
+        ConfigError: in one line, what was expected.
+    """
+    n = task.problem.space.size
+    theta = np.asarray(request.theta) if isinstance(request, Request) else np.zeros(0)
+    if theta.ndim != 2 or not len(theta) or theta.shape[1] != n or not np.isfinite(theta).all():
+        raise ConfigError(f"method: expected a Request of finite theta (B, {n}), got {_in_short(request)}")
+    if request.directions is not None and np.shape(request.directions)[1:] != (n,):
+        raise ConfigError(f"method: expected directions (k, {n}), got {np.shape(request.directions)}")
+
+
+def _in_short(request: Request) -> str:
+    if not isinstance(request, Request):
+        return f"a {type(request).__name__}"
+    values = np.asarray(request.theta)
+    return f"{values.shape}" if np.isfinite(values).all() else f"{values.shape} with values that are not finite"

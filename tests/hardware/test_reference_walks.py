@@ -1,0 +1,123 @@
+"""Walks with hardware in the loop against an independent program's, all 300 of them."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import law_of
+
+pytestmark = pytest.mark.slow
+
+REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "hardware_walks.json").read_text())
+SEEDS = 10
+METRICS = ("force_variation", "peak_foot_force", "cost_of_transport", "base_deviation")
+PUSHES = 3
+
+# what the reference names, and the numbers that it is here; there the base's pose is as late as the wrench
+NUMBERS = {
+    "force_sensor.delay": ("force_delay", "base_delay"),
+    "force_sensor.filter": ("force_filter",),
+    "force_sensor.noise": ("force_noise",),
+    "command_delay": ("command_delay",),
+    "control_period": ("control_period",),
+    "servo.delay": ("servo_delay",),
+    "servo.torque_limit": ("torque_limit",),
+    "servo.coulomb_friction": ("coulomb_friction",),
+    "kp": ("kp",),
+    "kd": ("kd",),
+}
+LAWS = {
+    "pd": ("pd",),
+    "virtual_model": ("paper", "soft", "damped", "six_axes"),
+    "measured_pose": ("measured_pose_paper",),
+}
+
+
+def entries():
+    """Yield case, entry and gains of everything that the reference has."""
+    for case, walks in REFERENCE["cases"].items():
+        for entry, results in walks.items():
+            for gains in results:
+                yield case, entry, gains
+
+
+def changes(entry):
+    if entry == "ideal":
+        return {}
+    pairs = [part.split("=") for part in entry.split()]
+    return {name: np.asarray(float(value)) for key, value in pairs for name in NUMBERS[key]}
+
+
+def numbers_of(scenario):
+    with jax.enable_x64(True):
+        numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
+    missing = PUSHES - len(numbers.push_start)
+    pushes = {}
+    for name in ("push_force", "push_moment", "push_start", "push_stop"):
+        value = getattr(numbers, name)
+        pushes[name] = np.concatenate([value, np.zeros((missing, *value.shape[1:]))])
+    return dataclasses.replace(numbers, **pushes)
+
+
+def gains_of(scenario, name):
+    own = REFERENCE["gains"][name]
+    return [np.broadcast_to(own.get(n, getattr(scenario.control, n)), 6) for n in ("inertia", "damping", "stiffness")]
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """Walk all entries, a batch for each law: metrics by case, entry and gains, with one value for each seed."""
+    scenarios = {case: mc.load_scenario(case) for case in REFERENCE["cases"]}
+    found = {}
+    for law, names in LAWS.items():
+        control = {"control.controller": "pd"} if law == "pd" else {"control.reading": law}
+        rows = []
+        for case, entry, gains in entries():
+            if gains in names:
+                own = numbers_of(scenarios[case])
+                for seed in range(SEEDS if "noise" in entry else 1):
+                    numbers = dataclasses.replace(own, **changes(entry), seed=np.asarray(float(seed)))
+                    rows.append(((case, entry, gains), gains_of(scenarios[case], gains), numbers))
+        batch = mc.Gains(*(np.stack([row[1][i] for row in rows]) for i in range(3)))
+        numbers = jax.tree.map(lambda *values: np.stack(values), *(row[2] for row in rows))
+        scenario = scenarios["case_1_2"].with_overrides(control)
+        own = law_of(scenario)
+        if law == "measured_pose":
+            own = dataclasses.replace(own, horizon=1e-3)
+        result = mc.rollout_metrics(scenario, batch, numbers, law=own, dtype=np.float64)
+        for index, (key, *_) in enumerate(rows):
+            for name, values in result.items():
+                found.setdefault(key, {}).setdefault(name, []).append(values[index])
+    return found
+
+
+def deviations(key, walked):
+    """Return for each metric by how much it is off, as a share of what is allowed, and of the reference."""
+    case, entry, gains = key
+    expected, ours = REFERENCE["cases"][case][entry][gains], walked[key]
+    found = {}
+    for name in METRICS:
+        value, there = np.mean(ours[name]), expected[name]
+        allowed = (0.15 if "friction" in entry else 0.02) * abs(there)
+        if "noise" in entry:  # of the difference of two means of ten
+            spread = np.hypot(np.std(ours[name], ddof=1), expected.get(f"{name}_std", 0.0)) / np.sqrt(SEEDS)
+            allowed = max(3 * spread, 1e-4 * abs(there))
+        found[name] = (abs(value - there) / allowed, abs(value - there) / abs(there))
+    return found
+
+
+@pytest.mark.parametrize("key", list(entries()), ids=" ".join)
+def test_a_walk_is_the_independent_programs(key, walked):
+    case, entry, gains = key
+    expected, ours = REFERENCE["cases"][case][entry][gains], walked[key]
+    if expected["detached_at"] is None:
+        assert not np.any(ours["diverged"]) and np.isnan(ours["detached_at"]).all()
+        worst = deviations(key, walked)
+        assert max(share for share, _ in worst.values()) <= 1, worst
+    else:
+        assert ours["detached_at"][0] == pytest.approx(expected["detached_at"], abs=0.02)
