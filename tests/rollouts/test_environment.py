@@ -89,6 +89,7 @@ def test_vmap_adds_an_axis(env):
     assert starts.robot.joint_angles.shape == (2, 12)
 
 
+@pytest.mark.slow  # the reverse mode of a step takes a minute to compile
 def test_derivatives_by_an_action(scenario):
     """Forward and reverse agree with central differences of the base's velocity after two steps."""
     env = mc.Environment(scenario, in_pieces=False)
@@ -104,6 +105,19 @@ def test_derivatives_by_an_action(scenario):
     difference = (velocity(0.011) - velocity(0.009)) / 0.002
     np.testing.assert_allclose([forward, reverse], difference, rtol=1e-6)
     assert abs(difference) > 1e-3
+
+
+def test_forward_derivatives_of_pieces(scenario):
+    env = mc.Environment(scenario, in_pieces=True)
+    state = env.reset()
+
+    @jax.jit
+    def torque(shift):
+        return env.step(state, mc.BaseShift(jnp.zeros(6).at[0].set(shift)))[1].joint_torque[0, 1]
+
+    slope = jax.jvp(torque, (1e-3,), (1.0,))[1]
+    np.testing.assert_allclose(slope, (torque(1.01e-3) - torque(0.99e-3)) / 2e-5, rtol=1e-5)
+    assert abs(slope) > 1
 
 
 def test_reverse_mode_of_pieces_is_refused(scenario):
