@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.control import Command, Measurement, Reference, running
+from mjx_climb.control.base_shift import shifted_by
 from mjx_climb.control.joint_loop import joint_torque
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
@@ -14,6 +15,7 @@ from mjx_climb.hardware import base_estimate, control_period, delay, force_senso
 from mjx_climb.hardware.pace import Pace
 from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.walk.action import Action, JointTargets, displacement_of
 from mjx_climb.walk.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 
 
@@ -91,8 +93,12 @@ def run(
     contacts: Contacts,
     reference: Reference,
     step: Array,
+    action: Action = None,
 ) -> tuple[Memory, Any, Driven]:
-    """Return the memory and the law's state after a step, and what the joints do in it."""
+    """Return the memory and the law's state after a step, and what the joints do in it.
+
+    An action takes the place of the law, which then stays as it is; its way to the joints is the same.
+    """
     numbers, stages, pace = controller.numbers, controller.stages, controller.pace
     sensor, force, wrench = memory.force_sensor, contacts.force, contacts.wrench
     if stages.force:
@@ -104,11 +110,15 @@ def run(
 
     measurement = Measurement(*base, force, wrench, contacts.support)
     after, command = controller.law.command(law_state, measurement, reference)
+    if action is not None:
+        after, command = law_state, shifted_by(reference, displacement_of(action, wrench))
     rotation = quaternion_to_matrix(command.base_orientation)
     target = rotate_back(rotation[:, :, None], command.foot_position - command.base_position[:, None])
     iterated = isinstance(controller.geometry, Chain)
     joints = inverse_kinematics(controller.geometry, target, memory.posture if iterated else None)
     posture = joints.joint_angles if iterated else ()
+    if isinstance(action, JointTargets):
+        joints = joints._replace(joint_angles=action.angles)
 
     said = memory.said
     if stages.control_period:

@@ -20,6 +20,7 @@ from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import control_loop, disturbance, gait
+from mjx_climb.walk.action import Action
 from mjx_climb.walk.contact import Contact, Reach, grip
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
@@ -206,8 +207,11 @@ def begin(walk: Walk, batch: int) -> Carry:
     )
 
 
-def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
-    """Return the walk one time step later, and all that is known about this step."""
+def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tuple[Carry, Sample]:
+    """Return the walk one time step later, and all that is known about this step.
+
+    `step` counts them, () or (B,). An action takes the place of the law, which then stays as it is.
+    """
     robot, numbers, state = walk.robot, walk.numbers, carry.state
     rotation = quaternion_to_matrix(state.base_orientation)
     frames = limb_frames(robot, rotation, state.joint_angles)
@@ -231,6 +235,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         control_loop.Contacts(feet.lever, held.force, held.support, wrench),
         reference,
         step,
+        action,
     )
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
