@@ -124,6 +124,7 @@ def stacked(acceleration):
     return np.concatenate([acceleration.base_linear, acceleration.base_angular, acceleration.joints], axis=-1)
 
 
+@ONE_OF_BOTH
 def test_a_mass_changed_in_the_mjcf_changes_everywhere(engine, states, forces, monkeypatch, tmp_path):
     """A robot file with a heavier base and tibia: total mass and accelerations are those of MuJoCo on that file."""
     (tmp_path / "heavier.xml").write_text(HEAVIER)

@@ -83,6 +83,7 @@ def assert_derivatives(walks, directions):
     assert clear.sum() > 0.2 * clear.size, report
 
 
+@pytest.mark.slow
 def test_two_gains_in_case_2(case, gains, numbers):
     """Damping and stiffness of all axes at once, at gains that matter: every smooth metric's derivative is right."""
     walks = Walks([case("case_2", "virtual_model")], gains, numbers, nominal=(1.0, 1e2, 3e3))
