@@ -136,6 +136,7 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
     attrs = {"title": "walk of a limbed climbing robot", **provenance(trajectory.scenario)}
     attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.numbers)}
+    attrs |= {"law": trajectory.law} if trajectory.law else {}
     return xr.Dataset(data, coords, attrs)
 
 
@@ -300,7 +301,8 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)
-    return Trajectory(scenario_of(dataset), gains, Parameters(**numbers | pushes), limbs, **arrays)
+    given = Parameters(**numbers | pushes)
+    return Trajectory(scenario_of(dataset), gains, given, limbs, law=dataset.attrs.get("law", ""), **arrays)
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:

@@ -24,8 +24,11 @@ LAWS = {
 }
 
 
-def controller(scenario: Scenario) -> str:
-    """Return the name of a scenario's control law."""
+def controller(trajectory: Trajectory) -> str:
+    """Return the name of the control law of a walk."""
+    if trajectory.law:
+        return trajectory.law
+    scenario = trajectory.scenario
     name = LAWS[scenario.control.controller]
     return name if scenario.control.reading == "virtual_model" else f"{name}, measured pose"
 

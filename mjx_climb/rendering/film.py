@@ -31,7 +31,7 @@ class Shot:
     ):
         check(trajectories, labels, size)
         scenario = trajectories[0].scenario
-        names = [controller(t.scenario) for t in trajectories] if labels is None else labels
+        names = [controller(t) for t in trajectories] if labels is None else labels
         self._trajectories, self._size = trajectories, size
         grips = np.concatenate([marks.grip_points(t) for t in trajectories])
         middle = trajectories[0].base_reference[[0, -1], :2].mean(0)

@@ -88,7 +88,7 @@ def _words(trajectory: Trajectory, row: int) -> tuple[str, str]:
     forces = np.linalg.norm(trajectory.foot_force[row], axis=-1)
     limb = int(forces.argmax())
     names = ["controller", "time", "largest force"]
-    values = [controller(trajectory.scenario), f"{trajectory.time[row]:.2f} s", f"{forces[limb]:.1f} N"]
+    values = [controller(trajectory), f"{trajectory.time[row]:.2f} s", f"{forces[limb]:.1f} N"]
     values[-1] += f" at {trajectory.limbs[limb]}" if forces[limb] else ""
     torn = [name for name, lost in zip(trajectory.limbs, trajectory.detached[row], strict=True) if lost]
     if torn:

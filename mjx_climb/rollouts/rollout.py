@@ -211,7 +211,10 @@ def rollout(
         samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
         samples = jax.tree.map(np.asarray, samples)
     own = dataclasses.replace(walker.numbers, **walker.replaced)
-    return from_samples(samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs)
+    name = "" if law is None else type(law).__name__
+    return from_samples(
+        samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs, name
+    )
 
 
 def given_in(

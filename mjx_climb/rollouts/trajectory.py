@@ -55,6 +55,7 @@ class Trajectory:
     center_of_mass: Float[np.ndarray, "time 3"]  # m, robot and cargo
     tsm: Float[np.ndarray, " time"]  # m
     gia_margin: Float[np.ndarray, " time"]  # m/s^2
+    law: str = ""  # name of the control law, where it is not the scenario's
 
 
 def from_samples(
@@ -63,6 +64,7 @@ def from_samples(
     gains: Gains | Mapping[str, np.ndarray],
     numbers: Parameters,
     limbs: tuple[str, ...],
+    law: str = "",
 ) -> Trajectory:
     """Return the trajectory of samples stacked over time, (T, ..., 1) in the layout of the hot path."""
 
@@ -73,7 +75,7 @@ def from_samples(
         return np.swapaxes(value[..., 0], 1, 2) if value.ndim == 4 else value[..., 0]
 
     histories = {name: public(value) for name, value in samples._asdict().items()}
-    return Trajectory(scenario, gains, numbers, limbs, **histories)
+    return Trajectory(scenario, gains, numbers, limbs, **histories, law=law)
 
 
 def to_samples(trajectory: Trajectory) -> Sample:

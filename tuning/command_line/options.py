@@ -56,6 +56,12 @@ GainsFile = Annotated[
     Path | None,
     typer.Option("--gains", metavar="FILE", help="Gains file in place of the config's gains."),
 ]
+LawFile = Annotated[
+    str | None,
+    typer.Option(
+        "--law", metavar="FILE.py:NAME", help="Control law of one's own in place of the config's; the file is run."
+    ),
+]
 Engine = Annotated[
     str | None,
     typer.Option(
@@ -118,6 +124,30 @@ def scenario_from(
     return scenario
 
 
+def law_from(text: str | None, gains: Path | None, scenario: "mc.Scenario") -> "tuple[mc.Law | None, mc.Scenario]":
+    """Return the law of `--law`, None without one, and the scenario, both with the values of a gains file.
+
+    Raises:
+        ConfigError: no such law, or the gains of another one.
+    """
+    from mjx_climb.rollouts.given import with_gains
+    from tuning.gains import gains_file, law_file
+
+    if text is None:
+        return None, scenario if gains is None else gains_file.applied(scenario, gains_file.load(gains))
+    law = law_file.load(text)
+    if gains is None:
+        return law, scenario
+    values = gains_file.load(gains, law)
+    joint = {name: value for name, value in values.items() if name not in law.GAINS}
+    return with_gains(law, values), gains_file.applied(scenario, joint)
+
+
+def law_name(law: "mc.Law | None", scenario: "mc.Scenario") -> str:
+    """Return the name of the law that walks, as in names of folders."""
+    return scenario.control.controller if law is None else type(law).__name__
+
+
 def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", config: Path) -> "Search":
     """Return the settings of a search from its file and `--space`, checked against the scenario.
 
@@ -134,7 +164,9 @@ def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", c
     return wanted
 
 
-def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None) -> None:
+def check_space(
+    scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None, law: "mc.Law | None" = None
+) -> None:
     """Refuse a search that has nothing to move, or names gains that are not there, before anything is written.
 
     Raises:
@@ -144,7 +176,7 @@ def check_space(scenario: "mc.Scenario", search: "Search", config: Path, file: P
     from tuning.problem.spaces import space
 
     try:
-        space(scenario, search)
+        space(scenario, search, law)
     except ConfigError as error:
         raise _placed(error, config if str(error).startswith("control.") else file) from None
 
@@ -189,6 +221,11 @@ def engine_from(name: str | None) -> str:
     if name is not None and name not in ENGINES:
         raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {name!r}")
     return name or DEFAULT_ENGINE
+
+
+def law_option(law: str | None) -> str:
+    """Return the option that chooses a law, with a space before it; empty for the config's."""
+    return "" if law is None else f" --law {law}"
 
 
 def engine_option(engine: str) -> str:

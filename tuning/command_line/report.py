@@ -8,7 +8,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from tuning.report.numbers import change, gain, number, to_json, unit
+from tuning.report.numbers import axis_values, change, gain, gain_units, number, to_json, unit
 
 if TYPE_CHECKING:
     import mjx_climb as mc
@@ -80,8 +80,9 @@ def comparison_table(walks: "Compared", baseline: str, width: int, about: "mc.Me
         cells = [t for name in walks for t in [values[name], changes.get(name, "")][: 1 + (name in compared)]]
         table.add_row(key, text, *cells, end_section=last)
 
-    for key, text in (("stiffness", "N/m"), ("damping", "N s/m"), ("inertia", "kg")):
-        add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == "inertia")
+    units = gain_units(walks)
+    for key, text in units.items():
+        add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == list(units)[-1])
     for key, base in metrics[baseline].items():
         changes = {name: change(metrics[name][key], base) for name in compared}
         add(key, unit(key, about), {name: number(metrics[name][key]) for name in walks}, changes)
@@ -93,13 +94,15 @@ def gains_table(walks: "Compared") -> Table:
     table = plain_table("metric", *(name for name in walks if walks[name][0] is not None))
     table.columns[0].header = "gain"
     held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
-    for key in ("stiffness", "damping", "inertia"):
-        six = {name: np.broadcast_to(np.asarray(gains[key], float), 6) for name, gains in held.items()}
+    for key in gain_units(walks):
+        six = {name: axis_values(gains.get(key)) for name, gains in held.items()}
         if all(np.ptp(values) == 0 for values in six.values()):
             table.add_row(key, *(f"{values[0]:.4g}" for values in six.values()))
             continue
         for axis, label in enumerate(("x", "y", "z", "rx", "ry", "rz")):
             table.add_row(f"{key} {label}", *(f"{values[axis]:.4g}" for values in six.values()), end_section=axis == 5)
     for key in ("kp", "kd"):
+        if any(key not in gains for gains in held.values()):
+            continue
         table.add_row(key, *(f"{gains[key]:.4g}" for gains in held.values()))
     return table

@@ -26,6 +26,7 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
 def tune_robustly(
     scenario: "mc.Scenario", wanted: "Search", ensemble: "Ensemble", judges: int, out: Path, engine: str,
     name: str, line: "Callable[[Progress], str]", meter: "Meter", stdout: TextIO, *, json: bool,
+    law: "mc.Law | None" = None,
 ) -> None:  # fmt: skip
     """Search, judge the result beside the config's gains and pd, and write both."""
     from mjx_climb import plots
@@ -47,9 +48,9 @@ def tune_robustly(
 
     try:
         with meter.stage("search", unit="rounds") as show:
-            found = robust.search(scenario, ensemble, wanted, engine=engine, out=out, progress=round_done)
+            found = robust.search(scenario, ensemble, wanted, law=law, engine=engine, out=out, progress=round_done)
         comment = f"{wanted.method}, {wanted.space}, {ensemble.members} members, objective {found.value:.4f} (pd: 1)"
-        gains_file.save(found.gains, out / "gains.yaml", f"mjx-climb tune --ensemble: {comment}")
+        gains_file.save(found.gains, out / "gains.yaml", f"mjx-climb tune --ensemble: {comment}", law)
         found.save(out / "search.nc")
         if found.interrupted:
             raise Interrupted(
@@ -57,8 +58,8 @@ def tune_robustly(
                 "the same command goes on from there"
             )
         with meter.stage("fresh draw") as told:
-            rivals = {"robust": found.gains, "config": gains_of(scenario)}
-            judged = robust.judge(scenario, rivals, ensemble, members=judges, engine=engine, progress=told)
+            rivals = {"robust": found.gains, "config": gains_of(scenario) if law is None else law}
+            judged = robust.judge(scenario, rivals, ensemble, members=judges, law=law, engine=engine, progress=told)
         summed = robust.summary(judged)
         dataset.save(judged, out / "judged.nc")
         text = report.to_json(_plain(summed, found))
@@ -138,6 +139,8 @@ def _plain(summed: "xr.Dataset", found: "Result") -> dict[str, Any]:
         }
         for name in names
     }
-    gains = {name: value for name, value in vars(found.gains).items() if value is not None}
+    from tuning.gains.gains_file import by_name
+
+    gains = by_name(found.gains)
     search = {"objective": found.value, "feasible": found.feasible, "env_steps": found.env_steps, "gains": gains}
     return {**result, "search": search}

@@ -14,6 +14,7 @@ def run(
     hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
+    law: options.LawFile = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-<controller>"),
@@ -43,6 +44,7 @@ def run(
       mjx-climb run case_1_2 --controller pd --json
       mjx-climb run case_1_2 --set control.damping=2e3 --set disturbance.cargo.mass=0.5
       mjx-climb run case_2 --video --compare pd
+      mjx-climb run case_2 --law my_law.py:Filtered --gains best.yaml
       mjx-climb run case_1_2 --snapshots --at 2.5,4.6
     """
     with options.reserved_stdout() as stdout:
@@ -51,16 +53,15 @@ def run(
         from mjx_climb.files import dataset, scenario_files
         from mjx_climb.robot.constants import load_robot
         from tuning.command_line import interruption, progress, report
-        from tuning.gains import gains_file
 
         scenario = options.scenario_from(config, controller, changes, hardware)
-        if gains is not None:
-            scenario = gains_file.applied(scenario, gains_file.load(gains))
+        own, scenario = options.law_from(law, gains, scenario)
+        name = options.law_name(own, scenario)
         engine = options.engine_from(engine)
         load_robot(scenario.robot)
         pictures = visible.pictures_from(video, snapshots, at, size, view, scenario)
         baseline = visible.compared(scenario, compare)
-        out = out or Path("results") / f"{config.stem}-{scenario.control.controller}"
+        out = out or Path("results") / f"{config.stem}-{name}"
         scenario = scenario_files.copied(scenario, out)
         baseline = None if baseline is None else scenario_files.copied(baseline, out)
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
@@ -68,8 +69,8 @@ def run(
         console = report.console(stderr=True)
         console.print(progress.cache_state(), soft_wrap=True)
         meter = progress.Meter(console)
-        with meter.stage(scenario.control.controller):
-            trajectory = mc.rollout(scenario, engine=engine)
+        with meter.stage(name):
+            trajectory = mc.rollout(scenario, law=own, engine=engine)
         walks = [trajectory]
         if baseline is not None:
             with meter.stage(baseline.control.controller):
@@ -83,9 +84,8 @@ def run(
             plots.save_figure(plots.plot_feet(trajectory), out / "feet")
         files = ["trajectory.nc", "config.yaml", "metrics.json", "walk.png, .svg, .pdf", "feet.png, .svg, .pdf"]
         if baseline is not None:
-            plots.save_figure(
-                plots.plot_comparison({w.scenario.control.controller: w for w in walks}), out / "comparison"
-            )
+            names = [baseline.control.controller, name]
+            plots.save_figure(plots.plot_comparison(dict(zip(names, walks, strict=True))), out / "comparison")
             files.append("comparison.png, .svg, .pdf")
         files += pictures.write(walks, out, meter.stage)
 

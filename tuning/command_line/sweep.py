@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,17 +28,32 @@ RANGE = "LOW:HIGH:COUNT"
 def sweep(
     config: options.Config,
     stiffness: Annotated[
-        str,
-        typer.Option(metavar=RANGE, help="Virtual stiffness K, N/m and N m/rad: evenly spaced on a logarithmic scale."),
-    ],
+        str | None,
+        typer.Option(
+            metavar=RANGE,
+            help="Virtual stiffness K, N/m and N m/rad: evenly spaced on a logarithmic scale.",
+            show_default=False,
+        ),
+    ] = None,
     damping: Annotated[
-        str,
-        typer.Option(metavar=RANGE, help="Virtual damping D, N s/m and N m s/rad, spaced likewise."),
-    ],
+        str | None,
+        typer.Option(
+            metavar=RANGE, help="Virtual damping D, N s/m and N m s/rad, spaced likewise.", show_default=False
+        ),
+    ] = None,
+    axis: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar=f"NAME={RANGE}",
+            help="Gain of the law, SI units, spaced likewise; in place of either of these, or twice for both.",
+            show_default=False,
+        ),
+    ] = None,
     controller: options.Controller = None,
     hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
+    law: options.LawFile = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-sweep"),
@@ -50,7 +65,7 @@ def sweep(
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
-    """Walk a grid of stiffness and damping, the same on all six axes, in single precision.
+    """Walk a grid of stiffness and damping, or of two other gains, the same on all axes, in single precision.
 
     Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
     side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a map of
@@ -65,13 +80,14 @@ def sweep(
     Examples:
       mjx-climb sweep case_1_2 --stiffness 1e2:1e6:16 --damping 1e0:1e5:16
       mjx-climb sweep case_2 --stiffness 1e3:1e5:8 --damping 1e1:1e4:8 --gains best.yaml
+      mjx-climb sweep case_2 --law my_law.py:Filtered --axis cutoff=1:100:8 --damping 1e1:1e4:8
     """
-    stiffness_axis, damping_axis = log_range("--stiffness", stiffness), log_range("--damping", damping)
+    axes = axes_from(stiffness, damping, axis)
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
         from mjx_climb.files import dataset, scenario_files
+        from mjx_climb.rollouts.given import with_gains
         from tuning.command_line import progress, report
-        from tuning.gains import gains_file
         from tuning.judged import stability_limit
         from tuning.report import page
         from tuning.report import sweep as pages
@@ -79,14 +95,20 @@ def sweep(
 
         begin = time.perf_counter()
         own = options.scenario_from(config, controller, changes, hardware)
-        scenario = own if gains is None else gains_file.applied(own, gains_file.load(gains))
+        user_law, scenario = options.law_from(law, gains, own)
+        start, _ = options.law_from(law, None, own)
         engine = options.engine_from(engine)
-        if scenario.control.controller == "pd":
+        if user_law is None and scenario.control.controller == "pd":
             raise InputError("--controller: expected a law with gains to sweep, got pd")
+        try:
+            grid.checked_axes(scenario, user_law, None, None, axes)
+        except ValueError as error:
+            raise InputError(str(error).replace("axes.", "--axis ", 1)) from None
         out = out or Path("results") / f"{config.stem}-sweep"
-        axes = (stiffness_axis, damping_axis)
-        how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "out": out}
-        kept, walks = grid.claim(scenario, *axes, **how), math.prod(map(len, axes))
+        how: dict[str, Any] = {
+            "axes": axes, "law": user_law, "batch_size": batch_size, "engine": engine, "out": out,
+        }  # fmt: skip
+        kept, walks = grid.claim(scenario, **how), math.prod(map(len, axes.values()))
         own, scenario = scenario_files.copied(own, out), scenario_files.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
@@ -104,21 +126,24 @@ def sweep(
             names = {"config": own if gains is None else scenario}
             if gains is not None:
                 names = {"gains file": scenario, "config": own}
-            names["pd"] = own.with_overrides({"control.controller": "pd"})
+            names["pd"] = own.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+            laws = {"config": start, "gains file": user_law, "pd": None}
             trajectories = {}
             for name in reversed(names):
                 with meter.stage(_label(name, own)):
-                    trajectories[name] = mc.rollout(names[name], _on_six_axes(names[name]), engine=engine)
+                    trajectories[name] = mc.rollout(names[name], law=laws[name], engine=engine)
             with meter.stage("grid") as show:
-                result = grid.sweep(scenario, *axes, progress=walked, **how)
+                result = grid.sweep(scenario, progress=walked, **how)
             with meter.stage("stability limit"):
-                result["spectral_radius"] = stability_limit.over_map(scenario, result, engine=engine)
+                result["spectral_radius"] = stability_limit.over_map(scenario, result, law=user_law, engine=engine)
             best = grid.best_cell(result)
             if best is not None:
-                found = {f"control.{name}": best[name].item() for name in ("stiffness", "damping")}
+                found = {name: best[name].item() for name in axes}
                 with meter.stage("best"):
-                    winner = scenario.with_overrides(found)
-                    trajectories["best"] = mc.rollout(winner, _on_six_axes(winner), engine=engine)
+                    joint = {f"control.{n}": v for n, v in found.items() if user_law is None or n not in user_law.GAINS}
+                    own_gains = {n: v for n, v in found.items() if f"control.{n}" not in joint}
+                    winner = None if user_law is None else with_gains(user_law, own_gains)
+                    trajectories["best"] = mc.rollout(scenario.with_overrides(joint), law=winner, engine=engine)
             order = [name for name in ("best", *names) if name in trajectories]
             trajectories = {name: trajectories[name] for name in order}
             compared = {name: (_gains(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()}
@@ -130,12 +155,12 @@ def sweep(
             text = report.to_json(summary)
             dataset.save(result, out / "sweep.nc")
             dataset.write_text_atomically(out / "comparison.json", text + "\n")
-            marks = _marks(compared, own)
+            marks = _marks(compared, own, axes)
             with meter.stage("drawing", compiles=False):
                 _draw(result, trajectories, compared, own, marks, out)
             if walks > grid.HISTORIES:
                 with meter.stage("histories"):
-                    histories = pages.with_histories(result, scenario, best, engine=engine)
+                    histories = pages.with_histories(result, scenario, best, law=user_law, engine=engine)
             else:
                 histories = result
             with meter.stage("report", compiles=False):
@@ -146,10 +171,10 @@ def sweep(
                     {_label(name, own): walk for name, walk in compared.items()},
                     marks,
                     scenario,
-                    warnings=[f"The best lies on the edge of the grid: widen --{name}." for name in edges],
+                    warnings=[f"The best lies on the edge of the grid: widen {_option(name)}." for name in edges],
                     origin=options.origin(
                         config.stem,
-                        _again(stiffness, damping, batch_size, engine),
+                        _again(stiffness, damping, axis, law, batch_size, engine),
                         scenario_files.portable_yaml(scenario, out),
                     ),
                     pictures={
@@ -172,11 +197,11 @@ def sweep(
             tables.print(f"no walk of the grid held: all {walks} detached or diverged")
         else:
             tables.print(
-                f"best: stiffness {best['stiffness'].item():.4g}, damping {best['damping'].item():.4g} "
+                f"best: {', '.join(f'{name} {best[name].item():.4g}' for name in axes)} "
                 f"({int(failed.sum())} of {walks} walks detached or diverged)"
             )
         for name in edges:
-            tables.print(f"the best lies on the edge of the grid: widen --{name}")
+            tables.print(f"the best lies on the edge of the grid: widen {_option(name)}")
         console.print(
             f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, sweep.nc, "
             "maps.png, .svg, .pdf, maps/, walks.png, .svg, .pdf, comparison.json, config.yaml",
@@ -184,6 +209,29 @@ def sweep(
         )
         if json:
             print(text, file=stdout)
+
+
+def axes_from(stiffness: str | None, damping: str | None, axis: list[str] | None) -> "dict[str, np.ndarray]":
+    """Return the values along both axes by the name of the gain, the horizontal one first.
+
+    Raises:
+        InputError: not two gains, or ranges that are none.
+    """
+    texts = {name: (f"--{name}", text) for name, text in (("stiffness", stiffness), ("damping", damping)) if text}
+    for pair in axis or ():
+        name, equals, text = pair.partition("=")
+        if not equals or name in texts:
+            raise InputError(f"--axis: expected NAME={RANGE}, each gain once, got {pair!r}")
+        texts[name] = f"--axis {name}", text
+    if len(texts) != 2:
+        raise InputError(
+            f"--stiffness, --damping, --axis: expected two gains to sweep, got {', '.join(texts) or 'none'}"
+        )
+    return {name: log_range(*text) for name, text in texts.items()}
+
+
+def _option(name: str) -> str:
+    return f"--{name}" if name in ("stiffness", "damping") else f"--axis {name}"
 
 
 def log_range(option: str, text: str) -> "np.ndarray":
@@ -226,35 +274,29 @@ def log_range(option: str, text: str) -> "np.ndarray":
 
 def at_edge(result: "xr.Dataset", best: "xr.Dataset") -> list[str]:
     """Return the axes on whose end the best cell lies."""
-    return [name for name in ("stiffness", "damping") if best[name].item() in result[name].values[[0, -1]]]
+    return [str(n) for n in result["diverged"].dims if best[n].item() in result[n].values[[0, -1]]]
 
 
-def _announcement(scenario: "mc.Scenario", axes: "tuple[np.ndarray, np.ndarray]", kept: int) -> str:
+def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", kept: int) -> str:
     import jax
 
-    stiffness, damping = axes
-    walks = len(stiffness) * len(damping)
-    text = f"{walks} walks ({len(stiffness)} stiffness x {len(damping)} damping) of {scenario.steps} steps"
+    walks = math.prod(map(len, axes.values()))
+    sizes = " x ".join(f"{len(values)} {name}" for name, values in axes.items())
+    text = f"{walks} walks ({sizes}) of {scenario.steps} steps"
     text += f" on {jax.devices()[0].device_kind}"
     return text + (f"; {kept} are there already" if kept else "")
 
 
 def _gains(trajectory: "mc.Trajectory") -> dict[str, Any] | None:
     """Return the gains of a walk, None where its controller has none."""
-    if trajectory.scenario.control.controller == "pd":
+    if not trajectory.law and trajectory.scenario.control.controller == "pd":
         return None
-    control = trajectory.scenario.control
-    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")}
+    if not trajectory.law:
+        control = trajectory.scenario.control
+        return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")}
+    from tuning.gains.gains_file import by_name
 
-
-def _on_six_axes(scenario: "mc.Scenario") -> "mc.Gains":
-    """Return the scenario's gains, (6,) each: one compiled program serves isotropic and other gains."""
-    import numpy as np
-
-    import mjx_climb as mc
-
-    control = scenario.control
-    return mc.Gains(**{n: np.broadcast_to(np.asarray(getattr(control, n), float), 6) for n in mc.Gains.AXES})
+    return by_name(trajectory.gains)
 
 
 def _label(name: str, own: "mc.Scenario") -> str:
@@ -264,23 +306,31 @@ def _label(name: str, own: "mc.Scenario") -> str:
     return "paper" if name == "config" and paper else name
 
 
-def _marks(compared: "Compared", own: "mc.Scenario") -> dict[str, tuple[float, float]]:
-    """Return stiffness and damping of the walks that have one of each, by their name for people."""
+def _marks(compared: "Compared", own: "mc.Scenario", axes: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Return the two gains of the walks that have one of each, by their name for people."""
     import numpy as np
 
     marks = {}
     for name, (gains, _) in compared.items():
-        if gains is not None and all(np.unique(gains[key]).size == 1 for key in ("stiffness", "damping")):
-            stiffness, damping = (float(np.ravel(gains[key])[0]) for key in ("stiffness", "damping"))
-            marks[_label(name, own)] = stiffness, damping
+        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes):
+            x, y = (float(np.ravel(gains[key])[0]) for key in axes)
+            marks[_label(name, own)] = x, y
     return marks
 
 
-def _again(stiffness: str, damping: str, batch_size: int | None, engine: str) -> str:
+def _again(
+    stiffness: str | None,
+    damping: str | None,
+    axis: list[str] | None,
+    law: str | None,
+    batch_size: int | None,
+    engine: str,
+) -> str:
     """Return the command that repeats a sweep from the resolved config in its folder."""
     size = "" if batch_size is None else f" --batch-size {batch_size}"
-    chosen = f"--stiffness {stiffness} --damping {damping}{size}{options.engine_option(engine)}"
-    return f"mjx-climb sweep config.yaml {chosen} --out again"
+    chosen = "".join(f" --{name} {text}" for name, text in (("stiffness", stiffness), ("damping", damping)) if text)
+    chosen += "".join(f" --axis {pair}" for pair in axis or ()) + options.law_option(law)
+    return f"mjx-climb sweep config.yaml{chosen}{size}{options.engine_option(engine)} --out again"
 
 
 def _draw(
@@ -297,6 +347,7 @@ def _draw(
     import mjx_climb as mc
     from mjx_climb import plots
 
+    x, y = (str(name) for name in result["diverged"].dims)
     walks = {_label(name, own): trajectories[name] for name in reversed(trajectories)}
     metrics = [
         name for name in mc.METRICS.names if name not in ("detached_limb", "diverged")
@@ -305,6 +356,6 @@ def _draw(
 
     plots.save_figure(plots.plot_comparison(walks), out / "walks")
     if known := [name for name in metrics if np.isfinite(result[name]).any()]:
-        plots.save_figure(plots.plot_maps(result, known, marks, baselines=pd, columns=3), out / "maps")
+        plots.save_figure(plots.plot_maps(result, known, marks, baselines=pd, columns=3, x=x, y=y), out / "maps")
     for name in metrics:
-        plots.save_figure(plots.plot_map(result, name, marks, baseline=pd.get(name)), out / "maps" / name)
+        plots.save_figure(plots.plot_map(result, name, marks, baseline=pd.get(name), x=x, y=y), out / "maps" / name)

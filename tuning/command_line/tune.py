@@ -37,6 +37,10 @@ def tune(
         SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
     ] = None,
     with_inertia: Annotated[bool, typer.Option("--with-inertia", help="Search the virtual inertia as well.")] = False,
+    also: Annotated[
+        list[str] | None,
+        _pairs("GAIN", "Gain of the law to search that is left alone otherwise; repeatable."),
+    ] = None,
     with_joint_gains: Annotated[bool, typer.Option("--with-joint-gains", help="Search kp and kd as well.")] = False,
     starts: Annotated[
         int | None,
@@ -77,6 +81,7 @@ def tune(
     hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
+    law: options.LawFile = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -105,7 +110,7 @@ def tune(
       cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
       joint_limit_margin (rad)
     GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
-      stiffness and inertia likewise; kp, kd
+      stiffness and inertia likewise; kp, kd; with --law the law's own gains
 
     \b
     Examples:
@@ -131,8 +136,7 @@ def tune(
 
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes, hardware)
-        if gains is not None:
-            scenario = gains_file.applied(scenario, gains_file.load(gains))
+        user_law, scenario = options.law_from(law, gains, scenario)
         engine = options.engine_from(engine)
         if members is not None and ensemble is None:
             raise InputError("--members: expected --ensemble with it")
@@ -141,7 +145,8 @@ def tune(
         given = {
             "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains or None,
             "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
-            "limits": _mapping("--limit", limit), "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
+            "limits": _mapping("--limit", limit), "also": also and tuple(also),
+            "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
         }  # fmt: skip
         if ensemble is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
@@ -152,7 +157,7 @@ def tune(
             settings.check_metrics(wanted, mc.METRICS, "")
         except mc.ConfigError as error:
             raise InputError(options.in_options(str(error).removeprefix(": "))) from None
-        options.check_space(scenario, wanted, config, None if pin or bound else search)
+        options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
         kind = "tune" if ensemble is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
         dataset.check_folder(out)
@@ -161,7 +166,7 @@ def tune(
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(None if weight else search):
             if drawn is None:
-                tuning_tune.problem_of(scenario, wanted, engine=engine)
+                tuning_tune.problem_of(scenario, wanted, engine=engine, law=user_law)
             else:
                 robust_search.goal(scenario, drawn, wanted, engine)
         scenario = scenario_files.copied(scenario, out)
@@ -169,7 +174,7 @@ def tune(
         dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
         if drawn is not None:
             return tune_robustly(
-                scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, meter, stdout, json=json
+                scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, meter, stdout, json=json, law=user_law
             )
 
         kept = 0
@@ -181,11 +186,11 @@ def tune(
 
         try:
             with meter.stage("search", unit="rounds") as show:
-                found = tuning_tune.tune(scenario, wanted, engine=engine, out=out, progress=round_done)
+                found = tuning_tune.tune(scenario, wanted, law=user_law, engine=engine, out=out, progress=round_done)
             comment = (
                 f"mjx-climb tune {config.name}: {wanted.method}, {wanted.space}, objective {found.value:.4f} (pd: 1)"
             )
-            gains_file.save(found.gains, out / "gains.yaml", comment)
+            gains_file.save(found.gains, out / "gains.yaml", comment, user_law)
             found.save(out / "search.nc")
             if found.interrupted:
                 raise Interrupted(
@@ -195,16 +200,17 @@ def tune(
             walks = {}
             names = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
             names |= {"config": scenario, "tuned": verification.tuned(found)}
+            laws = {"config": user_law, "tuned": found.law}
             for name, walked in names.items():
                 with meter.stage(name):
-                    walks[name] = mc.rollout(walked, engine=engine)
+                    walks[name] = mc.rollout(walked, law=laws.get(name), engine=engine)
             metrics = {name: mc.metrics(trajectory) for name, trajectory in walks.items()}
             with meter.stage("map") as show_map:
                 over = verification.map_of(found, progress=lambda done, total: show_map(done, total), engine=engine)
             with meter.stage("verification"):
                 checked = verification.verify(found, metrics=metrics["tuned"], walks=over, engine=engine)
             compared = {
-                name: (None if name == "pd" else _gains(walks[name].scenario), metrics[name])
+                name: (None if name == "pd" else _gains(walks[name]), metrics[name])
                 for name in ("tuned", "config", "pd")
             }
             summary: dict[str, dict[str, Any]] = {n: {"gains": g, "metrics": m} for n, (g, m) in compared.items()}
@@ -232,7 +238,7 @@ def tune(
                     pictures_shown["The way of the search over the map; the red line is the limit of stability."] = (
                         out / "path.svg"
                     )
-                again = "mjx-climb tune config.yaml --search search.yaml --out again"
+                again = f"mjx-climb tune config.yaml --search search.yaml{options.law_option(law)} --out again"
                 written = pages.page(
                     found, checked, over, {name: walks[name] for name in compared}, compared,
                     outcome=[line[0].upper() + line[1:] for line in _verdict(checked, found)],
@@ -260,8 +266,15 @@ def tune(
             print(text, file=stdout)
 
 
-def _gains(scenario: "mc.Scenario") -> dict[str, Any]:
-    return {name: getattr(scenario.control, name) for name in ("inertia", "damping", "stiffness", "kp", "kd")}
+def _gains(trajectory: "mc.Trajectory") -> dict[str, Any]:
+    """Return the gains of a walk, those of the joint loop last."""
+    from tuning.gains.gains_file import by_name
+
+    control = trajectory.scenario.control
+    joint = {name: getattr(control, name) for name in ("kp", "kd")}
+    if trajectory.law:
+        return by_name(trajectory.gains) | joint
+    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")} | joint
 
 
 def _line(now: "Progress") -> str:

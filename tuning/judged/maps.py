@@ -1,4 +1,4 @@
-"""Maps: what walks over a grid of stiffness and damping are worth, and where the closed loop is unstable."""
+"""Maps: what walks over a grid of two gains are worth, and where the closed loop is unstable."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -14,42 +14,45 @@ from tuning.problem import objectives
 from tuning.problem.search import Search
 from tuning.searches.tune import problem_of
 
-DIMENSIONS = ("stiffness", "damping")
-
 
 def with_objective(
     walks: xr.Dataset,
     scenario: mc.Scenario,
     search: Search | None = None,
     *,
+    law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
     metrics: Iterable[mc.Metric] = mc.METRICS,
 ) -> xr.Dataset:
     """Add what a search would make of each cell: `objective`, 1 for pd, and `feasible`, keeps every limit.
 
     Arguments:
-        walks: metrics over (stiffness, damping), as `tuning.searches.grid.sweep` gives them.
+        walks: metrics over two gains, as `tuning.searches.grid.sweep` gives them.
         scenario: the one that was walked.
         search: weights and limits; the default ones where None.
+        law: the control law, the scenario's where None.
         engine: the dynamics, for the walk of pd.
         metrics: of the walks.
     """
-    problem = problem_of(scenario, search or Search(), engine=engine, metrics=metrics)
-    walks = walks.transpose(*DIMENSIONS, ...)
+    problem = problem_of(scenario, search or Search(), engine=engine, metrics=metrics, law=law)
+    dimensions = walks["diverged"].dims
+    walks = walks.transpose(*dimensions, ...)
     score = score_of(problem.objective, {name: walks[name].values for name in problem.metrics.names})
     value = np.where(np.isfinite(score.value), score.value, np.nan)
     return walks.assign(
-        objective=(DIMENSIONS, value, {"units": "1", "long_name": "objective, 1 for pd"}),
-        feasible=(DIMENSIONS, score.feasible, {"units": "1", "long_name": "keeps every limit"}),
+        objective=(dimensions, value, {"units": "1", "long_name": "objective, 1 for pd"}),
+        feasible=(dimensions, score.feasible, {"units": "1", "long_name": "keeps every limit"}),
     )
 
 
-def with_stability(walks: xr.Dataset, scenario: mc.Scenario, *, engine: str = DEFAULT_ENGINE) -> xr.Dataset:
+def with_stability(
+    walks: xr.Dataset, scenario: mc.Scenario, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
+) -> xr.Dataset:
     """Add `spectral_radius`, the largest eigenvalue of one step: above 1 a small disturbance grows.
 
     Pictures of such a map show its limit, see `mjx_climb.plots.plot_map`.
     """
-    return walks.assign(spectral_radius=stability_limit.over_map(scenario, walks, engine=engine))
+    return walks.assign(spectral_radius=stability_limit.over_map(scenario, walks, law=law, engine=engine))
 
 
 def best_cell(judged: xr.Dataset, metric: str = "objective") -> xr.Dataset | None:

@@ -19,12 +19,13 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.compilation.cpu_pieces import in_kernels
-from mjx_climb.control import Law
+from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.stages import IDEAL
 from mjx_climb.quantities.batches import batch_last, flattened, own_axes, rows_of
+from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.walk import gait
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
@@ -36,9 +37,14 @@ _FINEST = 48  # values along an axis of a map
 _Varied = tuple[State, Any]  # of the robot and of the law
 
 
-def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEFAULT_ENGINE) -> np.ndarray:
-    """Return the largest magnitude (B,) of an eigenvalue of one step, for gains (B, 6); the loop is stable below 1."""
-    law, numbers, shape, _ = given_in(scenario, None, gains, _calm(scenario), np.float64)
+def spectral_radius(
+    scenario: mc.Scenario, gains: AnyGains, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
+) -> np.ndarray:
+    """Return the largest magnitude (B,) of an eigenvalue of one step, for gains (B, 6); the loop is stable below 1.
+
+    What a law remembers in whole numbers, or in yes and no, stays as it is: it cannot be off by a little.
+    """
+    law, numbers, shape, _ = given_in(scenario, law, gains, _calm(scenario), np.float64)
     count = math.prod(shape)
     trees, axes = (law, numbers), (own_axes(law), own_axes(numbers))
     flat = flattened(trees, axes, shape)
@@ -58,22 +64,25 @@ def spectral_radius(scenario: mc.Scenario, gains: mc.Gains, *, engine: str = DEF
     return np.concatenate(radii)
 
 
-def over_map(scenario: mc.Scenario, walks: xr.Dataset, *, engine: str = DEFAULT_ENGINE) -> xr.DataArray:
-    """Return the radius over the stiffness and damping (the same on all axes) of a grid of walks.
+def over_map(
+    scenario: mc.Scenario, walks: xr.Dataset, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
+) -> xr.DataArray:
+    """Return the radius over the two gains (the same on all axes) of a grid of walks.
 
     A grid of more than 48 values along an axis has it at 48 of them, and NaN between.
     """
-    axes = {}
-    for name in ("stiffness", "damping"):
+    axes, names = {}, [str(name) for name in walks["diverged"].dims]
+    for name in names:
         values = walks[name].values
         axes[name] = values[np.unique(np.linspace(0, values.size - 1, min(values.size, _FINEST)).round().astype(int))]
-    k, d = (v.reshape(-1, 1) * np.ones(6) for v in np.meshgrid(*axes.values(), indexing="ij"))
-    gains = mc.Gains(np.broadcast_to(np.asarray(scenario.control.inertia, float), k.shape), d, k)
-    radius = spectral_radius(scenario, gains, engine=engine).reshape([v.size for v in axes.values()])
+    lengths = (law_of(scenario) if law is None else law).AXES
+    mesh = zip(names, np.meshgrid(*axes.values(), indexing="ij"), strict=True)
+    gains = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
+    radius = spectral_radius(scenario, gains, law=law, engine=engine).reshape([v.size for v in axes.values()])
     about = {"units": "1", "long_name": "largest eigenvalue of one step"}
-    made = xr.DataArray(radius, axes, ("stiffness", "damping"), attrs=about)
-    whole = made.reindex(stiffness=walks["stiffness"], damping=walks["damping"])
-    return whole.assign_coords({name: walks[name] for name in axes})  # with their units
+    made = xr.DataArray(radius, axes, names, attrs=about)
+    whole = made.reindex({name: walks[name] for name in names})
+    return whole.assign_coords({name: walks[name] for name in names})  # with their units
 
 
 @functools.lru_cache(maxsize=8)
@@ -110,7 +119,8 @@ def _jacobian(shape: Structure, swing_time: float, law: Law, numbers: mc.Paramet
         state=dataclasses.replace(carry.state, base_position=base, joint_angles=joints),
         contact=carry.contact._replace(touching=closed),
     )
-    before = (carry.state, carry.law)
+    smooth = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in carry.law]
+    before = (carry.state, [leaf for leaf, varied in zip(carry.law, smooth, strict=True) if varied])
     leaves, tree = jax.tree.flatten(before)
     sizes = [leaf.size // batch for leaf in leaves]
     rows = jnp.split(jnp.eye(sum(sizes)), np.cumsum(sizes)[:-1], axis=1)

@@ -9,7 +9,9 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.walk.metrics import FAILURES
+from tuning.gains.gains_file import applied, by_name
 from tuning.judged import maps, stability_limit
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
@@ -50,23 +52,25 @@ class Verification:
 def map_of(
     found: Result, *, progress: Callable[[int, int], None] | None = None, engine: str = DEFAULT_ENGINE
 ) -> xr.Dataset | None:
-    """Return the metrics over an isotropic grid of stiffness and damping, with the objective as `objective`.
+    """Return the metrics over an isotropic grid of two gains, with the objective as `objective`; None with one gain.
+
+    They are stiffness and damping, where the law has them and they were searched, or else the first two that were.
 
     A variable `spectral_radius` tells where the closed loop is unstable.
     """
-    problem = problem_of(found.scenario, found.search, engine=engine, metrics=found.judged_by)
+    problem = problem_of(found.scenario, found.search, engine=engine, metrics=found.judged_by, law=found.law)
+    kinds = list(dict.fromkeys(name.split(".")[0] for name in problem.space.names))
     box = {}
-    for kind in ("stiffness", "damping"):
+    for kind in sorted(kinds, key=lambda kind: {"stiffness": 0, "damping": 1}.get(kind, 2))[:2]:
         rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
-        if not rows:
-            return None
         low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
         box[kind] = np.geomspace(low, high, GRID)
-    walks = grid.sweep(
-        found.scenario, box["stiffness"], box["damping"], progress=progress, engine=engine, metrics=found.judged_by
-    )
-    judged = maps.with_objective(walks, found.scenario, found.search, engine=engine, metrics=found.judged_by)
-    return maps.with_stability(judged, found.scenario, engine=engine)
+    if len(box) < 2 or (found.law is None and set(box) != {"stiffness", "damping"}):
+        return None
+    how: dict[str, Any] = {"law": found.law, "engine": engine}
+    walks = grid.sweep(found.scenario, axes=box, progress=progress, metrics=found.judged_by, **how)
+    judged = maps.with_objective(walks, found.scenario, found.search, metrics=found.judged_by, **how)
+    return maps.with_stability(judged, found.scenario, **how)
 
 
 def verify(
@@ -86,11 +90,12 @@ def verify(
         function: the user's objective, where the search had one.
         engine: the dynamics.
     """
-    problem = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by)
+    problem = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by, law=found.law)
     problem = dataclasses.replace(problem, dtype=np.float64)
     space, objective = problem.space, problem.objective
     if metrics is None:
-        metrics = mc.metrics(mc.rollout(found.scenario, found.gains, engine=engine), found.judged_by)
+        alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=engine)
+        metrics = mc.metrics(alone_walk, found.judged_by)
     alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
@@ -100,11 +105,10 @@ def verify(
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
     best = None if walks is None else maps.best_cell(walks)
-    held = {name: value for name, value in vars(found.gains).items() if value is not None}
-    alone_gains = mc.Gains(
-        **{n: np.broadcast_to(np.asarray(v, float), (1, 6) if n in mc.Gains.AXES else (1,)) for n, v in held.items()}
-    )
-    radius = float(stability_limit.spectral_radius(found.scenario, alone_gains, engine=engine)[0])
+    single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
+    alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
+    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=engine)
+    radius = float(limit[0])
 
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None
@@ -119,10 +123,15 @@ def verify(
         shape=shape,
         slopes={name: float(v) for name, v in zip(space.names, slopes, strict=True)},
         grid_value=None if best is None else float(best["objective"]),
-        grid_gains=None if best is None else {n: float(best[n]) for n in ("stiffness", "damping")},
+        grid_gains=None if best is None else {n: float(best[n]) for n in _axes(best)},
         spectral_radius=radius,
         warnings=_warnings(found, problem, around, shape, best, radius, alone),
     )
+
+
+def _axes(cell: xr.Dataset) -> list[str]:
+    """Return the gains that a cell of a map has."""
+    return [str(name) for name in cell.coords if not cell[name].ndim]
 
 
 def _shape(change: np.ndarray) -> str:
@@ -171,10 +180,8 @@ def _warnings(
     if cliffs:
         lines.append(f"cliff within {STEP:.0%} of {', '.join(cliffs)}: a limit breaks or the objective jumps")
     if best is not None and float(best["objective"]) < found.value - 1e-4:
-        lines.append(
-            f"a coarse grid found better: {float(best['objective']):.4f} at stiffness {float(best['stiffness']):.4g}, "
-            f"damping {float(best['damping']):.4g}"
-        )
+        where = ", ".join(f"{name} {float(best[name]):.4g}" for name in _axes(best))
+        lines.append(f"a coarse grid found better: {float(best['objective']):.4f} at {where}")
     if radius > 1 + 1e-9:
         lines.append(f"the closed loop is unstable about the stance: a disturbance grows by {radius:.6f} a step")
     if abs(float(alone.value) - found.value) > 0.01:
@@ -183,7 +190,6 @@ def _warnings(
 
 
 def tuned(found: Result) -> mc.Scenario:
-    """Return the scenario with the gains of a result."""
-    from tuning.gains import gains_file
-
-    return gains_file.applied(found.scenario, found.gains)
+    """Return the scenario with the gains of a result, of another law than its own those of the joint loop."""
+    gains = by_name(found.gains)
+    return applied(found.scenario, {n: v for n, v in gains.items() if found.law is None or n not in found.law.GAINS})

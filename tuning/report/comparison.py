@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from mjx_climb import METRICS, MetricTable
-from tuning.report.numbers import change, gain, number, unit
+from tuning.report.numbers import axis_values, change, gain, gain_units, number, unit
 from tuning.report.page import Table
 
 Values = Mapping[str, Any]
@@ -19,7 +19,7 @@ def table(compared: Compared, caption: str, about: MetricTable = METRICS) -> Tab
     first, *others = compared
     columns = ["", "unit", first, *(f"vs {name} %" for name in others), *others]
     gains = []
-    for key, text in (("stiffness", "N/m"), ("damping", "N s/m"), ("inertia", "kg")):
+    for key, text in gain_units(compared).items():
         values = {name: gain(held, key) for name, (held, _) in compared.items()}
         gains.append([key, text, values[first], *("" for _ in others), *(values[name] for name in others)])
     rows = []
@@ -32,16 +32,19 @@ def table(compared: Compared, caption: str, about: MetricTable = METRICS) -> Tab
 
 def gains_table(compared: Compared) -> Table:
     """Return the gains of walks, axis by axis."""
-    import numpy as np
-
     held = {name: gains for name, (gains, _) in compared.items() if gains is not None}
     units = {"stiffness": ("N/m", "N m/rad"), "damping": ("N s/m", "N m s/rad"), "inertia": ("kg", "kg m^2")}
     sections = []
-    for key, texts in units.items():
-        six = {name: np.broadcast_to(np.asarray(gains[key], float), 6) for name, gains in held.items()}
-        axes = enumerate(("x", "y", "z", "rx", "ry", "rz"))
-        sections.append(("", [[f"{key} {a}", texts[i // 3], *(number(v[i]) for v in six.values())] for i, a in axes]))
+    for key in gain_units(compared):
+        six = {name: axis_values(gains.get(key)) for name, gains in held.items()}
+        texts, axes = units.get(key, ("", "")), enumerate(("x", "y", "z", "rx", "ry", "rz"))
+        rows = [[f"{key} {a}", texts[i // 3], *(number(_finite(v[i])) for v in six.values())] for i, a in axes]
+        sections.append(("", rows))
     return Table("Gains by axis", ["", "unit", *held], sections)
+
+
+def _finite(value: float) -> float | None:
+    return value if value == value else None
 
 
 def against(metric: str, value: float | None, others: Values, about: MetricTable = METRICS) -> str:

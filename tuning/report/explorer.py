@@ -78,47 +78,48 @@ def grid_points(
     marks: Mapping[str, tuple[float, float]],
     chosen: xr.Dataset | None,
 ) -> dict[str, Any]:
-    """Return the cells of a grid over stiffness and damping for `explorer`.
+    """Return the cells of a grid over two gains for `explorer`.
 
     Arguments:
-        grid: metrics over (stiffness, damping), and other variables to draw over them.
+        grid: metrics over two gains, and other variables to draw over them.
         histories: a grid with time histories, over the same values or some of them.
         baseline: metrics of the baseline, for the colours.
-        marks: gains (stiffness, damping) to mark on the map, by name.
+        marks: points (x, y) to mark on the map, by name.
         chosen: the cell to begin with, as of `tuning.searches.grid.best_cell`; the first one where None.
     """
-    walks = grid["diverged"].size
+    walks, axes = grid["diverged"].size, axes_of(grid)
+    x, y = axes
     shown = coarser_grid(grid, chosen, MOST_CELLS)
-    flat = shown.transpose(*_AXES, ...).stack(cell=_AXES, create_index=False)
-    failed = plots.failed_walks(shown, *_AXES)
+    flat = shown.transpose(*axes, ...).stack(cell=axes, create_index=False)
+    failed = plots.failed_walks(shown, *axes)
     scales = {}
     for name in [str(n) for n in shown.data_vars if n not in LINES]:
-        values = plots.comparable(shown, name).transpose(*reversed(_AXES)).values.astype(float)
+        values = plots.comparable(shown, name).transpose(*reversed(axes)).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
             larger = dataset.larger_is_better(shown[name])
             scales[name] = _scale(values, failed, baseline.get(name), larger=larger)
     listed = {str(n): _values(plots.comparable(flat, str(n))) for n in flat.data_vars if n not in LINES}
     stored = [
-        i * shown.sizes["damping"] + j
-        for i, k in enumerate(shown["stiffness"].values)
-        for j, d in enumerate(shown["damping"].values)
-        if k in histories["stiffness"].values and d in histories["damping"].values
+        i * shown.sizes[y] + j
+        for i, across in enumerate(shown[x].values)
+        for j, up in enumerate(shown[y].values)
+        if across in histories[x].values and up in histories[y].values
     ]
-    kept = histories.sel({n: [v for v in shown[n].values if v in histories[n].values] for n in _AXES})
-    begin = dict.fromkeys(_AXES, 0) if chosen is None else place_of(shown, chosen)
+    kept = histories.sel({n: [v for v in shown[n].values if v in histories[n].values] for n in axes})
+    begin = dict.fromkeys(axes, 0) if chosen is None else place_of(shown, chosen)
     return {
         "count": flat.sizes["cell"],
         "left_out": walks - flat.sizes["cell"],
-        "axes": [_axis(shown[name], name) for name in _AXES],
-        "gains": {name: _values(flat[name]) for name in _AXES},
+        "axes": [_axis(shown[name], name) for name in axes],
+        "gains": {name: _values(flat[name]) for name in axes},
         "values": listed,
         "texts": {n: _text(shown[n], n) for n in listed if n not in mc.METRICS.names},
         "scales": scales,
         "failed": [_failure({n: listed[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
-        "begin": begin["stiffness"] * shown.sizes["damping"] + begin["damping"],
+        "begin": begin[x] * shown.sizes[y] + begin[y],
         "stored": stored,
-        "histories": {name: packed(kept[name].transpose(*_AXES, "extreme", "stretch").values) for name in LINES},
+        "histories": {name: packed(kept[name].transpose(*axes, "extreme", "stretch").values) for name in LINES},
         "colors": colors(),
     }
 
@@ -160,15 +161,20 @@ _AXES = ("stiffness", "damping")
 _FAILURES = ("detached_limb", "detached_at", "diverged")
 
 
+def axes_of(grid: xr.Dataset) -> tuple[str, ...]:
+    """Return the names of the two gains of a grid, the horizontal one first."""
+    return tuple(str(name) for name in grid["diverged"].dims)
+
+
 def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
     """Return a grid with at most about `most` of its cells, the chosen one among them."""
     kept = {} if chosen is None else place_of(grid, chosen)
-    return grid.isel(coarser({name: grid.sizes[name] for name in _AXES}, kept, most))
+    return grid.isel(coarser({name: grid.sizes[name] for name in axes_of(grid)}, kept, most))
 
 
 def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
     """Return the indices of a cell along the axes of a grid."""
-    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in _AXES}
+    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
 
 
 def coarser(sizes: Mapping[str, int], kept: Mapping[str, int], most: int) -> dict[str, np.ndarray]:

@@ -37,9 +37,25 @@ def number(value: float | str | None) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
+def gain_units(compared: Mapping[str, tuple[Mapping[str, Any] | None, Any]]) -> dict[str, str]:
+    """Return the unit of a translation by gain, those of the joint loop left out; empty for a user's own gain."""
+    held = [gains for gains, _ in compared.values() if gains is not None]
+    own = dict.fromkeys((name for gains in held for name in gains if name not in ("kp", "kd")), "")
+    known = {"stiffness": "N/m", "damping": "N s/m", "inertia": "kg"}
+    return {name: unit for name, unit in known.items() if name in own or not own} | {
+        name: "" for name in own if name not in known
+    }
+
+
+def axis_values(value: ArrayLike | None) -> np.ndarray:
+    """Return a gain on six axes: one of three on the translations, NaN where it has none."""
+    values = np.atleast_1d(np.asarray(np.nan if value is None else value, float))
+    return np.broadcast_to(values, 6) if values.size in (1, 6) else np.append(values, np.full(6 - values.size, np.nan))
+
+
 def gain(gains: Mapping[str, ArrayLike] | None, key: str) -> str:
     """Return a gain, one or six of them, for a table."""
-    if gains is None:
+    if gains is None or key not in gains:
         return "-"
     values = np.unique(np.asarray(gains[key], float))
     return f"{values[0]:.4g}" if values.size == 1 else "six values"

@@ -46,7 +46,8 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
     names = [str(name) for name in found.history["coordinate"].values]
     theta = found.history["theta"].values
     ways = {}
-    for kind in ("stiffness", "damping"):
+    x, y = (str(name) for name in walks["diverged"].dims)
+    for kind in (x, y):
         columns = [i for i, name in enumerate(names) if name.split(".")[0] == kind]
         ways[kind] = np.exp(theta[:, columns].mean(1))
     control = found.scenario.control
@@ -55,20 +56,18 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
         return float(np.exp(np.mean(np.log(gain))))
 
     tuned = by_name(found.gains)
-    marks = {"tuned": (mean(tuned["stiffness"]), mean(tuned["damping"]))}
+    marks = {"tuned": (mean(tuned[x]), mean(tuned[y]))}
     if found.law is None:
-        marks["config"] = mean(control.stiffness), mean(control.damping)
+        marks["config"] = mean(getattr(control, x)), mean(getattr(control, y))
     with plots.style():
-        figure = plots.plot_map(walks, "objective", marks, baseline=1.0)
+        figure = plots.plot_map(walks, "objective", marks, baseline=1.0, x=x, y=y)
         panel = figure.axes[0]
         phases = found.history["phase"].values.astype(str)
         descending = np.isin(phases, ["descent", "axes tied", "axes free"])
         for row in np.unique(found.history["row"].values[descending]):
             way = descending & (found.history["row"].values == row)
-            panel.plot(ways["stiffness"][way], ways["damping"][way], "-", color="0.1", linewidth=0.7, zorder=3)
-        panel.plot(
-            ways["stiffness"][~descending], ways["damping"][~descending], ".", color="0.1", markersize=2, zorder=3
-        )
+            panel.plot(ways[x][way], ways[y][way], "-", color="0.1", linewidth=0.7, zorder=3)
+        panel.plot(ways[x][~descending], ways[y][~descending], ".", color="0.1", markersize=2, zorder=3)
         handles: list[Artist] = [handle for handle in figure.legends[0].legend_handles if handle is not None]
         handles.append(Line2D([], [], color="0.1", linewidth=0.7, label="descents"))
         handles.append(Line2D([], [], color="0.1", marker=".", markersize=2, linestyle="none", label="other points"))

@@ -9,7 +9,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.rollouts.histories import LINES
 from tuning.report import comparison
-from tuning.report.explorer import MOST_CELLS, coarser_grid, explorer, grid_points
+from tuning.report.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, grid_points
 from tuning.report.page import Origin, Page
 from tuning.searches import grid
 
@@ -20,7 +20,7 @@ def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset |
         return result
     # out of the cells that the page shows
     kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, grid.HISTORIES)
-    return grid.sweep(scenario, kept["stiffness"].values, kept["damping"].values, **how)
+    return grid.sweep(scenario, axes={name: kept[name].values for name in axes_of(kept)}, **how)
 
 
 def page(
@@ -62,7 +62,7 @@ def page(
         others = {walk: numbers["force_variation"] for walk, numbers in metrics.items() if walk != "best"}
         text = comparison.against("force_variation", won["force_variation"], others)
         verdict = (
-            f"Of {count} walks, stiffness {best['stiffness'].item():.4g} and damping {best['damping'].item():.4g} "
+            f"Of {count} walks, {' and '.join(f'{name} {best[name].item():.4g}' for name in axes_of(result))} "
             f"are best: force variation {text}; {comparison.held(won)}."
         )
         notes = [f"{failed} of the {count} walks lost a gripper or diverged."]
@@ -71,9 +71,9 @@ def page(
     kept = histories["diverged"].size
     if kept < count:
         notes.append(f"The page holds the time histories of {kept} of the cells; a click shows the nearest of them.")
-    chosen = best if best is not None else result.isel(stiffness=0, damping=0)
+    chosen = best if best is not None else result.isel(dict.fromkeys(axes_of(result), 0))
     return Page(
-        title=f"Sweep of {origin.name}, {result.sizes['stiffness']} by {result.sizes['damping']} gains",
+        title=f"Sweep of {origin.name}, {' by '.join(str(result.sizes[name]) for name in axes_of(result))} gains",
         origin=origin,
         verdict=verdict,
         notes=[*notes, *warnings],

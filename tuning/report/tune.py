@@ -2,16 +2,16 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
 import mjx_climb as mc
+from tuning.gains.gains_file import by_name
 from tuning.judged.verification import Verification
 from tuning.report import comparison
-from tuning.report.explorer import explorer, grid_points
+from tuning.report.explorer import axes_of, explorer, grid_points
 from tuning.report.numbers import number
 from tuning.report.page import Origin, Page, Table
 from tuning.searches.result import Result
@@ -50,10 +50,11 @@ def page(
     points = None
     if over is not None:
         control = found.scenario.control
-        places: dict[str, Any] = {"tuned": found.gains, "config": control}
-        marks = {n: (_mean(gains.stiffness), _mean(gains.damping)) for n, gains in places.items()}
+        x, y = axes_of(over)
+        places = {"tuned": by_name(found.gains)} | ({"config": vars(control)} if found.law is None else {})
+        marks = {n: (_mean(gains[x]), _mean(gains[y])) for n, gains in places.items()}
         value = over["objective"].where(over["feasible"])
-        best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel(stiffness=0, damping=0)
+        best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel({x: 0, y: 0})
         points = grid_points(over, over, {**metrics["pd"], "objective": 1.0}, marks, best)
     around = [
         [c, _percent(checked.less[c]), _percent(checked.more[c]), checked.shape[c], number(checked.slopes[c])]
@@ -103,9 +104,11 @@ def robust_page(
     pictures: Mapping[str, Path],
 ) -> Page:
     """Return the page of a search over an ensemble; `table` judges its result on walks that the search never saw."""
-    gains = {key: value for key, value in vars(found.gains).items() if value is not None}
+    gains = by_name(found.gains)
     own = found.scenario.control
-    config_gains = {key: getattr(own, key) for key in ("inertia", "damping", "stiffness")}
+    config_gains = {key: getattr(own, key) for key in mc.Gains.AXES}
+    rivals: comparison.Compared = {"robust": (gains, {})}
+    rivals = rivals if found.law else {**rivals, "config": (config_gains, {})}
     return Page(
         title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
         origin=origin,
@@ -113,7 +116,7 @@ def robust_page(
         notes=[] if found.feasible else ["No gains kept every limit in every member of the search."],
         scenario=found.scenario,
         explorers=[],
-        tables=[table, comparison.gains_table({"robust": (gains, {}), "config": (config_gains, {})})],
+        tables=[table, comparison.gains_table(rivals)],
         pictures=pictures,
         facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
     )

@@ -1,4 +1,4 @@
-"""Grid search: every pair of a stiffness and a damping, the same on all six axes, walked in batches of one program."""
+"""Grid search: every pair of values of two gains, the same on all of their axes, walked in batches of one program."""
 
 import hashlib
 import importlib.metadata
@@ -10,16 +10,20 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
-from numpy.typing import DTypeLike
+from numpy.typing import ArrayLike, DTypeLike
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import PACKAGES, larger_is_better, sweep_dataset
 from mjx_climb.robot.constants import model_path
 from mjx_climb.rollouts.histories import LINES, stretches
+from tuning.problem.spaces import JOINT
 from tuning.searches import identity
 from tuning.searches.finished_parts import Parts
+
+Axes = Mapping[str, ArrayLike]  # two gains by name
 
 HISTORIES = 256  # walks up to which a grid keeps time histories
 
@@ -43,9 +47,11 @@ def default_batch_size(walks: int, steps: int, platform: str | None = None) -> i
 
 def claim(
     scenario: mc.Scenario,
-    stiffness: np.ndarray,
-    damping: np.ndarray,
+    stiffness: np.ndarray | None = None,
+    damping: np.ndarray | None = None,
     *,
+    axes: Axes | None = None,
+    law: mc.Law | None = None,
     out: Path,
     batch_size: int | None = None,
     dtype: DTypeLike = np.float32,
@@ -58,17 +64,59 @@ def claim(
         OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
         RobotError: no such robot.
     """
-    walks = np.size(stiffness) * np.size(damping)
+    lists = checked_axes(scenario, law, stiffness, damping, axes)
+    walks = math.prod(values.size for values in lists.values())
     size = batch_size or default_batch_size(walks, scenario.steps)
-    found = Parts(out, _identity(scenario, stiffness, damping, size, dtype, engine, metrics)).count()
+    found = Parts(out, _identity(scenario, law, lists, size, dtype, engine, metrics)).count()
     return min(found * size, walks)
+
+
+def checked_axes(
+    scenario: mc.Scenario,
+    law: mc.Law | None,
+    stiffness: ArrayLike | None,
+    damping: ArrayLike | None,
+    axes: Axes | None,
+) -> dict[str, np.ndarray]:
+    """Return the values along both axes of a sweep, by the name of the gain; arguments as of `sweep`.
+
+    Raises:
+        ValueError: axes that are no lists of positive numbers, or no gains of the law.
+    """
+    given = {"stiffness": stiffness, "damping": damping} if axes is None else axes
+    own = law_of(scenario) if law is None else law
+    if not own.GAINS:
+        raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
+    known = [*own.GAINS, *JOINT]
+    for name in given:
+        if name not in known:
+            raise ValueError(f"axes.{name}: expected a gain of the law, one of {', '.join(known)}")
+    if len(given) != 2:
+        raise ValueError(f"axes: expected two gains, got {len(given)}")
+    lists = {name: np.asarray(values, float) for name, values in given.items()}
+    for name, values in lists.items():
+        if values.ndim != 1 or not values.size or not (np.isfinite(values).all() and (values > 0).all()):
+            raise ValueError(f"{name}: expected a list of finite numbers above 0")
+    return lists
+
+
+def _labelled(axes: Mapping[str, np.ndarray], law: mc.Law | None) -> dict[str, np.ndarray | xr.DataArray]:
+    """Return the values along the axes of a sweep, those of a law of one's own with their units and names."""
+    labelled: dict[str, np.ndarray | xr.DataArray] = dict(axes)
+    for name, field in ({} if law is None else law.GAINS).items():
+        if name in axes:
+            about = {"units": field.unit, "long_name": field.long_name or name.replace("_", " ")}
+            labelled[name] = xr.DataArray(axes[name], dims=name, attrs=about)
+    return labelled
 
 
 def sweep(
     scenario: mc.Scenario,
-    stiffness: np.ndarray,
-    damping: np.ndarray,
+    stiffness: np.ndarray | None = None,
+    damping: np.ndarray | None = None,
     *,
+    axes: Axes | None = None,
+    law: mc.Law | None = None,
     progress: Callable[[int, int], None] | None = None,
     batch_size: int | None = None,
     dtype: DTypeLike = np.float32,
@@ -76,16 +124,18 @@ def sweep(
     metrics: Iterable[mc.Metric] = mc.METRICS,
     out: Path | None = None,
 ) -> xr.Dataset:
-    """Walk the whole grid and return the metrics over (stiffness, damping).
+    """Walk the whole grid and return the metrics over (stiffness, damping), or over two other gains.
 
     A grid of up to `HISTORIES` walks keeps time histories as well: for each name in
-    `mjx_climb.rollouts.histories.LINES` the least and the largest value in each stretch of time, over (stiffness,
-    damping, extreme, stretch).
+    `mjx_climb.rollouts.histories.LINES` the least and the largest value in each stretch of time, over both gains,
+    extreme and stretch.
 
     Arguments:
         scenario: what walks where; its control section gives the inertia and the joint gains.
         stiffness: (n,) N/m and N m/rad, the same on all axes of one walk.
         damping: (m,) N s/m and N m s/rad.
+        axes: in place of these two, a list of values for each of two gains of the law, the same on all of its axes.
+        law: the control law, whose gains that are not swept stay as they are; the scenario's where None.
         progress: called with the number of walks done and the number in all: first with what `out` holds already,
             then after each part.
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
@@ -96,25 +146,19 @@ def sweep(
             result, bit by bit. The parts stay until `finished_parts.clear(out)`.
 
     Raises:
-        ValueError: axes that are no lists of positive numbers, or a controller without admittance gains.
+        ValueError: axes that are no lists of positive numbers, or no gains of the law.
         OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
     """
-    axes = {"stiffness": np.asarray(stiffness, float), "damping": np.asarray(damping, float)}
-    for name, values in axes.items():
-        if values.ndim != 1 or not values.size or not (np.isfinite(values).all() and (values > 0).all()):
-            raise ValueError(f"{name}: expected a list of finite numbers above 0")
-    if scenario.control.controller == "pd":
-        raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
     table = mc.MetricTable(metrics)
-    shape = tuple(values.size for values in axes.values())
+    lists = checked_axes(scenario, law, stiffness, damping, axes)
+    shape = tuple(values.size for values in lists.values())
     walks = math.prod(shape)
     size = batch_size or default_batch_size(walks, scenario.steps)
-    kept = None
-    if out is not None:
-        kept = Parts(out, _identity(scenario, axes["stiffness"], axes["damping"], size, dtype, engine, metrics))
+    kept = None if out is None else Parts(out, _identity(scenario, law, lists, size, dtype, engine, metrics))
 
-    k, d = (values.reshape(-1, 1) for values in np.meshgrid(*axes.values(), indexing="ij"))
-    inertia = np.asarray(scenario.control.inertia, float)
+    lengths = (law_of(scenario) if law is None else law).AXES
+    mesh = zip(lists, np.meshgrid(*lists.values(), indexing="ij"), strict=True)
+    varied = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
     count = math.ceil(walks / size)
     walk = mc.rollout_histories if walks <= HISTORIES else mc.rollout_metrics
     found = {} if kept is None else {number: kept.load(number) for number in range(count)}
@@ -127,7 +171,8 @@ def sweep(
             continue
         # the last part is filled up with its last robot: every part has the shape that was compiled
         rows = np.minimum(np.arange(number * size, (number + 1) * size), walks - 1)
-        part = walk(scenario, mc.Gains(inertia, d[rows], k[rows]), metrics=table, dtype=dtype, engine=engine)
+        gains = {name: values[rows] for name, values in varied.items()}
+        part = walk(scenario, gains, law=law, metrics=table, dtype=dtype, engine=engine)
         parts[number] = part
         if kept is not None:
             kept.save(number, part)
@@ -136,12 +181,14 @@ def sweep(
             progress(done, walks)
     whole = {name: np.concatenate([parts[n][name] for n in range(count)])[:walks] for name in parts[0]}
     whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
-    dataset = sweep_dataset({name: whole[name] for name in table.names}, axes, scenario, table)
-    dataset = dataset.assign(_histories(whole, scenario))
+    dataset = sweep_dataset({name: whole[name] for name in table.names}, _labelled(lists, law), scenario, table)
+    dataset = dataset.assign(_histories(whole, scenario, tuple(lists)))
     return dataset.assign_attrs(engine=engine, dtype=np.dtype(dtype).name, batch_size=size)
 
 
-def _histories(arrays: Mapping[str, np.ndarray], scenario: mc.Scenario) -> dict[str, xr.DataArray]:
+def _histories(
+    arrays: Mapping[str, np.ndarray], scenario: mc.Scenario, axes: tuple[str, ...]
+) -> dict[str, xr.DataArray]:
     """Return the time histories among the arrays, labelled; their coordinate `stretch` says when each one starts."""
     count, steps = stretches(scenario.steps)
     start = np.arange(count) * steps * scenario.time_step
@@ -149,7 +196,7 @@ def _histories(arrays: Mapping[str, np.ndarray], scenario: mc.Scenario) -> dict[
         "extreme": ["least", "largest"],
         "stretch": ("stretch", start, {"units": "s", "long_name": "start of a stretch of time"}),
     }
-    dims = ("stiffness", "damping", "extreme", "stretch")
+    dims = (*axes, "extreme", "stretch")
     return {
         name: xr.DataArray(arrays[name], coords, dims, attrs={"units": unit, "long_name": text})
         for name, (unit, text, _) in LINES.items()
@@ -172,8 +219,8 @@ def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dat
 
 def _identity(
     scenario: mc.Scenario,
-    stiffness: np.ndarray,
-    damping: np.ndarray,
+    law: mc.Law | None,
+    axes: Mapping[str, np.ndarray],
     size: int,
     dtype: DTypeLike,
     engine: str,
@@ -188,13 +235,13 @@ def _identity(
             versions[name] = None
     return {
         "scenario": scenario_files.identity(scenario),
-        "stiffness": np.asarray(stiffness, float).tolist(),
-        "damping": np.asarray(damping, float).tolist(),
+        "law": None if law is None else identity.identity(law, "law"),
+        "axes": {name: values.tolist() for name, values in axes.items()},
         "dtype": np.dtype(dtype).name,
         "engine": engine,
         "metrics": identity.of_metrics(mc.MetricTable(metrics)),
         "batch_size": size,
-        "histories": np.size(stiffness) * np.size(damping) <= HISTORIES,
+        "histories": math.prod(values.size for values in axes.values()) <= HISTORIES,
         "platform": jax.default_backend(),
         "robot_model": hashlib.sha256(model_path(scenario.robot).read_bytes()).hexdigest(),
         "versions": versions,

@@ -1,0 +1,222 @@
+"""A control law from a user's script, as `docs/laws.md` shows it: walked, batched, differentiated, swept and tuned."""
+
+import dataclasses
+import importlib.util
+import re
+import statistics
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance, law_of
+from tuning.gains import gains_file, law_file
+from tuning.searches import grid
+from tuning.searches.tune import tune
+
+SCRIPT = Path(__file__).parents[2] / "docs" / "filtered_law.py"
+SHORT = (("duration", 0.1), ("gait.cycle", 0.5), ("disturbance.cargo.start", 0.02), ("disturbance.cargo.mass", 0.5))
+
+
+def from_script():
+    """Return a new class of the script."""
+    spec = importlib.util.spec_from_file_location("filtered_law", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.Filtered
+
+
+Filtered = from_script()
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    return case("case_1_2", "virtual_model", (*SHORT, ("control.damping", 1e2), ("control.stiffness", 3e3)))
+
+
+@pytest.fixture(scope="module")
+def law():
+    return Filtered(damping=1e2, stiffness=3e3)
+
+
+def test_the_script_is_short_and_the_page_shows_it():
+    text = SCRIPT.read_text()
+    assert len(text.splitlines()) <= 40
+    assert text in (SCRIPT.parent / "laws.md").read_text()
+
+
+def test_an_open_filter_is_eq_3_and_a_closed_one_is_not(scenario, law):
+    """The filter passes everything at 1e6 Hz; at 1 Hz next to nothing, which is the walk of pd."""
+    cutoff = np.array([1e6, 1e-6])[:, None] * np.ones(6)
+    ours = mc.rollout_metrics(scenario, {"cutoff": cutoff}, law=law, dtype=np.float64)
+    shipped = mc.rollout_metrics(scenario, dtype=np.float64)
+    pd = mc.rollout_metrics(scenario.with_overrides({"control.controller": "pd"}), dtype=np.float64)
+    for name in ("peak_foot_force", "force_variation", "travel", "base_deviation"):
+        np.testing.assert_allclose(ours[name], [shipped[name], pd[name]], rtol=1e-6, err_msg=name)
+    assert abs(ours["force_variation"][0] / ours["force_variation"][1] - 1) > 1e-3
+
+
+def test_one_robot_and_a_batch_walk_alike(scenario, law):
+    walk = mc.rollout(scenario, law=law)
+    batch = mc.rollout_metrics(scenario, law=law, dtype=np.float64)
+    assert mc.metrics(walk)["force_variation"] == pytest.approx(float(batch["force_variation"]), rel=1e-9)
+    assert walk.law == "Filtered"
+    assert {name: value.shape for name, value in walk.gains.items()} == {
+        "inertia": (6,), "damping": (6,), "stiffness": (6,), "cutoff": (6,), "share": (),
+    }  # fmt: skip
+
+
+def test_slopes_along_own_gains_agree_with_central_differences(scenario, law):
+    """Along the cut-off of one axis and the share, for two robots."""
+    gains = {"cutoff": np.array([[20.0], [50.0]]) * np.ones(6), "share": np.array([0.9, 0.5])}
+    along = {"cutoff": np.stack([np.eye(6)[2], np.zeros(6)])[:, None], "share": np.array([[0.0], [1.0]])}
+    how = {"law": law, "dtype": np.float64, "smooth": True}
+    _, slopes = mc.rollout_slopes(scenario, gains, along, **how)
+    for row, step in ((0, 1e-3), (1, 1e-5)):
+        there = [
+            mc.rollout_metrics(
+                scenario, {name: value + sign * step * along[name][row] for name, value in gains.items()}, **how
+            )
+            for sign in (1, -1)
+        ]
+        for name in ("force_variation", "cost_of_transport", "base_deviation", "travel"):
+            difference = (there[0][name] - there[1][name]) / (2 * step)
+            size = np.abs(difference).max()
+            assert size > 0, name
+            np.testing.assert_allclose(slopes[name][row], difference, rtol=1e-3, atol=1e-4 * size, err_msg=name)
+
+
+def test_swept_over_its_own_gain(scenario, law, tmp_path):
+    axes = {"cutoff": np.array([1.0, 100.0]), "share": np.array([0.1, 0.5, 1.0])}
+    result = grid.sweep(scenario, axes=axes, law=law, out=tmp_path)
+    assert result["force_variation"].dims == ("cutoff", "share")
+    assert result["cutoff"].attrs["units"] == "Hz"
+    alone = mc.rollout_metrics(scenario, {"cutoff": 100.0, "share": 0.5}, law=law)
+    np.testing.assert_allclose(result["force_variation"][1, 1], alone["force_variation"], rtol=1e-5)
+    with pytest.raises(ValueError, match=r"^axes.nothing: expected a gain of the law, one of inertia, damping"):
+        grid.sweep(scenario, axes={"nothing": [1.0], "share": [1.0]}, law=law)
+
+
+def test_tuned_over_all_of_its_gains_saved_and_read_back(scenario, law, tmp_path):
+    found = tune(scenario, law=law, also=("inertia",), method="cmaes", starts=4, iterations=2, out=tmp_path)
+    assert list(found.history["coordinate"].values) == ["inertia", "damping", "stiffness", "cutoff", "share"]
+    alone = mc.rollout_metrics(scenario, found.gains, law=law, smooth=True)
+    np.testing.assert_allclose(found.metrics["force_variation"], alone["force_variation"], rtol=1e-5)
+
+    file = gains_file.save(found.gains, tmp_path / "gains.yaml", law=law)
+    assert "law: filtered_law.py:Filtered" in file.read_text()
+    for name, value in gains_file.load(file, law).items():
+        np.testing.assert_array_equal(value, found.gains[name])
+    with pytest.raises(mc.ConfigError, match=r"gains\.yaml: law: expected gains of the config's law, got those"):
+        gains_file.load(file)
+    with pytest.raises(mc.ConfigError, match=r"expected gains of test_own_law\.py:Other, got those of filt"):
+        gains_file.load(file, Other())
+
+
+class Other(VirtualModelAdmittance):
+    """The shipped law under another name."""
+
+
+def test_another_class_of_the_same_name_walks_as_itself(scenario, law):
+    """In one session the program of a law that was replaced is not taken for that of the new one."""
+    again = from_script()
+    assert again is not Filtered and again.__qualname__ == Filtered.__qualname__
+    again.step = lambda self, state, measurement, reference: Filtered.step(
+        self, state, measurement._replace(wrench=2 * measurement.wrench), reference
+    )
+    before, after = (mc.rollout_metrics(scenario, law=kind(damping=1e2, stiffness=3e3)) for kind in (Filtered, again))
+    doubled = mc.rollout_metrics(scenario, {"share": 2.0}, law=law)
+    assert before["force_variation"] != after["force_variation"]
+    np.testing.assert_allclose(after["force_variation"], doubled["force_variation"], rtol=1e-4)
+
+
+def test_what_does_not_change_is_no_part_of_the_loop(scenario, law):
+    """Of the state only the virtual mass and the filter's output are carried, 3 arrays of (6, B)."""
+    program = jax.make_jaxpr(mc.simulator(scenario, law=law))({"cutoff": jnp.full((2, 6), 20.0)})
+    bare = jax.make_jaxpr(mc.simulator(scenario.with_overrides({"control.controller": "pd"})))(
+        mc.Gains(1.0, 1.0, np.ones((2, 6)))
+    )
+    assert carried(program) - carried(bare) == 3
+
+
+def carried(program):
+    """Return how many arrays the loop over time carries."""
+    found = [e for e in program.jaxpr.eqns if e.primitive.name == "scan" and e.params["length"] == 100]
+    return found[0].params["num_carry"]
+
+
+@pytest.mark.parametrize(
+    ("gains", "said"),
+    [
+        (
+            {"cutof": 1.0},
+            "gains.cutof: expected one of inertia, damping, stiffness, cutoff, share, kp, kd, the gains of",
+        ),
+        ({"cutoff": -1.0}, "gains.cutoff: expected finite numbers above 0, got -1"),
+        ({"cutoff": np.ones((2, 5))}, "gains.cutoff: expected a scalar or a last axis of six, got shape (2, 5)"),
+        ({"share": np.nan}, "gains.share: expected finite numbers above 0, got nan"),
+        ({"kp": 0.0}, "gains.kp: expected finite numbers above 0, got 0"),
+    ],
+)
+def test_gains_that_cannot_be_are_refused_in_one_line(scenario, law, gains, said):
+    with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+        mc.rollout_metrics(scenario, gains, law=law)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("nothing", "law: expected FILE.py:NAME, got 'nothing'"),
+        ("nothing.py:Law", "nothing.py: expected a file of Python, got none"),
+        (f"{SCRIPT}:Missing", "expected a law named Missing, got none"),
+        (f"{SCRIPT}:jnp", "expected jnp to be a law that inherits from mjx_climb.Law"),
+    ],
+)
+def test_a_law_that_is_none_is_refused_in_one_line(text, said):
+    with pytest.raises(mc.ConfigError, match=re.escape(said)):
+        law_file.load(text)
+    assert type(law_file.load(f"{SCRIPT}:Filtered")).__name__ == "Filtered"
+
+
+def test_a_state_of_another_structure_is_refused(scenario):
+    class Forgetful(VirtualModelAdmittance):
+        def step(self, state, measurement, reference):
+            return (), super().step(state, measurement, reference)[1]
+
+    with pytest.raises(ValueError, match=r"^Forgetful\.step: expected a state like that of init"):
+        jax.eval_shape(mc.simulator(scenario, law=Forgetful()))
+
+
+def test_declared_gains_are_checked():
+    with pytest.raises(ValueError, match=r"^length of a gain: expected 1, 3 or 6, got 4"):
+        mc.gain("N", length=4, bounds=(1.0, 2.0))
+    with pytest.raises(ValueError, match=r"^bounds of a gain: expected low < high"):
+        mc.gain("N", bounds=(2.0, 1.0))
+    with pytest.raises(ValueError, match=r"^Taken.kp: expected another name"):
+        type("Taken", (mc.Law,), {"__annotations__": {"kp": float}, "kp": mc.gain("N", bounds=(1.0, 2.0))})
+
+
+def test_equal_arguments_give_the_same_simulator(scenario, law):
+    assert mc.simulator(scenario) is mc.simulator(scenario.model_copy())
+    assert mc.simulator(scenario, law=law) is mc.simulator(scenario, law=dataclasses.replace(law))
+    assert mc.simulator(scenario, law=law) is not mc.simulator(scenario, law=dataclasses.replace(law, share=0.5))
+    assert mc.simulator(scenario, law=law) is not mc.simulator(scenario, law=from_script()(damping=1e2, stiffness=3e3))
+    assert mc.simulator(scenario) is mc.simulator(scenario, law=law_of(scenario))
+
+
+@pytest.mark.slow
+def test_as_fast_as_the_shipped_law(scenario, law):
+    """At 64 robots on a CPU, no less than 0.8 of its speed: medians of walks that take turns."""
+    long = scenario.with_overrides({"duration": 2.0})
+    gains = {"stiffness": 3e3 * np.random.default_rng(0).uniform(1, 2, (64, 6))}
+    seconds = {None: [], law: []}
+    for number in range(7):
+        for which, taken in seconds.items():
+            begin = time.perf_counter()
+            mc.rollout_metrics(long, gains, law=which)
+            taken += [time.perf_counter() - begin] if number else []  # the first one compiles
+    assert statistics.median(seconds[None]) / statistics.median(seconds[law]) > 0.8

@@ -1,0 +1,178 @@
+"""Short walks with all hardware at once: batches, derivatives, engines, the GPU kernel."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.compilation.gpu_kernel import over_robots
+from mjx_climb.quantities.batches import varying
+from mjx_climb.rollouts.rollout import given_in, metrics_of
+from mjx_climb.scenario.profiles import load_hardware, with_hardware
+from mjx_climb.walk.step import structure
+
+PUSH = {"start": 0.01, "stop": 0.1, "force": [3.0, 1.0, 1.0], "moment": [0.0, 0.5, 0.0]}
+EVERYTHING = {
+    "duration": 0.15,
+    "gait.cycle": 0.4,  # a swing of 0.1 s: it lifts, lands and grips
+    "gait.stride": 0.005,
+    "gait.step_height": 0.002,
+    "contact.capture_distance": 0.01,
+    "disturbance.pushes": [PUSH],
+    "control": {
+        "damping": 150.0,
+        "stiffness": 3000.0,
+        "deadband": 0.05,
+        "max_offset": 0.05,
+        "integration": "semi_implicit",
+    },
+    "hardware": {
+        "control_period": 0.005,
+        "command_delay": 0.0024,
+        "interpolation": "linear",
+        "force_sensor": {"delay": 0.0034, "noise": 0.1, "bias": 0.05, "resolution": 0.01, "filter": 60.0},
+        "base_estimate": {"delay": 0.0013, "position_noise": 1e-4, "velocity_noise": 1e-3},
+        "servo": {
+            "torque_limit": 1.0,
+            "no_load_speed": 4.8,
+            "armature": 0.002,
+            "coulomb_friction": 0.02,
+            "viscous_friction": 0.01,
+            "load_friction": 0.05,
+            "backlash": 0.001,
+            "delay": 0.0007,
+        },
+    },
+}
+VARIED = (
+    "command_delay", "force_delay", "force_noise", "force_bias", "force_filter", "torque_limit", "no_load_speed",
+    "armature", "coulomb_friction", "viscous_friction", "load_friction", "backlash", "servo_delay", "capture_distance",
+)  # fmt: skip
+WHOLE = {"xla_disable_hlo_passes": "fusion"}  # compiles sooner
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return mc.load_scenario("case_1_2", EVERYTHING)
+
+
+def numbers_of(scenario, robots, seed=3):
+    """Parameters of robots whose hardware differs in everything."""
+    with jax.enable_x64(True):
+        own = jax.tree.map(np.asarray, mc.parameters(scenario))
+    rng = np.random.default_rng(seed)
+    changes = {name: getattr(own, name) * rng.uniform(0.5, 1.0, robots) for name in VARIED}
+    changes["control_period"] = rng.choice([0.002, 0.005, 0.007], robots)
+    changes["seed"] = np.arange(robots) * 1.0
+    return dataclasses.replace(own, **changes)
+
+
+def test_each_robot_of_a_batch_walks_as_it_does_alone(scenario):
+    numbers = numbers_of(scenario, 8)
+    together = mc.rollout_metrics(scenario, numbers=numbers, dtype=np.float64)
+    alone = mc.rollout_metrics(scenario, numbers=numbers, dtype=np.float64, batch_size=1)
+    for name, values in together.items():
+        np.testing.assert_array_equal(alone[name], values, err_msg=name)
+    assert len(np.unique(together["peak_foot_force"])) == 8
+
+
+def test_an_ideal_profile_is_no_hardware():
+    plain = mc.load_scenario("case_1_2", {"duration": 0.1})
+    assert with_hardware(plain, load_hardware("ideal")) == plain
+
+
+def test_neutral_numbers_change_nothing(scenario):
+    """A stage that is there for a neighbour leaves a robot with neutral numbers as it is, to rounding."""
+    plain = mc.load_scenario("case_1_2", {"duration": 0.15, "disturbance.pushes": [PUSH]})
+    with jax.enable_x64(True):
+        own = jax.tree.map(np.asarray, mc.parameters(plain))
+    there = numbers_of(scenario, 2)
+    names = [
+        f.name
+        for f in dataclasses.fields(own)
+        if np.ndim(getattr(there, f.name)) == 1 and np.ndim(getattr(own, f.name)) == 0
+    ]
+    mixed = {name: np.stack([getattr(own, name), getattr(there, name)[1]]) for name in names}
+    mixed = dataclasses.replace(own, **mixed)
+    ideal, found = (
+        mc.rollout_metrics(plain, dtype=np.float64),
+        mc.rollout_metrics(plain, numbers=mixed, dtype=np.float64),
+    )
+    for name in ("force_variation", "peak_foot_force", "travel", "base_deviation", "peak_joint_torque"):
+        np.testing.assert_allclose(found[name][0], ideal[name], rtol=1e-9, err_msg=name)
+        assert found[name][1] != ideal[name]
+
+
+def test_engines_agree_on_hardware(scenario):
+    numbers = numbers_of(scenario, 2)
+    limb, mjx = (mc.rollout_metrics(scenario, numbers=numbers, dtype=np.float64, engine=e) for e in ("limb", "mjx"))
+    for name, values in limb.items():
+        np.testing.assert_allclose(mjx[name], values, rtol=1e-8, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["force_delay", "command_delay", "servo_delay", "force_filter", "force_noise", "force_bias", "armature",
+     "coulomb_friction", "viscous_friction", "load_friction", "backlash"],
+)  # fmt: skip
+def test_derivative_of_a_walk_by_its_hardware(slopes, name):
+    exact, differences = slopes[name]
+    assert abs(exact) > 0
+    np.testing.assert_allclose(exact, differences, rtol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def slopes(scenario):
+    """Slopes of the smooth peak force by each number: forward, and by central differences."""
+    gentle = scenario.with_overrides({"contact.capture_distance": None, "hardware.force_sensor.resolution": 0.0})
+    simulate = mc.simulator(gentle, smooth=True)
+    names = ["force_delay", "command_delay", "servo_delay", "force_filter", "force_noise", "force_bias", "armature",
+             "coulomb_friction", "viscous_friction", "load_friction", "backlash"]  # fmt: skip
+    own = mc.parameters(gentle)
+    at = {name: float(getattr(own, name)) for name in names}
+    gains = mc.Gains(jnp.ones((1, 6)), jnp.full((1, 6), 150.0), jnp.full((1, 6), 3000.0))
+
+    def metric(values):
+        numbers = dataclasses.replace(own, **{n: values[i][None] for i, n in enumerate(names)})
+        return simulate(gains, numbers)["peak_joint_torque"][0]
+
+    middle = jnp.asarray([at[n] for n in names])
+    walk = jax.jit(metric, compiler_options=WHOLE)
+    steps = {name: 1e-6 * at[name] for name in names}
+    forward = jax.jit(
+        lambda directions: jax.vmap(lambda d: jax.jvp(metric, (middle,), (d,))[1])(directions), compiler_options=WHOLE
+    )(jnp.eye(len(names)))
+    found = {}
+    for i, name in enumerate(names):
+        h = steps[name]
+        difference = (walk(middle.at[i].add(h)) - walk(middle.at[i].add(-h))) / (2 * h)
+        found[name] = float(forward[i]), float(difference)
+    return found
+
+
+def kernel_walk(scenario, robots, dtype, steps):
+    arguments = given_in(scenario, None, None, numbers_of(scenario, robots), dtype)[:2]
+    arguments = (arguments[0], dataclasses.replace(arguments[1], kp=np.full(robots, 50.0, dtype)))
+    shape = structure(scenario, "limb", arguments[1])._replace(steps=steps)
+    return functools.partial(metrics_of, shape), arguments, [varying(tree) for tree in arguments]
+
+
+@pytest.mark.slow
+def test_the_gpu_kernel_walks_with_hardware_as_xla_does(scenario):
+    walk, arguments, axes = kernel_walk(scenario, 3, np.float64, 40)
+    found = jax.jit(over_robots(walk, axes, interpret=True), compiler_options=WHOLE)(*arguments)
+    expected = jax.jit(walk, compiler_options=WHOLE)(*arguments)
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_the_gpu_kernel_is_compiled_with_hardware(scenario):
+    with jax.enable_x64(False):
+        walk, arguments, axes = kernel_walk(scenario, 3, np.float32, 8000)
+        lowered = jax.jit(over_robots(walk, axes)).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
+    assert lowered.count("__gpu$xla.gpu.triton") == 1
+    assert "stablehlo.while" not in lowered
