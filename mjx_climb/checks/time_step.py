@@ -85,12 +85,14 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
         mass, jacobians = _at(scenario.robot, walk.stride, walk.step_height, limb)
         joint = np.diag(np.repeat([0.0, 1.0], [6, model.nv - 6]))
         held = jacobians[feet != limb].reshape(-1, model.nv)
-        for bristle in {0.0, servo.coulomb_friction / PRESLIDING}:  # slipping, sticking
+        dry = servo.coulomb_friction + model.dof_frictionloss
+        for bristle in (0 * dry, dry / PRESLIDING) if dry.any() else (0 * dry,):  # slipping, sticking
             damping = bristle * (RELAXATION + h)
             yield (
-                mass + (servo.armature + h * damping) * joint,
-                (control.kp + bristle) * joint + contact.stiffness * held.T @ held,
-                (control.kd + servo.viscous_friction + damping) * joint + contact.damping * held.T @ held,
+                mass + np.diag(servo.armature + h * damping) * joint,
+                np.diag(control.kp + bristle) * joint + contact.stiffness * held.T @ held,
+                np.diag(control.kd + servo.viscous_friction + model.dof_damping + damping) * joint
+                + contact.damping * held.T @ held,
             )
 
 
@@ -108,7 +110,9 @@ def _at(
         targets = data.site_xpos.copy()
         targets[swinging] += [stride / 2, 0, step_height]
         solved = limb_joints(model, (targets - data.qpos[:3]) @ rotation)
-        data.qpos[7:] = np.where(solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(-1, 3)).ravel()
+        data.qpos[7:] = np.where(
+            solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(len(targets), -1)
+        ).ravel()
     mujoco.mj_forward(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)

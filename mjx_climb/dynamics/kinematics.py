@@ -27,13 +27,19 @@ class Feet(NamedTuple):
     jacobian: tuple[Array, ...]  # per joint of a limb (3, L, B) m: foot velocity per joint rate
 
 
-def limb_frames(robot: Robot, base_rotation: Array, joint_angles: Array) -> LimbFrames:
-    """Return the link frames for a base rotation (3, 3, B) and joint angles (N, L, B) rad, or m of sliding joints."""
-    rotation, position = base_rotation[:, :, None, :], jnp.zeros((3, *joint_angles.shape[1:]), joint_angles.dtype)
+def limb_frames(robot: Robot, base_rotation: Array | None, joint_angles: Array) -> LimbFrames:
+    """Return the link frames for a base rotation (3, 3, B), or None: in the base's own axes, and joint angles.
+
+    Joint angles are (N, L, B) rad, or m of sliding joints.
+    """
+    rotation = None if base_rotation is None else base_rotation[:, :, None, :]
+    position = jnp.zeros((3, *joint_angles.shape[1:]), joint_angles.dtype)
     rotations, positions = [], []
     for link in range(robot.joints):
-        position = position + rotate(rotation, robot.frame_position[link])
-        zero_rotation = compose(rotation, robot.frame_rotation[link])
+        offset = robot.frame_position[link]
+        position = position + (offset if rotation is None else rotate(rotation, offset))
+        turned_frame = robot.frame_rotation[link]
+        zero_rotation = jnp.asarray(turned_frame) if rotation is None else compose(rotation, turned_frame)
         slides, angles = robot.sliding(link), joint_angles
         if slides is not None:
             position = position + zero_rotation[:, 2] * jnp.where(slides, joint_angles[link], 0.0)
@@ -44,7 +50,7 @@ def limb_frames(robot: Robot, base_rotation: Array, joint_angles: Array) -> Limb
         rotation = jnp.stack([turned, c * y - s * x, jnp.broadcast_to(z, turned.shape)], axis=1)
         rotations.append(rotation)
         positions.append(position)
-    return LimbFrames(tuple(rotations), tuple(positions), position + rotate(rotation, robot.foot_center))
+    return LimbFrames(tuple(rotations), tuple(positions), position + rotate(rotations[-1], robot.foot_center))
 
 
 def foot_kinematics(robot: Robot, frames: LimbFrames, state: State) -> Feet:

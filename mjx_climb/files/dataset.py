@@ -24,7 +24,6 @@ from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
-JOINTS = ["coxa", "femur", "tibia"]
 AXES = ["x", "y", "z"]
 QUATERNION = ["w", "x", "y", "z"]
 SIX = ["x", "y", "z", "rx", "ry", "rz"]
@@ -125,7 +124,7 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     }
     labels: dict[str, tuple[Sequence[str], str]] = {
         "limb": (list(trajectory.limbs), "limb"),
-        "joint": (JOINTS, "joint, from the base outwards"),
+        "joint": (list(load_robot(trajectory.scenario.robot).joint_names), "joint, from the base outwards"),
         "axis": (AXES, "axis of the world frame, z up"),
         "six": (SIX, "translations, then rotations"),
         "quaternion": (QUATERNION, "component of the quaternion"),

@@ -18,10 +18,11 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from mjx_climb.files.dataset import larger_is_better
-from mjx_climb.plots.colors import BLACK, GREY, LIMB_COLORS, RED
+from mjx_climb.plots.colors import BLACK, GREY, HELD, LIMB_COLORS, RED
 from mjx_climb.plots.styling import COLUMN, legend_below, styled
 from mjx_climb.walk.metrics import FAILURES
 
+_LEAST_SPAN = 0.05  # of a scale, relative to its values
 _MARKERS = ("*", "o", "D", "^", "s", "P", "v")
 
 
@@ -167,7 +168,12 @@ def _draw_map(
                     PatchCollection(cells, **hatched, edgecolor=color, gid="failed walks"), autolim=False
                 )
         handles.append(Patch(**hatched | {"facecolor": "white"}, edgecolor="0.15", label="failed walk"))
-    if np.isnan(values).any():
+    empty = np.isnan(values)
+    if metric == "detached_at" and (held := empty & ~failed).any():
+        panel.pcolormesh(x_edges, y_edges, np.ma.masked_where(~held, held), cmap=ListedColormap([HELD]), linewidth=0)
+        handles.append(Patch(facecolor=HELD, label="held all the way"))
+        empty &= failed
+    if empty.any():
         handles.append(Patch(facecolor=GREY, label="no value"))
     for number, (name, (at_x, at_y)) in enumerate(marks.items()):
         marker = _MARKERS[number % len(_MARKERS)]
@@ -295,8 +301,8 @@ def color_scale(
     """Return a scale from the 2nd to the 98th percentile, and which ends of it are passed.
 
     It is of the walks that held (of all, where fewer than four did), takes in a baseline that is near, goes beyond it
-    to the worse side at most three times as far as to the better one, and is logarithmic where it spans more than a
-    factor of 30.
+    to the worse side at most three times as far as to the better one, spans 5 % of its values at least, and is
+    logarithmic where it spans more than a factor of 30.
     """
     finite = values[np.isfinite(values)]
     held = values[np.isfinite(values) & ~failed]
@@ -313,8 +319,9 @@ def color_scale(
                 if larger_is_better
                 else (low, min(high, baseline + 3 * (baseline - low)))
             )
-    if low == high:
-        low, high = low - 0.5 * abs(low or 1), high + 0.5 * abs(high or 1)
+    room = (_LEAST_SPAN * (max(abs(low), abs(high)) or 1.0) - (high - low)) / 2
+    if room > 0:  # else a change that does not matter would use all colours
+        low, high = low - room, high + room
     ends = (finite.min() < low - 1e-9 * abs(low), finite.max() > high + 1e-9 * abs(high))
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[ends]
     return (LogNorm if low > 0 and high > 30 * low else Normalize)(low, high), extend

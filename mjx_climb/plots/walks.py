@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mjx_climb.files.dataset import AXES, JOINTS
+from mjx_climb.files.dataset import AXES
 from mjx_climb.plots.colors import AXIS_COLORS, BLACK, SERIES
 from mjx_climb.plots.styling import leave_headroom, legend, legend_inside, styled
 from mjx_climb.plots.time_panels import (
@@ -20,6 +20,7 @@ from mjx_climb.plots.time_panels import (
     shade_divergence,
 )
 from mjx_climb.plots.walk_events import end_of, largest_foot_force, lengths
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 
 
@@ -31,9 +32,10 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     gripper is a red cross.
     """
     shifted = bool(np.any(trajectory.base_displacement))
+    joints = load_robot(trajectory.scenario.robot).joint_names
     names = [
         "force",
-        *JOINTS,
+        *joints,
         "base",
         "error",
         *(["shift", "turn"] if shifted else []),
@@ -54,7 +56,7 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     _mark_holding_limit(panels["force"], trajectory.scenario.contact.holding_limit)
     panels["force"].set_ylabel("largest foot\nforce [N]")
 
-    for number, joint in enumerate(JOINTS):
+    for number, joint in enumerate(joints):
         for limb, color in enumerate(limb_colors(trajectory)):
             draw_line(
                 panels[joint],

@@ -22,7 +22,8 @@ def foothold_heights(scenario: Scenario) -> np.ndarray:
     ground = scenario.ground
     robot = load_robot(scenario.robot)
     if ground.footholds is not None:
-        lists = [getattr(ground.footholds, limb) for limb in robot.limbs]
+        given = dict(ground.footholds.items())
+        lists = [given.get(limb, (0.0,)) for limb in robot.limbs]
         count = max(map(len, lists))
         return np.array([[*heights, *[heights[-1]] * (count - len(heights))] for heights in lists])
     if ground.map is not None:

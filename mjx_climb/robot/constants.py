@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.robot_file import RobotError, model_of, spec_of
+from mjx_climb.robot.description import RobotError
+from mjx_climb.robot.robot_file import model_of, spec_of
 from mjx_climb.scenario.model import RobotFile
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "robot_from_model",
 ]
 
+_DRIVES = {"armature": "dof_armature", "damping": "dof_damping", "friction": "dof_frictionloss"}  # by MuJoCo's names
 _KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -32,9 +34,9 @@ _KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     data_fields=[
         "base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation",
         "foot_center", "joint_lower", "joint_upper", "stance_position", "stance_orientation", "stance_joints",
-        "armature",
+        "armature", "damping", "friction",
     ],
-    meta_fields=["name", "limbs", "model", "slides"],
+    meta_fields=["name", "limbs", "model", "slides", "joint_names"],
 )  # fmt: skip
 @dataclasses.dataclass(frozen=True)
 class Robot:
@@ -63,7 +65,10 @@ class Robot:
     stance_orientation: Float[np.ndarray, "4 #B"]  # wxyz
     stance_joints: Float[np.ndarray, "N L #B"]  # rad
     armature: Float[np.ndarray, "N L #B"] | None = None  # kg m^2, of the drives, seen at the joints; None: none
+    damping: Float[np.ndarray, "N L #B"] | None = None  # N m s/rad, of the joints, as the file says; None: none
+    friction: Float[np.ndarray, "N L #B"] | None = None  # N m, dry, of the joints, as the file says; None: none
     slides: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: the joint is prismatic; (): none is
+    joint_names: tuple[str, ...] = ()  # (N,) of a limb's joints, from the base outwards
 
     @property
     def joints(self) -> int:
@@ -167,7 +172,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
         return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
 
-    keys = ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper", "armature", "slides")
+    keys = ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper", "slides", *_DRIVES)
     fields: dict[str, list[np.ndarray]] = {key: [] for key in keys}
     for chain in limbs:
         parent_position, parent_rotation = np.zeros(3), np.eye(3)
@@ -183,7 +188,8 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             column["rotation"].append(parent_rotation.T @ rotation)
             column["lower"].append(model.jnt_range[joint, 0] if model.jnt_limited[joint] else -np.pi)
             column["upper"].append(model.jnt_range[joint, 1] if model.jnt_limited[joint] else np.pi)
-            column["armature"].append(model.dof_armature[model.jnt_dofadr[joint]])
+            for key, field in _DRIVES.items():
+                column[key].append(getattr(model, field)[model.jnt_dofadr[joint]])
             column["slides"].append(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
             parent_position, parent_rotation = position, rotation
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
@@ -198,7 +204,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
     stacked = {key: np.stack(value, axis=-1)[..., None] for key, value in fields.items()}
     return Robot(
         name=name,
-        limbs=tuple(model.body(chain[0]).name.split("_")[0] for chain in limbs),
+        limbs=tuple(model.body(chain[0]).name.rsplit("_", 1)[0] for chain in limbs),
         model=model,
         base_mass=model.body_mass[1:2].copy(),
         base_inertia=inertia(1, np.eye(3))[..., None],
@@ -213,6 +219,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         stance_position=stance[:3, None].copy(),
         stance_orientation=stance[3:7, None].copy(),
         stance_joints=stance[7:].reshape(len(limbs), -1).T[..., None].copy(),
-        armature=stacked["armature"] if stacked["armature"].any() else None,
+        **{key: stacked[key] if stacked[key].any() else None for key in _DRIVES},
+        joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in limbs[0]),
         slides=tuple(map(tuple, stacked["slides"][..., 0].tolist())) if stacked["slides"].any() else (),
     )

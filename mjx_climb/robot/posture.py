@@ -8,42 +8,53 @@ from mjx_climb.mujoco_import import mujoco
 
 _ITERATIONS = 60
 _STARTS = 5  # of femur and tibia each, spread over their limits
+_OTHER_STARTS = 15  # of limbs of another number of joints
 
 
 class LimbJoints(NamedTuple):
     """Joint angles of every limb, and by how much its foot misses the target."""
 
-    angles: np.ndarray  # (L, 3) rad
+    angles: np.ndarray  # (L, N) rad
     errors: np.ndarray  # (L,) m
 
 
 def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
     """Return joint angles within the limits that put the feet at `feet` (L, 3) m, in the frame of the base.
 
-    Of several postures the one whose knee is nearest the middle of its range, as in the closed form.
+    Of several postures of limbs of three joints the one whose knee is nearest the middle of its range, as in the closed
+    form; of others the one whose joints are, in the mean of squares over their ranges.
     """
     data = mujoco.MjData(model)
-    lower, upper = model.jnt_range[1:].reshape(-1, 3, 2).transpose(2, 0, 1)
-    fractions = (np.arange(_STARTS) + 0.5) / _STARTS
-    best, errors = (lower + upper) / 2, np.full(len(feet), np.inf)
+    lower, upper = model.jnt_range[1:].reshape(len(feet), -1, 2).transpose(2, 0, 1)
+    middle, half = (lower + upper) / 2, (upper - lower) / 2
+    best, errors = middle.copy(), np.full(len(feet), np.inf)
     bend = np.full(len(feet), np.inf)
-    for femur in fractions:
-        for tibia in fractions:
-            start = lower + (upper - lower) * np.array([0.5, femur, tibia])
-            angles, missed = _newton(model, data, start, feet)
-            missed = np.where(((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all(1), missed, np.inf)
-            bent = np.abs(angles - (lower + upper) / 2)[:, 2]
-            reached = missed < 1e-9
-            better = np.where(reached, (errors >= 1e-9) | (bent < bend - 1e-9), missed < errors)
-            best[better], errors[better], bend[better] = angles[better], missed[better], bent[better]
+    for fractions in _starts(lower.shape[1]):
+        angles, missed = _newton(model, data, lower + (upper - lower) * fractions, feet)
+        missed = np.where(((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all(1), missed, np.inf)
+        off = np.abs(angles - middle)
+        bent = off[:, 2] if off.shape[1] == 3 else ((off / half) ** 2).mean(1)
+        reached = missed < 1e-9
+        better = np.where(reached, (errors >= 1e-9) | (bent < bend - 1e-9), missed < errors)
+        best[better], errors[better], bend[better] = angles[better], missed[better], bent[better]
     return LimbJoints(best, errors)
+
+
+def _starts(joints: int) -> np.ndarray:
+    """Return postures to start from, each joint's as a share of its range, (starts, N)."""
+    if joints == 3:
+        fractions = (np.arange(_STARTS) + 0.5) / _STARTS
+        return np.array([[0.5, femur, tibia] for femur in fractions for tibia in fractions])
+    spread = np.random.default_rng(0).uniform(0.1, 0.9, (_OTHER_STARTS, joints))
+    return np.concatenate([np.full((1, joints), 0.5), spread])
 
 
 def _newton(
     model: mujoco.MjModel, data: mujoco.MjData, angles: np.ndarray, feet: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return joint angles (L, 3) from a start, and the distances (L,) m that are left; all limbs at once."""
+    """Return joint angles (L, N) from a start, and the distances (L,) m that are left; all limbs at once."""
     jacobian, columns = np.empty((3, model.nv)), 6 + np.arange(angles.size).reshape(angles.shape)
+    turns = (model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE).reshape(angles.shape)
     angles = angles.copy()
     for _ in range(_ITERATIONS):
         data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
@@ -54,9 +65,12 @@ def _newton(
         for limb in range(len(feet)):
             mujoco.mj_jacSite(model, data, jacobian, None, limb)
             j = jacobian[:, columns[limb]]
-            step = np.linalg.solve(j.T @ j + 1e-12 * np.eye(3), j.T @ left[limb])
+            if j.shape[1] > 3:
+                step = j.T @ np.linalg.solve(j @ j.T + 1e-12 * np.eye(3), left[limb])
+            else:
+                step = np.linalg.solve(j.T @ j + 1e-12 * np.eye(j.shape[1]), j.T @ left[limb])
             angles[limb] += step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
-        angles = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+        angles = np.where(turns, np.remainder(angles + np.pi, 2 * np.pi) - np.pi, angles)
         if np.abs(left).max() < 1e-13:
             break
     return angles, np.linalg.norm(left, axis=1)

@@ -1,22 +1,22 @@
 """A user's own robot: from her MJCF or URDF and the joints and feet that she names, to the model simulated here."""
 
 import itertools
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.description import JOINTS, RobotError, bare, line_of
 from mjx_climb.robot.posture import limb_joints
-from mjx_climb.scenario.model import RobotFile
+from mjx_climb.scenario.model import Limb, RobotFile
 
-LIMBS = ("LF", "LH", "RH", "RF")
-LINKS = ("coxa", "femur", "tibia")
+LINKS = ("coxa", "femur", "tibia")  # of a limb of three joints
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
 _TINY = 1e-9  # kg
-
-
-class RobotError(ValueError):
-    """A model that mjx_climb cannot use: the message names the model and what was expected."""
+_REACH = 1.0  # m, of a sliding joint without limits, either way
+_SHORT = 1e-3  # m, links too short to draw
+_PAD = (1e-9, 1e-12)  # kg, kg m^2: of a joint that only fills up a limb of fewer joints than others, at its foot
 
 
 class _Link(NamedTuple):
@@ -33,22 +33,34 @@ def model_of(source: RobotFile) -> mujoco.MjModel:
 
 
 def spec_of(source: RobotFile) -> mujoco.MjSpec:
-    """Return a robot file as simulated: floating base, limbs LF, LH, RH, RF of three hinges, foot sites, rest stance.
+    """Return a robot file as simulated: floating base, limbs of as many joints each, foot sites, rest stance.
 
-    The base frame has the axes of the file's base link and sits at the base's centre of mass. Only masses, joints and
-    feet are taken over; the bodies are drawn as plain shapes.
+    The base frame has the axes of the file's base link and sits at the base's centre of mass. Only masses, joints with
+    the armature, damping and dry friction of their drives, and feet are taken over; the bodies are drawn as plain
+    shapes. Limbs come counter-clockwise, seen from above, by where their feet stand. One of fewer joints than others is
+    filled up with joints at its foot that move nothing.
 
     Raises:
         RobotError: in one line, the key of the config, what was expected and what the file has.
     """
+    spec, offset = unposed(source)
+    _stand(source, spec, offset)
+    return spec
+
+
+def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
+    """Return the robot of `spec_of` before it stands, and its base's centre of mass in its link's frame, (3,) m."""
     file = _compiled(source)
+    locked = _locked(source, file)
     data = mujoco.MjData(file)
-    data.qpos[file.jnt_qposadr[file.jnt_type == mujoco.mjtJoint.mjJNT_HINGE]] = 0
+    data.qpos[file.jnt_qposadr[np.isin(file.jnt_type, JOINTS)]] = 0
+    data.qpos[file.jnt_qposadr[list(locked)]] = list(locked.values())
     mujoco.mj_kinematics(file, data)
-    part = _parts(file)
-    chains = {limb: _chain(source, file, part, limb) for limb in LIMBS}
+    part = _parts(file, locked)
+    limbs = _around(source)
+    chains = {name: _chain(source, file, part, name, limb) for name, limb in limbs.items()}
     base = _base(source, file, part, chains)
-    _no_more(source, file, part, base, chains)
+    _no_more(source, file, base, chains, locked)
     axes = data.xmat[base].reshape(3, 3)
     body = _link(file, data, np.flatnonzero(part == base))
     if body.mass <= _TINY:
@@ -59,59 +71,69 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     trunk.add_freejoint(name="base")
     _weigh(trunk, body._replace(center=np.zeros(3), inertia=axes.T @ body.inertia @ axes))
     _box(trunk, np.array([_base_anchor(data, chain, axes, body) for chain in chains.values()]))
+    joints = max(map(len, chains.values()))
     for limb, chain in chains.items():
-        _add_limb(source, trunk, limb, chain, file, data, part, axes, body.center)
-    offset = axes.T @ (body.center - data.xpos[base])  # the base's centre of mass in its own link's frame
-    _stand(source, spec, offset)
-    return spec
+        _add_limb(source, trunk, limb, chain, joints, file, data, part, axes, body.center)
+    return spec, axes.T @ (body.center - data.xpos[base])
 
 
-def _error(source: RobotFile, key: str, expected: str, got: str) -> RobotError:
-    return RobotError(" ".join(f"{source.file}: robot.{key}: expected {expected}, got {got}".split()))
+def _error(source: RobotFile, key: str, expected: str, got: str, element: str | None = None) -> RobotError:
+    """Return what is wrong in one line, with that of the file where an element of that name stands."""
+    place = source.file if element is None else line_of(source.file, element)
+    return RobotError(" ".join(f"{place}: robot.{key}: expected {expected}, got {got}".split()))
 
 
 def _compiled(source: RobotFile) -> mujoco.MjModel:
     """Return the model in the file with every link kept as a body of its own."""
     try:
-        spec = mujoco.MjSpec.from_file(source.file)
-        if source.file.lower().endswith(".urdf"):  # has its inertias written down: shapes and their files do not matter
-            for part in (*spec.geoms, *spec.meshes):
-                spec.delete(part)
-        spec.compiler.fusestatic = False
-        return spec.compile()
+        return bare(source.file).compile()
     except (ValueError, OSError, mujoco.FatalError) as error:
         reason = str(error).splitlines()[0] if str(error) else "an empty one"
         raise _error(source, "file", "an MJCF or URDF that MuJoCo loads", reason) from None
 
 
-def _parts(file: mujoco.MjModel) -> np.ndarray:
+def _around(source: RobotFile) -> dict[str, Limb]:
+    """Return the limbs counter-clockwise from straight ahead, as the stability margins need them."""
+    angle = {name: np.arctan2(*limb.foothold[::-1]) % (2 * np.pi) for name, limb in source.limbs.items()}
+    return dict(sorted(source.limbs.items(), key=lambda item: angle[item[0]]))
+
+
+def _locked(source: RobotFile, file: mujoco.MjModel) -> dict[int, float]:
+    """Return the joints that are held, and at what."""
+    held = {}
+    for name, value in source.locked.items():
+        joint = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint < 0 or file.jnt_type[joint] not in JOINTS:
+            raise _error(source, f"locked.{name}", "a revolute or prismatic joint of the file", "none of that name")
+        held[joint] = value
+    return held
+
+
+def _parts(file: mujoco.MjModel, locked: Collection[int]) -> np.ndarray:
     """Return for each body the first body of the rigid part that it belongs to."""
     part = np.arange(file.nbody)
     for body in range(1, file.nbody):
-        parent = file.body_parentid[body]
-        if not file.body_jntnum[body] and parent != 0:
+        parent, first = file.body_parentid[body], file.body_jntadr[body]
+        free = set(range(first, first + file.body_jntnum[body])) - set(locked)
+        if not free and parent != 0:
             part[body] = part[parent]
     return part
 
 
-def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, limb: str) -> list[int]:
+def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, name_of_limb: str, limb: Limb) -> list[int]:
     """Return the joints of a limb, after a look at what they hang on."""
-    key, joints = f"limbs.{limb}.joints", []
-    for name in getattr(source.limbs, limb).joints:
+    key, joints = f"limbs.{name_of_limb}.joints", []
+    for name in limb.joints:
         joint = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_JOINT, name)
-        if joint < 0 or file.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        if joint < 0 or file.jnt_type[joint] not in JOINTS:
             known = ", ".join(file.joint(i).name for i in range(file.njnt)) or "none"
-            raise _error(source, key, f"revolute joints of the file ({known[:200]})", repr(name))
-        for quantity, value in (("armature", file.dof_armature), ("friction", file.dof_frictionloss)):
-            if value[file.jnt_dofadr[joint]]:
-                raise _error(source, key, f"no joint {quantity}, which is not simulated", f"some at {name!r}")
-        if file.dof_damping[file.jnt_dofadr[joint]]:
-            expected = "no joint damping in the file (add it to control.kd)"
-            raise _error(source, key, expected, f"{file.dof_damping[file.jnt_dofadr[joint]]:g} at {name!r}")
+            raise _error(source, key, f"revolute or prismatic joints of the file ({known[:200]})", repr(name))
+        if name in dict(source.locked.items()):
+            raise _error(source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}")
         if file.jnt_stiffness[joint]:
-            raise _error(source, key, "no joint springs, which are not simulated", f"one at {name!r}")
+            raise _error(source, key, "no joint springs, which are not simulated", f"one at {name!r}", name)
         if file.body_jntnum[file.jnt_bodyid[joint]] != 1:
-            raise _error(source, key, "one joint for each body", f"several at that of {name!r}")
+            raise _error(source, key, "one joint for each body", f"several at that of {name!r}", name)
         joints.append(joint)
     for inner, outer in itertools.pairwise(joints):
         if part[file.body_parentid[file.jnt_bodyid[outer]]] != file.jnt_bodyid[inner]:
@@ -123,26 +145,28 @@ def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, limb: str)
 def _base(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, chains: dict[str, list[int]]) -> int:
     """Return the body that all limbs begin at."""
     bases = {limb: part[file.body_parentid[file.jnt_bodyid[chain[0]]]] for limb, chain in chains.items()}
-    base = bases["LF"]
+    first, base = next(iter(bases.items()))
     for limb, other in bases.items():
         if other != base or base == 0:
-            expected = f"all limbs to begin at one base link, as LF does at {file.body(base).name!r}"
+            expected = f"all limbs to begin at one base link, as {first} does at {file.body(base).name!r}"
             raise _error(source, f"limbs.{limb}.joints", expected, repr(file.body(other).name))
     return int(base)
 
 
 def _no_more(
-    source: RobotFile, file: mujoco.MjModel, part: np.ndarray, base: int, chains: dict[str, list[int]]
+    source: RobotFile, file: mujoco.MjModel, base: int, chains: dict[str, list[int]], locked: Collection[int]
 ) -> None:
-    """Refuse a robot with more to it than a base and four limbs of three joints."""
+    """Refuse a robot with more to it than a base, its limbs, and joints that are held."""
     ours = [joint for chain in chains.values() for joint in chain]
     if len(set(ours)) != len(ours):
         twice = next(joint for joint in ours if ours.count(joint) > 1)
-        raise _error(source, "limbs", "twelve different joints", f"{file.joint(twice).name!r} twice")
+        raise _error(source, "limbs", "different joints", f"{file.joint(twice).name!r} twice")
     for joint in range(file.njnt):
         floats = file.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and file.jnt_bodyid[joint] == base
-        if joint not in ours and not floats:
-            raise _error(source, "limbs", "no joints but the twelve named and the base's own", file.joint(joint).name)
+        if joint not in ours and joint not in locked and not floats:
+            name = file.joint(joint).name
+            expected = f"no joints but those named and the base's own (robot.locked.{name}: 0 would hold it)"
+            raise _error(source, "limbs", expected, repr(name), name)
     if file.neq:
         raise _error(source, "file", "no equality constraints, which are not simulated", f"{file.neq}")
 
@@ -163,46 +187,48 @@ def _link(file: mujoco.MjModel, data: mujoco.MjData, bodies: np.ndarray) -> _Lin
 
 
 def _foot(
-    source: RobotFile, file: mujoco.MjModel, data: mujoco.MjData, part: np.ndarray, limb: str, tibia: int
+    source: RobotFile, file: mujoco.MjModel, data: mujoco.MjData, part: np.ndarray, limb: str, last: int
 ) -> np.ndarray:
     """Return the foot of a limb, in world axes: a site or a body fixed to the last link."""
-    name = getattr(source.limbs, limb).foot
+    name, at = dict(source.limbs.items())[limb].foot, np.array(dict(source.limbs.items())[limb].at)
     site = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_SITE, name)
     body = file.site_bodyid[site] if site >= 0 else mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 0:
         raise _error(source, f"limbs.{limb}.foot", "a site, body or link of the file", repr(name))
-    if part[body] != file.jnt_bodyid[tibia]:
+    if part[body] != file.jnt_bodyid[last]:
         got = f"{name!r}, which is not fixed to it"
-        raise _error(source, f"limbs.{limb}.foot", f"a place on the link of joint {file.joint(tibia).name!r}", got)
-    return np.asarray(data.site_xpos[site] if site >= 0 else data.xpos[body])
+        raise _error(source, f"limbs.{limb}.foot", f"a place on the link of joint {file.joint(last).name!r}", got)
+    position, axes = (data.site_xpos[site], data.site_xmat[site]) if site >= 0 else (data.xpos[body], data.xmat[body])
+    return np.asarray(position + axes.reshape(3, 3) @ at)
 
 
-def _axes(
-    source: RobotFile, file: mujoco.MjModel, data: mujoco.MjData, limb: str, chain: list[int]
-) -> list[np.ndarray]:
-    """Return the axes of a limb's joints, femur and tibia exactly parallel and at right angles to the coxa."""
-    coxa, femur, tibia = data.xaxis[chain]
-    key = f"limbs.{limb}.joints"
-    closed = "which the closed-form inverse kinematics needs"
-    if abs(coxa @ femur) > SNAP:
-        angle = np.degrees(np.arccos(np.clip(abs(coxa @ femur), 0, 1)))
-        raise _error(source, key, f"the second axis at right angles to the first, {closed}", f"{angle:.4g} degrees")
-    if np.linalg.norm(np.cross(femur, tibia)) > SNAP:
-        angle = np.degrees(np.arcsin(np.clip(np.linalg.norm(np.cross(femur, tibia)), 0, 1)))
-        raise _error(source, key, f"second and third axis parallel, {closed}", f"{angle:.4g} degrees between them")
+def _axes(file: mujoco.MjModel, data: mujoco.MjData, chain: list[int]) -> list[np.ndarray]:
+    """Return the axes of a limb's joints; those of a yaw and two pitches that nearly are, exactly so.
+
+    For them the inverse kinematics has a closed form.
+    """
+    axes = list(data.xaxis[chain])
+    if len(axes) != 3 or (file.jnt_type[chain] != mujoco.mjtJoint.mjJNT_HINGE).any():
+        return axes
+    coxa, femur, tibia = axes
+    if abs(coxa @ femur) > SNAP or np.linalg.norm(np.cross(femur, tibia)) > SNAP:
+        return axes
     femur = femur - coxa * (coxa @ femur)
     femur = femur / np.linalg.norm(femur)
     return [coxa, femur, np.sign(femur @ tibia) * femur]
 
 
 def _limits(source: RobotFile, file: mujoco.MjModel, limb: str, joint: int) -> tuple[float, float]:
+    slides = file.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
     if not file.jnt_limited[joint]:
-        return -np.pi, np.pi
+        return (-_REACH, _REACH) if slides else (-np.pi, np.pi)
     lower, upper = file.jnt_range[joint]
-    if not -2 * np.pi <= lower < upper <= 2 * np.pi:
+    if not lower < upper:
         name = file.joint(joint).name
-        expected = f"limits of {name!r} in ascending order within a turn"
-        raise _error(source, f"limbs.{limb}.joints", expected, f"{lower:g} to {upper:g} rad")
+        expected = f"limits of {name!r} in ascending order"
+        raise _error(source, f"limbs.{limb}.joints", expected, f"{lower:g} to {upper:g}", name)
+    if not slides and upper - lower > 2 * np.pi and lower <= -np.pi and upper >= np.pi:
+        return -np.pi, np.pi  # as free as a joint without limits
     return float(lower), float(upper)
 
 
@@ -224,6 +250,7 @@ def _add_limb(
     trunk: mujoco.MjsBody,
     limb: str,
     chain: list[int],
+    joints: int,
     file: mujoco.MjModel,
     data: mujoco.MjData,
     part: np.ndarray,
@@ -231,37 +258,55 @@ def _add_limb(
     parent_origin: np.ndarray,
 ) -> None:
     """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next."""
-    joints = _axes(source, file, data, limb, chain)
     foot = _foot(source, file, data, part, limb, chain[-1])
     anchors = [data.xanchor[joint] for joint in chain]
-    body = trunk
-    for name, joint, axis, origin, end in zip(LINKS, chain, joints, anchors, [*anchors[1:], foot], strict=True):
-        x = end - origin - axis * (axis @ (end - origin))
-        if np.linalg.norm(x) < 1e-6:
-            got = f"none at {file.joint(joint).name!r}"
-            raise _error(source, f"limbs.{limb}.joints", "links that lead away from their joints' axes", got)
-        x = x / np.linalg.norm(x)
-        axes = np.stack([x, np.cross(axis, x), axis], axis=1)
+    names = LINKS if joints == len(LINKS) else [f"joint{n + 1}" for n in range(joints)]
+    body, ends = trunk, [*anchors[1:], foot]
+    for n, (joint, axis, origin, end) in enumerate(zip(chain, _axes(file, data, chain), anchors, ends, strict=True)):
+        axes = _frame(axis, end - origin)
         body = body.add_body(
-            name=f"{limb}_{name}",
+            name=f"{limb}_{names[n]}",
             pos=parent_axes.T @ (origin - parent_origin),
             quat=_quaternion(parent_axes.T @ axes),
         )
+        dof = file.jnt_dofadr[joint]
         body.add_joint(
-            name=f"{limb}_{name}",
-            type=mujoco.mjtJoint.mjJNT_HINGE,
+            name=f"{limb}_{names[n]}",
+            type=mujoco.mjtJoint(file.jnt_type[joint]),
             axis=[0, 0, 1],
             range=_limits(source, file, limb, joint),
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            armature=file.dof_armature[dof],
+            damping=[file.dof_damping[dof], 0, 0],
+            frictionloss=file.dof_frictionloss[dof],
         )
         link = _link(file, data, np.flatnonzero(part == file.jnt_bodyid[joint]))
         if link.mass <= _TINY:
             got = f"none at {file.joint(joint).name!r}"
-            raise _error(source, f"limbs.{limb}.joints", "links that have a mass", got)
+            name = file.joint(joint).name
+            raise _error(source, f"limbs.{limb}.joints", "links that have a mass", got, name)
         _weigh(body, link._replace(center=axes.T @ (link.center - origin), inertia=axes.T @ link.inertia @ axes))
-        _draw(body, name, axes.T @ (end - origin))
+        _draw(body, axes.T @ (end - origin), first=n == 0, last=n == len(chain) - 1)
         parent_axes, parent_origin = axes, origin
-    body.add_site(name=f"{limb}_foot", pos=parent_axes.T @ (foot - parent_origin), size=[0.004] * 3)
+    at_foot = parent_axes.T @ (foot - parent_origin)
+    for n in range(len(chain), joints):
+        body = body.add_body(name=f"{limb}_{names[n]}", pos=at_foot)
+        limits = dict(range=[-np.pi, np.pi], limited=mujoco.mjtLimited.mjLIMITED_TRUE)
+        body.add_joint(
+            name=f"{limb}_{names[n]}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1.0, **limits
+        )
+        _weigh(body, _Link(_PAD[0], np.zeros(3), _PAD[1] * np.eye(3)))
+        at_foot = np.zeros(3)
+    body.add_site(name=f"{limb}_foot", pos=at_foot, size=[0.004] * 3)
+
+
+def _frame(axis: np.ndarray, towards: np.ndarray) -> np.ndarray:
+    """Return a rotation matrix with z along `axis`, and x as near to a direction as that allows."""
+    across = towards - axis * (axis @ towards)
+    if np.linalg.norm(across) < 1e-6:
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    x = across / np.linalg.norm(across)
+    return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
 def _compile(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -274,12 +319,13 @@ def _compile(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
 def _stand(source: RobotFile, spec: mujoco.MjSpec, offset: np.ndarray) -> None:
     """Give the model its rest stance as a keyframe."""
     model = _compile(source, spec)
-    feet = np.array([[*getattr(source.limbs, limb).foothold, -source.height] for limb in LIMBS]) - offset
+    limbs = _around(source)
+    feet = np.array([[*limb.foothold, -source.height] for limb in limbs.values()]) - offset
     joints = limb_joints(model, feet)
-    for limb, error in zip(LIMBS, joints.errors, strict=True):
+    for limb, error in zip(limbs, joints.errors, strict=True):
         if error > 1e-9:
             expected = f"a foothold within reach and joint limits at a height of {source.height:g} m"
-            got = f"one that the foot misses by {error * 1e3:.3g} mm"
+            got = f"one that the foot misses by {error * 1e3:.3g} mm" if np.isfinite(error) else "one beyond the limits"
             raise _error(source, f"limbs.{limb}.foothold", expected, got)
     height = source.height + offset[2]
     position = [offset[0], offset[1], height]
@@ -322,11 +368,13 @@ def _box(body: mujoco.MjsBody, hips: np.ndarray) -> None:
     _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "shell", size=[0.95 * half[0], 0.95 * half[1], 0.2 * half[:2].min()])
 
 
-def _draw(body: mujoco.MjsBody, name: str, end: np.ndarray) -> None:
+def _draw(body: mujoco.MjsBody, end: np.ndarray, *, first: bool, last: bool) -> None:
     thick = float(np.clip(0.12 * np.linalg.norm(end), 0.003, 0.014))
     _shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, "servo", size=[1.2 * thick, 1.4 * thick, 0])
-    material = {"coxa": "frame", "femur": "shell", "tibia": "frame"}[name]
-    stop = 0.85 * end if name == "tibia" else end
+    if np.linalg.norm(end) < _SHORT:
+        return
+    stop = 0.85 * end if last else end
+    material = "frame" if first or last else "shell"
     _shape(body, mujoco.mjtGeom.mjGEOM_CAPSULE, material, size=[0.7 * thick, 0, 0], fromto=[0, 0, 0, *stop])
-    if name == "tibia":
+    if last:
         _shape(body, mujoco.mjtGeom.mjGEOM_CAPSULE, "gripper", size=[thick, 0, 0], fromto=[*stop, *end])

@@ -322,6 +322,11 @@ def rollout_metrics(
     return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress)
 
 
+def _batched(tree: Any, axes: Any, count: int) -> Any:
+    """Return a flattened tree whose values all have the batch axis, before each one's own `axes`."""
+    return jax.tree.map(lambda v, own: v if v.ndim > own else np.broadcast_to(v, (count, *v.shape)), tree, axes)
+
+
 def walk_batch(
     compiled: Callable[[int], Callable[..., Metrics]],
     structure: Structure,
@@ -351,7 +356,9 @@ def walk_batch(
 
     def walk(rows: np.ndarray, sharding: Sharding) -> Metrics:
         law, numbers, *others = rows_of(flat, axes, rows)
-        numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, share))  # batched, come what may
+        # batched, come what may: one robot's would have lost the axis
+        numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, share))
+        others = [_batched(tree, own, share) for tree, own in zip(others, axes[2:], strict=True)]
         with jax.enable_x64(double):  # holds for one thread
             return walked(*jax.device_put((law, numbers, *others), sharding))
 

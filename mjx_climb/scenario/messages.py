@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
@@ -45,7 +45,8 @@ def _explained(error: ErrorDetails, root: type[BaseModel], source: str, more: in
         case "tuple_type":
             expected = "a list"
         case _:
-            expected = f"a mapping with keys {', '.join(_section(root, where).model_fields)}"
+            keys = ", ".join(_section(root, where).model_fields)
+            expected = f"a mapping with keys {keys}" if keys else "a mapping from names"
     return config_error(source, ".".join(map(str, where)), expected, got, more)
 
 
@@ -54,7 +55,9 @@ def _section(root: type[BaseModel], where: Sequence[str | int]) -> type[BaseMode
     model = root
     for part in where:
         if isinstance(part, str):
-            model = _model_in(model.model_fields[part].annotation)
+            field = model.model_fields.get(part)
+            # a name of the user's: the kind that the section holds for each
+            model = _model_in(field.annotation if field else get_type_hints(model)["__pydantic_extra__"])
     return model
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, ItemsView, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.messages import failure, refusal
@@ -21,14 +21,15 @@ from mjx_climb.scenario.values import (
     FileName,
     Gain,
     Heights,
+    JointNames,
     Limit,
     Name,
     NonNegative,
     Number,
     Pair,
     Positive,
-    Sequence4,
-    ThreeWords,
+    Share,
+    Swings,
     Threshold,
     Vector,
     Word,
@@ -36,33 +37,70 @@ from mjx_climb.scenario.values import (
 from mjx_climb.scenario.yaml_text import dump, parse
 
 MAX_STEPS = 10_000_000
+MIN_LIMBS, MAX_LIMBS = 2, 8
+SHIPPED_LIMBS = ("LF", "LH", "RH", "RF")  # of the robots known by name
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
+_ROUNDING = 1e-9
 PATHS = (("robot", "file"), ("ground", "map", "file"))  # keys whose values are paths
 
 AnySection = TypeVar("AnySection", bound=BaseModel)
 
 
+class _ByName(Section):
+    """A section whose keys are names of the user's, each with a value of one kind."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.items()))
+
+    def items(self) -> ItemsView[str, Any]:
+        """The names and their values, in the order in which they were given."""
+        return (self.__pydantic_extra__ or {}).items()
+
+
+class Phases(_ByName):
+    """When each limb lifts off, by its name."""
+
+    __pydantic_extra__: dict[str, Share]
+
+
 class Gait(Section):
-    """Periodic crawl with one limb in the air at a time."""
+    """Periodic gait: which limbs swing when, how far and how high."""
 
     cycle: Positive = Field(default=4.0, description="period of the gait, s; a whole number of time steps")
-    duty: Duty = Field(default=0.75, description="share of the cycle that each limb is gripped, 1; 0.75 to below 1")
+    duty: Duty = Field(default=0.75, description="share of the cycle that each limb is gripped, 1")
     stride: NonNegative = Field(default=0.05, description="way of the base per cycle, m")
     step_height: Positive = Field(default=0.03, description="height of a swing foot's arc over the ground, m")
-    sequence: Sequence4 = Field(default=("LH", "LF", "RH", "RF"), description="order in which the limbs swing")
+    sequence: Swings = Field(
+        default=("LH", "LF", "RH", "RF"),
+        description="order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",
+    )
+    phases: Phases | None = Field(
+        default=None, description="share of the cycle at which each limb lifts off, 1; null: as the sequence says"
+    )
     base_reference: Literal["nominal", "actual"] = Field(
         default="nominal",
         description="where each cycle's base reference starts: where planned, or where the base is",
     )
     heading: Angle = Field(default=0.0, description="direction of walking and initial yaw about world z, rad")
 
+    @property
+    def lift_off(self) -> dict[str, float]:
+        """Share of the cycle at which each limb lifts off, 1, by its name."""
+        if self.phases is not None:
+            return dict(self.phases.items())
+        places = [(place,) if isinstance(place, str) else place for place in self.sequence]
+        return {limb: n / len(places) for n, place in enumerate(places) for limb in place}
 
-class Footholds(Section):
-    """Heights of each limb's footholds in the order in which it uses them, the first included; the last one stays."""
 
-    LF: Heights = Field(default=(0.0,), description="left front, m")
-    LH: Heights = Field(default=(0.0,), description="left hind, m")
-    RH: Heights = Field(default=(0.0,), description="right hind, m")
-    RF: Heights = Field(default=(0.0,), description="right front, m")
+class Footholds(_ByName):
+    """Heights of each limb's footholds, m, in the order in which it uses them, the first included; the last one stays.
+
+    By the limb's name; a limb that is not named has all of them at zero.
+    """
+
+    __pydantic_extra__: dict[str, Heights]
 
 
 class HeightMap(Section):
@@ -186,20 +224,31 @@ class Disturbance(Section):
 class Limb(Section):
     """One limb of a robot from a file."""
 
-    joints: ThreeWords = Field(description="names of its three revolute joints, from the base outwards")
+    joints: JointNames = Field(description="names of its joints, two to seven, from the base outwards")
     foot: Word = Field(description="name of the site, body or link that is the foot")
+    at: Vector = Field(default=(0.0, 0.0, 0.0), description="where on it the foot is, in its own frame, m")
     foothold: Pair = Field(
         description="where the foot stands in the rest stance: x ahead, y left, base link's frame, m"
     )
 
 
-class Limbs(Section):
-    """The four limbs of a robot from a file."""
+class Limbs(_ByName):
+    """The limbs of a robot from a file, two to eight, by names of the user's choice."""
 
-    LF: Limb = Field(description="left front")
-    LH: Limb = Field(description="left hind")
-    RH: Limb = Field(description="right hind")
-    RF: Limb = Field(description="right front")
+    model_config = ConfigDict(json_schema_extra={"minProperties": MIN_LIMBS, "maxProperties": MAX_LIMBS})
+    __pydantic_extra__: dict[str, Limb]
+
+    @model_validator(mode="after")
+    def _some(self) -> Limbs:
+        if not MIN_LIMBS <= len(self.items()) <= MAX_LIMBS:
+            raise failure(f"{MIN_LIMBS} to {MAX_LIMBS} limbs", got=len(self.items()))
+        return self
+
+
+class Locked(_ByName):
+    """Joints of a robot's file that are held for good: their names and values, rad or m."""
+
+    __pydantic_extra__: dict[str, Number]
 
 
 class RobotFile(Section):
@@ -208,6 +257,7 @@ class RobotFile(Section):
     file: FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
     height: Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
     limbs: Limbs = Field(description="joints and feet")
+    locked: Locked = Field(default=Locked(), description="joints of the file that belong to no limb, held at a value")
 
 
 def _kind_of_robot(value: Any) -> str:
@@ -249,6 +299,43 @@ class Scenario(Section):
         if round((1 - self.gait.duty) * self.gait.cycle / self.time_step) < 2:
             expected = f"a swing, (1 - duty) cycle, of two time steps of {self.time_step:g} s or more"
             raise failure(expected, key="gait.duty", got=self.gait.duty)
+        return self
+
+    @model_validator(mode="after")
+    def _limbs_are_the_robots(self) -> Scenario:
+        limbs = SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(name for name, _ in self.robot.limbs.items())
+        count = NUMBERS[len(limbs)]
+        if self.gait.phases is None:
+            named = [limb for place in self.gait.sequence for limb in ([place] if isinstance(place, str) else place)]
+            if sorted(named) != sorted(limbs):
+                expected = f"the {count} limbs {', '.join(limbs)}, each once, in any order"
+                raise failure(expected, key="gait.sequence", got=self.gait.sequence)
+        elif sorted(self.gait.lift_off) != sorted(limbs):
+            expected = f"a phase for each of the {count} limbs {', '.join(limbs)}"
+            raise failure(expected, key="gait.phases", got=self.gait.lift_off)
+        for name, _ in self.ground.footholds.items() if self.ground.footholds is not None else ():
+            if name not in limbs:
+                raise failure(f"one of the limbs {', '.join(limbs)}", key=f"ground.footholds.{name}", got=name)
+        return self
+
+    @model_validator(mode="after")
+    def _stands_on_a_limb(self) -> Scenario:
+        gait, swing = self.gait, 1 - self.gait.duty
+        if gait.phases is None:
+            least = 1 - 1 / len(gait.sequence)
+            if gait.duty < least - _ROUNDING:
+                key, expected = (
+                    "gait.duty",
+                    f"a number from {least:g} to below 1, so that one swing ends as the next begins",
+                )
+                raise failure(expected, key=key, got=gait.duty)
+            return self
+        for limb, phase in gait.lift_off.items():
+            if phase + swing > 1 + _ROUNDING:
+                expected = f"a swing that ends within the cycle, phase {gait.duty:g} or less"
+                raise failure(expected, key=f"gait.phases.{limb}", got=phase)
+            if all(other <= phase < other + swing - _ROUNDING for other in gait.lift_off.values()):
+                raise failure("a limb on the ground at every moment", key=f"gait.phases.{limb}", got=phase)
         return self
 
     @property

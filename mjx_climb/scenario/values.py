@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, WrapValidator
 
@@ -19,12 +19,6 @@ def _expects(text: str) -> WrapValidator:
     return WrapValidator(validate)
 
 
-def _is_permutation(limbs: tuple[str, ...]) -> tuple[str, ...]:
-    if len(set(limbs)) != len(limbs):
-        raise ValueError("a limb comes twice")
-    return limbs
-
-
 def _is_name(text: str) -> str:
     if not text.strip() or not text.isprintable():
         raise ValueError("empty or unprintable")
@@ -32,12 +26,12 @@ def _is_name(text: str) -> str:
 
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]  # strict: no booleans, no strings
-LimbName = Literal["LF", "LH", "RH", "RF"]
 
 Number = Annotated[Finite, _expects("a finite number")]
 Positive = Annotated[Finite, Field(gt=0), _expects("a finite number above 0")]
 NonNegative = Annotated[Finite, Field(ge=0), _expects("a finite number, 0 or above")]
-Duty = Annotated[Finite, Field(ge=0.75, lt=1), _expects("a number from 0.75 to below 1")]
+Share = Annotated[Finite, Field(ge=0, lt=1), _expects("a number from 0 to below 1")]
+Duty = Annotated[Finite, Field(gt=0, lt=1), _expects("a number above 0 and below 1")]
 Angle = Annotated[Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an angle in rad between -2 pi and 2 pi")]
 Limit = Annotated[NonNegative | None, _expects("a finite number, 0 or above, or null")]
 PositiveOrNull = Annotated[Positive | None, _expects("a finite number above 0, or null")]
@@ -55,11 +49,6 @@ Gain = Annotated[
     Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive],
     _expects("a finite number above 0, or a list of six"),
 ]
-Sequence4 = Annotated[
-    tuple[LimbName, LimbName, LimbName, LimbName],
-    AfterValidator(_is_permutation),
-    _expects("the four limbs LF, LH, RH, RF, each once, in any order"),
-]
 Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")]
 Name = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the name of a robot")]
 Word = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name in the robot's file")]
@@ -67,4 +56,14 @@ FileName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the path
 Heights = Annotated[
     tuple[Finite, ...], Field(min_length=1), _expects("a list of one finite number or more, foothold after foothold")
 ]
-ThreeWords = Annotated[tuple[Word, Word, Word], _expects("a list of three joint names, from the base outwards")]
+JointNames = Annotated[
+    tuple[Word, ...],
+    Field(min_length=2, max_length=7),
+    _expects("a list of two to seven joint names, from the base outwards"),
+]
+_LimbName = Annotated[str, Strict(), AfterValidator(_is_name)]
+Swings = Annotated[
+    tuple[_LimbName | Annotated[tuple[_LimbName, ...], Field(min_length=1)], ...],
+    Field(min_length=2),
+    _expects("a list of two limbs or more; limbs that swing together are a list in it"),
+]

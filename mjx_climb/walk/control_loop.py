@@ -13,14 +13,14 @@ from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import base_estimate, control_period, delay, force_sensor, servo
 from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.parameters import Parameters
-from mjx_climb.walk.inverse_kinematics import JointSolution, LimbGeometry, inverse_kinematics
+from mjx_climb.walk.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 
 
 class Controller(NamedTuple):
     """What stays the same from step to step."""
 
     law: running.Running
-    geometry: LimbGeometry
+    geometry: LimbGeometry | Chain
     numbers: Parameters
     stages: Stages
     time_step: float
@@ -42,6 +42,7 @@ class Memory(NamedTuple):
     said: Any  # `Said`
     targets: Any  # buffer of joint targets (N, L, B) rad
     servo: servo.Servo
+    posture: Any  # (N, L, B) rad, the joint angles last solved for, () where there is a closed form
 
 
 class Contacts(NamedTuple):
@@ -61,9 +62,9 @@ class Driven(NamedTuple):
     drive: servo.Drive
 
 
-def start(state: State, feet: Array, stages: Stages) -> Memory:
+def start(state: State, feet: Array, controller: Controller) -> Memory:
     """Return the memory of a robot that has always rested in a state, with `feet` (3, L, B) m in the world."""
-    angles = state.joint_angles
+    angles, stages = state.joint_angles, controller.stages
     said: Any = ()
     if stages.control_period:
         no_shift = jnp.zeros_like(jnp.concatenate([state.base_position, state.base_position]))
@@ -76,6 +77,7 @@ def start(state: State, feet: Array, stages: Stages) -> Memory:
         said=said,
         targets=delay.start(angles, stages.command_delay),
         servo=servo.start(jnp.zeros_like(angles), stages),
+        posture=angles if isinstance(controller.geometry, Chain) else (),
     )
 
 
@@ -102,7 +104,9 @@ def run(
     after, command = controller.law.command(law_state, measurement, reference)
     rotation = quaternion_to_matrix(command.base_orientation)
     target = rotate_back(rotation[:, :, None], command.foot_position - command.base_position[:, None])
-    joints = inverse_kinematics(controller.geometry, target)
+    iterated = isinstance(controller.geometry, Chain)
+    joints = inverse_kinematics(controller.geometry, target, memory.posture if iterated else None)
+    posture = joints.joint_angles if iterated else ()
 
     said = memory.said
     if stages.control_period:
@@ -124,4 +128,4 @@ def run(
     felt = servo.target_across_play(joints.joint_angles, state.joint_angles, numbers, stages)
     asked = joint_torque(numbers, felt, state.joint_angles, state.joint_rates)
     servos, drive = servo.driven(memory.servo, asked, state.joint_rates, numbers, stages, time_step)
-    return Memory(sensor, buffers, said, targets, servos), after, Driven(command, joints, drive)
+    return Memory(sensor, buffers, said, targets, servos, posture), after, Driven(command, joints, drive)

@@ -1,4 +1,4 @@
-"""Periodic crawl: which gripper is open, where the base and the feet should be (DESIGN of ClimbLab's default gait)."""
+"""Periodic gait: which gripper is open, where the base and the feet should be (DESIGN of ClimbLab's default gait)."""
 
 import dataclasses
 from typing import NamedTuple
@@ -38,11 +38,16 @@ class Schedule(NamedTuple):
     foothold: Array  # (L, B) number of the foothold below the foot: the next one from the middle of a swing on
 
 
-def plan(robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[str, ...], time_step: float) -> Plan:
-    """Return the walk of a robot whose feet stand at `stance_feet` (3, L, 1) m in world axes at heading zero."""
+def plan(
+    robot: Robot, stance_feet: Array, numbers: Parameters, lift_off: tuple[tuple[str, float], ...], time_step: float
+) -> Plan:
+    """Return the walk of a robot whose feet stand at `stance_feet` (3, L, 1) m in world axes at heading zero.
+
+    `lift_off` are the names of the limbs, each with the share of the cycle at which it lifts off.
+    """
     heading = rotation_about_z(numbers.heading)
     cycle_steps = jnp.round(numbers.cycle / time_step)
-    order = jnp.asarray([sequence.index(limb) for limb in robot.limbs], numbers.cycle.dtype)
+    phase = jnp.asarray([dict(lift_off)[limb] for limb in robot.limbs], numbers.cycle.dtype)
     zero = jnp.zeros_like(numbers.stride)
     return Plan(
         base_start=rotate(heading, robot.stance_position),
@@ -53,7 +58,7 @@ def plan(robot: Robot, stance_feet: Array, numbers: Parameters, sequence: tuple[
         step_height=jnp.asarray(numbers.step_height),
         cycle_steps=cycle_steps,
         swing_steps=jnp.round((1 - numbers.duty) * numbers.cycle / time_step),
-        swing_offset=jnp.round(order[:, None] / len(sequence) * cycle_steps),
+        swing_offset=jnp.round(phase[:, None] * cycle_steps),
     )
 
 

@@ -1,4 +1,7 @@
-"""Closed-form inverse kinematics of a limb: a yaw joint, then two parallel pitch joints, all link offsets kept."""
+"""Inverse kinematics of the limbs: in closed form where there is one, else by damped Gauss-Newton steps.
+
+The closed form is that of a yaw joint and two parallel pitch joints, all link offsets kept.
+"""
 
 from typing import NamedTuple
 
@@ -6,10 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.dynamics.spatial import rotate_back
-from mjx_climb.robot.constants import Robot, RobotError
+from mjx_climb.dynamics.kinematics import foot_velocity_per_rate, limb_frames
+from mjx_climb.dynamics.limb_engine import factorize, solve
+from mjx_climb.dynamics.spatial import dot, rotate_back
+from mjx_climb.robot.constants import Robot
 
 _PARALLEL = 1e-9
+STEPS = 4  # of Gauss-Newton, from the last solution
+_DAMPING = 0.5  # of a step, 1 per squared error: quadratic convergence near the target, calm out of reach
+_LEAST_DAMPING = 1e-10  # of the limb's mean squared lever
+_PULL = 0.05  # of the way to the rest posture in a step, where that does not move the foot
+_LONGEST_STEP = 0.3  # rad, or m
+_MET = 1e-4  # m, from a target that counts as reached
 
 
 class LimbGeometry(NamedTuple):
@@ -36,22 +47,24 @@ class JointSolution(NamedTuple):
     reachable: Array  # (L, B) bool
 
 
-def limb_geometry(robot: Robot) -> LimbGeometry:
-    """Return the geometry of a robot's limbs for `inverse_kinematics`.
+class Chain(NamedTuple):
+    """Limbs without a closed form."""
 
-    Raises:
-        RobotError: a limb whose femur axis is not at right angles to the coxa's, or not parallel to the tibia's.
-    """
+    robot: Robot
+
+
+def limb_geometry(robot: Robot) -> LimbGeometry | Chain:
+    """Return the geometry of a robot's limbs for `inverse_kinematics`."""
+    if robot.joints != 3 or robot.slides:
+        return Chain(robot)
     columns = []
-    for limb, name in enumerate(robot.limbs):
+    for limb in range(len(robot.limbs)):
         rotation = np.asarray(robot.frame_rotation)[..., limb, 0]
         position = np.asarray(robot.frame_position)[..., limb, 0]
         femur_axis = rotation[1][:, 2]  # in the coxa's frame
         tibia_axis = rotation[1] @ rotation[2][:, 2]
         if abs(femur_axis[2]) > _PARALLEL or np.linalg.norm(np.cross(femur_axis, tibia_axis)) > _PARALLEL:
-            raise RobotError(
-                f"{robot.name}: limb {name} needs femur and tibia axes parallel, at right angles to the coxa's"
-            )
+            return Chain(robot)
         knee = position[1] + rotation[1] @ position[2]
         foot = knee + rotation[1] @ rotation[2] @ np.asarray(robot.foot_center)[:, limb, 0]
         outward = np.cross([0.0, 0.0, 1.0], femur_axis)
@@ -87,12 +100,62 @@ def _safe_sqrt(square: Array, floor: float) -> Array:
     return jnp.sqrt(jnp.where(above, square, floor))
 
 
-def inverse_kinematics(geometry: LimbGeometry, foot: Array) -> JointSolution:
+def inverse_kinematics(geometry: LimbGeometry | Chain, foot: Array, last: Array | None = None) -> JointSolution:
     """Return the joint angles that put the feet at `foot`, (3, L, B) m in the base frame.
 
     A target out of reach gives the nearest stretch or fold of the limb towards it, finite in value and derivative, and
-    is flagged. Angles lie in (-pi, pi]; joint limits are not applied here.
+    is flagged. Angles lie in (-pi, pi] in the closed form; joint limits are not applied here. Limbs without a closed
+    form take `STEPS` steps from `last` (N, L, B), the posture before, or the rest stance.
     """
+    if isinstance(geometry, Chain):
+        stance = jnp.asarray(geometry.robot.stance_joints)
+        start = jnp.broadcast_to(stance, (*stance.shape[:2], foot.shape[-1])) if last is None else last
+        return _gauss_newton(geometry.robot, foot, start)
+    return _closed_form(geometry, foot)
+
+
+def _gauss_newton(robot: Robot, target: Array, angles: Array) -> JointSolution:
+    """Return the posture after a fixed number of damped steps, the last two of them towards the target alone.
+
+    What moves no foot goes towards the rest posture, the more the nearer a joint is to its limits (Levenberg-Marquardt
+    with the error as its damping, after Sugihara, IEEE Trans. Robotics 27, 2011; null-space
+    motion after Liegeois, IEEE Trans. Systems, Man and Cybernetics 7, 1977).
+    """
+    middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2
+
+    def at(angles: Array) -> tuple[Array, list[Array]]:
+        frames = limb_frames(robot, None, angles)
+        columns = [
+            foot_velocity_per_rate(robot, k, frames.rotation[k][:, 2], frames.foot - frames.position[k])
+            for k in range(robot.joints)
+        ]
+        return target - frames.foot, columns
+
+    for step in range(STEPS):
+        error, columns = at(angles)
+        rows = jnp.stack(columns, axis=1)  # (3, N, L, B)
+        lever = sum((dot(column, column) for column in columns), jnp.zeros_like(angles[0])) / robot.joints
+        damping = _DAMPING * dot(error, error) + _LEAST_DAMPING * lever
+        gram = {(i, j): dot(rows[i], rows[j]) + (damping if i == j else 0.0) for i in range(3) for j in range(i, 3)}
+        factor = factorize(gram)
+        change = _transposed_times(columns, solve(factor, error))
+        if step < STEPS - 2 and robot.joints > 3:
+            near = jnp.clip(((angles - middle) / half) ** 8, 0.0, 8.0)
+            pull = _PULL * (1 + near) * (robot.stance_joints - angles)
+            moved = jnp.stack([dot(rows[i], pull) for i in range(3)])
+            change = change + pull - _transposed_times(columns, solve(factor, moved))
+        largest = jnp.abs(change).max(0)
+        angles = angles + change * (_LONGEST_STEP / jnp.maximum(largest, _LONGEST_STEP))
+    error, _ = at(angles)
+    return JointSolution(angles, dot(error, error) < _MET**2)
+
+
+def _transposed_times(columns: list[Array], vector: Array) -> Array:
+    """Return `J^T v` (N, L, B) for the columns of J."""
+    return jnp.stack([dot(column, vector) for column in columns])
+
+
+def _closed_form(geometry: LimbGeometry, foot: Array) -> JointSolution:
     local = rotate_back(geometry.hip_rotation, foot - geometry.hip_position)
     tiny = float(jnp.finfo(local.dtype).eps) * 1e-2
     horizontal = local[0] ** 2 + local[1] ** 2 - geometry.lateral**2

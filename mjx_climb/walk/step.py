@@ -32,7 +32,7 @@ class Structure(NamedTuple):
 
     robot: str | RobotFile
     engine: str
-    sequence: tuple[str, ...]
+    lift_off: tuple[tuple[str, float], ...]  # of each limb, as a share of the cycle
     base_reference: str
     steps: int
     time_step: float
@@ -90,13 +90,13 @@ def structure(
     return Structure(
         robot=scenario.robot,
         engine=checked_engine(engine),
-        sequence=scenario.gait.sequence,
+        lift_off=tuple(scenario.gait.lift_off.items()),
         base_reference=scenario.gait.base_reference,
         steps=scenario.steps,
         time_step=scenario.time_step,
         metrics=table.with_companions if smooth else table,
         smooth=smooth,
-        stages=stages_of(scenario, numbers),
+        stages=_with_own_friction(stages_of(scenario, numbers), load_robot(scenario.robot)),
         in_pieces=in_pieces,
     )
 
@@ -116,14 +116,14 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
     held = time_step * period_steps(period, time_step) if stages.control_period else time_step
     drives = _with_armature(robot, jnp.asarray(numbers.armature)) if stages.armature else robot
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
-    plan = gait.plan(robot, feet, numbers, structure.sequence, structure.time_step)
+    plan = gait.plan(robot, feet, numbers, structure.lift_off, structure.time_step)
     begun = running.begin(law, Start(held, _first_reference(plan, batch)))
     return Walk(
         robot=weighing(robot, numbers.mass_scale),
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=plan,
-        controller=control_loop.Controller(begun, geometry, numbers, stages, time_step),
+        controller=control_loop.Controller(begun, geometry, _with_friction_of(robot, numbers), stages, time_step),
         engine=ENGINES[structure.engine],
         drives=drives,
         time_step=structure.time_step,
@@ -161,6 +161,24 @@ def _with_armature(robot: Robot, armature: Array) -> Robot:
     return dataclasses.replace(robot, armature=own + armature)
 
 
+def _with_own_friction(stages: Stages, robot: Robot) -> Stages:
+    """Return the stages with those of friction that the robot's own file asks for."""
+    return stages._replace(
+        dry_friction=stages.dry_friction or robot.friction is not None,
+        viscous_friction=stages.viscous_friction or robot.damping is not None,
+    )
+
+
+def _with_friction_of(robot: Robot, numbers: Parameters) -> Parameters:
+    """Return the numbers with the friction in the robot's file beside the scenario's, (N, L, B) where there is some."""
+    dry, viscous = jnp.asarray(numbers.coulomb_friction), jnp.asarray(numbers.viscous_friction)
+    return dataclasses.replace(
+        numbers,
+        coulomb_friction=dry if robot.friction is None else dry + robot.friction,
+        viscous_friction=viscous if robot.damping is None else viscous + robot.damping,
+    )
+
+
 def _lighter_drives(robot: Robot, scale: Array | np.ndarray) -> Robot:
     """Return the robot whose drives have their armature over `scale` (B,): the engine is given forces over it."""
     return robot if robot.armature is None else dataclasses.replace(robot, armature=robot.armature / scale)
@@ -183,7 +201,7 @@ def begin(walk: Walk, batch: int) -> Carry:
         contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if stages.capture else ()),
         gait=position,
         law=[_grown(value, batch) for value in walk.controller.law.initial] if stages.control_period else initial,
-        hardware=control_loop.start(state, feet, stages),
+        hardware=control_loop.start(state, feet, walk.controller),
     )
 
 

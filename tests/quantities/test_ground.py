@@ -152,7 +152,7 @@ def test_a_map_that_cannot_be_used_is_refused_in_one_line(name, tmp_path):
     [
         ({"ground.footholds.LF": []}, "ground.footholds.LF: expected a list of one finite number or more"),
         ({"ground.footholds.LF": [0, "high"]}, "ground.footholds.LF: expected a list"),
-        ({"ground.footholds.XX": [0]}, "ground.footholds.XX: expected a known key"),
+        ({"ground.footholds.XX": [0]}, "ground.footholds.XX: expected one of the limbs LF, LH, RH, RF"),
         ({"ground.map": {"file": "a.csv"}}, "ground.map.resolution: expected a value"),
         ({"ground.map": {"file": "a.csv", "resolution": 0}}, "ground.map.resolution: expected a finite number above 0"),
         (

@@ -1,5 +1,7 @@
 """The three ways to run a walk agree, and transform as JAX functions do."""
 
+import subprocess
+import sys
 import typing
 
 import jax
@@ -93,3 +95,35 @@ def test_parameters_hold_what_they_are_annotated_with(scenario):
     hints = {name: hint for name, hint in typing.get_type_hints(mc.Parameters).items() if name != "AXES"}
     for numbers in (ours, jax.tree.map(np.asarray, ours)):
         assert [name for name, hint in hints.items() if not is_bearable(getattr(numbers, name), hint)] == []
+
+
+@pytest.mark.parametrize("engine", ["lim", ""])
+def test_an_unknown_engine_is_refused_in_one_line(scenario, engine):
+    for ask in (mc.simulator, mc.rollout, mc.rollout_metrics):
+        with pytest.raises(mc.ConfigError, match=rf"^engine: expected one of mjx, limb, got '{engine}'$"):
+            ask(scenario, engine=engine)
+
+
+REVERSE = """
+import jax, mjx_climb as mc
+scenario = mc.Scenario(duration=0.01)
+simulate = mc.simulator(scenario, in_pieces=True)
+value = lambda stiffness: simulate({"stiffness": stiffness})["force_variation"]
+for reverse in (jax.grad(value), jax.jit(jax.grad(value)), lambda x: jax.vjp(value, x), jax.jacrev(value),
+                lambda x: jax.linearize(value, x)):
+    try:
+        reverse(1e4)
+    except NotImplementedError as refused:
+        print("refused:", str(refused)[:60])
+jax.eval_shape(jax.jacfwd(value), 1e4)
+jax.eval_shape(jax.vmap(jax.jacfwd(value)), jax.numpy.ones(2))
+print("forward passes")
+"""
+
+
+def test_reverse_mode_of_a_function_in_pieces_is_refused():
+    """In a process of its own: XLA would end it."""
+    done = subprocess.run([sys.executable, "-c", REVERSE], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("refused: this function has values and forward derivatives") == 5
+    assert done.stdout.endswith("forward passes\n")

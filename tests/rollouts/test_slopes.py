@@ -64,3 +64,16 @@ def test_slopes_of_a_batch_agree_with_central_differences(scenario):
         differences = (moved[0][name] - moved[1][name]) / (2 * step)
         np.testing.assert_allclose(slope, differences, rtol=1e-4, atol=1e-4 * np.abs(differences).max(), err_msg=name)
     assert np.ptp(slopes["peak_foot_force"]) > 0
+
+
+def test_one_robot_has_the_slopes_that_it_has_in_a_batch(case):
+    """A batch of one keeps its axis, along one direction or several."""
+    scenario = case("case_1_2", "virtual_model", (("duration", 0.02),))
+    gains = mc.Gains(np.ones((1, 6)), np.full((1, 6), 1e2), np.full((1, 6), 3e3))
+    rates = mc.Gains(np.zeros((DIRECTIONS, 1, 6)), np.full((DIRECTIONS, 1, 6), 10.0), np.zeros((DIRECTIONS, 1, 6)))
+    two = jax.tree.map(lambda value: np.repeat(value, 2, axis=0), gains)
+    _, alone = mc.rollout_slopes(scenario, gains, rates, dtype=np.float64)
+    _, beside = mc.rollout_slopes(scenario, two, rates, dtype=np.float64)
+    for name, slope in alone.items():
+        assert slope.shape == (DIRECTIONS, 1)
+        np.testing.assert_allclose(slope, beside[name][:, :1], rtol=1e-9, atol=1e-12, err_msg=name)

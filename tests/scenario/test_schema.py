@@ -48,6 +48,8 @@ def test_every_example_of_the_how_to_loads(schema, block):
         {"ground": {"footholds": {"LF": [0.0, 0.1]}}},
         {"ground": {"map": {"file": "map.csv", "resolution": 0.01}}},
         {"control": {"damping": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]}},
+        {"gait": {"sequence": [["LF", "RH"], ["LH", "RF"]], "duty": 0.5}},
+        {"robot": ROBOT | {"limbs": {"arm": LIMB, "leg": LIMB}}, "gait": {"phases": {"arm": 0.0, "leg": 0.5}}},
     ],
 )
 def test_what_loads_is_valid(schema, data):
@@ -59,8 +61,9 @@ def test_what_loads_is_valid(schema, data):
     "data",
     [
         {"gravty": [0, 0, -9.81]},
-        {"gait": {"duty": 0.5}},
-        {"gait": {"sequence": ["LF", "LH", "RH"]}},
+        {"gait": {"duty": 1.5}},
+        {"gait": {"sequence": ["LF"]}},
+        {"robot": ROBOT | {"limbs": {"LF": LIMB}}},
         {"robot": {"file": "robot.urdf"}},
         {"control": {"damping": [1.0, 2.0]}},
         {"control": {"controller": "pid"}},

@@ -19,6 +19,7 @@ from tuning.command_line import (
     options,
     pareto,
     reproduce,
+    robot,
     schedule,
     schema,
     sweep,
@@ -45,6 +46,7 @@ app.command("pareto", short_help="Search the front of two metrics.")(pareto.pare
 app.command("schedule", short_help="Tune gains for pairs of gravity and cargo.")(schedule.schedule)
 app.command("reproduce", short_help="Walk the paper's cases and judge its claims.")(reproduce.reproduce)
 app.command("export", short_help="Write gains for the robot's own controller.")(export.export)
+app.command("robot", short_help="Make a robot's own file ready to walk.")(robot.robot)
 app.command("schema", short_help="Print the schema of scenarios, for editors.")(schema.schema)
 app.command("bench", short_help="Measure speed beside MuJoCo and MJX.")(bench.bench)
 app.command("doctor", short_help="Examine this installation.")(doctor.doctor)

@@ -9,8 +9,6 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 
 from tuning.command_line import interruption
 
-Stage = Callable[..., contextlib.AbstractContextManager[Callable[..., None]]]
-
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
 WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers

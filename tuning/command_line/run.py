@@ -90,8 +90,15 @@ def run(
         files += pictures.write(walks, out, meter.stage)
 
         tables = console if json else report.console(file=stdout)
-        tables.print(report.walk_table(metrics))
-        tables.print(report.verdict(trajectory, metrics))
+        if baseline is None:
+            tables.print(report.walk_table(metrics))
+            tables.print(report.verdict(trajectory, metrics))
+        else:
+            both = [(n, walk, mc.metrics(walk)) for n, walk in zip(reversed(names), reversed(walks), strict=True)]
+            compared = {name: (report.gains_of(walk), values) for name, walk, values in both}
+            tables.print(report.comparison_table(compared, baseline.control.controller, tables.width))
+            for name, walk, values in both:
+                tables.print(f"{name}: {report.verdict(walk, values)}")
         console.print(f"written to {out}: {', '.join(files)}", soft_wrap=True)
         if json:
             print(text, file=stdout)

@@ -146,7 +146,9 @@ def sweep(
                     trajectories["best"] = mc.rollout(scenario.with_overrides(joint), law=winner, engine=engine)
             order = [name for name in ("best", *names) if name in trajectories]
             trajectories = {name: trajectories[name] for name in order}
-            compared = {name: (_gains(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()}
+            compared = {
+                name: (report.gains_of(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()
+            }
             edges = [] if best is None else at_edge(result, best)
             summary: dict[str, dict[str, Any] | None] = {"best": None}
             summary |= {name: {"gains": values, "metrics": metrics} for name, (values, metrics) in compared.items()}
@@ -285,18 +287,6 @@ def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", kep
     text = f"{walks} walks ({sizes}) of {scenario.steps} steps"
     text += f" on {jax.devices()[0].device_kind}"
     return text + (f"; {kept} are there already" if kept else "")
-
-
-def _gains(trajectory: "mc.Trajectory") -> dict[str, Any] | None:
-    """Return the gains of a walk, None where its controller has none."""
-    if not trajectory.law and trajectory.scenario.control.controller == "pd":
-        return None
-    if not trajectory.law:
-        control = trajectory.scenario.control
-        return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")}
-    from tuning.gains.gains_file import by_name
-
-    return by_name(trajectory.gains)
 
 
 def _label(name: str, own: "mc.Scenario") -> str:

@@ -1,6 +1,5 @@
 """`mjx-climb tune`: a search for gains."""
 
-import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +13,6 @@ from tuning.command_line.ending import InputError, Interrupted
 from tuning.command_line.robust import tune_robustly
 
 if TYPE_CHECKING:
-    import mjx_climb as mc
-    from tuning.judged.verification import Verification
-    from tuning.searches.result import Result
     from tuning.searches.tune import Progress
 
 MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
@@ -121,15 +117,11 @@ def tune(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb import plots
         from mjx_climb.files import dataset, scenario_files
         from tuning.command_line import progress, report
-        from tuning.gains import gains_file
-        from tuning.judged import verification
+        from tuning.output import tuned
         from tuning.problem import ensemble as ensembles
         from tuning.problem import search as settings
-        from tuning.report import page, search_pictures
-        from tuning.report import tune as pages
         from tuning.searches import finished_parts
         from tuning.searches import robust as robust_search
         from tuning.searches import tune as tuning_tune
@@ -169,9 +161,7 @@ def tune(
                 tuning_tune.problem_of(scenario, wanted, engine=engine, law=user_law)
             else:
                 robust_search.goal(scenario, drawn, wanted, engine)
-        scenario = scenario_files.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
-        dataset.write_text_atomically(out / "search.yaml", wanted.to_yaml())
+        scenario = tuned.write_settings(out, scenario, wanted.to_yaml())
         if drawn is not None:
             return tune_robustly(
                 scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, meter, stdout, json=json, law=user_law
@@ -187,94 +177,30 @@ def tune(
         try:
             with meter.stage("search", unit="rounds") as show:
                 found = tuning_tune.tune(scenario, wanted, law=user_law, engine=engine, out=out, progress=round_done)
-            comment = (
-                f"mjx-climb tune {config.name}: {wanted.method}, {wanted.space}, objective {found.value:.4f} (pd: 1)"
-            )
-            gains_file.save(found.gains, out / "gains.yaml", comment, user_law)
-            found.save(out / "search.nc")
             if found.interrupted:
+                comment = f"{wanted.method}, {wanted.space}, objective {found.value:.4f} (pd: 1)"
+                tuned.write_found(found, out, f"mjx-climb tune {config.stem}: {comment}", user_law)
                 raise Interrupted(
                     f"the best of {kept} rounds is in {out}: objective {found.value:.4f}, gains.yaml; "
                     "the same command goes on from there"
                 )
-            walks = {}
-            names = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
-            names |= {"config": scenario, "tuned": verification.tuned(found)}
-            laws = {"config": user_law, "tuned": found.law}
-            for name, walked in names.items():
-                with meter.stage(name):
-                    walks[name] = mc.rollout(walked, law=laws.get(name), engine=engine)
-            metrics = {name: mc.metrics(trajectory) for name, trajectory in walks.items()}
-            with meter.stage("map") as show_map:
-                over = verification.map_of(found, progress=lambda done, total: show_map(done, total), engine=engine)
-            with meter.stage("verification"):
-                checked = verification.verify(found, metrics=metrics["tuned"], walks=over, engine=engine)
-            compared = {
-                name: (None if name == "pd" else _gains(walks[name]), metrics[name])
-                for name in ("tuned", "config", "pd")
-            }
-            summary: dict[str, dict[str, Any]] = {n: {"gains": g, "metrics": m} for n, (g, m) in compared.items()}
-            summary["search"] = {
-                **wanted.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
-                "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
-            }  # fmt: skip
-            summary["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
-            text = report.to_json(summary)
-            dataset.write_text_atomically(out / "summary.json", text + "\n")
-            with meter.stage("drawing", compiles=False):
-                plots.save_figure(search_pictures.plot_convergence(found), out / "convergence")
-                plots.save_figure(
-                    plots.plot_comparison({n: walks[n] for n in ("pd", "config", "tuned")}), out / "walks"
-                )
-                if over is not None:
-                    dataset.save(over, out / "map.nc")
-                    plots.save_figure(search_pictures.plot_path(found, over), out / "path")
-            with meter.stage("report", compiles=False):
-                pictures_shown = {
-                    "How the search converged.": out / "convergence.svg",
-                    "The walks over time: red crosses mark a torn gripper, shading a disturbance.": out / "walks.svg",
-                }
-                if over is not None:
-                    pictures_shown["The way of the search over the map; the red line is the limit of stability."] = (
-                        out / "path.svg"
-                    )
-                again = f"mjx-climb tune config.yaml --search search.yaml{options.law_option(law)} --out again"
-                written = pages.page(
-                    found, checked, over, {name: walks[name] for name in compared}, compared,
-                    outcome=[line[0].upper() + line[1:] for line in _verdict(checked, found)],
-                    origin=options.origin(
-                        config.stem, again + options.engine_option(engine), scenario_files.portable_yaml(scenario, out)
-                    ),
-                    pictures=pictures_shown,
-                )  # fmt: skip
-                page.write(written, out)
+            again = f"mjx-climb tune config.yaml --search search.yaml{options.law_option(law)} --out again"
+            again += options.engine_option(engine)
+            origin = options.origin(config.stem, again, scenario_files.portable_yaml(scenario, out))
+            judged = tuned.write(found, out, law=user_law, origin=origin, engine=engine, stage=meter.stage)
             finished_parts.clear(out)
         except KeyboardInterrupt:
             raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
 
         tables = console if json else report.console(file=stdout)
-        tables.print(report.comparison_table(compared, "pd", tables.width))
-        tables.print(report.gains_table(compared))
-        for line in _verdict(checked, found):
+        tables.print(report.comparison_table(judged.compared, "pd", tables.width))
+        tables.print(report.gains_table(judged.compared))
+        for line in judged.outcome:
             tables.print(line, soft_wrap=True)
-        console.print(
-            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, gains.yaml, "
-            "search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), config.yaml, search.yaml",
-            soft_wrap=True,
-        )
+        seconds = progress.duration(time.perf_counter() - begin)
+        console.print(f"written to {out} in {seconds}: {tuned.FILES}", soft_wrap=True)
         if json:
-            print(text, file=stdout)
-
-
-def _gains(trajectory: "mc.Trajectory") -> dict[str, Any]:
-    """Return the gains of a walk, those of the joint loop last."""
-    from tuning.gains.gains_file import by_name
-
-    control = trajectory.scenario.control
-    joint = {name: getattr(control, name) for name in ("kp", "kd")}
-    if trajectory.law:
-        return by_name(trajectory.gains) | joint
-    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")} | joint
+            print(judged.summary, file=stdout)
 
 
 def _line(now: "Progress") -> str:
@@ -284,20 +210,6 @@ def _line(now: "Progress") -> str:
         f"{now.phase} {now.rounds}/{now.rounds_in_all}: best {best}{slope}, {now.alive} of {now.batch} alive, "
         f"{now.env_steps / 1e6:.2f} M env-steps"
     )
-
-
-def _verdict(checked: "Verification", found: "Result") -> list[str]:
-    """Return the outcome of the tests in a few lines."""
-    limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
-    lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]
-    kinds = {kind: [n for n, k in checked.shape.items() if k == kind] for kind in ("plateau", "slope", "cliff")}
-    lines.append("within 20 %: " + "; ".join(f"{kind} in {', '.join(n)}" for kind, n in kinds.items() if n))
-    steepest = max(checked.slopes, key=lambda name: abs(checked.slopes[name]))
-    lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
-    if checked.grid_value is not None:
-        lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
-    lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
-    return lines + [f"warning: {line}" for line in checked.warnings]
 
 
 def _mapping(option: str, pairs: list[str] | None) -> dict[str, float] | None:

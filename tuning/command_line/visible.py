@@ -14,7 +14,7 @@ from tuning.command_line.ending import InputError
 
 if TYPE_CHECKING:
     import mjx_climb as mc
-    from tuning.command_line.progress import Stage
+    from tuning.output.stages import Stage
 
 Video = Annotated[bool, typer.Option("--video", help="Render the walk to walk.mp4 (H.264); works without a display.")]
 Snapshots = Annotated[

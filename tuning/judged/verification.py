@@ -23,6 +23,7 @@ from tuning.searches.tune import problem_of
 STEP = 0.2  # relative change of a gain
 PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
 UNRESPONSIVE = 1e-3  # largest relative change of any metric
+BINDING = 0.05  # of a limit's scale: as near to it, it is what holds the search there
 GRID = 12  # cells along each axis of the map
 
 
@@ -34,6 +35,7 @@ class Verification:
     value: float  # of that walk
     search_value: float
     broken_limits: list[str]  # in words
+    binding_limits: list[str]  # kept with hardly any room
     less: dict[str, float | None]  # change of the value with a gain 20 % less; None: infeasible or diverged
     more: dict[str, float | None]
     shape: dict[str, str]  # plateau, slope or cliff
@@ -117,7 +119,8 @@ def verify(
         metrics=dict(metrics),
         value=float(alone.value),
         search_value=found.value,
-        broken_limits=_broken(objective, metrics),
+        broken_limits=broken_limits(objective, metrics),
+        binding_limits=binding_limits(objective, metrics),
         less={name: number(v) for name, v in zip(space.names, change[0], strict=True)},
         more={name: number(v) for name, v in zip(space.names, change[1], strict=True)},
         shape=shape,
@@ -140,7 +143,8 @@ def _shape(change: np.ndarray) -> str:
     return "plateau" if np.abs(change).max() < PLATEAU else "slope"
 
 
-def _broken(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+def broken_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+    """Return in words which limits a walk breaks, by its metrics as `mjx_climb.metrics` gives them."""
     if metrics["diverged"]:
         return ["the walk diverged"]
     broken = []
@@ -151,6 +155,18 @@ def _broken(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
         if value is not None and objectives.violation(limit, value) > 0:
             broken.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
     return broken
+
+
+def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+    """Return in words which limits a walk keeps with hardly any room, `BINDING` of their scale: they hold it there."""
+    if metrics["diverged"]:
+        return []
+    near = []
+    for limit in objective.limits:
+        value = metrics[limit.metric]
+        if value is not None and -BINDING <= objectives.violation(limit, value) <= 0:
+            near.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
+    return near
 
 
 def _warnings(

@@ -89,7 +89,7 @@ BAD = [
     ("run {config} --size 1e3x480", "--size: expected WIDTHxHEIGHT"),
     ("run {config} --size 640", "--size: expected WIDTHxHEIGHT"),
     ("run {config} --out {files}/file/below", "expected a file that can be written"),
-    ("sweep {config} --stiffness 1:2:3", "Missing option '--damping'"),
+    ("sweep {config} --stiffness 1:2:3", "--stiffness, --damping, --axis: expected two gains to sweep, got stiffness"),
     ("sweep {config} --damping 1:2:3 --stiffness 1e6:1e2:3", "--stiffness: expected LOW:HIGH:COUNT"),
     ("sweep {config} --stiffness 1:2:3 --damping 1e3:1e2:3", "LOW is not below HIGH"),
     ("sweep {config} --stiffness 1:2:3 --damping 0:1e2:3", "LOW is not between"),

@@ -1,0 +1,187 @@
+"""Robots of other shapes than HubRobo's: read from a file, posed, and walked as MuJoCo walks them."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.walk.inverse_kinematics import Chain, inverse_kinematics, limb_geometry
+from tests.robot import climbers
+
+MOON = (0.8, 0.0, -1.4)  # m/s^2, on a slope of 30 degrees
+
+
+@pytest.fixture
+def climber(tmp_path):
+    """Return the scenario of a climber, `climber(limbs, joints, keys={...}, change=...)`."""
+
+    def build(limbs, joints, keys=(), change=lambda data: None, foothold=0.24, **how):
+        path = tmp_path / "climber.xml"
+        path.write_text(climbers.mjcf(limbs, joints, **how))
+        data = climbers.config(path, limbs, joints, foothold=foothold)
+        change(data["robot"])
+        return mc.Scenario.model_validate(data).with_overrides(dict(keys))
+
+    return build
+
+
+def feet_of(robot, angles):
+    return limb_frames(robot, None, jnp.asarray(angles)).foot
+
+
+SHAPES = {"two of seven": (2, 7, ()), "four of four": (4, 4, ()), "four of six": (4, 6, ()), "slides": (3, 3, (2,))}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_ten_thousand_targets_are_met_from_nearby(climber, name):
+    """A foothold that the joints can reach is met to 1e-6 m from the posture of one a few centimetres off."""
+    limbs, joints, slides = SHAPES[name]
+    robot = load_robot(climber(limbs, joints, slides=slides, foothold=0.35 if slides else 0.24).robot)
+    geometry = limb_geometry(robot)
+    assert isinstance(geometry, Chain)
+    rng = np.random.default_rng(0)
+    middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2
+    shape = (joints, limbs, 10_000 // limbs + 1)
+    angles = middle + 0.8 * half * rng.uniform(-1, 1, shape)
+    bent = (
+        np.abs(angles[2]) > 0.3 if not slides else np.ones(shape[1:], bool)
+    )  # a stretched limb has no nearby postures
+    feet, last = feet_of(robot, angles), angles + 0.02 * half * rng.uniform(-1, 1, shape)
+    solve = jax.jit(lambda feet: inverse_kinematics(geometry, feet, last))
+    solved = solve(feet)
+    missed = np.linalg.norm(feet_of(robot, solved.joint_angles) - feet, axis=0)
+    moved = np.linalg.norm(feet_of(robot, last) - feet, axis=0)
+    assert np.median(moved) > 2e-3
+    assert solved.reachable.all()
+    assert missed[bent].max() < 1e-6
+    # central differences confirm the derivative, where the foot is not next to an axis of the hip
+    push = 1e-6 * rng.normal(size=feet.shape)
+    there, here = (solve(feet + sign * push).joint_angles for sign in (1, -1))
+    slope = np.asarray(jax.jit(lambda feet: jax.jvp(solve, (feet,), (push / 1e-6,))[1].joint_angles)(feet))
+    calm = bent & (np.abs(slope).max(0) < 100)
+    assert calm.mean() > 0.8
+    np.testing.assert_allclose(slope[:, calm], ((there - here) / 2e-6)[:, calm], rtol=1e-5, atol=1e-5)
+
+
+def test_out_of_reach_is_flagged_and_finite(climber):
+    """A mile away, at the hip and at the base: values and derivatives are numbers, and what is out of reach says so."""
+    robot = load_robot(climber(4, 4).robot)
+    geometry = limb_geometry(robot)
+    stance = np.asarray(feet_of(robot, robot.stance_joints))
+    targets = np.concatenate([1e3 * stance, 3 * stance, 0 * stance, robot.frame_position[0] + 0 * stance], axis=-1)
+    posture = np.broadcast_to(robot.stance_joints, (4, 4, 4))
+    for _ in range(30):
+        solved, slope = jax.jvp(
+            lambda feet, posture=posture: inverse_kinematics(geometry, feet, posture),
+            (targets,),
+            (np.ones_like(targets),),
+        )
+        posture = solved.joint_angles
+        assert np.isfinite(posture).all() and np.isfinite(slope.joint_angles).all()
+        assert not solved.reachable[:, :2].any()
+
+
+def test_a_held_joint_is_one_that_is_not_there(climber, tmp_path):
+    """An arm on the base, held at an angle, weighs what it weighs in MuJoCo at that angle."""
+    arm = (
+        '<body pos="0 0 0.03"><joint name="mast" axis="0 1 0"/><inertial pos="0 0 0.1" mass="0.4" '
+        'diaginertia="1e-3 1e-3 1e-4"/></body>'
+    )
+    with pytest.raises(mc.RobotError, match=r"robot.limbs: expected no joints but those named .*robot.locked.mast: 0"):
+        load_robot(climber(4, 3, on_base=arm).robot)
+    scenario = climber(4, 3, on_base=arm, change=lambda robot: robot.update(locked={"mast": 0.7}))
+    robot = load_robot(scenario.robot)
+    model = mujoco.MjModel.from_xml_path(scenario.robot.file)
+    data = mujoco.MjData(model)
+    data.joint("mast").qpos[:] = 0.7
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    bodies = [model.body("trunk").id, model.jnt_bodyid[model.joint("mast").id]]
+    masses = model.body_mass[bodies]
+    center = masses @ data.xipos[bodies] / masses.sum()
+    np.testing.assert_allclose(robot.base_mass, masses.sum())
+    np.testing.assert_allclose(robot.stance_position[:, 0] - [0, 0, 0.12], center - data.xpos[bodies[0]], atol=1e-12)
+
+
+def test_limbs_of_fewer_joints_are_filled_up(climber):
+    """A limb that names one joint less, the last held, stands and moves as MuJoCo has it."""
+
+    def shorter(robot):
+        robot["limbs"]["limb2"]["joints"].pop()
+        robot["locked"] = {"L2_3": 0.3}
+
+    robot = load_robot(climber(4, 4, change=shorter).robot)
+    assert robot.joints == 4 and len(robot.limbs) == 4
+    limb = robot.limbs.index("limb2")
+    turned = np.repeat(robot.stance_joints, 2, axis=-1)
+    turned[3, limb, 1] = 1.0
+    feet = feet_of(robot, turned)
+    np.testing.assert_allclose(feet[:, limb, 0], feet[:, limb, 1], atol=1e-12)
+    assert robot.link_mass[3, limb, 0] < 1e-6 and robot.armature[3, limb, 0] > 0
+
+
+def replayed(trajectory):
+    """Return base and joints of MuJoCo's walk (T, 7 + joints) under the joint targets, grips and pd law of a walk."""
+    scenario, model = trajectory.scenario, load_model(trajectory.scenario.robot).__copy__()
+    model.opt.timestep, model.opt.gravity[:] = scenario.time_step, scenario.gravity
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    data, rows = mujoco.MjData(model), []
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    bodies = model.site_bodyid
+    contact, control = scenario.contact, scenario.control
+    jacobian = np.empty((3, model.nv))
+    for step in range(scenario.steps):
+        rows.append(data.qpos.copy())
+        mujoco.mj_step1(model, data)
+        target = trajectory.joint_targets[step].ravel()
+        data.qfrc_applied[:] = 0
+        data.qfrc_applied[6:] = control.kp * (target - data.qpos[7:]) - control.kd * data.qvel[6:]
+        for limb, body in enumerate(bodies):
+            foot = data.site_xpos[limb]
+            mujoco.mj_jacSite(model, data, jacobian, None, limb)
+            stretch = foot - trajectory.grip_point[step, limb]
+            force = -contact.stiffness * stretch - contact.damping * jacobian @ data.qvel
+            if trajectory.support[step, limb] or foot[2] <= 0:
+                mujoco.mj_applyFT(model, data, force, np.zeros(3), foot, body, data.qfrc_applied)
+        mujoco.mj_step2(model, data)
+    return np.array(rows)
+
+
+WALKS = {
+    "six of three, tripod": (
+        6, 3, {"gait.sequence": [["limb0", "limb2", "limb4"], ["limb1", "limb3", "limb5"]], "gait.duty": 0.6}
+    ),
+    "four of four with damping and armature": (4, 4, {}),
+    "four of seven": (4, 7, {}),
+    "three, one slides": (3, 3, {}),
+    "six of two to seven, ripple": (6, 3, {"gait.phases": {f"limb{n}": n / 8 for n in range(6)}}),
+    "eight of three": (8, 3, {"gait.duty": 0.9}),
+}  # fmt: skip
+QUICK = ("four of four with damping and armature",)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in WALKS]
+)
+def test_a_walk_is_that_of_mujoco(climber, name):
+    """Two seconds (0.4 s in the default suite) on a lunar slope, all grippers holding: MuJoCo under the same law."""
+    limbs, joints, gait = WALKS[name]
+    attributes = 'damping="0.05" armature="0.002"' if "damping" in name else ""
+    slides = (2,) if "slides" in name else ()
+    keys = {
+        "control.controller": "pd", "gravity": list(MOON), "duration": 0.4 if name in QUICK else 2.0, "gait.cycle": 0.8,
+        "gait.stride": 0.02, "gait.step_height": 0.01, "contact.stiffness": 2e3, "time_step": 0.0005, **gait,
+    }  # fmt: skip
+    scenario = climber(limbs, joints, keys, slides=slides, foothold=0.35 if slides else 0.24, attributes=attributes)
+    check_time_step(scenario)
+    walk = mc.rollout(scenario)
+    assert not walk.detached.any() and walk.reachable.all()
+    base = np.concatenate([walk.base_position, walk.base_orientation], axis=1)
+    ours = np.concatenate([base, walk.joint_angles.reshape(scenario.steps, -1)], axis=1)
+    np.testing.assert_allclose(ours, replayed(walk), atol=1e-7)
+    assert np.ptp(walk.joint_angles, axis=0).max() > 0.01

@@ -1,0 +1,142 @@
+"""`mjx-climb robot`: files with the oddities of public ones become scenarios that hold what is in them."""
+
+import re
+
+import numpy as np
+import pytest
+import yaml
+
+import mjx_climb as mc
+from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot.proposal import propose
+from tests.robot import climbers
+from tests.robot.test_robot_file import urdf
+from tuning.command_line import main
+
+LEGS = {"FL": (1, 1), "FR": (1, -1), "RL": (-1, 1), "RR": (-1, -1)}
+
+
+def weight(place, mass, moments):
+    return f'<inertial pos="{place}" mass="{mass}" diaginertia="{moments}"/>'
+
+
+def dog():
+    """Return a robot as many a public MJCF has it: looks from missing files, feet that are spheres, a head."""
+    legs, motors = [], []
+    for leg, (x, y) in LEGS.items():
+        legs.append(
+            f'<body name="{leg}_hip" pos="{0.19 * x} {0.05 * y} 0">{weight("0 0 0", 0.7, "1e-3 1e-3 1e-3")}'
+            f'<joint name="{leg}_hip_joint" class="joint" axis="1 0 0" range="-1.05 1.05"/>'
+            f'<geom class="looks" mesh="hip"/>'
+            f'<body name="{leg}_thigh" pos="0 {0.09 * y} 0">{weight("0 0 -0.03", 1.1, "6e-3 6e-3 1e-3")}'
+            f'<joint name="{leg}_thigh_joint" class="joint" axis="0 1 0" range="-1.5 3.4"/>'
+            f'<body name="{leg}_calf" pos="0 0 -0.213">{weight("0 0 -0.1", 0.2, "3e-3 3e-3 1e-4")}'
+            f'<joint name="{leg}_calf_joint" class="joint" axis="0 1 0" range="-2.7 -0.84" actuatorfrcrange="-45 45"/>'
+            f'<geom type="sphere" size="0.022" pos="-0.002 0 -0.213"/></body></body></body>'
+        )
+        motors += [f'<motor joint="{leg}_{part}_joint"/>' for part in ("hip", "thigh", "calf")]
+    return f"""<mujoco><compiler angle="radian" autolimits="true" meshdir="nowhere"/>
+<default><default class="joint"><joint damping="0.1" armature="0.01" frictionloss="0.2"/></default>
+<default class="looks"><geom type="mesh" contype="0" conaffinity="0" material="metal"/></default></default>
+<asset><texture name="steel" type="2d" file="steel.png"/><material name="metal" texture="steel"/>
+<mesh file="hip.obj"/></asset>
+<worldbody><geom type="plane" size="1 1 1"/><body name="trunk" pos="0 0 0.4"><freejoint/>
+{weight("0.02 0 0", 6.9, "0.1 0.1 0.02")}<site name="imu"/>{"".join(legs)}
+<body pos="0.25 0 0.1"><joint name="neck" axis="0 1 0"/>{weight("0.05 0 0", 0.3, "1e-3 1e-3 1e-3")}
+</body></body></worldbody><actuator>{"".join(motors)}</actuator><sensor><gyro site="imu"/></sensor>
+<keyframe><key name="home" qpos="0 0 0.27 1 0 0 0 {"0 0.9 -1.8 " * 4} 0.1"/></keyframe></mujoco>"""
+
+
+def scenario_of(proposal):
+    return mc.Scenario.model_validate(proposal.sections | {"time_step": 1e-4})
+
+
+def told(proposal):
+    return "\n".join(" ".join(note) for note in proposal.notes)
+
+
+def test_a_dog_as_it_is_published(tmp_path):
+    """Missing looks do not matter; legs, their drives and their stance come from the file, and the head is held."""
+    file = tmp_path / "dog.xml"
+    file.write_text(dog())
+    proposal = propose(file)
+    robot = proposal.sections["robot"]
+    assert set(robot["limbs"]) == set(LEGS)
+    assert robot["limbs"]["FL"]["joints"] == ["FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"]
+    assert (robot["limbs"]["FL"]["foot"], robot["limbs"]["FL"]["at"]) == ("FL_calf", [-0.002, 0, -0.213])
+    assert robot["locked"] == {"neck": 0.1}
+    assert robot["height"] == pytest.approx(2 * 0.213 * np.cos(0.9), abs=2e-3)
+    assert robot["limbs"]["FL"]["foothold"][1] == pytest.approx(0.14, abs=1e-4)
+    assert proposal.sections["gait"]["sequence"] == ["RL", "FL", "RR", "FR"]
+    assert proposal.sections["hardware"]["servo"]["torque_limit"] == 45
+    for line in ("taken stance of keyframe 'home'", "ignored 1 meshes", "taken torque limits", "taken dry friction",
+                 "changed joint 'neck'", "changed 12 actuators", "ignored 1 sensors"):  # fmt: skip
+        assert line in told(proposal)
+    scenario = scenario_of(proposal)
+    check_time_step(scenario)
+    loaded = load_robot(scenario.robot)
+    assert loaded.total_mass[0] == pytest.approx(6.9 + 0.3 + 4 * 2.0)
+    for field, value in (("armature", 0.01), ("damping", 0.1), ("friction", 0.2)):
+        np.testing.assert_array_equal(getattr(loaded, field), np.full((3, 4, 1), value))
+
+
+def test_a_urdf_with_odd_numbers(tmp_path):
+    """Inertias that no body can have are mended and named; limits beyond a turn are none."""
+    text, _ = urdf(1)
+    text = re.sub(r'izz="[^"]*"', 'izz="0.9"', text, count=1).replace(
+        'lower="-1.2" upper="1.2"', 'lower="-9.4" upper="9.4"'
+    )
+    file = tmp_path / "odd.urdf"
+    file.write_text(text)
+    proposal = propose(file)
+    assert set(proposal.sections["robot"]["limbs"]) == {"LF", "LH", "RH", "RF"}
+    assert proposal.sections["robot"]["limbs"]["LH"]["foot"] == "LH_toe"
+    assert "changed inertias that no body can have" in told(proposal)
+    assert "changed stance" in told(proposal)
+    assert proposal.sections["gait"]["sequence"] == ["LH", "LF", "RH", "RF"]
+    robot = load_robot(scenario_of(proposal).robot)
+    np.testing.assert_allclose(robot.joint_upper[0], np.pi)
+
+
+@pytest.mark.parametrize(("limbs", "joints"), [(6, 3), (4, 7), (2, 7), (3, 4)])
+def test_any_number_of_limbs(tmp_path, limbs, joints):
+    """The limbs of a climber are found, it stands with its joints off their limits, and one limb swings at a time."""
+    file = tmp_path / "climber.xml"
+    file.write_text(climbers.mjcf(limbs, joints))
+    scenario = scenario_of(propose(file))
+    robot = load_robot(scenario.robot)
+    assert (len(robot.limbs), robot.joints) == (limbs, joints)
+    assert (robot.stance_joints > robot.joint_lower).all() and (robot.stance_joints < robot.joint_upper).all()
+    assert len(scenario.gait.sequence) == limbs and scenario.gait.duty >= 1 - 1 / limbs
+
+
+def test_the_command_leaves_a_config_that_runs(tmp_path, capsys):
+    file, config = tmp_path / "dog.xml", tmp_path / "dog.yaml"
+    file.write_text(dog())
+    with pytest.raises(SystemExit) as ended:
+        main(["robot", str(file), "--write", str(config)])
+    out = capsys.readouterr().out
+    assert ended.value.code == 0
+    assert "taken    base 'trunk'" in out and f"mjx-climb run {config}" in out
+    assert yaml.safe_load(config.read_text())["robot"]["file"] == "dog.xml"
+    check_time_step(mc.load_scenario(config))
+
+
+BROKEN = {
+    "empty": ("", "expected an MJCF or URDF that MuJoCo loads"),
+    "no robot": ("<mujoco/>", "expected a robot, got a file without bodies"),
+    "a table": ("<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>", "2 limbs or more"),
+    "a nameless joint": (re.sub(r'joint name="L1_0"', "joint", climbers.mjcf(4, 3)), "expected joints with names"),
+    "nowhere to stand": (climbers.mjcf(4, 3).replace('range="-20 100"', 'range="20 21"'), "expected a stance"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_no_climber_is_told_in_one_line(tmp_path, name):
+    text, expected = BROKEN[name]
+    file = tmp_path / "robot.xml"
+    file.write_text(text)
+    with pytest.raises(mc.RobotError, match=re.escape(expected)) as refused:
+        propose(file)
+    assert str(refused.value).startswith(str(file)) and "\n" not in str(refused.value)

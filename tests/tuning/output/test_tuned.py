@@ -1,0 +1,41 @@
+"""What a search writes from Python is what the command writes."""
+
+import contextlib
+import json
+
+import pytest
+
+import mjx_climb as mc
+from tuning.gains import gains_file
+from tuning.searches import result
+from tuning.tune import tune
+
+SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
+
+
+@pytest.mark.slow
+def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
+    """Every file of the command, the user's objective in the tests, stages told, nothing printed."""
+    stages = []
+
+    @contextlib.contextmanager
+    def stage(name, **_):
+        stages.append(name)
+        yield lambda *_: None
+
+    def judge(metrics):
+        return metrics["peak_joint_torque"]
+
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    found = tune(scenario, objective=judge, starts=2, iterations=2, out=tmp_path)
+    written = found.write(tmp_path, stage=stage)
+    names = {file.name for file in tmp_path.iterdir()}
+    pictures = {f"{name}.{kind}" for name in ("convergence", "path", "walks") for kind in ("png", "svg", "pdf")}
+    files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
+    assert names == files | pictures
+    assert stages == ["pd", "config", "tuned", "map", "verification", "drawing", "report"]
+    assert json.loads((tmp_path / "summary.json").read_text()) == json.loads(written.summary)
+    assert written.checked.value == pytest.approx(written.compared["tuned"][1]["peak_joint_torque"])
+    assert result.load(tmp_path / "search.nc").value == found.value
+    assert gains_file.load(tmp_path / "gains.yaml").stiffness == pytest.approx(found.gains.stiffness)
+    assert capsys.readouterr().out == ""

@@ -1,0 +1,163 @@
+"""What a search for gains leaves in a folder: gains, all that was judged, verification, map, pictures and report."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mjx_climb as mc
+from mjx_climb import plots
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.files import dataset, scenario_files
+from tuning.gains import gains_file
+from tuning.gains.gains_file import by_name
+from tuning.judged import verification
+from tuning.judged.verification import Verification
+from tuning.output.stages import Stage, silent
+from tuning.problem.objectives import Judge
+from tuning.report import page, search_pictures
+from tuning.report import tune as pages
+from tuning.report.comparison import Compared
+from tuning.report.numbers import to_json
+from tuning.searches.result import Result
+from tuning.searches.tune import problem_of
+
+FILES = (
+    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), "
+    "config.yaml, search.yaml"
+)
+
+
+class Judged(NamedTuple):
+    """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
+
+    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned
+    compared: Compared  # tuned, config, pd
+    checked: Verification
+    outcome: list[str]  # of the tests, in lines
+    summary: str  # all of it, JSON
+
+
+def write_settings(folder: Path, scenario: mc.Scenario, search_yaml: str) -> mc.Scenario:
+    """Write what repeats a search, and return the scenario with the files that it names copied to the folder."""
+    scenario = scenario_files.copied(scenario, folder)
+    dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(scenario, folder))
+    dataset.write_text_atomically(folder / "search.yaml", search_yaml)
+    return scenario
+
+
+def write_found(found: Result, folder: Path, comment: str, law: mc.Law | None = None) -> None:
+    """Write the gains (gains.yaml) and all that was judged (search.nc), without walking anything."""
+    gains_file.save(found.gains, folder / "gains.yaml", comment, law)
+    found.save(folder / "search.nc")
+
+
+def write(
+    found: Result,
+    folder: Path,
+    *,
+    law: mc.Law | None = None,
+    origin: page.Origin | None = None,
+    function: Judge | None = None,
+    engine: str = DEFAULT_ENGINE,
+    stage: Stage = silent,
+) -> Judged:
+    """Walk, test and draw a result, and write all of it with the report.
+
+    Arguments:
+        found: the result.
+        folder: where to.
+        law: the one whose gains were searched, as it was before, where it is not the scenario's.
+        origin: what the report says of where it comes from.
+        function: the objective of the user's own, where the search had one.
+        engine: the dynamics.
+        stage: told what goes on, see `tuning.output.stages`.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    scenario = write_settings(folder, found.scenario, found.search.to_yaml())
+    again = "mjx-climb tune config.yaml --search search.yaml --out again"
+    origin = origin or page.Origin("Python", "tune(...)", again, scenario_files.portable_yaml(scenario, folder))
+    comment = f"{found.search.method}, {found.search.space}, objective {found.value:.4f} (pd: 1)"
+    write_found(found, folder, f"mjx-climb tune {origin.name}: {comment}", law)
+    scenarios = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
+    scenarios |= {"config": scenario, "tuned": verification.tuned(found)}
+    laws, walks = {"config": law, "tuned": found.law}, {}
+    for name, walked in scenarios.items():
+        with stage(name):
+            walks[name] = mc.rollout(walked, law=laws.get(name), engine=engine)
+    metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
+    with stage("map") as told:
+        over = verification.map_of(found, progress=told, engine=engine)
+    with stage("verification"):
+        checked = verification.verify(found, metrics=metrics["tuned"], walks=over, function=function, engine=engine)
+    compared = {
+        name: (None if name == "pd" else _gains(walks[name]), metrics[name]) for name in ("tuned", "config", "pd")
+    }
+    summary = _summary(found, checked, compared)
+    dataset.write_text_atomically(folder / "summary.json", summary + "\n")
+    captions = {
+        "convergence": "How the search converged.",
+        "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
+        "path": "The way of the search over the map; the red line is the limit of stability.",
+    }
+    with stage("drawing", compiles=False):
+        figures = {"convergence": search_pictures.plot_convergence(found), "walks": plots.plot_comparison(walks)}
+        if over is not None:
+            dataset.save(over, folder / "map.nc")
+            figures["path"] = search_pictures.plot_path(found, over)
+        for name, figure in figures.items():
+            plots.save_figure(figure, folder / name)
+    outcome = outcome_of(checked, found)
+    target = problem_of(
+        found.scenario, found.search, function, engine=engine, law=found.law, metrics=found.judged_by
+    ).objective
+    if broken := verification.broken_limits(target, metrics["config"]):
+        outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
+    with stage("report", compiles=False):
+        written = pages.page(
+            found, checked, over, {name: walks[name] for name in compared}, compared,
+            outcome=[line[0].upper() + line[1:] for line in outcome],
+            origin=origin,
+            pictures={captions[name]: folder / f"{name}.svg" for name in figures},
+        )  # fmt: skip
+        page.write(written, folder)
+    return Judged(walks, compared, checked, outcome, summary)
+
+
+def _gains(trajectory: mc.Trajectory) -> dict[str, Any]:
+    """Return the gains of a walk, those of the joint loop last."""
+    control = trajectory.scenario.control
+    joint = {name: getattr(control, name) for name in ("kp", "kd")}
+    if trajectory.law:
+        return by_name(trajectory.gains) | joint
+    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")} | joint
+
+
+def _summary(found: Result, checked: Verification, compared: Compared) -> str:
+    summary: dict[str, Any] = {
+        name: {"gains": gains, "metrics": metrics} for name, (gains, metrics) in compared.items()
+    }
+    summary["search"] = {
+        **found.search.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
+        "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
+    }  # fmt: skip
+    summary["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
+    return to_json(summary)
+
+
+def outcome_of(checked: Verification, found: Result) -> list[str]:
+    """Return the outcome of the tests in a few lines."""
+    limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
+    lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]
+    if checked.binding_limits:
+        lines.append(f"held by its limits: {'; '.join(checked.binding_limits)}")
+    kinds = {kind: [n for n, k in checked.shape.items() if k == kind] for kind in ("plateau", "slope", "cliff")}
+    lines.append("within 20 %: " + "; ".join(f"{kind} in {', '.join(n)}" for kind, n in kinds.items() if n))
+    steepest = max(checked.slopes, key=lambda name: abs(checked.slopes[name]))
+    lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
+    if checked.grid_value is not None:
+        lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
+    lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
+    return lines + [f"warning: {line}" for line in checked.warnings]
