@@ -9,8 +9,8 @@ them is worked out once.
 
 import functools
 import itertools
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 from jax import lax
@@ -19,11 +19,14 @@ from jax.extend import core
 
 from mjx_climb.compilation.element_moves import MOVES
 from mjx_climb.compilation.element_operations import ELEMENTWISE
+from mjx_climb.compilation.lost_operands import losing
 
 _Result = TypeVar("_Result")
 _Parts = dict[int, tuple[jax.Array, int, list[jax.Array]]]
 
 EQUATIONS = 150  # in a piece: with fewer the calls cost more, with more fusion repeats more
+
+_FITTING = {*ELEMENTWISE, *MOVES, "iota"}  # XLA:CPU is known to compile these within a kernel
 
 _REDUCTIONS = {
     "reduce_sum": lax.add,
@@ -46,12 +49,10 @@ def in_kernels(function: Callable[..., _Result], equations: int = EQUATIONS) -> 
         closed = jax.make_jaxpr(lambda *values: _evaluated(closed.jaxpr, closed.consts, values))(*leaves)
         jaxpr = closed.jaxpr
         values = dict(zip(jaxpr.constvars, closed.consts, strict=True)) | dict(zip(jaxpr.invars, leaves, strict=True))
-        for inputs, piece, outputs in _pieces(jaxpr, equations):
+        for inputs, piece, outputs, fits in _pieces(closed, equations):
             part = core.ClosedJaxpr(jaxpr.replace(constvars=(), invars=inputs, outvars=outputs, eqns=piece), ())
             carried_out = core.jaxpr_as_fun(part)
-            results = (_one_kernel(carried_out) if _fits(piece[0]) else carried_out)(
-                *(values[variable] for variable in inputs)
-            )
+            results = (_one_kernel(carried_out) if fits else carried_out)(*(values[variable] for variable in inputs))
             values |= zip(outputs, results, strict=True)
         results = [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in jaxpr.outvars]
         result: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
@@ -75,8 +76,16 @@ def _one_kernel(function: Callable[..., list[jax.Array]]) -> Callable[..., list[
     return call
 
 
-def _pieces(jaxpr: core.Jaxpr, equations: int) -> list[tuple[list[core.Var], list[core.JaxprEqn], list[core.Var]]]:
-    """Return inputs, equations and outputs of pieces in order of execution, without what nothing depends on."""
+class _Piece(NamedTuple):
+    inputs: list[core.Var]
+    equations: list[core.JaxprEqn]
+    outputs: list[core.Var]
+    fits: bool  # in one kernel
+
+
+def _pieces(closed: core.ClosedJaxpr, most: int) -> list[_Piece]:
+    """Return pieces of at most so many equations in order of execution, without what nothing depends on."""
+    jaxpr = closed.jaxpr
     needed = _variables(jaxpr.outvars)
     living = []
     for equation in reversed(jaxpr.eqns):
@@ -87,23 +96,29 @@ def _pieces(jaxpr: core.Jaxpr, equations: int) -> list[tuple[list[core.Var], lis
 
     result = []
     later = _variables(jaxpr.outvars)
-    for part in reversed(_parts(living, equations)):
+    for part, fits in reversed(_parts(living, dict(zip(jaxpr.constvars, closed.consts, strict=True)), most)):
         made = {variable: None for equation in part for variable in equation.outvars}
         read = _variables([atom for equation in part for atom in equation.invars])
-        result.append(([v for v in read if v not in made], part, [v for v in made if v in later]))
+        result.append(_Piece([v for v in read if v not in made], part, [v for v in made if v in later], fits))
         later |= read
     return result[::-1]
 
 
-def _parts(equations: Sequence[core.JaxprEqn], most: int) -> list[list[core.JaxprEqn]]:
-    """Return the equations in parts of at most so many; what is not known to fit in a kernel is in parts of its own."""
-    runs = (list(run) for _, run in itertools.groupby(equations, _fits))
-    return [run[start : start + most] for run in runs for start in range(0, len(run), most)]
+def _parts(
+    equations: Sequence[core.JaxprEqn], constants: Mapping[core.Var, Any], most: int
+) -> list[tuple[list[core.JaxprEqn], bool]]:
+    """Return the equations in parts of at most so many, and whether each fits in a kernel.
 
+    Others call libraries, or loop, or lose an operand when XLA simplifies them: XLA:CPU (jaxlib 0.10) stops the process
+    at a kernel with a parameter that nothing in it reads.
+    """
+    lost = losing(equations, constants)
 
-def _fits(equation: core.JaxprEqn) -> bool:
-    """Return whether XLA:CPU is known to compile an operation within a kernel: others call libraries, or loop."""
-    return equation.primitive.name in {*ELEMENTWISE, *MOVES, "iota"}
+    def fits(equation: core.JaxprEqn) -> bool:
+        return equation.primitive.name in _FITTING and id(equation) not in lost
+
+    runs = [(list(run), fitting) for fitting, run in itertools.groupby(equations, fits)]
+    return [(run[start : start + most], fitting) for run, fitting in runs for start in range(0, len(run), most)]
 
 
 def _variables(atoms: Sequence[core.Var | core.Literal]) -> dict[core.Var, None]:
@@ -114,8 +129,7 @@ def _variables(atoms: Sequence[core.Var | core.Literal]) -> dict[core.Var, None]
 def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
     """Return the results of a jaxpr: no calls, reductions term by term, slices of a concatenation from its parts.
 
-    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel: XLA:CPU (jaxlib
-    0.10) stops the process at a kernel with a parameter that nothing in it reads.
+    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel, see `_parts`.
     """
     values: dict[core.Var, Any] = {}
     # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from mjx_climb.dynamics import limb_engine, mjx_engine
+from mjx_climb.dynamics import limb_engine
 from mjx_climb.dynamics.state import Acceleration, State, batch_last, joints_to_limbs, limbs_to_joints
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -20,7 +20,14 @@ from mjx_climb.scenario.messages import ConfigError
 # state, joint torque (N, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
 
-ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": mjx_engine.build, "limb": limb_engine.build}
+
+def _mjx(robot: Robot) -> ForwardDynamics:
+    from mjx_climb.dynamics import mjx_engine  # takes longer to import than all the rest
+
+    return mjx_engine.build(robot)
+
+
+ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": _mjx, "limb": limb_engine.build}
 DEFAULT_ENGINE = "limb"
 ELEMENTWISE = {"limb"}  # engines made of elementwise operations throughout, which compile well in pieces
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

@@ -6,10 +6,12 @@ other place.
 
 import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from mjx_climb.files.dataset import write_bytes_atomically
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.description import bare
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 
@@ -19,7 +21,7 @@ FOLDER = "inputs"
 def copied(scenario: Scenario, folder: str | os.PathLike[str]) -> Scenario:
     """Copy the files that a scenario names into `folder`/inputs and return the scenario that names the copies.
 
-    An MJCF takes the files that it includes and its meshes along, in the same places beside it.
+    An MJCF takes the files that it includes along, and the meshes that weigh something, in the same places beside it.
 
     Raises:
         ConfigError: a file cannot be read.
@@ -50,11 +52,20 @@ def identity(scenario: Scenario) -> str:
 
 
 def _needed(file: Path) -> list[Path]:
-    """Return a file and what it takes in, as absolute paths."""
+    """Return a file and what it takes in, as absolute paths, without what are only looks."""
     needed = [file]
     if file.suffix.lower() == ".xml":
-        needed += map(Path, mujoco.mju_getXMLDependencies(str(file)))
+        needed += filter(_weighs(file), map(Path, mujoco.mju_getXMLDependencies(str(file))))
     return sorted({Path(os.path.abspath(file.parent / other)) for other in needed})
+
+
+def _weighs(file: Path) -> Callable[[Path], bool]:
+    """Return what tells whether the dynamics need a file that an MJCF takes in: all, of an MJCF that is not read."""
+    try:
+        shapes = {Path(mesh.file).name for mesh in bare(str(file)).meshes}
+    except ValueError:
+        return lambda other: True
+    return lambda other: other.suffix.lower() == ".xml" or other.name in shapes
 
 
 def _content(file: Path) -> bytes:

@@ -7,7 +7,7 @@ from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.plots.colors import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, VERMILLION
+from mjx_climb.plots.colors import LIMB_COLORS, ORANGE, RED, SKY, VERMILLION
 from mjx_climb.rendering.replay import whole
 from mjx_climb.rollouts.trajectory import Trajectory
 
@@ -15,7 +15,7 @@ LONGEST = 0.24  # m, of the largest arrow
 SHORTEST = 0.004  # m, shorter ones are left out
 SHAFT = 0.0045  # m, radius
 PIECE = 0.004  # m, of a foot's path
-PATHS = (BLUE, ORANGE, GREEN, PURPLE)  # as the limbs in all pictures
+PATHS = LIMB_COLORS
 PRESSED = np.array(to_rgb(SKY))
 # from barely pulled to the holding limit; darker all the way, so that it also reads without colours
 PULLED = (to_rgb("#FFF3A0"), to_rgb("#F0C020"), to_rgb(ORANGE), to_rgb(VERMILLION), to_rgb("#B00020"))

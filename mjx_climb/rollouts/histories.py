@@ -13,12 +13,14 @@ from jaxtyping import Float
 from numpy.typing import DTypeLike
 
 from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.rollouts.identity import identity
 from mjx_climb.rollouts.rollout import Metrics, given_in, walk_batch, walk_recorded
 from mjx_climb.rollouts.trajectory import Trajectory, to_samples
 from mjx_climb.scenario.model import Scenario
@@ -107,4 +109,4 @@ def _histories_of(structure: Structure, law: Law, numbers: Parameters) -> Metric
 
 @functools.cache
 def _compiled(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
-    return jax.jit(_histories_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
+    return kept(_histories_of, identity, compiler_options(batch, in_pieces=in_pieces))

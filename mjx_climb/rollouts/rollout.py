@@ -20,6 +20,7 @@ from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.gpu_kernel import over_robots
+from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.compilation.options import compiler_options, enable_cache, kernel_pays, pieces_pay
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
@@ -27,6 +28,7 @@ from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own
 from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.given import AnyGains, Given, checked, given, recorded
+from mjx_climb.rollouts.identity import identity
 from mjx_climb.rollouts.trajectory import Trajectory, from_samples, to_samples
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Context, Metric, MetricTable, running
@@ -75,12 +77,12 @@ def _samples_of(structure: Structure, law: Law, numbers: Parameters) -> Sample:
 
 @functools.cache
 def _compiled_samples(in_pieces: bool) -> Callable[..., Sample]:
-    return jax.jit(_samples_of, static_argnums=0, compiler_options=compiler_options(1, in_pieces=in_pieces))
+    return kept(_samples_of, identity, compiler_options(1, in_pieces=in_pieces))
 
 
 @functools.cache
 def _compiled_metrics(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
-    return jax.jit(metrics_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
+    return kept(metrics_of, identity, compiler_options(batch, in_pieces=in_pieces))
 
 
 def _metrics_in_kernel(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
@@ -90,7 +92,7 @@ def _metrics_in_kernel(structure: Structure, law: Law, numbers: Parameters) -> M
 
 @functools.cache
 def _compiled_kernel(batch: int) -> Callable[..., Metrics]:
-    kernel = jax.jit(_metrics_in_kernel, static_argnums=0)
+    kernel = kept(_metrics_in_kernel, identity, {})
     return first_possible(kernel, functools.partial(_compiled_metrics, batch, False), "the GPU kernel")
 
 

@@ -11,11 +11,13 @@ from jax import Array
 from numpy.typing import DTypeLike
 
 from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.rollouts.given import AnyGains, Given, values_by_name
+from mjx_climb.rollouts.identity import identity
 from mjx_climb.rollouts.rollout import Metrics, given_in, metrics_of, walk_batch
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric
@@ -124,4 +126,4 @@ def _slopes_of(structure: Structure, law: Law, numbers: Parameters, along: dict[
 
 @functools.cache
 def _compiled(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
-    return jax.jit(_slopes_of, static_argnums=0, compiler_options=compiler_options(batch, in_pieces=in_pieces))
+    return kept(_slopes_of, identity, compiler_options(batch, in_pieces=in_pieces))

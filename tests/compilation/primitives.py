@@ -70,7 +70,7 @@ KNOWN = {
     "pad": lambda v, m, n: (jnp.pad(m, ((1, 2), (0, 1))), lax.pad(v, 1.5, [(-1, 2, 1)]), lax.pad(v, 0.0, [(1, -2, 0)])),
     "moves": lambda v, m, n: (m.T, m.reshape(3, 4), m[::-1, ::2], jnp.roll(m, 1, 0), jnp.concatenate([v, v * 2])),
     "split": lambda v, m, n: jnp.split(m, [1, 3]),
-    "bits": lambda v, m, n: (n << 3, n >> 1, n ^ 5, ~n, n & 6, n | 8, lax.population_count(n), lax.clz(n)),
+    "bits": lambda v, m, n: (n << 3, n >> 1, n ^ 5, ~n, n & 6, n | 8, lax.population_count(n), lax.clz(jnp.abs(n))),
     "shift_right_logical": lambda v, m, n: lax.shift_right_logical(n, jnp.int32(2)),
     "whole numbers": lambda v, m, n: (
         n * 7 % 5,
@@ -137,11 +137,13 @@ OTHERS = {
     "conv": lambda v, m, n: jnp.convolve(v, m[0]),
     "reduce": lambda v, m, n: lax.reduce(m, 0.0, lambda a, b: a + b * b, (0,)),
     "reduce_precision": lambda v, m, n: lax.reduce_precision(v, 5, 4),
-    "bitcast to another size": lambda v, m, n: lax.bitcast_convert_type(v, jnp.uint16),
+    "bitcast to another size": lambda v, m, n: lax.bitcast_convert_type(jnp.round(v), jnp.uint16),
     "callback": lambda v, m, n: jax.pure_callback(
         lambda a: np.asarray(a) * 2, jax.ShapeDtypeStruct(v.shape, v.dtype), v, vmap_method="sequential"
     ),
-    "a large product": lambda v, m, n: (jnp.broadcast_to(v[0], (40, 40)) @ jnp.broadcast_to(v[1], (40, 40))).sum(0),
+    "a large product": lambda v, m, n: (
+        jnp.linspace(0, 1, 1600).reshape(40, 40) * v[0] @ jnp.cos(jnp.arange(1600.0).reshape(40, 40))
+    ).sum(0),
     "a large table": lambda v, m, n: jnp.arange(200.0)[jnp.abs(n)] + v,
     "a long loop": lambda v, m, n: lax.scan(lambda c, _: (c * 0.9, c), v, length=100)[1],
     "other random bits": lambda v, m, n: jax.random.uniform(jax.random.key(1, impl="rbg"), (3,)) + v,

@@ -29,6 +29,10 @@ def dynamics(state, tau, foot_force, push, cargo, engine, robot="hubrobo_v3_2"):
     return mc.forward_dynamics(state, tau, foot_force, push, cargo, gravity=GRAVITY, robot=robot, engine=engine)
 
 
+# what all engines are called by is the same: MJX takes ten seconds to compile each time
+ONE_OF_BOTH = pytest.mark.parametrize("engine", ["limb", pytest.param("mjx", marks=pytest.mark.slow)])
+
+
 def of_cases(part, name):
     return jnp.asarray([case[part][name] for case in CASES], float)
 
@@ -69,6 +73,7 @@ def test_feet_are_where_climblab_has_them(states):
     np.testing.assert_allclose(feet.velocity.T, theirs[1], atol=1e-12)
 
 
+@ONE_OF_BOTH
 def test_one_state_without_batch_axes(engine, states, forces):
     """A state without batch axes has the accelerations that it has as one of a batch."""
     batch = dynamics(states, *forces, 0.5, engine)
@@ -130,6 +135,7 @@ def test_a_mass_changed_in_the_mjcf_changes_everywhere(engine, states, forces, m
     assert relative_error(stacked(ours), theirs) < 1e-9
 
 
+@ONE_OF_BOTH
 def test_dynamics_of_a_robot_given_as_constants(engine, states, forces):
     """Constants read off any MuJoCo model are enough: the engine obeys them, not the file of the same name."""
     model = mujoco.MjModel.from_xml_string(HEAVIER)

@@ -4,7 +4,6 @@ import json
 import shutil
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -12,6 +11,7 @@ import mjx_climb as mc
 from mjx_climb.files import dataset, scenario_files
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot.description import bare
 from tests.robot.test_robot_file import keys, urdf
 from tuning.command_line import main
 
@@ -72,22 +72,28 @@ def test_a_folder_can_be_repeated_in_place(config, tmp_path):
     assert kept(mc.load_scenario(tmp_path / "out" / "config.yaml"), tmp_path / "out") == first
 
 
-def test_an_mjcf_takes_includes_and_meshes_along(tmp_path):
+def test_an_mjcf_takes_includes_and_meshes_with_a_weight_along(tmp_path):
+    """The copy loads without what is only to be looked at, a mesh on a body whose inertia is written down."""
     mine = tmp_path / "mine"
     (mine / "models").mkdir(parents=True)
     (mine / "meshes").mkdir()
     (mine / "meshes" / "rock.obj").write_text(MESH)
-    (mine / "models" / "arm.xml").write_text("<mujoco><worldbody><body name='arm'/></worldbody></mujoco>")
+    (mine / "meshes" / "looks.obj").write_text(MESH)
+    inertia = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/><geom type='mesh' mesh='looks'/>"
+    arm = f"<mujoco><worldbody><body name='arm'>{inertia}</body></worldbody></mujoco>"
+    (mine / "models" / "arm.xml").write_text(arm)
     (mine / "models" / "robot.xml").write_text(
-        "<mujoco><compiler meshdir='../meshes'/><asset><mesh name='rock' file='rock.obj'/></asset>"
-        "<include file='arm.xml'/><worldbody><geom type='mesh' mesh='rock'/></worldbody></mujoco>"
+        "<mujoco><compiler meshdir='../meshes'/><asset><mesh name='rock' file='rock.obj'/>"
+        "<mesh name='looks' file='looks.obj'/></asset><include file='arm.xml'/><worldbody><body>"
+        "<geom type='mesh' mesh='rock'/></body></worldbody></mujoco>"
     )
     _, reach = urdf(0)
     scenario = mc.Scenario.model_validate(keys(mine / "models" / "robot.xml", reach))
     copy = Path(scenario_files.copied(scenario, tmp_path / "out").robot.file)
     shutil.rmtree(mine)
     assert copy == tmp_path / "out" / "inputs" / "robot" / "models" / "robot.xml"
-    assert mujoco.MjModel.from_xml_path(str(copy)).nmesh == 1
+    assert [path.name for path in (tmp_path / "out").rglob("*.obj")] == ["rock.obj"]
+    assert bare(str(copy)).compile().nmesh == 1
 
 
 def test_a_scenario_without_files_keeps_nothing(tmp_path):

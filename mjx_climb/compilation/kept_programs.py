@@ -1,0 +1,187 @@
+"""Compiled programs kept whole on disk, beside XLA's cache: a warm start neither traces nor compiles.
+
+A program is loaded only where nothing differs that it was made of: this package's files, the versions of what compiles
+and computes, the machine, JAX's settings, and all that the caller says it depends on. A file that cannot be read, or is
+not what was written, is made anew.
+"""
+
+import contextlib
+import functools
+import hashlib
+import importlib.metadata
+import os
+import pickle
+import platform
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Hashable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+from jax import monitoring
+from jax.experimental import serialize_executable
+
+from mjx_climb.compilation.options import cache_folder, cache_in_use
+
+_Result = TypeVar("_Result")
+Identity = Callable[..., str | None]
+
+_PACKAGE = Path(__file__).parents[1]
+_VERSIONED = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx")
+_NO_MATTER = ("cache", "log", "traceback", "profiler")  # in the names of settings of JAX's that change no program
+# as JAX reports its own
+_HIT, _TOOK = "/jax/compilation_cache/cache_hits", "/jax/core/compile/backend_compile_duration"
+
+
+def kept(function: Callable[..., _Result], identity: Identity, options: dict[str, str | int]) -> Callable[..., _Result]:
+    """Return `jax.jit` of a function whose programs are kept on disk.
+
+    Arguments:
+        function: of a hashable structure, which is static, and trees of arrays; a function of this package.
+        identity: of the same arguments: all that the function looks at beside the arrays' values, as text that another
+            process would give too; None where that cannot be told, so that the program is not kept.
+        options: for XLA.
+    """
+    plain = jax.jit(function, static_argnums=0, compiler_options=options)
+    programs: dict[Hashable, Callable[..., _Result]] = {}
+    alone = threading.Lock()  # shares of a batch come from several threads
+
+    def program(structure: Hashable, *trees: Any) -> _Result:
+        leaves, tree = jax.tree.flatten(trees)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            traced: _Result = plain(structure, *trees)
+            return traced
+        key = structure, tree, tuple(_kind(leaf) for leaf in leaves), _settings()
+        if key not in programs:
+            with alone:
+                if key not in programs:
+                    known = identity(structure, *trees)
+                    file = None if known is None else _file(function, known, key[1:], options)
+                    if file is None:
+                        programs[key] = plain.lower(structure, *trees).compile()
+                    else:
+                        programs[key] = _found(file, trees) or _made(function, options, structure, trees, file)
+        return programs[key](*trees)
+
+    return program
+
+
+def _kind(leaf: Any) -> Hashable:
+    sharding = getattr(leaf, "sharding", None)
+    devices = () if sharding is None else tuple(sorted(f"{d.platform}:{d.id}" for d in sharding.device_set))
+    return leaf.shape, str(leaf.dtype), devices
+
+
+def _settings() -> Hashable:
+    """Return what JAX's traces and compilations depend on, as it holds in this thread."""
+    names = (name for name in sorted(jax.config.values) if not any(word in name for word in _NO_MATTER))
+    return tuple((name, str(getattr(jax.config, name, None))) for name in names)
+
+
+def _file(function: Callable[..., Any], known: str, key: Hashable, options: dict[str, str | int]) -> Path | None:
+    """Return where a program is kept, None where programs are not."""
+    folder = cache_folder()
+    if folder is None or cache_in_use() != str(folder) or jax.process_count() > 1:
+        return None
+    made_of = (function.__module__, function.__qualname__, known, str(key), sorted(options.items()), _machine())
+    return folder / "programs" / hashlib.sha256(repr(made_of).encode()).hexdigest()
+
+
+@functools.cache
+def _machine() -> str:
+    """Return what is the same for all programs of this process: package, versions, processor, devices."""
+    package = hashlib.sha256()
+    for path in sorted(_PACKAGE.rglob("*")):
+        if path.suffix in (".py", ".xml"):
+            package.update(str(path.relative_to(_PACKAGE)).encode() + path.read_bytes())
+    versions = [importlib.metadata.version(name) for name in _VERSIONED]
+    devices = [f"{device.platform} {device.device_kind} {device.id}" for device in jax.devices()]
+    flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
+    made_of = [package.hexdigest(), *versions, platform.python_version(), platform.machine(), _processor()]
+    return repr([*made_of, *devices, *flags])
+
+
+def _processor() -> str:
+    """Return the processor's instruction sets, where the system tells: a program made for others cannot run."""
+    with contextlib.suppress(OSError), open("/proc/cpuinfo") as lines:
+        told = (line for line in lines if line.startswith(("model name", "flags", "Features")))
+        return " ".join(sorted(set(told)))
+    return platform.processor()
+
+
+def _found(file: Path, trees: tuple[Any, ...]) -> Callable[..., Any] | None:
+    """Return a kept program that runs, None where there is none."""
+    begin = time.perf_counter()
+    try:
+        digest, content = file.read_bytes().split(b"\n", 1)
+        if hashlib.sha256(content).hexdigest().encode() != digest:
+            return None
+        serialized, inputs, outputs = pickle.loads(content)
+        device = _device(jax.tree.leaves(trees))
+        program: Callable[..., Any] = serialize_executable.deserialize_and_load(
+            serialized, inputs, outputs, device.client, [device]
+        )
+        monitoring.record_event(_HIT)
+        monitoring.record_event_duration_secs(_TOOK, time.perf_counter() - begin)
+        jax.block_until_ready(program(*trees))
+    except Exception:  # whatever is wrong with a file, the program can be made
+        return None
+    return program
+
+
+def _device(leaves: list[Any]) -> jax.Device:
+    """Return the one device that a program of these arrays runs on."""
+    for leaf in leaves:
+        if isinstance(leaf, jax.Array):
+            [device] = leaf.devices()
+            return device
+    chosen: Any = jax.config.values["jax_default_device"]
+    return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]
+
+
+def _made(
+    function: Callable[..., Any],
+    options: dict[str, str | int],
+    structure: Hashable,
+    trees: tuple[Any, ...],
+    file: Path,
+) -> Callable[..., Any]:
+    """Return a program compiled now, and keep it."""
+
+    def named(structure: Hashable, *trees: Any) -> Any:
+        return function(structure, *trees)
+
+    # What XLA's cache gave cannot be written down again: it lacks parts (jaxlib 0.10). Under a name of its own a
+    # program is not found there, but for a file that was lost.
+    named.__name__ = f"{function.__name__}_{file.name[:12]}"
+    jitted = jax.jit(named, static_argnums=0, compiler_options=options)
+    with _hits() as hits:
+        compiled: jax.stages.Compiled = jitted.lower(structure, *trees).compile()
+    if hits:
+        return compiled
+    with contextlib.suppress(Exception):  # no room, no rights, or a program that cannot be written down: not kept
+        content = pickle.dumps(serialize_executable.serialize(compiled))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as whole:
+            whole.write(hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
+        os.replace(whole.name, file)
+    return compiled
+
+
+@contextlib.contextmanager
+def _hits() -> Iterator[list[str]]:
+    """Give a list that grows with each program that this thread takes from XLA's cache."""
+    hits: list[str] = []
+    thread = threading.get_ident()
+
+    def heard(event: str, **_: str | int) -> None:
+        if event == _HIT and threading.get_ident() == thread:
+            hits.append(event)
+
+    monitoring.register_event_listener(heard)
+    try:
+        yield hits
+    finally:
+        monitoring.unregister_event_listener(heard)

@@ -1,0 +1,53 @@
+"""Every operation in a step that is cut into pieces: as XLA does it whole; XLA stops the process where it cannot."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+CHECK = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import jax
+import jax.numpy as jnp
+import numpy as np
+import primitives
+from mjx_climb.compilation.cpu_pieces import in_kernels
+
+ROBOTS = 5
+NEVER = np.zeros((3, 1), bool)
+jax.config.update("jax_enable_x64", True)
+rng = np.random.default_rng(3)
+vector, matrix = rng.uniform(-2, 2, (3, ROBOTS)), rng.uniform(-2, 2, (4, 3, ROBOTS))
+number = np.arange(-1, ROBOTS - 1, dtype=np.int32)
+
+def step_of(names):
+    operations = [jax.vmap(primitives.EVERY[name], in_axes=-1, out_axes=-1) for name in names]
+
+    def step(vector, _):
+        made = [operation(vector, matrix * vector[0], number) for operation in operations]
+        unread = jnp.where(NEVER, vector * 7, 1.0) * (number * 0) + ((number + 1 > 0) & False)
+        same = jnp.where(number > 2, vector, jax.lax.stop_gradient(vector)) * jnp.clip(number - 1, 1, 1)
+        return vector * 1.01 + unread + same, (made, vector.sum(0))
+
+    return step
+
+def walk(step):
+    return jax.jit(lambda vector: jax.lax.scan(step, vector, length=2))(vector)
+
+names = [name for name in primitives.EVERY if name != "other random bits"]  # which have no vmap
+for start in range(0, len(names), 12):  # few programs, which compile sooner than many
+    some = names[start : start + 12]
+    print(some, flush=True)
+    expected, found = walk(step_of(some)), walk(in_kernels(step_of(some), 6))
+    for mine, xla in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(mine, xla, rtol=1e-12, atol=1e-12)
+print("all")
+"""
+
+
+def test_every_operation_in_pieces():
+    """In a process of its own, in float64 to 1e-12, with operations that call libraries and values nothing reads."""
+    done = subprocess.run([sys.executable, "-c", CHECK, str(HERE)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-300:] + done.stderr[-3000:]
+    assert done.stdout.splitlines()[-1] == "all"

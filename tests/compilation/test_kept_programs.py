@@ -1,0 +1,76 @@
+"""Programs kept on disk: found by the next process, the same bits; never a wrong one, never a broken one."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+# a program small enough to be compiled often; `identity` and `answer` differ from process to process
+WALK = """
+import sys
+import jax
+import numpy as np
+from mjx_climb.compilation.kept_programs import kept
+from mjx_climb.compilation.options import enable_cache
+
+identity, answer, shape, double = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "double"
+traced = []
+
+def function(structure, values):
+    traced.append(structure)
+    return {"sum": jax.numpy.sin(values).sum() * answer, "all": values + structure}
+
+enable_cache()
+program = kept(function, lambda structure, *trees: identity or None, {})
+with jax.enable_x64(double):
+    made = program(3.0, np.arange(shape, dtype=float if double else np.float32))
+    print(len(traced), *(np.asarray(value).tobytes().hex() for value in made.values()))
+"""
+
+
+@pytest.fixture
+def walk(tmp_path, monkeypatch):
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+
+    def run(identity="a", answer="1.0", shape="4", double="single"):
+        done = subprocess.run(
+            [sys.executable, "-c", WALK, identity, answer, shape, double], cwd=ROOT, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        traced, *values = done.stdout.split()
+        return int(traced), values
+
+    return run
+
+
+def test_the_next_process_neither_traces_nor_gets_another_program(walk):
+    """The same bits; another identity, shape or precision is another program; nothing is kept without an identity."""
+    first = walk()
+    assert first[0] == 1
+    assert walk(answer="9.0") == (0, first[1])  # the kept one, by its identity
+    for change in ({"identity": "b"}, {"shape": "5"}, {"double": "double"}, {"identity": ""}):
+        traced, values = walk(**change)
+        assert traced == 1
+        assert (values == first[1]) == (change.keys() == {"identity"})
+    assert walk(identity="")[0] == 1
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda content: content[:-20], lambda content: content[:200] + b"x" + content[201:]]
+)
+def test_a_damaged_file_is_made_anew(walk, tmp_path, damage):
+    _, values = walk()
+    [file] = (tmp_path / "programs").iterdir()
+    file.write_bytes(damage(file.read_bytes()))
+    assert walk() == (1, values)
+
+
+def test_a_program_from_xlas_cache_is_not_written_down(walk, tmp_path):
+    """It would lack parts: a lost file is made again without it, and the results stay."""
+    _, values = walk()
+    [file] = (tmp_path / "programs").iterdir()
+    file.unlink()
+    assert walk()[1] == values
+    assert walk()[1] == values
