@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from mjx_climb.dynamics.state import Acceleration, State
     from mjx_climb.quantities.parameters import Gains, Parameters, parameters
     from mjx_climb.robot.constants import RobotError
+    from mjx_climb.rollouts.environment import BaseShift, Environment, EnvironmentState, JointTargets
     from mjx_climb.rollouts.histories import rollout_histories
     from mjx_climb.rollouts.rollout import metrics, rollout, rollout_metrics, simulator
     from mjx_climb.rollouts.slopes import rollout_slopes
@@ -29,6 +30,7 @@ _PUBLIC = {
     "dynamics.state": ("Acceleration", "State"),
     "quantities.parameters": ("Gains", "Parameters", "parameters"),
     "robot.constants": ("RobotError",),
+    "rollouts.environment": ("BaseShift", "Environment", "EnvironmentState", "JointTargets"),
     "rollouts.histories": ("rollout_histories",),
     "rollouts.rollout": ("metrics", "rollout", "rollout_metrics", "simulator"),
     "rollouts.slopes": ("rollout_slopes",),
@@ -44,9 +46,13 @@ __all__ = [
     "ENGINES",
     "METRICS",
     "Acceleration",
+    "BaseShift",
     "Command",
     "ConfigError",
+    "Environment",
+    "EnvironmentState",
     "Gains",
+    "JointTargets",
     "Law",
     "Measurement",
     "Metric",

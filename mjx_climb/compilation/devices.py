@@ -21,6 +21,11 @@ _CPU_SHARES = {1: 1, 8: 2, 64: 16}  # up to so many robots: shares of so many; f
 _FULL_SHARE = 64  # more would leave a core's cache
 
 
+def host() -> jax.Device:
+    """Return the CPU, where small programs in double precision run: for a GPU they compile long, and libraries fail."""
+    return jax.local_devices(backend="cpu")[0]
+
+
 def share_size(robots: int, limit: int | None) -> int:
     """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time."""
     if jax.default_backend() == "cpu":

@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array, lax
 from jax.extend import core
 
+from mjx_climb.compilation.devices import host
 from mjx_climb.compilation.element_moves import MOVES
 from mjx_climb.compilation.elements import Element, Elements, Key, as_array, known
 from mjx_climb.compilation.unsupported import Unsupported, refuse_unknown
@@ -137,7 +138,7 @@ def _computed_now(
 ) -> list[np.ndarray]:
     """Return the results of an operation on numbers alone, on the CPU, which compiles it sooner than a GPU."""
     bound = primitive.get_bind_params(dict(parameters))
-    with jax.ensure_compile_time_eval(), jax.default_device(jax.local_devices(backend="cpu")[0]):
+    with jax.ensure_compile_time_eval(), jax.default_device(host()):
         results: Any = primitive.bind(*given, **bound)
         return [np.asarray(result) for result in (results if primitive.multiple_results else [results])]
 

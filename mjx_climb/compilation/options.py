@@ -4,12 +4,15 @@ The cache is on by default in the user's cache folder, so that a second start do
 `MJX_CLIMB_CACHE` moves it (a folder) or switches it off (`off`); a folder that the user has set in JAX itself is left.
 """
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
 import numpy as np
 import platformdirs
+from jax.experimental.compilation_cache import compilation_cache
 from numpy.typing import DTypeLike
 
 from mjx_climb.dynamics import ELEMENTWISE
@@ -42,9 +45,25 @@ def enable_cache() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-def pieces_pay(engine: str) -> bool:
-    """Return whether walks with this engine are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`."""
-    return jax.default_backend() == "cpu" and engine in ELEMENTWISE
+@contextlib.contextmanager
+def cache_in(folder: str) -> Iterator[None]:
+    """Have JAX's cache in a folder for a while."""
+    before = jax.config.values["jax_compilation_cache_dir"]
+    jax.config.update("jax_compilation_cache_dir", folder)
+    compilation_cache.reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+        compilation_cache.reset_cache()
+
+
+def pieces_pay(engine: str, backend: str | None = None) -> bool:
+    """Return whether walks with this engine are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`.
+
+    `backend` is where they are compiled for, where that is not JAX's default.
+    """
+    return (backend or jax.default_backend()) == "cpu" and engine in ELEMENTWISE
 
 
 def kernel_pays(engine: str, dtype: DTypeLike) -> bool:
@@ -57,15 +76,15 @@ def kernel_pays(engine: str, dtype: DTypeLike) -> bool:
     return new_enough and engine in ELEMENTWISE and np.dtype(dtype) == np.float32
 
 
-def compiler_options(batch: int, *, in_pieces: bool = False) -> dict[str, str | int]:
+def compiler_options(batch: int, *, in_pieces: bool = False, backend: str | None = None) -> dict[str, str | int]:
     """Return the options with which XLA makes the fastest rollout of so many robots, for `jax.jit`.
 
     Wide vectors for steps in pieces. Where they are whole, XLA:CPU fuses elementwise operations by computing shared
     ones again wherever they are used: six times the arithmetic of the equations. Each operation on its own is faster by
     far once its arrays fill the vector units, and compiles sooner; with a few robots the calls would cost more than the
-    arithmetic. Other backends are left alone.
+    arithmetic. Other backends are left alone. `backend` is where it is compiled for, where that is not JAX's default.
     """
-    if jax.default_backend() != "cpu":
+    if (backend or jax.default_backend()) != "cpu":
         return {}
     if in_pieces:
         return {"xla_cpu_prefer_vector_width": 512}

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from mjx_climb.control.base_shift import shifted
 from mjx_climb.control.impedance import SixAxes
 from mjx_climb.control.law import Command, Measurement, Reference, Start
 from mjx_climb.control.motion import Mass, Motion, begin, move
@@ -17,7 +18,6 @@ from mjx_climb.dynamics.spatial import (
     quaternion_from_rotation_vector,
     quaternion_multiply,
     quaternion_to_matrix,
-    rotate,
     rotate_back,
 )
 
@@ -25,16 +25,6 @@ from mjx_climb.dynamics.spatial import (
 def _in_reference_axes(rotation: Array, vector: Array) -> Array:
     """Turn the two halves of a six-vector (6, B) from world axes into those of the base reference."""
     return jnp.concatenate([rotate_back(rotation, vector[:3]), rotate_back(rotation, vector[3:])])
-
-
-def _shifted(reference: Reference, rotation: Array, displacement: Array, turn: Array) -> Command:
-    """Return the reference with its base shifted by `displacement` (6, B), whose rotation is the quaternion `turn`."""
-    return Command(
-        base_position=reference.base_position + rotate(rotation, displacement[:3]),
-        base_orientation=quaternion_multiply(reference.base_orientation, turn),
-        foot_position=reference.foot_position,
-        base_displacement=displacement,
-    )
 
 
 class VirtualModelAdmittance(SixAxes):
@@ -55,7 +45,7 @@ class VirtualModelAdmittance(SixAxes):
         moved = move(self.motion, self, state, -_in_reference_axes(rotation, measurement.wrench))
         displacement = moved.state.displacement
         turn = quaternion_from_rotation_vector(displacement[3:])
-        return moved, _shifted(reference, rotation, displacement, turn)
+        return moved, shifted(reference, rotation, displacement, turn)
 
 
 class MeasuredPoseAdmittance(SixAxes):
@@ -93,7 +83,7 @@ class MeasuredPoseAdmittance(SixAxes):
         # a demand beyond half a turn keeps its axis and saturates there
         real = jnp.sqrt(jnp.where(length < 1, 1 - length, 1.0)) * (length < 1)
         vector = half / jnp.sqrt(jnp.maximum(jnp.sum(half * half, axis=0), 1.0))
-        return state, _shifted(reference, rotation, target, jnp.concatenate([real[None], vector]))
+        return state, shifted(reference, rotation, target, jnp.concatenate([real[None], vector]))
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches look, which is what the length of a step makes of the gains.

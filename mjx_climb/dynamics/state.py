@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_normalize
 
-# with leading batch axes, or in the layout of the hot path, stacked over time or not
+# with leading batch axes, joints limb by limb or not; or in the layout of the hot path, stacked over time or not
 _Vector = Float[Array, "*batch 3"] | Float[Array, "*time 3 B"]
 _Quaternion = Float[Array, "*batch 4"] | Float[Array, "*time 4 B"]
-_Joints = Float[Array, "*batch joints"] | Float[Array, "*time N L B"]
+_Joints = Float[Array, "*batch joints"] | Float[Array, "*batch N L"] | Float[Array, "*time N L B"]
 
 
 @jax.tree_util.register_dataclass

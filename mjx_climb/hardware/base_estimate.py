@@ -35,12 +35,11 @@ def start(base: Base, stages: Stages) -> Any:
 
 
 def estimated(
-    buffers: Any, base: Base, step: Array, numbers: Parameters, stages: Stages, time_step: float
+    buffers: Any, base: Base, step: Array, numbers: Parameters, stages: Stages, weights: tuple[Array, ...]
 ) -> tuple[Any, Base]:
     """Return the buffers after this step and the estimate; orientation and turning rate are late but not noisy."""
     if stages.base_delay:
-        steps = jnp.asarray(numbers.base_delay) / time_step
-        pairs = [delay.delayed(buffer, value, steps) for buffer, value in zip(buffers, base, strict=True)]
+        pairs = [delay.delayed(buffer, value, weights) for buffer, value in zip(buffers, base, strict=True)]
         buffers = tuple(buffer for buffer, _ in pairs)
         base = Base(*(late for _, late in pairs))
         base = base._replace(orientation=quaternion_normalize(base.orientation))

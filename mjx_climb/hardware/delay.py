@@ -22,18 +22,19 @@ def start(value: Array, length: int) -> tuple[Array, ...]:
     return (value,) * length
 
 
-def delayed(buffer: tuple[Array, ...], value: Array, steps: Array) -> tuple[tuple[Array, ...], Array]:
-    """Return the buffer with the newest sample, and the signal as it was `steps` (B,) steps ago.
+def weights(steps: Array, length: int) -> tuple[Array, ...]:
+    """Return how much of each sample (B,) of a buffer makes up the signal as it was `steps` (B,) steps ago.
 
-    Between samples it is linear, so that the delay has a derivative: at a whole number of steps the one towards longer
-    delays. A delay beyond the buffer is cut to what the buffer holds.
+    Between samples the signal is linear, so that the delay has a derivative: at a whole number of steps the one towards
+    longer delays. A delay beyond the buffer is cut to what the buffer holds.
     """
-    buffer = (value, *buffer[:-1])
-    steps = jnp.minimum(steps, len(buffer) - 2)
+    steps = jnp.minimum(steps, length - 2)
     whole = jax.lax.stop_gradient(jnp.floor(steps))
     part = steps - whole
-    late = jnp.zeros_like(value)
-    for age, sample in enumerate(buffer):
-        weight = jnp.where(whole == age, 1 - part, jnp.where(whole == age - 1, part, 0.0))
-        late = late + weight * sample
-    return buffer, late
+    return tuple(jnp.where(whole == age, 1 - part, jnp.where(whole == age - 1, part, 0.0)) for age in range(length))
+
+
+def delayed(buffer: tuple[Array, ...], value: Array, weights: tuple[Array, ...]) -> tuple[tuple[Array, ...], Array]:
+    """Return the buffer with the newest sample, and the late signal, see `weights`."""
+    buffer = (value, *buffer[:-1])
+    return buffer, sum((weight * sample for weight, sample in zip(weights, buffer, strict=True)), jnp.zeros_like(value))

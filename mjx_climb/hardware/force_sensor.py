@@ -27,12 +27,21 @@ def start(force: Array, stages: Stages) -> ForceSensor:
 
 
 def measured(
-    sensor: ForceSensor, force: Array, step: Array, numbers: Parameters, stages: Stages, time_step: float
+    sensor: ForceSensor,
+    force: Array,
+    step: Array,
+    numbers: Parameters,
+    stages: Stages,
+    weights: tuple[Array, ...],
+    filter_share: Array,
 ) -> tuple[ForceSensor, Array]:
-    """Return the sensors after this step and what they read of `force` (3, L, B) N: a sample a step."""
+    """Return the sensors after this step and what they read of `force` (3, L, B) N: a sample a step.
+
+    `weights` of the delay and `filter_share` are those of `delay.weights` and `share`.
+    """
     buffer, filtered = sensor
     if stages.force_delay:
-        buffer, force = delay.delayed(buffer, force, jnp.asarray(numbers.force_delay) / time_step)
+        buffer, force = delay.delayed(buffer, force, weights)
     if stages.force_bias:
         force = force + numbers.force_bias
     if stages.force_noise:
@@ -42,7 +51,7 @@ def measured(
     if stages.force_resolution:
         force = rounded(force, jnp.asarray(numbers.force_resolution))
     if stages.force_filter:
-        force = filtered = low_passed(filtered, force, jnp.asarray(numbers.force_filter), time_step)
+        force = filtered = low_passed(filtered, force, filter_share)
     return ForceSensor(buffer, filtered), force
 
 
@@ -55,6 +64,11 @@ def rounded(force: Array, resolution: Array) -> Array:
     return force + jnp.where(resolution > 0, jax.lax.stop_gradient(unit * jnp.round(force / unit) - force), 0.0)
 
 
-def low_passed(before: Array, force: Array, cutoff: Array, time_step: float) -> Array:
-    """Return a first-order filter's output under an input held over the step: `y += (1 - exp(-2 pi f h)) (u - y)`."""
-    return before - jnp.expm1(-2 * jnp.pi * time_step * cutoff) * (force - before)
+def share(cutoff: Array, time_step: float) -> Array:
+    """Return the share of an input held over a step that a first-order filter takes in it, `1 - exp(-2 pi f h)`."""
+    return -jnp.expm1(-2 * jnp.pi * time_step * cutoff)
+
+
+def low_passed(before: Array, force: Array, share: Array) -> Array:
+    """Return a first-order filter's output after a step, `y += share (u - y)`."""
+    return before + share * (force - before)

@@ -40,12 +40,18 @@ class Drive(NamedTuple):
 
 
 def driven(
-    servo: Servo, torque: Array, rates: Array, numbers: Parameters, stages: Stages, time_step: float
+    servo: Servo,
+    torque: Array,
+    rates: Array,
+    numbers: Parameters,
+    stages: Stages,
+    weights: tuple[Array, ...],
+    time_step: float,
 ) -> tuple[Servo, Drive]:
     """Return the servos after this step and what they do in it, asked for `torque` (N, L, B) N m."""
     buffer, bristle = servo
     if stages.servo_delay:
-        buffer, torque = delay.delayed(buffer, torque, jnp.asarray(numbers.servo_delay) / time_step)
+        buffer, torque = delay.delayed(buffer, torque, weights)
     if stages.torque_limit:
         torque = limited(torque, rates, jnp.asarray(numbers.torque_limit), jnp.asarray(numbers.no_load_speed))
     joint_torque, armature = torque, _NONE

@@ -32,7 +32,7 @@ class Grip(NamedTuple):
     force: Array  # (3, L, B) N, of the ground on the foot, world axes
     support: Array  # (L, B) bool: the gripper holds
     torn_off: Array  # (L, B) bool: the holding limit was passed in this step
-    missed: Array  # (L, B) bool: it shut out of reach in this step
+    missed: Any  # (L, B) bool: it shut out of reach in this step; () without a `Reach`
 
 
 def grip(contact: Contact, feet: Feet, closed: Array, ground: Array, numbers: Parameters) -> tuple[Contact, Grip]:
@@ -43,25 +43,29 @@ def grip(contact: Contact, feet: Feet, closed: Array, ground: Array, numbers: Pa
     foot, at the ground's height, where the gripper shuts or the foot first touches. A supporting limb lets go, from the
     next step on, when the ground pulls its foot down with more than the holding limit in all (ClimbLab's rule).
 
-    With a `Reach` a gripper that shuts further off the ground than the capture distance holds nothing and stays open
-    until its next swing, and the ground only pushes a foot whose gripper is open, along its normal.
+    With a `Reach` and a finite capture distance a gripper that shuts further off the ground than the capture
+    distance holds nothing and stays open until its next swing, and the ground only pushes a foot whose gripper is
+    open, along its normal.
     """
     ground = jnp.broadcast_to(ground, feet.position[2].shape)
     support, reach = closed & ~contact.detached, contact.reach
-    shuts = missed = jnp.zeros_like(support)
+    missed: Any = ()
     if reach:
-        shuts = support & ~reach.shut
+        anywhere = jnp.isinf(numbers.capture_distance)
+        shuts = support & ~reach.shut & ~anywhere
         missed = shuts & (feet.position[2] - ground > numbers.capture_distance)
         reach = Reach(closed, closed & (reach.missed | missed))
         support = support & ~reach.missed
     touching = support | (feet.position[2] <= ground)
-    fresh = (touching & ~contact.touching) | shuts
+    fresh = touching & ~contact.touching
+    if reach:
+        fresh = fresh | shuts
     below = jnp.stack([feet.position[0], feet.position[1], ground])
     grip_point = jnp.where(fresh, below, contact.grip_point)
     spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
     force = jnp.where(touching, spring_damper, 0.0)
     if reach:
-        force = jnp.where(support, force, _push(force))
+        force = jnp.where(support | anywhere, force, _push(force))
     torn_off = support & (force[2] < 0) & (norm(force) > numbers.holding_limit)
     after = Contact(grip_point, touching, contact.detached | torn_off, reach)
     return after, Grip(force, support, torn_off, missed)

@@ -6,13 +6,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.control import Command, Measurement, Reference, running
+from mjx_climb.control.base_shift import shifted_by
 from mjx_climb.control.joint_loop import joint_torque
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import base_estimate, control_period, delay, force_sensor, servo
+from mjx_climb.hardware.pace import Pace
 from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.walk.action import Action, JointTargets, displacement_of
 from mjx_climb.walk.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 
 
@@ -23,6 +26,7 @@ class Controller(NamedTuple):
     geometry: LimbGeometry | Chain
     numbers: Parameters
     stages: Stages
+    pace: Pace
     time_step: float
 
 
@@ -89,43 +93,52 @@ def run(
     contacts: Contacts,
     reference: Reference,
     step: Array,
+    action: Action = None,
 ) -> tuple[Memory, Any, Driven]:
-    """Return the memory and the law's state after a step, and what the joints do in it."""
-    numbers, stages, time_step = controller.numbers, controller.stages, controller.time_step
+    """Return the memory and the law's state after a step, and what the joints do in it.
+
+    An action takes the place of the law, which then stays as it is; its way to the joints is the same.
+    """
+    numbers, stages, pace = controller.numbers, controller.stages, controller.pace
     sensor, force, wrench = memory.force_sensor, contacts.force, contacts.wrench
     if stages.force:
-        sensor, force = force_sensor.measured(sensor, force, step, numbers, stages, time_step)
+        sensor, force = force_sensor.measured(sensor, force, step, numbers, stages, pace.force, pace.filter_share)
         wrench = base_wrench_of_foot_force(contacts.lever, force)
     buffers, base = base_estimate.estimated(
-        memory.base_estimate, base_estimate.true_base(state), step, numbers, stages, time_step
+        memory.base_estimate, base_estimate.true_base(state), step, numbers, stages, pace.base
     )
 
     measurement = Measurement(*base, force, wrench, contacts.support)
     after, command = controller.law.command(law_state, measurement, reference)
+    if action is not None:
+        after, command = law_state, shifted_by(reference, displacement_of(action, wrench))
     rotation = quaternion_to_matrix(command.base_orientation)
     target = rotate_back(rotation[:, :, None], command.foot_position - command.base_position[:, None])
     iterated = isinstance(controller.geometry, Chain)
     joints = inverse_kinematics(controller.geometry, target, memory.posture if iterated else None)
     posture = joints.joint_angles if iterated else ()
+    if isinstance(action, JointTargets):
+        joints = joints._replace(joint_angles=action.angles)
 
     said = memory.said
     if stages.control_period:
-        steps = control_period.period_steps(jnp.asarray(numbers.control_period), time_step)
-        into = control_period.steps_into(step, steps)
+        into = control_period.steps_into(step, pace.period)
         now = into == 0
         after = control_period.held(now, after, law_state)
         before: Any = control_period.held(now, said.joints.joint_angles, said.before) if stages.linear else ()
         said = Said(*control_period.held(now, (command, joints), (said.command, said.joints)), before)
         command, joints = said.command, said.joints
         if stages.linear:
-            line = control_period.interpolated(before, joints.joint_angles, into, steps)
+            line = control_period.interpolated(before, joints.joint_angles, into, pace.period)
             joints = joints._replace(joint_angles=line)
     targets = memory.targets
     if stages.command_delay:
-        targets, late = delay.delayed(targets, joints.joint_angles, jnp.asarray(numbers.command_delay) / time_step)
+        targets, late = delay.delayed(targets, joints.joint_angles, pace.command)
         joints = joints._replace(joint_angles=late)
 
     felt = servo.target_across_play(joints.joint_angles, state.joint_angles, numbers, stages)
     asked = joint_torque(numbers, felt, state.joint_angles, state.joint_rates)
-    servos, drive = servo.driven(memory.servo, asked, state.joint_rates, numbers, stages, time_step)
+    servos, drive = servo.driven(
+        memory.servo, asked, state.joint_rates, numbers, stages, pace.servo, controller.time_step
+    )
     return Memory(sensor, buffers, said, targets, servos, posture), after, Driven(command, joints, drive)

@@ -14,12 +14,13 @@ from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State, integrate
-from mjx_climb.hardware.control_period import period_steps
+from mjx_climb.hardware.pace import pace as pace_of
 from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
 from mjx_climb.quantities.parameters import Parameters, parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import control_loop, disturbance, gait
+from mjx_climb.walk.action import Action
 from mjx_climb.walk.contact import Contact, Reach, grip
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
@@ -112,9 +113,10 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
     stages, time_step = structure.stages, structure.time_step
-    period = jnp.asarray(numbers.control_period)
-    held = time_step * period_steps(period, time_step) if stages.control_period else time_step
+    pace = pace_of(numbers, stages, time_step)
+    held = time_step * pace.period if stages.control_period else time_step
     drives = _with_armature(robot, jnp.asarray(numbers.armature)) if stages.armature else robot
+    own = _with_friction_of(robot, numbers)
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
     plan = gait.plan(robot, feet, numbers, structure.lift_off, structure.time_step)
     begun = running.begin(law, Start(held, _first_reference(plan, batch)))
@@ -123,7 +125,7 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=plan,
-        controller=control_loop.Controller(begun, geometry, _with_friction_of(robot, numbers), stages, time_step),
+        controller=control_loop.Controller(begun, geometry, own, stages, pace, time_step),
         engine=ENGINES[structure.engine],
         drives=drives,
         time_step=structure.time_step,
@@ -205,8 +207,11 @@ def begin(walk: Walk, batch: int) -> Carry:
     )
 
 
-def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
-    """Return the walk one time step later, and all that is known about this step."""
+def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tuple[Carry, Sample]:
+    """Return the walk one time step later, and all that is known about this step.
+
+    `step` counts them, () or (B,). An action takes the place of the law, which then stays as it is.
+    """
     robot, numbers, state = walk.robot, walk.numbers, carry.state
     rotation = quaternion_to_matrix(state.base_orientation)
     frames = limb_frames(robot, rotation, state.joint_angles)
@@ -230,6 +235,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         control_loop.Contacts(feet.lever, held.force, held.support, wrench),
         reference,
         step,
+        action,
     )
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
@@ -274,7 +280,7 @@ def advance(walk: Walk, carry: Carry, step: Array) -> tuple[Carry, Sample]:
         contact=contact.touching,
         detached=carry.contact.detached,
         torn_off=held.torn_off,
-        missed=held.missed,
+        missed=held.missed if contact.reach else jnp.zeros_like(held.support),
         reachable=driven.joints.reachable,
         base_reference=reference.base_position,
         base_displacement=driven.command.base_displacement,

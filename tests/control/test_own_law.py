@@ -113,7 +113,7 @@ def test_tuned_over_all_of_its_gains_saved_and_read_back(scenario, law, tmp_path
         np.testing.assert_array_equal(value, found.gains[name])
     with pytest.raises(mc.ConfigError, match=r"gains\.yaml: law: expected gains of the config's law, got those"):
         gains_file.load(file)
-    with pytest.raises(mc.ConfigError, match=r"expected gains of test_own_law\.py:Other, got those of filt"):
+    with pytest.raises(mc.ConfigError, match=r"expected gains of Other, got those of filtered_law\.py:Fil"):
         gains_file.load(file, Other())
 
 
@@ -125,7 +125,8 @@ def test_another_class_of_the_same_name_walks_as_itself(scenario, law):
     """In one session the program of a law that was replaced is not taken for that of the new one."""
     again = from_script()
     assert again is not Filtered and again.__qualname__ == Filtered.__qualname__
-    again.step = lambda self, state, measurement, reference: Filtered.step(
+    filtered = again.step
+    again.step = lambda self, state, measurement, reference: filtered(
         self, state, measurement._replace(wrench=2 * measurement.wrench), reference
     )
     before, after = (mc.rollout_metrics(scenario, law=kind(damping=1e2, stiffness=3e3)) for kind in (Filtered, again))
@@ -179,7 +180,10 @@ def test_gains_that_cannot_be_are_refused_in_one_line(scenario, law, gains, said
 def test_a_law_that_is_none_is_refused_in_one_line(text, said):
     with pytest.raises(mc.ConfigError, match=re.escape(said)):
         law_file.load(text)
-    assert type(law_file.load(f"{SCRIPT}:Filtered")).__name__ == "Filtered"
+
+
+def test_a_law_is_known_by_its_file_and_name():
+    assert law_file.reference(law_file.load(f"{SCRIPT}:Filtered")) == "filtered_law.py:Filtered"
 
 
 def test_a_state_of_another_structure_is_refused(scenario):

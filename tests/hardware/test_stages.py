@@ -26,7 +26,7 @@ def late(signal, steps, length=8):
     """The signal (T,) through a delay of `steps`, from a buffer that begins at zero."""
 
     def one(buffer, value):
-        return delay.delayed(buffer, value[None], jnp.atleast_1d(steps))
+        return delay.delayed(buffer, value[None], delay.weights(jnp.atleast_1d(steps), length))
 
     return jax.lax.scan(one, delay.start(jnp.zeros(1), length), signal)[1][:, 0]
 
@@ -75,7 +75,7 @@ def test_a_batch_may_have_a_delay_for_each_robot():
     delays = jnp.asarray([0.0, 1.5, 4.0])
 
     def one(buffer, value):
-        return delay.delayed(buffer, jnp.full(3, value), delays)
+        return delay.delayed(buffer, jnp.full(3, value), delay.weights(delays, 8))
 
     batch = jax.lax.scan(one, delay.start(jnp.zeros(3), 8), signal)[1]
     for row, steps in enumerate(delays):
@@ -92,19 +92,21 @@ def test_length_of_a_buffer_holds_the_longest_delay():
 def test_filter_has_the_step_response_of_a_first_order_low_pass():
     cutoff, output = 30.0, jnp.zeros(1)
     for n in range(1, 60):
-        output = force_sensor.low_passed(output, jnp.ones(1), jnp.asarray(cutoff), STEP)
+        output = force_sensor.low_passed(output, jnp.ones(1), force_sensor.share(jnp.asarray(cutoff), STEP))
         np.testing.assert_allclose(output, 1 - np.exp(-2 * np.pi * cutoff * n * STEP), rtol=1e-12)
 
 
 def test_without_a_cut_off_the_filter_lets_all_pass():
-    np.testing.assert_array_equal(force_sensor.low_passed(jnp.zeros(1), jnp.asarray([3.7]), jnp.inf, STEP), [3.7])
+    np.testing.assert_array_equal(
+        force_sensor.low_passed(jnp.zeros(1), jnp.asarray([3.7]), force_sensor.share(jnp.asarray(jnp.inf), STEP)), [3.7]
+    )
 
 
 def test_derivative_of_the_filter():
     def output(cutoff):
         value = jnp.zeros(1)
         for n in range(20):
-            value = force_sensor.low_passed(value, jnp.sin(jnp.asarray([0.3 * n])), cutoff, STEP)
+            value = force_sensor.low_passed(value, jnp.sin(jnp.asarray([0.3 * n])), force_sensor.share(cutoff, STEP))
         return value
 
     np.testing.assert_allclose(slope(output, 30.0), central(output, 30.0, 1e-4), rtol=1e-7)
@@ -234,7 +236,7 @@ def test_friction_grows_with_the_load_and_the_rate():
     numbers = mc.parameters(scenario)
     rest = jnp.ones((3, 4, 1))
     memory = servo.Servo((), rest)
-    _, drive = servo.driven(memory, -2.0 * rest, 0.01 * rest, numbers, stages_of(scenario, numbers), STEP)
+    _, drive = servo.driven(memory, -2.0 * rest, 0.01 * rest, numbers, stages_of(scenario, numbers), (), STEP)
     np.testing.assert_allclose(drive.joint_torque, -2.0 - 0.6)
     np.testing.assert_array_equal(drive.motor_torque, -2.0)
     assert float(friction.viscous(jnp.asarray(3.0), jnp.asarray(0.2))) == pytest.approx(-0.6)

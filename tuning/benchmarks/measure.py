@@ -238,15 +238,8 @@ def _processor() -> str:
 @contextlib.contextmanager
 def _cache() -> Iterator[str]:
     """Use a new folder as XLA's cache, in this process and for its children, so that every run compiles alike."""
-    import jax
-    from jax.experimental.compilation_cache import compilation_cache
+    from mjx_climb.compilation import options
 
-    before = jax.config.values["jax_compilation_cache_dir"]
     with tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True) as folder:
-        jax.config.update("jax_compilation_cache_dir", folder)
-        compilation_cache.reset_cache()
-        try:
+        with options.cache_in(folder):
             yield folder
-        finally:
-            jax.config.update("jax_compilation_cache_dir", before)
-            compilation_cache.reset_cache()

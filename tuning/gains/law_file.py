@@ -1,5 +1,6 @@
 """Control laws in a user's file: FILE.py:NAME, a class whose gains have defaults, or an instance."""
 
+import dataclasses
 import importlib.util
 import inspect
 import sys
@@ -55,10 +56,11 @@ def _run(file: Path) -> Any:
 def reference(law: mc.Law) -> str:
     """Return FILE.py:NAME of a law's class, without the folder, as it stands in files; NAME where it has no file."""
     kind = type(law)
-    try:
-        return f"{Path(inspect.getfile(kind)).name}:{kind.__qualname__}"
-    except (OSError, TypeError):
-        return kind.__qualname__
+    # by its methods: a class of a file that was run by hand is in no module that Python knows
+    codes = [function.__code__ for function in vars(kind).values() if inspect.isfunction(function)]
+    own = [code.co_filename for code in codes if code.co_filename not in ("<string>", dataclasses.__file__)]
+    files = [Path(name).name for name in own]
+    return f"{files[0]}:{kind.__qualname__}" if files else kind.__qualname__
 
 
 def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
@@ -48,9 +49,9 @@ def spectral_radius(
     count = math.prod(shape)
     trees, axes = (law, numbers), (own_axes(law), own_axes(numbers))
     flat = flattened(trees, axes, shape)
-    walk = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine))._replace(stages=IDEAL)
+    walk = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine, "cpu"))._replace(stages=IDEAL)
     radii = []
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), jax.default_device(devices.host()):
         run = _program(walk, scenario.gait.cycle * (1 - scenario.gait.duty))
         for start in range(0, count, _CHUNK):
             rows = np.minimum(np.arange(start, start + _CHUNK), count - 1)
@@ -87,7 +88,7 @@ def over_map(
 
 @functools.lru_cache(maxsize=8)
 def _program(shape: Structure, swing_time: float) -> Callable[[Law, mc.Parameters], jax.Array]:
-    options = mc.compiler_options(_CHUNK, in_pieces=shape.in_pieces)
+    options = mc.compiler_options(_CHUNK, in_pieces=shape.in_pieces, backend="cpu")
     if shape.in_pieces:
         options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
     return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=options)
