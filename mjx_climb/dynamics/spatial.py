@@ -36,7 +36,7 @@ def rotate(matrix: Float[Array, "m n *#rest"], vector: Float[Array | np.ndarray,
 
 
 def rotate_back(
-    matrix: Float[Array | np.ndarray, "3 3 *#rest"], vector: Float[Array, "3 *#rest"]
+    matrix: Float[Array | np.ndarray, "n 3 *#rest"], vector: Float[Array, "n *#rest"]
 ) -> Float[Array, "3 *_"]:
     """Return `matrix.T @ vector`."""
     return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])

@@ -27,6 +27,9 @@ FEET = np.array([[0.14, 0.14, 0], [-0.14, 0.14, 0], [-0.14, -0.14, 0], [0.14, -0
 PRESSED, PULLED, UNLOADED = (0.0, 0.0, 4.0), (0.0, 0.0, -14.9), (0.0, 0.0, 0.0)
 
 
+NUMBERS = mc.parameters(mc.Scenario())
+
+
 def walk_of(force=UNLOADED, push=UNLOADED, duration=0.4, shift=(0.0, 0.0, 0.0), **overrides):
     """Return a robot that stands, is shifted at an even rate, and has the same force on all feet."""
     scenario = mc.load_scenario(CONFIG, {"duration": duration, "time_step": 0.01, "gait.cycle": 0.4, **overrides})
@@ -52,9 +55,14 @@ def walk_of(force=UNLOADED, push=UNLOADED, duration=0.4, shift=(0.0, 0.0, 0.0), 
         **{name: np.full((time.size, 4), True) for name in ("support", "contact", "reachable")},
         **{name: np.full((time.size, 4), False) for name in ("detached", "torn_off", "missed")},
     }
-    fixed = {"scenario": scenario, "gains": None, "numbers": None, "limbs": ("LF", "LH", "RH", "RF")}
-    others = {f.name: None for f in dataclasses.fields(Trajectory)}
-    return Trajectory(**{**others, **fixed, **given})
+    fixed = {"scenario": scenario, "gains": {}, "numbers": NUMBERS, "limbs": ("LF", "LH", "RH", "RF")}
+    sizes = {"time": time.size, "limb": 4, "joint": 3}
+    others = {
+        f.name: np.zeros([sizes.get(size) or int(size) for size in f.type.dim_str.split()])
+        for f in dataclasses.fields(Trajectory)
+        if f.name not in {**fixed, **given} and hasattr(f.type, "dim_str")
+    }
+    return Trajectory(**others, **fixed, **given)
 
 
 @pytest.fixture(scope="session")
