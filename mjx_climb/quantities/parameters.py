@@ -18,13 +18,13 @@ from mjx_climb.scenario.model import Scenario
 
 # batch axes of one gain need not be those of another: they broadcast; the hot path has them last
 _Values = Array | np.ndarray
-_Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | Real[_Values, "6 B"] | float
+_Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | Real[_Values, "6 _"] | float
 _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
-_Vector = Real[_Values, "... 3"] | Real[_Values, "3 B"]
+_Vector = Real[_Values, "... 3"] | Real[_Values, "3 _"]
 _Footholds = Real[_Values, "... L N"]
-_Pushes = Real[_Values, "... pushes 3"] | Real[_Values, "pushes 3 B"]
-_PushTimes = Real[_Values, "... pushes"] | Real[_Values, "pushes B"]
+_Pushes = Real[_Values, "... pushes 3"] | Real[_Values, "pushes 3 _"]
+_PushTimes = Real[_Values, "... pushes"] | Real[_Values, "pushes _"]
 
 
 @jax.tree_util.register_dataclass

@@ -280,7 +280,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         contact=contact.touching,
         detached=carry.contact.detached,
         torn_off=held.torn_off,
-        missed=held.missed if contact.reach else jnp.zeros_like(held.support),
+        missed=held.missed,
         reachable=driven.joints.reachable,
         base_reference=reference.base_position,
         base_displacement=driven.command.base_displacement,
@@ -295,4 +295,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
     )
     after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state, hardware)
     # what all environments share (a gait of one timing, say) has a batch axis of one until here
-    return jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry), sample
+    after = jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry)
+    if not contact.reach:  # nobody misses; said last, so that a step without it is cut into the same pieces
+        sample = sample._replace(missed=jnp.zeros_like(held.support))
+    return after, sample

@@ -22,4 +22,4 @@ def test_forces_of_a_batch_need_no_moments_of_a_batch(case):
                 "push_moment": np.broadcast_to(own.push_moment, force.shape), **changes}  # fmt: skip
         whole = mc.rollout_metrics(scenario, numbers=dataclasses.replace(own, **both), dtype=np.float64)
         np.testing.assert_allclose(together["peak_foot_force"], whole["peak_foot_force"], rtol=1e-12)
-    assert np.ptp(together["travel"]) == 0 and together["travel"].shape == (8,)
+        assert together["peak_foot_force"].shape == (8,)

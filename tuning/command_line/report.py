@@ -29,13 +29,16 @@ def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
 
 def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
     """Return in one line how the walk went."""
+    failures = []
+    if metrics["detached_limb"] is not None:
+        failures.append(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
     if metrics["diverged"]:
         rows = [trajectory.base_position, trajectory.joint_rates, trajectory.foot_force, trajectory.joint_torque]
         finite = np.all([np.isfinite(values).reshape(len(values), -1).all(1) for values in rows], axis=0)
         at = trajectory.time[np.argmin(finite)] if not finite.all() else trajectory.time[-1]
-        return f"diverged at {at:.3f} s"
-    if metrics["detached_limb"] is not None:
-        return f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s"
+        failures.append(f"diverged at {at:.3f} s")
+    if failures:
+        return ", ".join(failures)
     if missed := metrics.get("missed_grips"):
         return f"every grip held, but {missed} missed the ground"
     return "held all the way"

@@ -59,10 +59,13 @@ def against(metric: str, value: float | None, others: Values, about: MetricTable
 
 def held(metrics: Values) -> str:
     """Return in words whether the grippers held."""
-    if metrics["diverged"]:
-        return "the simulation diverges"
+    failures = []
     if metrics["detached_limb"] is not None:
-        return f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s"
+        failures.append(f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s")
+    if metrics["diverged"]:
+        failures.append("the simulation diverges")
+    if failures:
+        return ", ".join(failures)
     if missed := metrics.get("missed_grips"):
         return f"every grip holds, but {missed} missed the ground"
     return "every gripper holds"

@@ -98,7 +98,7 @@ def grid_points(
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
             larger = dataset.larger_is_better(shown[name])
             scales[name] = _scale(values, failed, baseline.get(name), larger=larger)
-    listed = {str(name): _values(flat[name]) for name in flat.data_vars if name not in LINES}
+    listed = {str(n): _values(plots.comparable(flat, str(n))) for n in flat.data_vars if n not in LINES}
     stored = [
         i * shown.sizes[y] + j
         for i, across in enumerate(shown[x].values)
@@ -253,9 +253,9 @@ def _values(variable: xr.DataArray) -> list[Any]:
 
 def _failure(metrics: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return what went wrong and when (s), None where nothing did."""
-    if metrics["diverged"]:
-        return {"text": "diverged", "at": None}
+    failures = []
     if metrics["detached_limb"] is not None:
-        text = f"{metrics['detached_limb']} torn off at {metrics['detached_at']:.2f} s"
-        return {"text": text, "at": metrics["detached_at"]}
-    return None
+        failures.append(f"{metrics['detached_limb']} torn off at {metrics['detached_at']:.2f} s")
+    if metrics["diverged"]:
+        failures.append("diverged")
+    return {"text": ", ".join(failures), "at": metrics["detached_at"]} if failures else None

@@ -1,0 +1,107 @@
+"""A metric and an objective of one's own, as the documentation shows them: searched, resumed, seen everywhere."""
+
+import functools
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+import tuning.tune
+from mjx_climb.plots.maps import plot_map
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import smallest
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.report import comparison
+from tuning.report.explorer import explorer, grid_points
+from tuning.searches import grid
+
+PAGE = Path(__file__).parents[3] / "docs" / "metrics.md"
+SHORT = {"duration": 0.3, "gait.cycle": 0.4, "disturbance.cargo.start": 0.05}
+
+
+@pytest.fixture
+def example(monkeypatch, tmp_path):
+    """Return a function that runs the first block of the page, with a short walk and few rounds, in a folder."""
+    block = re.search(r"^```python\n(.*?)^```$", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)[1]
+    assert sum(bool(line.strip()) for line in block.splitlines()) <= 15
+    load, tune = mc.load_scenario, tuning.tune.tune
+    monkeypatch.setattr(mc, "load_scenario", lambda name: load(name, SHORT))
+
+    def run(folder, progress=None):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        monkeypatch.chdir(tmp_path / folder)
+        short = functools.partial(tune, iterations=2, space="isotropic", starts=3, progress=progress)
+        monkeypatch.setattr(tuning.tune, "tune", short)
+        scope = {}
+        exec(compile(block, PAGE.name, "exec"), scope)
+        return scope
+
+    return run
+
+
+def stop(now):
+    if now.rounds == 2:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_the_example_is_resumed_bit_for_bit_and_seen_everywhere(example):
+    cut = example("one", stop)["found"]
+    assert cut.interrupted
+    scope, undisturbed = example("one"), example("other")["found"]
+    found = scope["found"]
+    assert not found.interrupted and cut.history.sizes["point"] < found.history.sizes["point"]
+    for name in ("theta", "value", "descent", "peak_base_speed"):
+        np.testing.assert_array_equal(found.history[name], undisturbed.history[name])
+    np.testing.assert_allclose(
+        found.value,
+        found.history["value"].values.astype(float)[found.history["feasible"].values].min(),
+    )
+    assert (found.history["peak_base_speed"].values[found.history["feasible"].values] <= 0.5).all()
+
+    metrics, scenario = scope["metrics"], scope["scenario"]
+    table = comparison.table({"tuned": (None, scope["best"]), "pd": (None, scope["best"])}, "", metrics)
+    rows = {row[0]: row for _, section in table.sections for row in section}
+    assert rows["peak_base_speed"][1:3] == ["m/s", f"{scope['best']['peak_base_speed']:.4g}"]
+
+    axes = np.geomspace(1e3, 1e4, 2), np.geomspace(1e1, 1e2, 2)
+    walks = grid.sweep(scenario, *axes, metrics=metrics)
+    panel = plot_map(walks, "peak_base_speed").axes[1]
+    assert panel.get_ylabel() == "largest speed of the base [m/s]"
+    points = grid_points(walks, walks, scope["best"], {}, None)
+    expected = {"label": "largest speed of the base", "unit": "m/s", "larger_is_better": False}
+    assert points["texts"]["peak_base_speed"] == expected and "peak_base_speed" in points["scales"]
+    shown = explorer("", {"pd": mc.rollout(scenario, found.gains)}, {"pd": scope["best"]}, about=metrics)
+    assert shown["metrics"]["peak_base_speed"] == expected
+
+
+def test_a_walk_that_diverged_is_worth_nothing_and_has_no_slope():
+    """Its metrics are finite, those until it diverged."""
+    terms = (Term("travel", 1.0, 0.1, 0.1, larger_is_better=True),)
+    objective = Objective(terms, (Limit("travel", 0.01, 1.0, 0.02, "", larger_is_better=True),))
+    diverged = jnp.array([False, True])
+
+    def value(travel):
+        return objective.score({"travel": travel, "diverged": diverged})
+
+    score = value(jnp.full(2, 0.1))
+    assert score.feasible.tolist() == [True, False]
+    for part in score[:3]:
+        assert np.isfinite(part).tolist() == [True, False]
+    slope = jax.jvp(lambda travel: value(travel).descent, (jnp.full(2, 0.1),), (jnp.ones(2),))[1]
+    assert np.isfinite(slope).tolist() == [True, False]
+
+
+def test_searches_refuse_metrics_without_the_shipped_ones():
+    own = smallest("lowest_base", "m", "lowest base", lambda s, _: s.base_position[2])
+    with pytest.raises(ConfigError, match="metrics: expected the shipped peak_foot_force among them"):
+        tuning.tune.tune(mc.Scenario(), metrics=(own,))
+
+
+def test_settings_that_name_no_metric_are_refused():
+    with pytest.raises(ConfigError, match="'lowest_base' is no metric to weigh or limit"):
+        tuning.tune.tune(mc.Scenario(), weights={"lowest_base": 1.0})
