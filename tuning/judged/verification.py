@@ -23,7 +23,7 @@ from tuning.searches.tune import problem_of
 STEP = 0.2  # relative change of a gain
 PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
 UNRESPONSIVE = 1e-3  # largest relative change of any metric
-BINDING = 0.05  # of a limit's scale: as near to it, it is what holds the search there
+BINDING = 1.25  # margins of a limit: as near to it, it is what holds the search there
 GRID = 12  # cells along each axis of the map
 
 
@@ -158,13 +158,13 @@ def broken_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
 
 
 def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
-    """Return in words which limits a walk keeps with hardly any room, `BINDING` of their scale: they hold it there."""
+    """Return in words which limits hold a walk where it is: it keeps them, but lies where their penalty begins."""
     if metrics["diverged"]:
         return []
     near = []
     for limit in objective.limits:
         value = metrics[limit.metric]
-        if value is not None and -BINDING <= objectives.violation(limit, value) <= 0:
+        if value is not None and -BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
             near.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
     return near
 

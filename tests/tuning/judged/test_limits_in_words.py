@@ -15,7 +15,7 @@ HELD = {"diverged": False, "detached_limb": None, "detached_at": None}
     "pull, margin, broken, binding",
     [
         (39.18, 0.4, [], ["peak_pull_force 39.18, limit 40 (holding limit of the grippers)"]),
-        (30.0, 0.004, [], ["joint_limit_margin 0.004, limit 0 (joint limits)"]),
+        (30.0, 0.002, [], ["joint_limit_margin 0.002, limit 0 (joint limits)"]),
         (30.0, 0.4, [], []),
         (41.0, -0.01, ["peak_pull_force 41, limit 40", "joint_limit_margin -0.01, limit 0"], []),
         (None, 0.4, [], []),
