@@ -49,7 +49,7 @@ def assert_equal_walks(one, other):
 
 
 def test_every_array_of_a_walk_is_a_variable(trajectory):
-    arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "numbers", "limbs"}
+    arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "numbers", "limbs", "law"}
     assert arrays == {"time", *ds.VARIABLES}
 
 

@@ -107,8 +107,9 @@ def test_make_targets_exist(page):
 
 
 @every_page
-def test_code_uses_names_that_exist(page):
-    """Imports resolve, names of `mjx_climb` are there, and calls of them bind."""
+def test_code_uses_names_that_exist(page, monkeypatch):
+    """Imports resolve (also of a script beside the page), names of `mjx_climb` are there, and calls of them bind."""
+    monkeypatch.syspath_prepend(page.parent)
     for block in fences(page, "python"):
         tree = ast.parse(block)
         names = {}
