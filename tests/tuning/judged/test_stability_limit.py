@@ -8,11 +8,17 @@ import mjx_climb as mc
 from tuning.judged import stability_limit
 
 
+def swept(stiffness, damping):
+    """What a sweep returns, as far as the limit reads it: the axes of its walks, in their order."""
+    none = np.zeros((len(stiffness), len(damping)), bool)
+    return xr.Dataset({"diverged": (("stiffness", "damping"), none)}, {"stiffness": stiffness, "damping": damping})
+
+
 @pytest.mark.slow
 def test_a_walk_diverges_where_the_loop_is_unstable(case):
     """The measured pose holds with the paper's damping and loses its stability before damping M / dt twenty-fold."""
     scenario = case("case_2", "measured_pose", {"duration": 1.0, "contact.holding_limit": None})
-    walks = xr.Dataset(coords={"stiffness": [5e5], "damping": [5e3, 8e3, 1.9e4, 3e4]})
+    walks = swept([5e5], [5e3, 8e3, 1.9e4, 3e4])
     radius = stability_limit.over_map(scenario, walks)
     assert radius.dims == ("stiffness", "damping")
     gains = mc.Gains(1.0, walks["damping"].values[:, None], 5e5)
@@ -22,8 +28,10 @@ def test_a_walk_diverges_where_the_loop_is_unstable(case):
 
 
 def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
-    monkeypatch.setattr(stability_limit, "spectral_radius", lambda scenario, gains, engine: gains.damping[:, 0] / 1e2)
-    walks = xr.Dataset(coords={"stiffness": np.geomspace(1e2, 1e4, 200), "damping": np.geomspace(1e1, 1e3, 3)})
+    monkeypatch.setattr(
+        stability_limit, "spectral_radius", lambda scenario, gains, law, engine: gains["damping"][:, 0] / 1e2
+    )
+    walks = swept(np.geomspace(1e2, 1e4, 200), np.geomspace(1e1, 1e3, 3))
     walks["stiffness"].attrs["units"] = "N/m"
     radius = stability_limit.over_map(case("case_2", "virtual_model"), walks)
     assert walks.assign(spectral_radius=radius)["stiffness"].attrs == {"units": "N/m"}

@@ -114,14 +114,15 @@ def judgements(metrics: dict) -> dict:
     functions = {}
     for name in TERMS:
         smooth = PREFIX + name if PREFIX + name in one else name
-        goal = Objective((Term(name, 2.0, by_row(name), by_row(smooth)),), ())
+        goal = Objective((Term(name, 2.0, by_row(name), by_row(smooth), mc.METRICS[name].larger_is_better),), ())
         functions[f"{name}, true"] = lambda m, goal=goal: goal.score(m).value
         if smooth != name:
             functions[f"{name}, smooth"] = lambda m, goal=goal: goal.score(m).descent
     for name, over in itertools.product(LIMITS, OVERSHOOTS):
-        sign = -1.0 if mc.METRICS[name].larger_is_better else 1.0
+        larger_is_better = mc.METRICS[name].larger_is_better
+        sign = -1.0 if larger_is_better else 1.0
         bound = tuple(one[name] - sign * over * np.array(by_row(name)))
-        limit = Limit(name, bound, by_row(name), 0.02, "")
+        limit = Limit(name, bound, by_row(name), 0.02, "", larger_is_better)
         goal = Objective((), (limit,), lambda m: m["travel"] * 0)
         functions[f"limit of {name}, {over:+g}"] = lambda m, goal=goal: goal.score(m).descent
     return functions

@@ -195,7 +195,8 @@ def test_slopes_of_the_robust_objective(scenario, ensemble):
 
 def test_walks_that_fail_are_counted():
     names = [n for n in mc.METRICS.names if n not in ("detached_limb", "diverged")]
-    data = {n: (("gains", "member"), np.array([[1.0, 2.0, 16.0], [4.0, 5.0, np.nan]])) for n in names}
+    values = np.array([[1.0, 2.0, 16.0], [4.0, 5.0, np.nan]])
+    data = {n: (("gains", "member"), values, {"larger_is_better": int(mc.METRICS[n].larger_is_better)}) for n in names}
     data["diverged"] = (("gains", "member"), np.array([[False] * 3, [False, False, True]]))
     judged = xr.Dataset(data, {"gains": ["robust", "pd"]}, {"holding_limit": 15.0})
     summed = robust.summary(judged)

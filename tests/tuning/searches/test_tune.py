@@ -74,7 +74,7 @@ def test_settings_that_fit_no_space_are_refused(scenario, settings):
 @pytest.mark.parametrize("bad", [{"weights": {"speed": 1}}, {"method": "magic"}, {"bounds": {"damping": [2, 1]}}])
 def test_bad_settings_are_refused_in_one_line(bad):
     with pytest.raises(ConfigError) as error:
-        search.make(bad)
+        search.check_metrics(search.make(bad), mc.METRICS)
     assert "\n" not in str(error.value)
 
 
