@@ -14,16 +14,17 @@ from mjx_climb.walk.inverse_kinematics import Chain, inverse_kinematics, limb_ge
 from tests.robot import climbers
 
 MOON = (0.8, 0.0, -1.4)  # m/s^2, on a slope of 30 degrees
+OF_SLIDES = {"foothold": 0.45, "height": 0.1}  # m, a stance well within the limits of limbs whose last joint slides
 
 
 @pytest.fixture
 def climber(tmp_path):
     """Return the scenario of a climber, `climber(limbs, joints, keys={...}, change=...)`."""
 
-    def build(limbs, joints, keys=(), change=lambda data: None, foothold=0.24, **how):
+    def build(limbs, joints, keys=(), change=lambda data: None, foothold=0.24, height=0.12, **how):
         path = tmp_path / "climber.xml"
         path.write_text(climbers.mjcf(limbs, joints, **how))
-        data = climbers.config(path, limbs, joints, foothold=foothold)
+        data = climbers.config(path, limbs, joints, foothold=foothold, height=height)
         change(data["robot"])
         return mc.Scenario.model_validate(data).with_overrides(dict(keys))
 
@@ -41,7 +42,7 @@ SHAPES = {"two of seven": (2, 7, ()), "four of four": (4, 4, ()), "four of six":
 def test_ten_thousand_targets_are_met_from_nearby(climber, name):
     """A foothold that the joints can reach is met to 1e-6 m from the posture of one a few centimetres off."""
     limbs, joints, slides = SHAPES[name]
-    robot = load_robot(climber(limbs, joints, slides=slides, foothold=0.35 if slides else 0.24).robot)
+    robot = load_robot(climber(limbs, joints, slides=slides, **(OF_SLIDES if slides else {})).robot)
     geometry = limb_geometry(robot)
     assert isinstance(geometry, Chain)
     rng = np.random.default_rng(0)
@@ -177,7 +178,8 @@ def test_a_walk_is_that_of_mujoco(climber, name):
         "control.controller": "pd", "gravity": list(MOON), "duration": 0.4 if name in QUICK else 2.0, "gait.cycle": 0.8,
         "gait.stride": 0.02, "gait.step_height": 0.01, "contact.stiffness": 2e3, "time_step": 0.0005, **gait,
     }  # fmt: skip
-    scenario = climber(limbs, joints, keys, slides=slides, foothold=0.35 if slides else 0.24, attributes=attributes)
+    stance = OF_SLIDES if slides else {}
+    scenario = climber(limbs, joints, keys, slides=slides, attributes=attributes, **stance)
     check_time_step(scenario)
     walk = mc.rollout(scenario)
     assert not walk.detached.any() and walk.reachable.all()
