@@ -19,7 +19,6 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.compilation import devices
-from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
@@ -33,7 +32,6 @@ from mjx_climb.walk.inverse_kinematics import inverse_kinematics
 from mjx_climb.walk.step import Structure, advance, begin, prepare, structure
 
 _CHUNK = 64  # gain sets per compiled batch
-_EQUATIONS = 400  # in a piece: compiles faster than smaller ones, see `mjx_climb.compilation.cpu_pieces`
 _FINEST = 48  # values along an axis of a map
 _Varied = tuple[State, Any]  # of the robot and of the law
 
@@ -49,7 +47,7 @@ def spectral_radius(
     count = math.prod(shape)
     trees, axes = (law, numbers), (own_axes(law), own_axes(numbers))
     flat = flattened(trees, axes, shape)
-    walk = structure(scenario, engine, smooth=True, in_pieces=mc.pieces_pay(engine, "cpu"))._replace(stages=IDEAL)
+    walk = structure(scenario, engine, smooth=True, in_pieces=False)._replace(stages=IDEAL)
     radii = []
     with jax.enable_x64(True), jax.default_device(devices.host()):
         run = _program(walk, scenario.gait.cycle * (1 - scenario.gait.duty))
@@ -88,8 +86,9 @@ def over_map(
 
 @functools.lru_cache(maxsize=8)
 def _program(shape: Structure, swing_time: float) -> Callable[[Law, mc.Parameters], jax.Array]:
-    options = mc.compiler_options(_CHUNK, in_pieces=shape.in_pieces, backend="cpu")
-    if shape.in_pieces:
+    # whole: XLA refuses some pieces of the derivative of a step
+    options = mc.compiler_options(_CHUNK, backend="cpu")
+    if options:
         options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
     return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=options)
 
@@ -138,7 +137,6 @@ def _jacobian(shape: Structure, swing_time: float, law: Law, numbers: mc.Paramet
         along: _Varied = jax.vmap(lambda direction: jax.jvp(stepped, (before,), (direction,))[1])(directions)
         return along
 
-    columns = in_kernels(columns, _EQUATIONS) if shape.in_pieces else columns
     moved = jax.tree.leaves(columns(before, jax.tree.unflatten(tree, each)))
     matrix = jnp.concatenate([leaf.reshape(sum(sizes), -1, batch) for leaf in moved], axis=1)  # (column, row, B)
     return jnp.transpose(matrix, (2, 1, 0))
