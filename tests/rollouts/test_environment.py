@@ -181,7 +181,5 @@ def test_stepping_by_hand_is_half_as_fast_as_a_rollout(case):
 
     mine = seconds(lambda: jax.block_until_ready(by_hand(start)))
     theirs = seconds(lambda: jax.block_until_ready(simulate(gains, numbers)))
-    print(
-        f"by hand {robots * scenario.steps / mine:.3g} steps/s, rollout_metrics {robots * scenario.steps / theirs:.3g}"
-    )
+    print(f"by hand {robots * scenario.steps / mine:.3g} steps/s, a rollout {robots * scenario.steps / theirs:.3g}")
     assert theirs > 0.5 * mine
