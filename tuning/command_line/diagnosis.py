@@ -35,7 +35,9 @@ class Part:
 
 def examine() -> list[Part]:
     """Return all parts, in the order in which they depend on each other."""
-    return [part for examination in (versions, devices, cache, renderer, simulation) for part in _guarded(examination)]
+    return [
+        part for examination in (versions, devices, cache, path, renderer, simulation) for part in _guarded(examination)
+    ]
 
 
 def _guarded(examination: Callable[[], Part | list[Part]]) -> list[Part]:
@@ -78,11 +80,11 @@ def devices() -> Part:
 
 def cache() -> Part:
     """Return the state of XLA's compilation cache."""
-    from mjx_climb.compilation import options
+    from mjx_climb.compilation.cache import VARIABLE, cache_in_use
 
-    folder = options.cache_in_use()
+    folder = cache_in_use()
     if folder is None:
-        text = f"off ({options.VARIABLE}): every start compiles again"
+        text = f"off ({VARIABLE}): every start compiles again"
         return Part("cache", text, {"on": False, "folder": None})
     sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
     facts = {"on": True, "folder": folder, "programs": len(sizes), "bytes": sum(sizes), "writable": True}
@@ -92,11 +94,26 @@ def cache() -> Part:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        remedy = f"set {options.VARIABLE} to a folder that can be, or to off"
+        remedy = f"set {VARIABLE} to a folder that can be, or to off"
         reason = (error.strerror or str(error)).lower()
         finding = f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}"
         return Part("cache", text, {**facts, "writable": False}, (finding,))
     return Part("cache", text, facts)
+
+
+def path() -> Part:
+    """Return by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
+    from mjx_climb.compilation import options, probe
+
+    fast = options.fast_path()
+    if fast is None:
+        return Part("path", "XLA's own: none faster is made for this device", {"path": None})
+    found = probe.verdict(fast)
+    if not found.works:
+        remedy = "walks are right, but slower; the versions of jax and jaxlib in pyproject.toml are known to work"
+        finding = f"{probe.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
+        return Part("path", "XLA's own", {"path": None}, (finding,))
+    return Part("path", f"{probe.PATHS[fast]}, {found.seen}", {"path": fast})
 
 
 def renderer() -> Part:

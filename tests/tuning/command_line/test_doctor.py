@@ -15,7 +15,7 @@ from mjx_climb.rendering import RenderingError, backend
 from tuning.command_line import diagnosis, main
 
 ROOT = Path(__file__).parents[3]
-PARTS = ["versions", "devices", "cache", "renderer", "dynamics", "walk", "gradient"]
+PARTS = ["versions", "devices", "cache", "path", "renderer", "dynamics", "walk", "gradient"]
 
 
 @pytest.fixture
