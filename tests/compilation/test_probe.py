@@ -35,6 +35,7 @@ def test_a_path_that_works_is_tried_once(fresh, trial):
     assert probe.works("pieces")  # known from the folder
     for file in fresh.iterdir():
         file.write_text("{")
+    trial("1 / 0")
     with pytest.warns(UserWarning, match="ZeroDivisionError"):
         assert not probe.works("pieces")
 
