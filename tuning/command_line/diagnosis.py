@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
 SIMULATION = ("walk", "gradient")
+NVIDIA = Path("/proc/driver/nvidia/version")  # there where the driver is loaded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,11 +54,7 @@ def _guarded(examination: Callable[[], Part | list[Part]]) -> list[Part]:
 def versions() -> Part:
     """Return the versions of what computes."""
     found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("mjx-climb", *PACKAGES):
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = None
+    found |= {name: _version(name) for name in ("mjx-climb", *PACKAGES)}
     missing = [name for name in PACKAGES if found[name] is None]
     findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in missing]
     engine, mjx = found["mujoco"], found["mujoco-mjx"]
@@ -75,7 +72,25 @@ def devices() -> Part:
 
     found = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()]
     facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
-    return Part("devices", f"{', '.join(found)}; {facts['cores']} CPU cores usable", facts)
+    text = f"{', '.join(found)}; {facts['cores']} CPU cores usable"
+    return Part("devices", text, facts, _unused_gpu() if facts["backend"] == "cpu" else ())
+
+
+def _unused_gpu() -> tuple[str, ...]:
+    """Return what keeps JAX from an NVIDIA GPU of this machine, where it has one and nobody asked for the CPU."""
+    if not NVIDIA.exists() or "cpu" in os.environ.get("JAX_PLATFORMS", "").lower():
+        return ()
+    plugins = [f"jax-cuda{major}-plugin" for major in (12, 13)]
+    if not any(_version(plugin) for plugin in plugins):
+        return ('an NVIDIA GPU is here and JAX has no plugin for it: python -m pip install "mjx-climb[cuda13]"',)
+    return ("an NVIDIA GPU is here, but JAX's plugin does not start: is the driver new enough for it?",)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def cache() -> Part:

@@ -78,6 +78,17 @@ def test_what_is_no_number_is_compared_too(doctor, monkeypatch, name, value):
     assert found["parts"]["walk"]["deviation"] == {"walk": None}
 
 
+def test_a_gpu_that_jax_does_not_use_is_seen(doctor, monkeypatch, tmp_path):
+    monkeypatch.setattr(diagnosis, "NVIDIA", tmp_path)
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    monkeypatch.setenv("JAX_PLATFORMS", "")
+    code, found = doctor()
+    assert (code, list(wrong(found))) == (1, ["devices"])
+    assert "mjx-climb[cuda13]" in found["parts"]["devices"]["findings"][0]
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    assert doctor()[0] == 0
+
+
 def test_a_cache_folder_that_cannot_be_written_is_seen(doctor, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "file" / "cache"))
