@@ -44,18 +44,6 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
     return "held all the way"
 
 
-def gains_of(trajectory: "mc.Trajectory") -> dict[str, Any] | None:
-    """Return the gains of a walk, None where its controller has none."""
-    if not trajectory.law and trajectory.scenario.control.controller == "pd":
-        return None
-    if not trajectory.law:
-        control = trajectory.scenario.control
-        return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")}
-    from tuning.gains.gains_file import by_name
-
-    return by_name(trajectory.gains)
-
-
 def plain_table(*columns: str) -> Table:
     """Return an empty table: words to the left, numbers to the right."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))

@@ -30,10 +30,11 @@ def tune_robustly(
 ) -> None:  # fmt: skip
     """Search, judge the result beside the config's gains and pd, and write both."""
     from mjx_climb import plots
-    from mjx_climb.files import dataset, scenario_files
+    from mjx_climb.files import dataset
     from mjx_climb.quantities.parameters import gains as gains_of
     from tuning.command_line import progress, report
     from tuning.gains import gains_file
+    from tuning.output import folder
     from tuning.report import ensemble_pictures, page, search_pictures
     from tuning.report import tune as pages
     from tuning.searches import finished_parts, robust
@@ -72,10 +73,10 @@ def tune_robustly(
         verdict = f"{judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}"
         with meter.stage("report", compiles=False):
             again = "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again"
+            origin = options.origin(name, again + options.engine_option(engine))
             written = pages.robust_page(
                 found, page.Table("On the walks of a fresh draw", *robust_rows(summed), 3), f"{verdict}.",
-                origin=options.origin(name, again + options.engine_option(engine),
-                                      scenario_files.portable_yaml(scenario, out)),
+                origin=folder.complete(origin, "", "", scenario, out),
                 pictures={"How the search converged.": out / "convergence.svg",
                           "Share of the fresh walks below a value.": out / "judged.svg"},
             )  # fmt: skip

@@ -117,7 +117,7 @@ def tune(
     """
     with options.reserved_stdout() as stdout:
         import mjx_climb as mc
-        from mjx_climb.files import dataset, scenario_files
+        from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import tuned
         from tuning.problem import ensemble as ensembles
@@ -186,7 +186,7 @@ def tune(
                 )
             again = f"mjx-climb tune config.yaml --search search.yaml{options.law_option(law)} --out again"
             again += options.engine_option(engine)
-            origin = options.origin(config.stem, again, scenario_files.portable_yaml(scenario, out))
+            origin = options.origin(config.stem, again)
             judged = tuned.write(found, out, law=user_law, origin=origin, engine=engine, stage=meter.stage)
             finished_parts.clear(out)
         except KeyboardInterrupt:

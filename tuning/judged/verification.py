@@ -11,7 +11,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.walk.metrics import FAILURES
-from tuning.gains.gains_file import OPTIONAL, applied, by_name
+from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
 from tuning.judged import maps, stability_limit
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
@@ -208,5 +208,4 @@ def _warnings(
 
 def tuned(found: Result) -> mc.Scenario:
     """Return the scenario with the gains of a result, of another law than its own those of the joint loop."""
-    gains = by_name(found.gains)
-    return applied(found.scenario, {n: v for n, v in gains.items() if found.law is None or n not in found.law.GAINS})
+    return replaced(found.scenario, found.law, found.gains)[0]

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.files import dataset, scenario_files
+from mjx_climb.files import dataset
 from tuning.gains import gains_file
-from tuning.gains.gains_file import by_name
 from tuning.judged import verification
 from tuning.judged.verification import Verification
+from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
 from tuning.problem.objectives import Judge
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
-from tuning.report.comparison import Compared
+from tuning.report.comparison import Compared, gains_of
 from tuning.report.numbers import to_json
 from tuning.searches.result import Result
 from tuning.searches.tune import problem_of
@@ -40,8 +40,7 @@ class Judged(NamedTuple):
 
 def write_settings(folder: Path, scenario: mc.Scenario, search_yaml: str) -> mc.Scenario:
     """Write what repeats a search, and return the scenario with the files that it names copied to the folder."""
-    scenario = scenario_files.copied(scenario, folder)
-    dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(scenario, folder))
+    scenario = write_config(scenario, folder)
     dataset.write_text_atomically(folder / "search.yaml", search_yaml)
     return scenario
 
@@ -78,7 +77,8 @@ def write(
     """
     scenario = write_settings(folder, found.scenario, found.search.to_yaml())
     again = "mjx-climb tune config.yaml --search search.yaml --out again"
-    origin = origin or page.Origin("Python", "tune(...)", again, scenario_files.portable_yaml(scenario, folder))
+    origin = complete(origin, "tune(...)", again, scenario, folder)
+    found = dataclasses.replace(found, scenario=scenario, history=made_from(found.history, scenario))
     comment = f"{found.search.method}, {found.search.space}, objective {found.value:.4f} (pd: 1)"
     write_found(found, folder, f"mjx-climb tune {origin.name}: {comment}", law)
     scenarios = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
@@ -92,9 +92,7 @@ def write(
         over = verification.map_of(found, progress=told, engine=engine)
     with stage("verification"):
         checked = verification.verify(found, metrics=metrics["tuned"], walks=over, function=function, engine=engine)
-    compared = {
-        name: (None if name == "pd" else _gains(walks[name]), metrics[name]) for name in ("tuned", "config", "pd")
-    }
+    compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in ("tuned", "config", "pd")}
     summary = _summary(found, checked, compared)
     dataset.write_text_atomically(folder / "summary.json", summary + "\n")
     captions = {
@@ -126,13 +124,10 @@ def write(
     return Judged(walks, compared, checked, outcome, summary)
 
 
-def _gains(trajectory: mc.Trajectory) -> dict[str, Any]:
-    """Return the gains of a walk, those of the joint loop last."""
-    control = trajectory.scenario.control
-    joint = {name: getattr(control, name) for name in ("kp", "kd")}
-    if trajectory.law:
-        return by_name(trajectory.gains) | joint
-    return {name: getattr(control, name) for name in ("inertia", "damping", "stiffness")} | joint
+def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
+    """Return the gains of a walk, those of the joint loop last; None where its controller has none."""
+    gains, control = gains_of(walk), walk.scenario.control
+    return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
 
 
 def _summary(found: Result, checked: Verification, compared: Compared) -> str:

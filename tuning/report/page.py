@@ -38,7 +38,7 @@ class Origin(NamedTuple):
     name: str  # of the config
     asked: str  # the command, as it was typed
     again: str  # the command that repeats it, in the folder of the report
-    config: str  # the scenario in full
+    config: str = ""  # the scenario in full
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,8 +11,8 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.rollouts.histories import LINES, histories
-from tuning.command_line.options import without_folders
 from tuning.judged import paper, verification
+from tuning.output.folder import without_folders
 from tuning.problem import search
 from tuning.report import comparison, explorer, page, reproduce, tune
 from tuning.report import pareto as pareto_page

@@ -9,6 +9,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.profiles import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import ensemble as ensembles
@@ -86,7 +87,7 @@ HARDWARE = {
 
 
 def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
-    scenario = mc.load_scenario(config_path("case_2.yaml"), hardware="dynamixel_x")
+    scenario = with_hardware(mc.load_scenario(config_path("case_2.yaml")), load_hardware("dynamixel_x"))
     own = jax.tree.map(np.asarray, mc.parameters(scenario))
     before = ensembles.draw(scenario, Ensemble(members=50))
     drawn = ensembles.draw(scenario, ensembles.make({"members": 50, "hardware": HARDWARE}))
