@@ -120,12 +120,12 @@ def warnings(margins: Mapping[str, Margin]) -> list[str]:
     lines = []
     for name, margin in margins.items():
         for what, reached in (("hold", margin.holds), ("stay better than pd", margin.better)):
-            if _reaches(name, reached, needed(name, margin)):
+            if reaches(name, reached, needed(name, margin.own)):
                 continue
             upto = "at no value" if reached is None else f"up to {with_unit(name, reached)} only"
             lines.append(
                 f"{QUANTITIES[name].title}: gains {what} {upto}, the hardware has {with_unit(name, margin.own)}, "
-                f"{with_unit(name, needed(name, margin))} would be safe"
+                f"{with_unit(name, needed(name, margin.own))} would be safe"
             )
             break
     return lines
@@ -144,7 +144,8 @@ def with_unit(quantity: str, value: float) -> str:
     return f"x {value:.2g}" if QUANTITIES[quantity].scales else f"{1e3 * value:.3g} ms"
 
 
-def _reaches(quantity: str, reached: float | None, wanted: float) -> bool:
+def reaches(quantity: str, reached: float | None, wanted: float) -> bool:
+    """Return whether a margin that reaches so far is as far as wanted or farther."""
     if reached is None:
         return False
     return reached <= wanted if QUANTITIES[quantity].scales else reached >= wanted
@@ -161,19 +162,21 @@ def own_value(scenario: mc.Scenario, quantity: str) -> float:
     }[quantity]
 
 
-def needed(quantity: str, margin: Margin) -> float:
-    """Return how far the gains should hold: half the joint gains, twice the delay or period of the hardware."""
-    return margin.own / FACTOR if QUANTITIES[quantity].scales else margin.own * FACTOR
+def needed(quantity: str, own: float) -> float:
+    """Return how far gains should hold: half the joint gains, twice the delay or period that the hardware has."""
+    return own / FACTOR if QUANTITIES[quantity].scales else own * FACTOR
 
 
 def values_of(scenario: mc.Scenario, quantity: str) -> np.ndarray:
     """Return the values (POINTS,) of a quantity that are walked, from good to bad, closer together where it is good."""
     step, own = scenario.time_step, own_value(scenario, quantity)
     if QUANTITIES[quantity].scales:
-        return np.geomspace(1.0, _WEAKEST, POINTS)
-    longest = _LONGEST_PERIOD if quantity == "control_period" else min(_LONGEST_DELAY, _MOST_SAMPLES * step)
-    longest = max(longest, 2 * FACTOR * own)
-    values = longest * np.linspace(0, 1, POINTS) ** 2
+        values = np.geomspace(1.0, _WEAKEST, POINTS)
+    else:
+        longest = _LONGEST_PERIOD if quantity == "control_period" else min(_LONGEST_DELAY, _MOST_SAMPLES * step)
+        values = max(longest, 2 * FACTOR * own) * np.linspace(0, 1, POINTS) ** 2
+    for wanted in (own, needed(quantity, own)):  # what is asked of gains is walked itself
+        values[np.abs(values - wanted).argmin()] = wanted
     return _whole_steps(values, step) if quantity == "control_period" else values
 
 

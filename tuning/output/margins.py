@@ -16,7 +16,7 @@ FILES = "margins.json, margins.nc, margins.png, .svg, .pdf"
 def summary(found: margins.Found) -> dict[str, Any]:
     """Return margins and warnings as plain data, SI units; `needed` is the hardware with a factor of two."""
     each = {
-        name: {**dataclasses.asdict(margin), "needed": margins.needed(name, margin)}
+        name: {**dataclasses.asdict(margin), "needed": margins.needed(name, margin.own)}
         for name, margin in found.margins.items()
     }
     return {"margins": each, "warnings": margins.warnings(found.margins)}

@@ -34,7 +34,7 @@ def plot_margins(walks: xr.Dataset, margins: dict[str, Margin], given: str = "gi
         figure = Figure(figsize=(2 * plots.COLUMN, 4.4), layout="constrained")
         for panel, (name, margin) in zip(figure.subplots(2, 2).flat, margins.items(), strict=True):
             _draw(panel, walks.sel(quantity=name), name, colors)
-            for value in {margin.own, needed(name, margin)}:
+            for value in {margin.own, needed(name, margin.own)}:
                 panel.axvline(value * _scale(name), color="0.5", linewidth=0.7, linestyle=":", zorder=0)
         handles = [Line2D([], [], color=colors[n], label=given if n == "given" else n) for n in names]
         for marker, label in ((_TORN, "gripper torn off"), (_DIVERGED, "diverged")):
