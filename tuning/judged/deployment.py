@@ -27,12 +27,9 @@ def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = 
             f"{source}: expected gains that are stable on the config's hardware, got a disturbance about the stance "
             f"that grows by {radius:.6f} a time step"
         )
-    found = margins.find(scenario, by_name(gains), engine=engine).margins
-    for name, margin in found.items():
-        if not margins.reaches(name, margin.holds, margin.own):
-            raise mc.ConfigError(
-                f"{source}: expected gains that hold on the config's hardware, got a walk that fails: "
-                f"{margins.QUANTITIES[name].title} may be up to {margins.in_words(name, margin, margin.holds)}, "
-                f"the hardware has {margins.with_unit(name, margin.own)}"
-            )
+    found = margins.find(scenario, by_name(gains), engine=engine)
+    if not found.holds:
+        raise mc.ConfigError(
+            f"{source}: expected gains that hold on the config's hardware, got a walk that loses a gripper or diverges"
+        )
     return margins.warnings(found)

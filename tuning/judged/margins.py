@@ -65,10 +65,12 @@ class Walker(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Margins by quantity, and all walks: by gains, quantity and point, each quantity from good to bad."""
+    """Margins by quantity, and what they were found from."""
 
     margins: dict[str, Margin]
-    walks: xr.Dataset
+    holds: bool  # on the scenario's own hardware: no gripper torn off, and nothing diverges
+    better: bool  # and less force variation than pd
+    walks: xr.Dataset  # by gains, quantity and point, each quantity from good to bad
 
 
 def find(
@@ -112,23 +114,30 @@ def find(
         values = some["value"].values
         holds, better = (_last_good(values, good) for good in _verdicts(some))
         margins[name] = Margin(own_value(scenario, name), holds, better, float(values[-1]))
-    return Found(margins, walks)
+    holds, better = (bool(good[0]) for good in _verdicts(coarse.sel(quantity="joint_gains")))  # all of them
+    return Found(margins, holds, better, walks)
 
 
-def warnings(margins: Mapping[str, Margin]) -> list[str]:
-    """Return in words which margins are less than the hardware with a factor of two."""
-    lines = []
-    for name, margin in margins.items():
-        for what, reached in (("hold", margin.holds), ("stay better than pd", margin.better)):
-            if reaches(name, reached, needed(name, margin.own)):
-                continue
-            upto = "at no value" if reached is None else f"up to {with_unit(name, reached)} only"
-            lines.append(
-                f"{QUANTITIES[name].title}: gains {what} {upto}, the hardware has {with_unit(name, margin.own)}, "
-                f"{with_unit(name, needed(name, margin.own))} would be safe"
-            )
-            break
+def warnings(found: Found) -> list[str]:
+    """Return in words what speaks against gains: no use on their hardware, or margins of less than twice as much."""
+    if not found.holds:
+        return ["on the hardware itself the walk fails: a gripper is torn off, or it diverges"]
+    lines = [] if found.better else ["on the hardware itself the force varies no less than under pd"]
+    for name, margin in found.margins.items():
+        wanted = needed(name, margin.own)
+        if not reaches(name, margin.holds, wanted):
+            failing = f"gains hold {_up_to(name, margin.holds)}"
+        elif found.better and not reaches(name, margin.better, wanted):
+            failing = f"gains stay better than pd {_up_to(name, margin.better)}"
+        else:
+            continue
+        own, safe = with_unit(name, margin.own), with_unit(name, wanted)
+        lines.append(f"{QUANTITIES[name].title}: {failing}, the hardware has {own}, {safe} would be safe")
     return lines
+
+
+def _up_to(quantity: str, reached: float | None) -> str:
+    return "at no value" if reached is None else f"up to {with_unit(quantity, reached)} only"
 
 
 def in_words(quantity: str, margin: Margin, reached: float | None) -> str:
