@@ -1,1 +1,25 @@
-"""Searches for admittance gains, and the command line on top of them."""
+"""Searches for admittance gains, and the command line on top of them.
+
+`tuning.sweep` and, in `tuning.tune`, `tune`: names are imported when they are first used, so that the command line
+starts at once.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tuning.searching import sweep
+
+__all__ = ["sweep"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module("tuning.searching"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

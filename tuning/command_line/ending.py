@@ -1,6 +1,9 @@
 """How a command ends when it does not end well: what the user did wrong, or that she stopped it."""
 
+import contextlib
 import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 
 class InputError(ValueError):
@@ -9,6 +12,36 @@ class InputError(ValueError):
 
 class Interrupted(Exception):
     """Ctrl-C, and what was kept."""
+
+
+class Kept:
+    """How much of a command's work is kept, counted as it goes on."""
+
+    def __init__(self, done: int = 0):
+        self.done = done
+
+    def told(self, show: Callable[..., None]) -> Callable[..., None]:
+        """Return a function that counts what `show` is told, its first argument."""
+
+        def counted(done: int, *rest: object) -> None:
+            self.done = done
+            show(done, *rest)
+
+        return counted
+
+
+@contextlib.contextmanager
+def kept_in(out: Path, what: str, done: int = 0) -> Iterator[Kept]:
+    """Say what is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
+
+    Raises:
+        Interrupted: in place of KeyboardInterrupt.
+    """
+    kept = Kept(done)
+    try:
+        yield kept
+    except KeyboardInterrupt:
+        raise Interrupted(f"{kept.done} {what} are kept in {out}; the same command goes on from there") from None
 
 
 _LONGEST = 1000  # characters

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
 
 import typer
 
@@ -71,6 +71,11 @@ Engine = Annotated[
         autocompletion=completion.engine,
     ),
 ]
+FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.plots`, which the command line does not wait for
+Figures = Annotated[
+    str,
+    typer.Option(metavar="LIST", help=f"Formats of the pictures, with commas: some of {', '.join(FORMATS)}."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
@@ -90,16 +95,23 @@ def _without_folder(argument: str) -> str:
     return f"{option}{equals}{value}"
 
 
-def without_folders(text: str) -> str:
-    """Return a text in which absolute paths have lost their folders: these belong to one machine."""
-    return re.sub(r"(?<![\w.:/-])(?:~|[A-Za-z]:)?[/\\](?:[^/\\\n'\"=]+[/\\])*(?=[^/\\\s])", "", text)
-
-
-def origin(name: str, again: str, config: str) -> "Origin":
-    """Return where a report comes from: see `tuning.report.page.Origin`."""
+def origin(name: str, again: str) -> "Origin":
+    """Return where a report comes from, but for the scenario: see `tuning.report.page.Origin`."""
     from tuning.report.page import Origin
 
-    return Origin(name, typed(), again, without_folders(config))
+    return Origin(name, typed(), again)
+
+
+def figures_from(text: str) -> tuple[str, ...]:
+    """Return the formats of `--figures`.
+
+    Raises:
+        InputError: another one.
+    """
+    formats = tuple(dict.fromkeys(name.strip().lower() for name in text.split(",")))
+    if unknown := [name for name in formats if name not in FORMATS]:
+        raise InputError(f"--figures: expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
+    return formats
 
 
 def scenario_from(
@@ -124,23 +136,39 @@ def scenario_from(
     return scenario
 
 
+def own_law(text: str | None) -> "mc.Law | None":
+    """Return the law of `--law`, None without one.
+
+    Raises:
+        ConfigError: no such law.
+    """
+    from tuning.gains import law_file
+
+    return None if text is None else law_file.load(text)
+
+
+def gains_from(file: Path | None, law: "mc.Law | None") -> "mc.Gains | dict[str, Any] | None":
+    """Return the values of `--gains`, None without one.
+
+    Raises:
+        ConfigError: no such file, or the gains of another law.
+    """
+    from tuning.gains import gains_file
+
+    return None if file is None else gains_file.load(file, law)
+
+
 def law_from(text: str | None, gains: Path | None, scenario: "mc.Scenario") -> "tuple[mc.Law | None, mc.Scenario]":
     """Return the law of `--law`, None without one, and the scenario, both with the values of a gains file.
 
     Raises:
         ConfigError: no such law, or the gains of another one.
     """
-    from mjx_climb.rollouts.given import with_gains
-    from tuning.gains import gains_file, law_file
+    from tuning.gains import gains_file
 
-    if text is None:
-        return None, scenario if gains is None else gains_file.applied(scenario, gains_file.load(gains))
-    law = law_file.load(text)
-    if gains is None:
-        return law, scenario
-    values = gains_file.load(gains, law)
-    joint = {name: value for name, value in values.items() if name not in law.GAINS}
-    return with_gains(law, values), gains_file.applied(scenario, joint)
+    law = own_law(text)
+    values = gains_from(gains, law)
+    return (law, scenario) if values is None else gains_file.replaced(scenario, law, values)[::-1]
 
 
 def law_name(law: "mc.Law | None", scenario: "mc.Scenario") -> str:

@@ -59,6 +59,7 @@ def pareto(
         from mjx_climb.files import dataset, scenario_files
         from tuning.command_line import progress, report
         from tuning.gains import gains_file
+        from tuning.output import folder
         from tuning.problem import search as settings
         from tuning.report import ensemble_pictures, page
         from tuning.report import pareto as pages
@@ -108,7 +109,7 @@ def pareto(
                     front, chosen, mc.rollout_histories(scenario, on_front, engine=engine),
                     {name: mc.rollout(s, engine=engine) for name, s in (("pd", pd), ("config", scenario))},
                     page.Table("The front", *front_rows(front, chosen), 1), scenario,
-                    origin=options.origin(config.stem, again, scenario_files.portable_yaml(scenario, out)),
+                    origin=folder.complete(options.origin(config.stem, again), "", "", scenario, out),
                     seed=wanted.seed,
                     pictures={"The front, and all that was walked on the way.": out / "front.svg"},
                 )  # fmt: skip

@@ -112,10 +112,8 @@ def reproduce(
                     ],
                     overall(found),
                     {heading.capitalize(): said for heading, said in sentences(found).items()},
-                    origin=options.origin(
-                        "the paper's cases",
-                        "mjx-climb reproduce --out again",
-                        "\n".join(f"# case {name}\n{scenario.to_yaml()}" for name, scenario in scenarios.items()),
+                    origin=options.origin("the paper's cases", "mjx-climb reproduce --out again")._replace(
+                        config="\n".join(f"# case {name}\n{scenario.to_yaml()}" for name, scenario in scenarios.items())
                     ),
                     pictures={
                         f"Case {name}: {case.title}; baseline and both readings of Eq. 3.": out / f"{stem(name)}.svg"

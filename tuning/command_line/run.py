@@ -53,6 +53,7 @@ def run(
         from mjx_climb.files import dataset, scenario_files
         from mjx_climb.robot.constants import load_robot
         from tuning.command_line import interruption, progress, report
+        from tuning.report.comparison import gains_of
 
         scenario = options.scenario_from(config, controller, changes, hardware)
         own, scenario = options.law_from(law, gains, scenario)
@@ -95,7 +96,7 @@ def run(
             tables.print(report.verdict(trajectory, metrics))
         else:
             both = [(n, walk, mc.metrics(walk)) for n, walk in zip(reversed(names), reversed(walks), strict=True)]
-            compared = {name: (report.gains_of(walk), values) for name, walk, values in both}
+            compared = {name: (gains_of(walk), values) for name, walk, values in both}
             tables.print(report.comparison_table(compared, baseline.control.controller, tables.width))
             for name, walk, values in both:
                 tables.print(f"{name}: {report.verdict(walk, values)}")

@@ -4,24 +4,21 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tuning.command_line import options
-from tuning.command_line.ending import InputError, Interrupted
+from tuning.command_line.ending import InputError, kept_in
 
 if TYPE_CHECKING:
     import numpy as np
-    import xarray as xr
 
     import mjx_climb as mc
-    from tuning.report.comparison import Compared
+    from tuning.output.swept import Judged
 
 LARGEST_AXIS = 100_000
 SMALLEST, LARGEST = 1e-30, 1e30  # what single precision holds, with room for squares of moderate gains
-# inertia, damping and stiffness of cases 1.1, 1.2 and 2
-PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 RANGE = "LOW:HIGH:COUNT"
 
 
@@ -62,16 +59,17 @@ def sweep(
         int | None,
         typer.Option(min=1, metavar="N", help="Robots that walk at a time.", show_default="parts of a few seconds"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
     """Walk a grid of stiffness and damping, or of two other gains, the same on all axes, in single precision.
 
     Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
-    side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a map of
-    each metric with the law's limit of stability (maps/, and maps.png, .svg, .pdf with the main ones), the three walks
-    over time (walks.png, .svg, .pdf), the table (comparison.json), the resolved scenario (config.yaml), and all of it
-    as a page for a browser (report.html).
+    side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a sheet with a
+    map of each metric and the law's limit of stability (maps.png), the table (comparison.json), the resolved scenario
+    (config.yaml), and all of it with the walks over time as a page for a browser (report.html). `mjx-climb plot DIR`
+    draws each of them by itself.
 
     Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
     gives the inertia and the joint gains of the grid, and a further walk to compare with.
@@ -84,20 +82,18 @@ def sweep(
     """
     axes = axes_from(stiffness, damping, axis)
     with options.reserved_stdout() as stdout:
-        import mjx_climb as mc
-        from mjx_climb.files import dataset, scenario_files
-        from mjx_climb.rollouts.given import with_gains
+        import tuning
         from tuning.command_line import progress, report
-        from tuning.judged import stability_limit
-        from tuning.report import page
-        from tuning.report import sweep as pages
-        from tuning.searches import finished_parts, grid
+        from tuning.gains.gains_file import replaced
+        from tuning.output import swept
+        from tuning.searches import grid
 
         begin = time.perf_counter()
-        own = options.scenario_from(config, controller, changes, hardware)
-        user_law, scenario = options.law_from(law, gains, own)
-        start, _ = options.law_from(law, None, own)
+        scenario = options.scenario_from(config, controller, changes, hardware)
+        user_law = options.own_law(law)
+        values = options.gains_from(gains, user_law)
         engine = options.engine_from(engine)
+        formats = options.figures_from(figures)
         if user_law is None and scenario.control.controller == "pd":
             raise InputError("--controller: expected a law with gains to sweep, got pd")
         try:
@@ -105,112 +101,41 @@ def sweep(
         except ValueError as error:
             raise InputError(str(error).replace("axes.", "--axis ", 1)) from None
         out = out or Path("results") / f"{config.stem}-sweep"
-        how: dict[str, Any] = {
-            "axes": axes, "law": user_law, "batch_size": batch_size, "engine": engine, "out": out,
-        }  # fmt: skip
-        kept, walks = grid.claim(scenario, **how), math.prod(map(len, axes.values()))
-        own, scenario = scenario_files.copied(own, out), scenario_files.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
-
+        walked, walking = (scenario, user_law) if values is None else replaced(scenario, user_law, values)
+        there = grid.claim(walked, axes=axes, law=walking, batch_size=batch_size, engine=engine, out=out)
         console = report.console(stderr=True)
-        console.print(_announcement(scenario, axes, kept), soft_wrap=True)
+        console.print(_announcement(walked, axes, there), soft_wrap=True)
         console.print(progress.cache_state(), soft_wrap=True)
         meter = progress.Meter(console)
 
-        def walked(done: int, total: int) -> None:
-            nonlocal kept
-            kept = done
-            show(done, total)
-
-        try:
-            names = {"config": own if gains is None else scenario}
-            if gains is not None:
-                names = {"gains file": scenario, "config": own}
-            names["pd"] = own.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
-            laws = {"config": start, "gains file": user_law, "pd": None}
-            trajectories = {}
-            for name in reversed(names):
-                with meter.stage(_label(name, own)):
-                    trajectories[name] = mc.rollout(names[name], law=laws[name], engine=engine)
-            with meter.stage("grid") as show:
-                result = grid.sweep(scenario, progress=walked, **how)
-            with meter.stage("stability limit"):
-                result["spectral_radius"] = stability_limit.over_map(scenario, result, law=user_law, engine=engine)
-            best = grid.best_cell(result)
-            if best is not None:
-                found = {name: best[name].item() for name in axes}
-                with meter.stage("best"):
-                    joint = {f"control.{n}": v for n, v in found.items() if user_law is None or n not in user_law.GAINS}
-                    own_gains = {n: v for n, v in found.items() if f"control.{n}" not in joint}
-                    winner = None if user_law is None else with_gains(user_law, own_gains)
-                    trajectories["best"] = mc.rollout(scenario.with_overrides(joint), law=winner, engine=engine)
-            order = [name for name in ("best", *names) if name in trajectories]
-            trajectories = {name: trajectories[name] for name in order}
-            compared = {
-                name: (report.gains_of(trajectory), mc.metrics(trajectory)) for name, trajectory in trajectories.items()
-            }
-            edges = [] if best is None else at_edge(result, best)
-            summary: dict[str, dict[str, Any] | None] = {"best": None}
-            summary |= {name: {"gains": values, "metrics": metrics} for name, (values, metrics) in compared.items()}
-            failed = (result["detached_limb"] >= 0) | result["diverged"].astype(bool)
-            summary["grid"] = {"walks": walks, "failed": int(failed.sum()), "best_at_edge_of": edges}
-            text = report.to_json(summary)
-            dataset.save(result, out / "sweep.nc")
-            dataset.write_text_atomically(out / "comparison.json", text + "\n")
-            marks = _marks(compared, own, axes)
-            with meter.stage("drawing", compiles=False):
-                _draw(result, trajectories, compared, own, marks, out)
-            if walks > grid.HISTORIES:
-                with meter.stage("histories"):
-                    histories = pages.with_histories(result, scenario, best, law=user_law, engine=engine)
-            else:
-                histories = result
-            with meter.stage("report", compiles=False):
-                written = pages.page(
-                    result,
-                    histories,
-                    {_label(name, own): walk for name, walk in trajectories.items()},
-                    {_label(name, own): walk for name, walk in compared.items()},
-                    marks,
-                    scenario,
-                    warnings=[f"The best lies on the edge of the grid: widen {_option(name)}." for name in edges],
-                    origin=options.origin(
-                        config.stem,
-                        _again(stiffness, damping, axis, law, batch_size, engine),
-                        scenario_files.portable_yaml(scenario, out),
-                    ),
-                    pictures={
-                        "The walks over time: red crosses mark a torn gripper, shading a disturbance.": out
-                        / "walks.svg",
-                        "All metrics over stiffness and damping; brighter is better.": out / "maps.svg",
-                    },
-                )
-                page.write(written, out)
-            finished_parts.clear(out)
-        except KeyboardInterrupt:
-            raise Interrupted(
-                f"{kept} of {walks} walks are kept in {out}; the same command goes on from there"
-            ) from None
+        walks = math.prod(map(len, axes.values()))
+        with kept_in(out, f"of {walks} walks", there) as kept:
+            with meter.stage("grid") as told:
+                found = tuning.sweep(
+                    scenario, axes, law=user_law, gains=values, engine=engine, batch_size=batch_size, out=out,
+                    progress=kept.told(told),
+                )  # fmt: skip
+            origin = options.origin(config.stem, _again(stiffness, damping, axis, law, batch_size, engine))
+            judged = found.write(out, origin=origin, figures=formats, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
-        columns = {_label(name, own): walk for name, walk in compared.items()}
-        tables.print(report.comparison_table(columns, "pd", tables.width))
-        if best is None:
-            tables.print(f"no walk of the grid held: all {walks} detached or diverged")
-        else:
-            tables.print(
-                f"best: {', '.join(f'{name} {best[name].item():.4g}' for name in axes)} "
-                f"({int(failed.sum())} of {walks} walks detached or diverged)"
-            )
-        for name in edges:
-            tables.print(f"the best lies on the edge of the grid: widen {_option(name)}")
-        console.print(
-            f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, sweep.nc, "
-            "maps.png, .svg, .pdf, maps/, walks.png, .svg, .pdf, comparison.json, config.yaml",
-            soft_wrap=True,
-        )
+        tables.print(report.comparison_table(judged.compared, "pd", tables.width))
+        for line in _outcome(judged, axes):
+            tables.print(line)
+        seconds = progress.duration(time.perf_counter() - begin)
+        console.print(f"written to {out} in {seconds}: {swept.FILES}", soft_wrap=True)
         if json:
-            print(text, file=stdout)
+            print(judged.summary, file=stdout)
+
+
+def _outcome(judged: "Judged", axes: Iterable[str]) -> list[str]:
+    """Return in lines what is best."""
+    walks = judged.data["diverged"].size
+    if judged.best is None:
+        return [f"no walk of the grid held: all {walks} detached or diverged"]
+    best = ", ".join(f"{name} {judged.best[name].item():.4g}" for name in axes)
+    edges = [f"the best lies on the edge of the grid: widen {_option(name)}" for name in judged.at_edge]
+    return [f"best: {best} ({judged.failed} of {walks} walks detached or diverged)", *edges]
 
 
 def axes_from(stiffness: str | None, damping: str | None, axis: list[str] | None) -> "dict[str, np.ndarray]":
@@ -274,11 +199,6 @@ def log_range(option: str, text: str) -> "np.ndarray":
     return values
 
 
-def at_edge(result: "xr.Dataset", best: "xr.Dataset") -> list[str]:
-    """Return the axes on whose end the best cell lies."""
-    return [str(n) for n in result["diverged"].dims if best[n].item() in result[n].values[[0, -1]]]
-
-
 def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", kept: int) -> str:
     import jax
 
@@ -287,25 +207,6 @@ def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", kep
     text = f"{walks} walks ({sizes}) of {scenario.steps} steps"
     text += f" on {jax.devices()[0].device_kind}"
     return text + (f"; {kept} are there already" if kept else "")
-
-
-def _label(name: str, own: "mc.Scenario") -> str:
-    """Return the name of a walk for people: the config's own gains are the paper's, or not."""
-    control = own.control
-    paper = (control.inertia, control.damping, control.stiffness) in PAPER
-    return "paper" if name == "config" and paper else name
-
-
-def _marks(compared: "Compared", own: "mc.Scenario", axes: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """Return the two gains of the walks that have one of each, by their name for people."""
-    import numpy as np
-
-    marks = {}
-    for name, (gains, _) in compared.items():
-        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes):
-            x, y = (float(np.ravel(gains[key])[0]) for key in axes)
-            marks[_label(name, own)] = x, y
-    return marks
 
 
 def _again(
@@ -321,31 +222,3 @@ def _again(
     chosen = "".join(f" --{name} {text}" for name, text in (("stiffness", stiffness), ("damping", damping)) if text)
     chosen += "".join(f" --axis {pair}" for pair in axis or ()) + options.law_option(law)
     return f"mjx-climb sweep config.yaml{chosen}{size}{options.engine_option(engine)} --out again"
-
-
-def _draw(
-    result: "xr.Dataset",
-    trajectories: "dict[str, mc.Trajectory]",
-    compared: "Compared",
-    own: "mc.Scenario",
-    marks: Mapping[str, tuple[float, float]],
-    out: Path,
-) -> None:
-    """Write the walks over time, and the maps on a sheet and one by one."""
-    import numpy as np
-
-    import mjx_climb as mc
-    from mjx_climb import plots
-
-    x, y = (str(name) for name in result["diverged"].dims)
-    walks = {_label(name, own): trajectories[name] for name in reversed(trajectories)}
-    metrics = [
-        name for name in mc.METRICS.names if name not in ("detached_limb", "diverged")
-    ]  # the hatching shows these
-    pd = {name: value for name, value in compared["pd"][1].items() if name in metrics and value is not None}
-
-    plots.save_figure(plots.plot_comparison(walks), out / "walks")
-    if known := [name for name in metrics if np.isfinite(result[name]).any()]:
-        plots.save_figure(plots.plot_maps(result, known, marks, baselines=pd, columns=3, x=x, y=y), out / "maps")
-    for name in metrics:
-        plots.save_figure(plots.plot_map(result, name, marks, baseline=pd.get(name), x=x, y=y), out / "maps" / name)

@@ -13,7 +13,7 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import write_text_atomically
-from mjx_climb.rollouts.given import AnyGains, checked_gains
+from mjx_climb.rollouts.given import AnyGains, checked_gains, with_gains
 from mjx_climb.scenario.messages import ConfigError, config_error
 from mjx_climb.scenario.model import overridden
 from mjx_climb.scenario.yaml_text import parse, read
@@ -97,3 +97,11 @@ def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
     """Return the scenario with these gains in its control section, as far as it has them."""
     values = {name: value for name, value in by_name(gains).items() if name in REQUIRED + OPTIONAL}
     return scenario.with_overrides({f"control.{key}": value for key, value in values.items()})
+
+
+def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tuple[mc.Scenario, mc.Law | None]:
+    """Return a scenario and a law of one's own (None: the scenario's) with some gains in place of theirs."""
+    values = by_name(gains)
+    if law is None:
+        return applied(scenario, values), None
+    return applied(scenario, {n: v for n, v in values.items() if n not in law.GAINS}), with_gains(law, values)

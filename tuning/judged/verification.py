@@ -11,7 +11,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.walk.metrics import FAILURES
-from tuning.gains.gains_file import applied, by_name
+from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
 from tuning.judged import maps, stability_limit
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
@@ -23,7 +23,6 @@ from tuning.searches.tune import problem_of
 STEP = 0.2  # relative change of a gain
 PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
 UNRESPONSIVE = 1e-3  # largest relative change of any metric
-BINDING = 1.25  # margins of a limit: as near to it, it is what holds the search there
 GRID = 12  # cells along each axis of the map
 
 
@@ -70,9 +69,11 @@ def map_of(
     if len(box) < 2 or (found.law is None and set(box) != {"stiffness", "damping"}):
         return None
     how: dict[str, Any] = {"law": found.law, "engine": engine}
-    walks = grid.sweep(found.scenario, axes=box, progress=progress, metrics=found.judged_by, **how)
+    joint = {name: value for name, value in by_name(found.gains).items() if name in OPTIONAL}
+    around = applied(found.scenario, joint)  # of the joint loop as it was found
+    walks = grid.sweep(around, axes=box, progress=progress, metrics=found.judged_by, **how)
     judged = maps.with_objective(walks, found.scenario, found.search, metrics=found.judged_by, **how)
-    return maps.with_stability(judged, found.scenario, **how)
+    return maps.with_stability(judged, around, **how)
 
 
 def verify(
@@ -164,7 +165,7 @@ def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     near = []
     for limit in objective.limits:
         value = metrics[limit.metric]
-        if value is not None and -BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
+        if value is not None and -objectives.BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
             near.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
     return near
 
@@ -207,5 +208,4 @@ def _warnings(
 
 def tuned(found: Result) -> mc.Scenario:
     """Return the scenario with the gains of a result, of another law than its own those of the joint loop."""
-    gains = by_name(found.gains)
-    return applied(found.scenario, {n: v for n, v in gains.items() if found.law is None or n not in found.law.GAINS})
+    return replaced(found.scenario, found.law, found.gains)[0]

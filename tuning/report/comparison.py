@@ -3,12 +3,21 @@
 from collections.abc import Mapping
 from typing import Any
 
-from mjx_climb import METRICS, MetricTable
+from mjx_climb import METRICS, Gains, MetricTable, Trajectory
+from tuning.gains.gains_file import by_name
 from tuning.report.numbers import axis_values, change, gain, gain_units, number, unit
 from tuning.report.page import Table
 
 Values = Mapping[str, Any]
 Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
+
+
+def gains_of(walk: Trajectory) -> dict[str, Any] | None:
+    """Return the gains of a walk as they were given, None where its controller has none."""
+    if walk.law:
+        return by_name(walk.gains)
+    control = walk.scenario.control
+    return None if control.controller == "pd" else {name: getattr(control, name) for name in Gains.AXES}
 
 
 def table(compared: Compared, caption: str, about: MetricTable = METRICS) -> Table:

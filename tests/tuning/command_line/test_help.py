@@ -17,7 +17,7 @@ from tuning.problem import search
 
 ROOT = Path(__file__).parents[3]
 COMMANDS = [command.name for command in app.registered_commands]
-HEAVY = {"jax", "numpy", "matplotlib", "xarray", "mujoco", "mjx_climb", "yaml"}
+HEAVY = {"jax", "numpy", "matplotlib", "xarray", "mujoco", "yaml"}
 
 
 @pytest.fixture

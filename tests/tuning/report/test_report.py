@@ -11,8 +11,8 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.rollouts.histories import LINES, histories
-from tuning.command_line.options import without_folders
 from tuning.judged import paper, verification
+from tuning.output.folder import without_folders
 from tuning.problem import search
 from tuning.report import comparison, explorer, page, reproduce, tune
 from tuning.report import pareto as pareto_page
@@ -312,15 +312,6 @@ def test_a_coarser_grid_keeps_what_it_must():
     assert 31 in rows["stiffness"] and 4 in rows["damping"]
     assert rows["stiffness"][0] == 0 and rows["stiffness"][-1] == 47
     assert (np.diff(rows["stiffness"]) > 0).all()
-
-
-def test_pictures_of_one_page_keep_their_own_names():
-    parts = '<g id="a"/><g id="b"/><g id="b"/><use href="#a"/><g clip-path="url(#a)"/>'
-    svg = f'<?xml version="1.0"?><svg><metadata>x</metadata>{parts}</svg>'
-    text = page.inline_svg(svg, "p1-", 'a "b" < c')
-    assert 'id="p1-a"' in text and 'href="#p1-a"' in text and "url(#p1-a)" in text
-    assert "metadata" not in text and "&#34;b&#34; &lt; c" in text
-    assert 'b"/>' not in text  # nothing points at it
 
 
 def test_words_say_which_way_a_metric_went():

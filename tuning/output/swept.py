@@ -1,0 +1,188 @@
+"""A sweep, and what it leaves in a folder: the grid, its maps, the walks that matter beside it, and the report."""
+
+import dataclasses
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import mjx_climb as mc
+from mjx_climb import plots
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.files import dataset, scenario_files
+from mjx_climb.rollouts.given import AnyGains
+from tuning.gains.gains_file import replaced
+from tuning.judged import stability_limit
+from tuning.output.folder import complete, made_from, write_config
+from tuning.output.stages import Stage, silent
+from tuning.report import page
+from tuning.report import sweep as pages
+from tuning.report.comparison import Compared, gains_of
+from tuning.report.explorer import axes_of
+from tuning.report.numbers import to_json
+from tuning.searches import finished_parts, grid
+
+FILES = "report.html, sweep.nc, maps.png, comparison.json, config.yaml"
+GIVEN = "gains file"  # the name of a walk with gains that are not the config's
+# inertia, damping and stiffness of cases 1.1, 1.2 and 2
+PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
+HATCHED = ("detached_limb", "diverged")  # shown on every map
+CAPTION = "All metrics over both gains; brighter is better."
+
+
+@dataclasses.dataclass(frozen=True)
+class Swept:
+    """A grid of walks over two gains, and what made it."""
+
+    data: xr.Dataset  # see `tuning.searches.grid.sweep`
+    scenario: mc.Scenario
+    law: mc.Law | None = None  # the scenario's where None
+    gains: AnyGains | None = None  # in place of the scenario's or the law's own
+    metrics: mc.MetricTable = mc.METRICS
+    engine: str = DEFAULT_ENGINE
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of both gains, that of the horizontal axis first."""
+        return axes_of(self.data)
+
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: page.Origin | None = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
+    ) -> "Judged":
+        """Walk the best, the scenario's own gains and pd, and write what `mjx-climb sweep` writes.
+
+        Arguments:
+            folder: where to; it is made. Parts that `tuning.sweep(out=folder)` kept there are removed.
+            origin: what the report says of where it comes from.
+            figures: formats of the sheet of maps, of `mjx_climb.plots.FORMATS`; the report holds it as PNG anyway.
+            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+
+        Returns:
+            The walks, their metrics side by side, and the grid with the limit of stability.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        folder = Path(folder)
+        walked = write_config(self.walker()[0], folder)
+        own = scenario_files.copied(self.scenario, folder)
+        found = dataclasses.replace(self, scenario=own, data=made_from(self.data, walked))
+        judged = judge(found, stage)
+        dataset.save(judged.data, folder / "sweep.nc")
+        dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
+        with stage("drawing", compiles=False):
+            plots.save_figure(sheet(judged.data, judged.compared), folder / "maps", {"png", *figures})
+        histories = judged.data
+        if judged.data["diverged"].size > grid.HISTORIES:
+            with stage("histories"):
+                histories = _histories(found, judged)
+        with stage("report", compiles=False):
+            again = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {_listed(self.data)}).write("again")'
+            origin = complete(origin, "tuning.sweep(...)", again, walked, folder)
+            page.write(_page(found, judged, histories, origin, folder), folder)
+        finished_parts.clear(folder)
+        return judged
+
+    def walker(self, gains: AnyGains | None = None) -> tuple[mc.Scenario, mc.Law | None]:
+        """Return scenario and law of the grid, with further gains in place of theirs."""
+        walked = (self.scenario, self.law) if self.gains is None else replaced(self.scenario, self.law, self.gains)
+        return walked if gains is None else replaced(*walked, gains)
+
+
+class Judged(NamedTuple):
+    """The best walk of a grid beside the scenario's own gains and pd, walked in double precision."""
+
+    data: xr.Dataset  # the grid, with the limit of stability
+    best: xr.Dataset | None  # its cell, None where all failed
+    walks: Mapping[str, mc.Trajectory]  # best, gains file, config (or paper) and pd, as far as there are such
+    compared: Compared  # gains and metrics of these
+    failed: int  # walks of the grid
+    at_edge: list[str]  # gains whose end of the axis the best cell lies on
+    summary: str  # all of it, JSON
+
+
+def judge(found: Swept, stage: Stage = silent) -> Judged:
+    """Walk what the grid is compared with, and work out its limit of stability."""
+    best = grid.best_cell(found.data)
+    config = "paper" if _is_the_papers(found) else "config"
+    pd = found.scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {"pd": (pd, None), config: (found.scenario, found.law)}
+    if found.gains is not None:
+        walkers[GIVEN] = found.walker()
+    if best is not None:
+        walkers["best"] = found.walker({name: best[name].item() for name in found.axes})
+    walks = {}
+    for name, (scenario, law) in walkers.items():
+        with stage(name):
+            walks[name] = mc.rollout(scenario, law=law, engine=found.engine)
+    walks = dict(reversed(list(walks.items())))
+    with stage("stability limit"):
+        scenario, law = found.walker()
+        radius = stability_limit.over_map(scenario, found.data, law=law, engine=found.engine)
+    compared = {name: (gains_of(walk), mc.metrics(walk, found.metrics)) for name, walk in walks.items()}
+    data = found.data.assign(spectral_radius=radius)
+    failed = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
+    edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
+    summary = _summary(compared, {"walks": data["diverged"].size, "failed": failed, "best_at_edge_of": edges})
+    return Judged(data, best, walks, compared, failed, edges, summary)
+
+
+def _is_the_papers(found: Swept) -> bool:
+    control = found.scenario.control
+    return found.law is None and (control.inertia, control.damping, control.stiffness) in PAPER
+
+
+def _summary(compared: Compared, counts: Mapping[str, Any]) -> str:
+    walks = {
+        "config" if name == "paper" else name: {"gains": gains, "metrics": metrics}
+        for name, (gains, metrics) in compared.items()
+    }
+    return to_json({"best": None} | walks | {"grid": counts})
+
+
+def sheet(data: xr.Dataset, compared: Compared) -> Figure:
+    """Draw the maps of all metrics that have values, with the gains and with pd's values to compare with."""
+    x, y = axes_of(data)
+    metrics = [str(n) for n, v in data.items() if "larger_is_better" in v.attrs and n not in HATCHED]
+    known = [name for name in metrics if np.isfinite(data[name]).any()]
+    baselines = {name: value for name, value in compared["pd"][1].items() if value is not None}
+    return plots.plot_maps(data, known, marks(data, compared), baselines=baselines, columns=3, x=x, y=y)
+
+
+def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]]:
+    """Return the two gains of the walks that have one of each."""
+    found = {}
+    for name, (gains, _) in compared.items():
+        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes_of(data)):
+            x, y = (float(np.ravel(gains[key])[0]) for key in axes_of(data))
+            found[name] = x, y
+    return found
+
+
+def _histories(found: Swept, judged: Judged) -> xr.Dataset:
+    scenario, law = found.walker()
+    how: dict[str, Any] = {"law": law, "engine": found.engine, "metrics": found.metrics}
+    return pages.with_histories(judged.data, scenario, judged.best, **how)
+
+
+def _page(found: Swept, judged: Judged, histories: xr.Dataset, origin: page.Origin, folder: Path) -> page.Page:
+    return pages.page(
+        judged.data, histories, judged.walks, judged.compared, marks(judged.data, judged.compared), found.walker()[0],
+        warnings=[f"The best lies on the edge of the grid: widen {name}." for name in judged.at_edge],
+        origin=origin,
+        pictures={CAPTION: folder / "maps.png"},
+        about=found.metrics,
+    )  # fmt: skip
+
+
+def _listed(data: xr.Dataset) -> dict[str, list[float]]:
+    return {name: [float(f"{value:.6g}") for value in data[name].values] for name in axes_of(data)}
