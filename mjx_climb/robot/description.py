@@ -10,6 +10,7 @@ from mjx_climb.mujoco_import import mujoco
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
+FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
 SPECK = 1e-10  # kg, kg m^2: of links without a mass, as many a file has them between two joints
 _DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes")
 

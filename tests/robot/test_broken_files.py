@@ -1,4 +1,4 @@
-"""Broken robot files, two hundred of them: each is refused in one line that says where and which element, exit code 2."""
+"""Two hundred broken robot files: each is refused in one line that says where and which element, exit code 2."""
 
 import re
 
