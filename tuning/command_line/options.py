@@ -159,7 +159,9 @@ def law_name(law: "mc.Law | None", scenario: "mc.Scenario") -> str:
     return scenario.control.controller if law is None else type(law).__name__
 
 
-def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", config: Path) -> "Search":
+def search_from(
+    file: Path | None, space: str | None, scenario: "mc.Scenario", config: Path, law: "mc.Law | None" = None
+) -> "Search":
     """Return the settings of a search from its file and `--space`, checked against the scenario.
 
     Raises:
@@ -171,7 +173,7 @@ def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", c
     own = settings.Search() if file is None else settings.load(file)
     settings.check_metrics(own, METRICS, str(file))
     wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-    check_space(scenario, wanted, config, file)
+    check_space(scenario, wanted, config, file, law)
     return wanted
 
 

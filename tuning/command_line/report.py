@@ -12,6 +12,7 @@ from tuning.report.numbers import axis_values, change, gain, gain_units, number,
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from tuning.report import page
     from tuning.report.comparison import Compared
 
 __all__ = ["change", "gain", "number", "to_json", "unit"]
@@ -50,6 +51,17 @@ def plain_table(*columns: str) -> Table:
     for name in columns:
         left = name in ("", "metric", "unit")
         table.add_column(name, justify="left" if left else "right", no_wrap=True)
+    return table
+
+
+def from_page(made: "page.Table") -> Table:
+    """Return a table of a report for the terminal."""
+    table = plain_table(*made.columns)
+    for place, column in enumerate(table.columns):
+        column.justify = "left" if place < made.words else "right"
+    for _, rows in made.sections:
+        for row in rows:
+            table.add_row(*row, end_section=row is rows[-1])
     return table
 
 

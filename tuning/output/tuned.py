@@ -1,31 +1,38 @@
 """What a search for gains leaves in a folder: gains, all that was judged, verification, map, pictures and report."""
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
+
+import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from tuning.gains import gains_file
 from tuning.judged import verification
 from tuning.judged.verification import Verification
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
-from tuning.problem.objectives import Judge
+from tuning.problem.evaluation import Problem
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
 from tuning.report.numbers import to_json
+from tuning.searches import finished_parts
 from tuning.searches.result import Result
-from tuning.searches.tune import problem_of
 
 FILES = (
     "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), "
     "config.yaml, search.yaml"
 )
+CAPTIONS = {
+    "convergence": "How the search converged.",
+    "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
+    "path": "The way of the search over the map; the red line is the limit of stability.",
+}
 
 
 class Judged(NamedTuple):
@@ -33,95 +40,104 @@ class Judged(NamedTuple):
 
     walks: Mapping[str, mc.Trajectory]  # pd, config, tuned
     compared: Compared  # tuned, config, pd
+    over: xr.Dataset | None  # the map around it
     checked: Verification
     outcome: list[str]  # of the tests, in lines
     summary: str  # all of it, JSON
+    files: str = FILES  # that are written
 
 
-def write_settings(folder: Path, scenario: mc.Scenario, search_yaml: str) -> mc.Scenario:
-    """Write what repeats a search, and return the scenario with the files that it names copied to the folder."""
-    scenario = write_config(scenario, folder)
-    dataset.write_text_atomically(folder / "search.yaml", search_yaml)
-    return scenario
+@dataclasses.dataclass(frozen=True)
+class Tuned(Result):
+    """The result of a search for gains, and what was searched."""
+
+    problem: Problem = dataclasses.field(kw_only=True)
+
+    def write(
+        self, folder: str | os.PathLike[str], *, origin: page.Origin | None = None, stage: Stage = silent
+    ) -> Judged:
+        """Walk, test and draw the result, and write what `mjx-climb tune` writes: gains, map, pictures, report.
+
+        Arguments:
+            folder: where to; it is made. Rounds that `tune(out=folder)` kept there are removed.
+            origin: what the report says of where it comes from.
+            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+
+        Returns:
+            The walks, their metrics side by side and the outcome of the tests.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        folder = Path(folder)
+        found = self.write_found(folder, "from Python" if origin is None else origin.name)
+        again = "mjx-climb tune config.yaml --search search.yaml --out again"
+        origin = complete(origin, "tune(...)", again, found.scenario, folder)
+        judged = judge(found, stage)
+        dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
+        if judged.over is not None:
+            dataset.save(judged.over, folder / "map.nc")
+        with stage("drawing", compiles=False):
+            pictures = _draw(found, judged, folder)
+        with stage("report", compiles=False):
+            shown = {name: judged.walks[name] for name in judged.compared}
+            written = pages.page(
+                found, judged.checked, judged.over, shown, judged.compared,
+                outcome=[line[0].upper() + line[1:] for line in judged.outcome],
+                origin=origin,
+                pictures=pictures,
+            )  # fmt: skip
+            page.write(written, folder)
+        finished_parts.clear(folder)
+        return judged
+
+    def write_found(self, folder: Path, name: str) -> Self:
+        """Write scenario, settings, gains and all that was judged, without walking anything.
+
+        Returns:
+            The result, of the scenario with the files that it names copied to the folder.
+        """
+        scenario = write_config(self.scenario, folder)
+        found = dataclasses.replace(self, scenario=scenario, history=made_from(self.history, scenario))
+        dataset.write_text_atomically(folder / "search.yaml", self.search.to_yaml())
+        comment = f"{self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
+        gains_file.save(self.gains, folder / "gains.yaml", f"mjx-climb tune {name}: {comment}", self.problem.law)
+        found.save(folder / "search.nc")
+        return found
 
 
-def write_found(found: Result, folder: Path, comment: str, law: mc.Law | None = None) -> None:
-    """Write the gains (gains.yaml) and all that was judged (search.nc), without walking anything."""
-    gains_file.save(found.gains, folder / "gains.yaml", comment, law)
-    found.save(folder / "search.nc")
-
-
-def write(
-    found: Result,
-    folder: Path,
-    *,
-    law: mc.Law | None = None,
-    origin: page.Origin | None = None,
-    function: Judge | None = None,
-    engine: str = DEFAULT_ENGINE,
-    stage: Stage = silent,
-) -> Judged:
-    """Walk, test and draw a result, and write all of it with the report.
-
-    Arguments:
-        found: the result.
-        folder: where to.
-        law: the one whose gains were searched, as it was before, where it is not the scenario's.
-        origin: what the report says of where it comes from.
-        function: the objective of the user's own, where the search had one.
-        engine: the dynamics.
-        stage: told what goes on, see `tuning.output.stages`.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
-    scenario = write_settings(folder, found.scenario, found.search.to_yaml())
-    again = "mjx-climb tune config.yaml --search search.yaml --out again"
-    origin = complete(origin, "tune(...)", again, scenario, folder)
-    found = dataclasses.replace(found, scenario=scenario, history=made_from(found.history, scenario))
-    comment = f"{found.search.method}, {found.search.space}, objective {found.value:.4f} (pd: 1)"
-    write_found(found, folder, f"mjx-climb tune {origin.name}: {comment}", law)
-    scenarios = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
-    scenarios |= {"config": scenario, "tuned": verification.tuned(found)}
-    laws, walks = {"config": law, "tuned": found.law}, {}
-    for name, walked in scenarios.items():
+def judge(found: Tuned, stage: Stage = silent) -> Judged:
+    """Walk a result, what it is compared with and the map around it, and test it."""
+    scenario, problem = found.scenario, found.problem
+    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    walkers = {"pd": (pd, None), "config": (scenario, problem.law), "tuned": (verification.tuned(found), found.law)}
+    walks = {}
+    for name, (walked, law) in walkers.items():
         with stage(name):
-            walks[name] = mc.rollout(walked, law=laws.get(name), engine=engine)
+            walks[name] = mc.rollout(walked, law=law, engine=problem.engine)
     metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
     with stage("map") as told:
-        over = verification.map_of(found, progress=told, engine=engine)
+        over = verification.map_of(found, problem, progress=told)
     with stage("verification"):
-        checked = verification.verify(found, metrics=metrics["tuned"], walks=over, function=function, engine=engine)
+        checked = verification.verify(found, problem, metrics=metrics["tuned"], walks=over)
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in ("tuned", "config", "pd")}
-    summary = _summary(found, checked, compared)
-    dataset.write_text_atomically(folder / "summary.json", summary + "\n")
-    captions = {
-        "convergence": "How the search converged.",
-        "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
-        "path": "The way of the search over the map; the red line is the limit of stability.",
-    }
-    with stage("drawing", compiles=False):
-        figures = {"convergence": search_pictures.plot_convergence(found), "walks": plots.plot_comparison(walks)}
-        if over is not None:
-            dataset.save(over, folder / "map.nc")
-            figures["path"] = search_pictures.plot_path(found, over)
-        for name, figure in figures.items():
-            plots.save_figure(figure, folder / name)
     outcome = outcome_of(checked, found)
-    target = problem_of(
-        found.scenario, found.search, function, engine=engine, law=found.law, metrics=found.judged_by
-    ).objective
-    if broken := verification.broken_limits(target, metrics["config"]):
+    if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
-    with stage("report", compiles=False):
-        written = pages.page(
-            found, checked, over, {name: walks[name] for name in compared}, compared,
-            outcome=[line[0].upper() + line[1:] for line in outcome],
-            origin=origin,
-            pictures={captions[name]: folder / f"{name}.svg" for name in figures},
-        )  # fmt: skip
-        page.write(written, folder)
-    return Judged(walks, compared, checked, outcome, summary)
+    return Judged(walks, compared, over, checked, outcome, _summary(found, checked, compared))
+
+
+def _draw(found: Result, judged: Judged, folder: Path) -> dict[str, Path]:
+    """Draw the pictures of a result and return the files of the page by their captions."""
+    figures = {
+        "convergence": search_pictures.plot_convergence(found),
+        "walks": plots.plot_comparison(judged.walks),
+    }
+    if judged.over is not None:
+        figures["path"] = search_pictures.plot_path(found, judged.over)
+    for name, figure in figures.items():
+        plots.save_figure(figure, folder / name)
+    return {CAPTIONS[name]: folder / f"{name}.svg" for name in figures}
 
 
 def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:

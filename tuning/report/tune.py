@@ -95,33 +95,6 @@ def page(
     )
 
 
-def robust_page(
-    found: Result,
-    table: Table,
-    verdict: str,
-    *,
-    origin: Origin,
-    pictures: Mapping[str, Path],
-) -> Page:
-    """Return the page of a search over an ensemble; `table` judges its result on walks that the search never saw."""
-    gains = by_name(found.gains)
-    own = found.scenario.control
-    config_gains = {key: getattr(own, key) for key in mc.Gains.AXES}
-    rivals: comparison.Compared = {"robust": (gains, {})}
-    rivals = rivals if found.law else {**rivals, "config": (config_gains, {})}
-    return Page(
-        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
-        origin=origin,
-        verdict=verdict,
-        notes=[] if found.feasible else ["No gains kept every limit in every member of the search."],
-        scenario=found.scenario,
-        explorers=[],
-        tables=[table, comparison.gains_table(rivals)],
-        pictures=pictures,
-        facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
-    )
-
-
 def _mean(gain: ArrayLike) -> float:
     """Return the geometric mean over the axes."""
     return float(np.exp(np.mean(np.log(gain))))

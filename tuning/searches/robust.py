@@ -1,7 +1,6 @@
 """Robust tuning: gains for an ensemble of walks, judged on a draw that the search never saw."""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -25,6 +24,7 @@ from tuning.problem import ensemble as ensembles
 from tuning.problem import objectives
 from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble, Worst
+from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Limit, Metrics, Score
 from tuning.problem.search import WEIGHTS, Search
 from tuning.searches import tune
@@ -198,36 +198,42 @@ def search(
 
     Where no weights are given, those of a plain search and the peak pulling force count alike.
     """
-    if settings is None and "weights" not in changes:
-        changes["weights"] = ROBUST_WEIGHTS
-    settings = tune.changed(settings, changes)
-    table = tune.complete(metrics)
-    target, numbers = goal(scenario, ensemble, settings, engine, table), ensembles.draw(scenario, ensemble)
-    how: dict[str, Any] = {"law": law, "metrics": table, "engine": engine, "out": out, "progress": progress}
-    return tune.tune(scenario, settings, objective=target, numbers=numbers, **how)
+    settings = settled(settings, changes)
+    problem = problem_of(scenario, ensemble, settings, metrics=metrics, law=law, engine=engine)
+    return tune.run(problem, settings, out=out, progress=progress)
 
 
-def goal(
+def settled(settings: Search | None, changes: Mapping[str, Any]) -> Search:
+    """Return settings with some keys replaced; without any, those of a robust search.
+
+    Raises:
+        ConfigError: settings that make no sense.
+    """
+    if settings is None:
+        changes = {"weights": ROBUST_WEIGHTS, **changes}
+    return tune.changed(settings, changes)
+
+
+def problem_of(
     scenario: mc.Scenario,
     ensemble: Ensemble,
     settings: Search,
+    *,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
-    metrics: mc.MetricTable = mc.METRICS,
-) -> RobustObjective:
-    """Return what a search over an ensemble minimises; pd walks through the members first.
+) -> Problem:
+    """Return what a search over an ensemble searches; pd walks through the members first.
 
     Raises:
-        ConfigError: see `objective`.
+        ConfigError: see `objective`, and settings that make no sense for the scenario.
     """
-    search_settings.check_metrics(settings, metrics)
-    return objective(scenario, settings, ensemble, _baseline(scenario, ensemble, engine, metrics), metrics)
-
-
-@functools.lru_cache(maxsize=8)
-def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str, metrics: mc.MetricTable) -> dict[str, np.ndarray]:
-    """Return the metrics (members,) of pd with their smooth companions."""
-    walked = pd_of(scenario, ensembles.draw(scenario, ensemble), engine=engine, metrics=metrics)
-    return {name: value.reshape(-1) for name, value in walked.items()}
+    table, numbers = tune.complete(metrics), ensembles.draw(scenario, ensemble)
+    search_settings.check_metrics(settings, table)
+    walked = pd_of(scenario, numbers, engine=engine, metrics=table)
+    pd = {name: value.reshape(-1) for name, value in walked.items()}
+    target = objective(scenario, settings, ensemble, pd, table)
+    return tune.problem_of(scenario, settings, target, numbers, engine, law=law, metrics=table)
 
 
 def judge(
