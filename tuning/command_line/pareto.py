@@ -29,6 +29,7 @@ def pareto(
     controller: options.Controller = None,
     changes: options.Set = None,
     law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-pareto")
     ] = None,
@@ -42,7 +43,7 @@ def pareto(
     the knee (gains.yaml), the front as JSON (summary.json), and all of it as a page for a browser (report.html).
     Finished rounds are kept: after Ctrl-C the same command goes on.
 
-    METRIC is any number that run prints, detached_at apart.
+    METRIC is any number that run prints, detached_at apart, or one of --metric.
 
     \b
     Examples:
@@ -50,7 +51,6 @@ def pareto(
       mjx-climb pareto case_2 --against cost_of_transport --space split
     """
     with options.reserved_stdout() as stdout:
-        import mjx_climb as mc
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import pareto as output
@@ -62,9 +62,10 @@ def pareto(
         scenario = options.scenario_from(config, controller, changes)
         user_law = options.own_law(law)
         engine = options.engine_from(engine)
-        wanted = options.search_from(search, space, scenario, config, user_law)
-        for option, metric in (("--better", better), ("--against", against)):
-            settings.check_metrics(settings.make({"weights": {metric: 1.0}}), mc.METRICS, option)
+        table = options.metrics_from(metric)
+        wanted = options.search_from(search, space, scenario, config, user_law, table)
+        for option, name in (("--better", better), ("--against", against)):
+            settings.check_metrics(settings.make({"weights": {name: 1.0}}), table, option)
         if better == against:
             raise InputError(f"--against: expected another metric than {better}")
         out = out or Path("results") / f"{config.stem}-pareto"
@@ -72,16 +73,18 @@ def pareto(
         console = report.console(stderr=True)
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing("--better"):
-            asked = fronts.trade(scenario, wanted, better=better, against=against, law=user_law, engine=engine)
+            asked = fronts.trade(
+                scenario, wanted, better=better, against=against, law=user_law, metrics=table, engine=engine
+            )
         with kept_in(out, "rounds") as kept:
             with meter.stage("front", unit="rounds") as show:
                 front = output.Front(fronts.run(asked, points, out=out, progress=kept.phases(show)), asked)
             again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
-            again += f"--points {points}{options.law_option(law)}{options.engine_option(engine)} --out again"
+            again += f"--points {points}{options.own_options(law, metric)}{options.engine_option(engine)} --out again"
             front.write(out, origin=options.origin(config.stem, again), stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
-        tables.print(report.from_page(front_table(front.data, front.knee)))
+        tables.print(report.from_page(front_table(front.data, front.knee, table)))
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(f"written to {out} in {seconds}: {output.FILES}", soft_wrap=True)
         if json:

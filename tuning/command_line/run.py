@@ -15,6 +15,7 @@ def run(
     changes: options.Set = None,
     gains: options.GainsFile = None,
     law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-<controller>"),
@@ -58,7 +59,7 @@ def run(
         scenario = options.scenario_from(config, controller, changes, hardware)
         own, scenario = options.law_from(law, gains, scenario)
         name = options.law_name(own, scenario)
-        engine = options.engine_from(engine)
+        engine, table = options.engine_from(engine), options.metrics_from(metric)
         load_robot(scenario.robot)
         pictures = visible.pictures_from(video, snapshots, at, size, view, scenario)
         baseline = visible.compared(scenario, compare)
@@ -76,7 +77,7 @@ def run(
         if baseline is not None:
             with meter.stage(baseline.control.controller):
                 walks.insert(0, mc.rollout(baseline, engine=engine))
-        metrics = mc.metrics(trajectory)
+        metrics = mc.metrics(trajectory, table)
         text = report.to_json(metrics)
         dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
         dataset.write_text_atomically(out / "metrics.json", text + "\n")
@@ -92,12 +93,14 @@ def run(
 
         tables = console if json else report.console(file=stdout)
         if baseline is None:
-            tables.print(report.walk_table(metrics))
+            tables.print(report.walk_table(metrics, table))
             tables.print(report.verdict(trajectory, metrics))
         else:
-            both = [(n, walk, mc.metrics(walk)) for n, walk in zip(reversed(names), reversed(walks), strict=True)]
+            both = [
+                (n, walk, mc.metrics(walk, table)) for n, walk in zip(reversed(names), reversed(walks), strict=True)
+            ]
             compared = {name: (gains_of(walk), values) for name, walk, values in both}
-            tables.print(report.comparison_table(compared, baseline.control.controller, tables.width))
+            tables.print(report.comparison_table(compared, baseline.control.controller, tables.width, table, own))
             for name, walk, values in both:
                 tables.print(f"{name}: {report.verdict(walk, values)}")
         console.print(f"written to {out}: {', '.join(files)}", soft_wrap=True)

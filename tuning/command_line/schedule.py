@@ -38,6 +38,7 @@ def schedule(
     controller: options.Controller = None,
     changes: options.Set = None,
     law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-schedule"),
@@ -67,7 +68,8 @@ def schedule(
         scenario = options.scenario_from(config, controller, changes)
         user_law = options.own_law(law)
         engine = options.engine_from(engine)
-        wanted = options.search_from(search, space, scenario, config, user_law)
+        table = options.metrics_from(metric)
+        wanted = options.search_from(search, space, scenario, config, user_law, table)
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
         loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)
         out = out or Path("results") / f"{config.stem}-schedule"
@@ -75,7 +77,9 @@ def schedule(
         console = report.console(stderr=True)
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(search or config):
-            asked = schedules.operating_points(scenario, wanted, levels, loads, law=user_law, engine=engine)
+            asked = schedules.operating_points(
+                scenario, wanted, levels, loads, law=user_law, metrics=table, engine=engine
+            )
         with kept_in(out, "rounds") as kept:
             with meter.stage("schedule", unit="rounds") as show:
                 found = output.Scheduled(schedules.run(asked, out=out, progress=kept.phases(show)), asked)

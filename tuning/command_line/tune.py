@@ -14,6 +14,7 @@ from tuning.command_line.ending import InputError, Interrupted, kept_in
 if TYPE_CHECKING:
     from rich.table import Table
 
+    import mjx_climb as mc
     from tuning.output.robust import Judged as JudgedRobustly
     from tuning.output.robust import Robust
     from tuning.output.tuned import Judged as JudgedGains
@@ -85,6 +86,7 @@ def tune(
     changes: options.Set = None,
     gains: options.GainsFile = None,
     law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -111,7 +113,7 @@ def tune(
     \b
     METRIC: force_variation, peak_foot_force, peak_pull_force (N), peak_joint_torque (N m),
       cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
-      joint_limit_margin (rad)
+      joint_limit_margin (rad); with --metric the user's own
     GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
       stiffness and inertia likewise; kp, kd; with --law the law's own gains
 
@@ -145,7 +147,8 @@ def tune(
         drawn = None if ensemble is None else ensembles.load(shipped.found(ensemble), **changed)
         if drawn is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
-        wanted = _settings(search, given)
+        table = options.metrics_from(metric)
+        wanted = _settings(search, given, table)
         options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
         kind = "tune" if drawn is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
@@ -155,9 +158,10 @@ def tune(
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(None if weight else search):
             if drawn is None:
-                problem = searches.problem_of(scenario, wanted, engine=engine, law=user_law)
+                problem = searches.problem_of(scenario, wanted, engine=engine, law=user_law, metrics=table)
             else:
-                problem = robust_search.problem_of(scenario, drawn, wanted, engine=engine, law=user_law)
+                how: dict[str, Any] = {"engine": engine, "law": user_law, "metrics": table}
+                problem = robust_search.problem_of(scenario, drawn, wanted, **how)
 
         with kept_in(out, "rounds") as kept:
             with meter.stage("search", unit="rounds") as show:
@@ -168,7 +172,7 @@ def tune(
             again = "mjx-climb tune config.yaml --search search.yaml" + (
                 "" if drawn is None else " --ensemble ensemble.yaml"
             )
-            again += f"{options.law_option(law)} --out again{options.engine_option(engine)}"
+            again += f"{options.own_options(law, metric)} --out again{options.engine_option(engine)}"
             origin = options.origin(config.stem, again)
             result = _writable(found, problem, drawn)
             if found.interrupted:
@@ -180,7 +184,7 @@ def tune(
             judged = result.write(out, origin=origin, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
-        for shown in _tables(judged, tables.width):
+        for shown in _tables(judged, problem, tables.width):
             tables.print(shown, soft_wrap=isinstance(shown, str))
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(f"written to {out} in {seconds}: {judged.files}", soft_wrap=True)
@@ -188,22 +192,22 @@ def tune(
             print(judged.summary, file=stdout)
 
 
-def _settings(file: Path | None, given: dict[str, Any]) -> "Search":
+def _settings(file: Path | None, given: dict[str, Any], metrics: "mc.MetricTable") -> "Search":
     """Return the settings of a file, the default ones where None, with the options that were given.
 
     Raises:
         ConfigError: a file that makes no sense.
         InputError: options that make none.
     """
-    import mjx_climb as mc
+    from mjx_climb.scenario.messages import ConfigError
     from tuning.problem import search as settings
 
     own = settings.Search() if file is None else settings.load(file)
-    settings.check_metrics(own, mc.METRICS, str(file))
+    settings.check_metrics(own, metrics, str(file))
     try:
         wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "")
-        settings.check_metrics(wanted, mc.METRICS, "")
-    except mc.ConfigError as error:
+        settings.check_metrics(wanted, metrics, "")
+    except ConfigError as error:
         raise InputError(options.in_options(str(error).removeprefix(": "))) from None
     return wanted
 
@@ -217,15 +221,17 @@ def _writable(found: "Result", problem: "Problem", ensemble: "Ensemble | None") 
     return Robust(**vars(found), problem=problem, ensemble=ensemble)
 
 
-def _tables(judged: "JudgedGains | JudgedRobustly", width: int) -> "list[Table | str]":
+def _tables(judged: "JudgedGains | JudgedRobustly", problem: "Problem", width: int) -> "list[Table | str]":
     """Return what is printed of a result, in its order."""
     from tuning.command_line import report
     from tuning.output.robust import Judged
     from tuning.report.robust import judged_table
 
+    metrics, law = problem.metrics, problem.law
     if isinstance(judged, Judged):
-        return [report.from_page(judged_table(judged.summed)), *judged.outcome]
-    return [report.comparison_table(judged.compared, "pd", width), report.gains_table(judged.compared), *judged.outcome]
+        return [report.from_page(judged_table(judged.summed, metrics)), *judged.outcome]
+    compared = report.comparison_table(judged.compared, "pd", width, metrics, law)
+    return [compared, report.gains_table(judged.compared, law), *judged.outcome]
 
 
 def _line(now: "Progress") -> str:

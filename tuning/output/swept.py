@@ -184,6 +184,7 @@ def _page(found: Swept, judged: Judged, histories: xr.Dataset, origin: page.Orig
         origin=origin,
         pictures={text: folder / f"{name}.svg" for name, text in PICTURES.items()},
         about=found.metrics,
+        law=found.law,
     )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ def page(found: Result, summed: xr.Dataset, verdict: str, *, origin: Origin, pic
         notes=[] if found.feasible else ["No gains kept every limit in every member of the search."],
         scenario=found.scenario,
         explorers=[],
-        tables=[judged_table(summed, found.judged_by), comparison.gains_table(rivals)],
+        tables=[judged_table(summed, found.judged_by), comparison.gains_table(rivals, found.law)],
         pictures=pictures,
         facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
     )

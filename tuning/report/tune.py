@@ -77,8 +77,8 @@ def page(
             )
         ],
         tables=[
-            comparison.table(compared, "Walks in double precision", found.judged_by),
-            comparison.gains_table(compared),
+            comparison.table(compared, "Walks in double precision", found.judged_by, found.law),
+            comparison.gains_table(compared, found.law),
             Table(
                 "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more",
                 ["gain", "20 % less", "20 % more", "shape", "slope per log"],
