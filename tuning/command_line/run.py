@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tuning.command_line import options, visible
+from tuning.command_line import options, render_options
 
 
 def run(
@@ -22,12 +22,12 @@ def run(
     ] = None,
     json: options.Json = False,
     engine: options.Engine = None,
-    compare: visible.Compare = None,
-    video: visible.Video = False,
-    snapshots: visible.Snapshots = False,
-    at: visible.At = None,
-    size: visible.Size = None,
-    view: visible.View = False,
+    compare: render_options.Compare = None,
+    video: render_options.Video = False,
+    snapshots: render_options.Snapshots = False,
+    at: render_options.At = None,
+    size: render_options.Size = None,
+    view: render_options.View = False,
 ) -> None:
     """Walk one robot through a scenario, in double precision.
 
@@ -61,8 +61,8 @@ def run(
         name = options.law_name(own, scenario)
         engine, table = options.engine_from(engine), options.metrics_from(metric)
         load_robot(scenario.robot)
-        pictures = visible.pictures_from(video, snapshots, at, size, view, scenario)
-        baseline = visible.compared(scenario, compare)
+        pictures = render_options.pictures_from(video, snapshots, at, size, view, scenario)
+        baseline = render_options.compared(scenario, compare)
         out = out or Path("results") / f"{config.stem}-{name}"
         scenario = scenario_files.copied(scenario, out)
         baseline = None if baseline is None else scenario_files.copied(baseline, out)
