@@ -20,12 +20,12 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.compilation import kept_programs, options
+from mjx_climb.compilation import cache, kept_programs
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
-options.enable_cache()
+cache.enable_cache()
 kept_programs.cache_folder = lambda: None  # tests replace functions of which a kept program knows nothing
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 

@@ -49,6 +49,7 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "--limit base_deviation=0.01 --bound damping=1:10 --pin stiffness.rotation=3 --search {search} --gains {gains}",
     "pareto": "{config} --better force_variation --against base_deviation --points 3 --space split --search {search}",
     "schedule": "{config} --gravity 1e-6,1/6,1 --cargo 0,0.5 --space split --search {search}",
+    "margins": "{config} --gains {gains} --retuned-pd {gains} --controller pd --hardware ideal --set control.kd=0.1",
     "export": "{gains} --format ros2_control --update-rate 500 --name admittance",
     "schema": "",
     "bench": "--batch 64 --quick",
@@ -56,8 +57,8 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "doctor": "--json",
 }
 USES = {
-    "config": ("run", "sweep", "tune", "pareto", "schedule"),
-    "gains": ("run", "sweep", "tune", "export"),
+    "config": ("run", "sweep", "tune", "pareto", "schedule", "margins"),
+    "gains": ("run", "sweep", "tune", "margins", "export"),
     "search": ("tune", "pareto", "schedule"),
     "ensemble": ("tune",),
 }

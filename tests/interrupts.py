@@ -29,12 +29,13 @@ COMMANDS = {  # {gains} stands for a gains file
     "pareto": ["pareto", *SHORT, "--points", "2"],
     "schedule": ["schedule", *SHORT, "--gravity", "0.1,1", "--cargo", "0.5"],
     "reproduce": ["reproduce"],
+    "margins": ["margins", *SHORT, "--gains", "{gains}"],
     "export": ["export", "{gains}", "--update-rate", "500"],
     "schema": ["schema"],
     "doctor": ["doctor"],
     "bench": ["bench", "--quick", "--batch", "64"],
 }
-IN_A_FOLDER = ("run", "sweep", "tune", "ensemble", "pareto", "schedule", "reproduce")
+IN_A_FOLDER = ("run", "sweep", "tune", "ensemble", "pareto", "schedule", "margins", "reproduce")
 GAINS = "inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n"
 
 FINE = ("interrupted", "ended before", "before the program's first line")

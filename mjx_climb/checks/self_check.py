@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mjx_climb.compilation.options import compiler_options, enable_cache, pieces_pay
+from mjx_climb.compilation.cache import enable_cache
+from mjx_climb.compilation.options import compiler_options, pieces_pay
 from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES, forward_dynamics
 from mjx_climb.dynamics.state import State
 from mjx_climb.mujoco_import import mujoco

@@ -6,12 +6,9 @@ not what was written, is made anew.
 """
 
 import contextlib
-import functools
 import hashlib
-import importlib.metadata
 import os
 import pickle
-import platform
 import tempfile
 import threading
 import time
@@ -23,13 +20,13 @@ import jax
 from jax import monitoring
 from jax.experimental import serialize_executable
 
-from mjx_climb.compilation.options import cache_folder, cache_in_use
+from mjx_climb.compilation.cache import cache_folder, cache_in_use
+from mjx_climb.compilation.machine import machine, source_digest
 
 _Result = TypeVar("_Result")
 Identity = Callable[..., str | None]
 
 _PACKAGE = Path(__file__).parents[1]
-_VERSIONED = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx")
 _NO_MATTER = ("cache", "log", "traceback", "profiler")  # in the names of settings of JAX's that change no program
 # as JAX reports its own
 _HIT, _TOOK = "/jax/compilation_cache/cache_hits", "/jax/core/compile/backend_compile_duration"
@@ -85,30 +82,9 @@ def _file(function: Callable[..., Any], known: str, key: Hashable, options: dict
     folder = cache_folder()
     if folder is None or cache_in_use() != str(folder) or jax.process_count() > 1:
         return None
-    made_of = (function.__module__, function.__qualname__, known, str(key), sorted(options.items()), _machine())
+    named = function.__module__, function.__qualname__
+    made_of = (*named, known, str(key), sorted(options.items()), source_digest(_PACKAGE), machine())
     return folder / "programs" / hashlib.sha256(repr(made_of).encode()).hexdigest()
-
-
-@functools.cache
-def _machine() -> str:
-    """Return what is the same for all programs of this process: package, versions, processor, devices."""
-    package = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*")):
-        if path.suffix in (".py", ".xml"):
-            package.update(str(path.relative_to(_PACKAGE)).encode() + path.read_bytes())
-    versions = [importlib.metadata.version(name) for name in _VERSIONED]
-    devices = [f"{device.platform} {device.device_kind} {device.id}" for device in jax.devices()]
-    flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
-    made_of = [package.hexdigest(), *versions, platform.python_version(), platform.machine(), _processor()]
-    return repr([*made_of, *devices, *flags])
-
-
-def _processor() -> str:
-    """Return the processor's instruction sets, where the system tells: a program made for others cannot run."""
-    with contextlib.suppress(OSError), open("/proc/cpuinfo") as lines:
-        told = (line for line in lines if line.startswith(("model name", "flags", "Features")))
-        return " ".join(sorted(set(told)))
-    return platform.processor()
 
 
 def _found(file: Path, trees: tuple[Any, ...]) -> Callable[..., Any] | None:

@@ -1,79 +1,42 @@
-"""How XLA compiles a rollout: its persistent cache, and what it fuses.
-
-The cache is on by default in the user's cache folder, so that a second start does not wait for the compiler.
-`MJX_CLIMB_CACHE` moves it (a folder) or switches it off (`off`); a folder that the user has set in JAX itself is left.
-"""
-
-import contextlib
-import os
-from collections.abc import Iterator
-from pathlib import Path
+"""How XLA compiles a rollout: by which path, and what it fuses."""
 
 import jax
 import numpy as np
-import platformdirs
-from jax.experimental.compilation_cache import compilation_cache
 from numpy.typing import DTypeLike
 
+from mjx_climb.compilation import probe
 from mjx_climb.dynamics import ELEMENTWISE
 
-VARIABLE = "MJX_CLIMB_CACHE"
-_OFF = {"off", "0", "no", "none", "false"}
 _FUSION_PAYS_BELOW = 48  # robots
 
 
-def cache_folder() -> Path | None:
-    """Return the cache folder that the environment asks for, None where it is switched off."""
-    wish = os.environ.get(VARIABLE, "")
-    if wish.lower() in _OFF:
-        return None
-    return Path(wish) if wish else Path(platformdirs.user_cache_dir("mjx_climb", appauthor=False)) / "xla"
+def fast_path(backend: str | None = None) -> str | None:
+    """Return which of `mjx_climb.compilation.probe.PATHS` is made for a device: JAX's default, or another's.
 
-
-def cache_in_use() -> str | None:
-    """Return the folder that rollouts use: JAX's where the user has set one there, else ours; None where it is off."""
-    chosen: str | None = jax.config.values["jax_compilation_cache_dir"]
-    return chosen if chosen is not None else (None if (own := cache_folder()) is None else str(own))
-
-
-def enable_cache() -> None:
-    """Switch the cache on, unless the user has chosen one in JAX or switched ours off."""
-    path = cache_folder()
-    if path is None or jax.config.values["jax_compilation_cache_dir"] is not None:
-        return
-    jax.config.update("jax_compilation_cache_dir", str(path))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-
-
-@contextlib.contextmanager
-def cache_in(folder: str) -> Iterator[None]:
-    """Have JAX's cache in a folder for a while."""
-    before = jax.config.values["jax_compilation_cache_dir"]
-    jax.config.update("jax_compilation_cache_dir", folder)
-    compilation_cache.reset_cache()
-    try:
-        yield
-    finally:
-        jax.config.update("jax_compilation_cache_dir", before)
-        compilation_cache.reset_cache()
+    The kernel is for NVIDIA's GPUs from compute capability 8.0 on.
+    """
+    backend = backend or jax.default_backend()
+    if backend == "gpu":
+        capability = str(getattr(jax.devices()[0], "compute_capability", "0")).split(".")[0]
+        return "kernel" if capability.isdigit() and int(capability) >= 8 else None
+    return "pieces" if backend == "cpu" else None
 
 
 def pieces_pay(engine: str, backend: str | None = None) -> bool:
     """Return whether walks with this engine are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`.
 
-    `backend` is where they are compiled for, where that is not JAX's default.
+    `backend` is where they are compiled for, where that is not JAX's default. Where a trial of them failed they do not.
     """
-    return (backend or jax.default_backend()) == "cpu" and engine in ELEMENTWISE
+    return engine in ELEMENTWISE and fast_path(backend) == "pieces" and probe.works("pieces")
 
 
 def kernel_pays(engine: str, dtype: DTypeLike) -> bool:
     """Return whether walks with this engine are compiled as one GPU kernel, see `mjx_climb.compilation.gpu_kernel`.
 
-    It is for NVIDIA's GPUs from compute capability 8.0 on; in float64 its values do not find room in the registers.
+    In float64 its values do not find room in the registers. Where a trial of it failed they are not.
     """
-    capability = str(getattr(jax.devices()[0], "compute_capability", "0")).split(".")[0]
-    new_enough = jax.default_backend() == "gpu" and capability.isdigit() and int(capability) >= 8
-    return new_enough and engine in ELEMENTWISE and np.dtype(dtype) == np.float32
+    fits = engine in ELEMENTWISE and np.dtype(dtype) == np.float32
+    return fits and fast_path() == "kernel" and probe.works("kernel")
 
 
 def compiler_options(batch: int, *, in_pieces: bool = False, backend: str | None = None) -> dict[str, str | int]:

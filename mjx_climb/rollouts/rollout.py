@@ -16,12 +16,13 @@ from numpy.typing import DTypeLike
 
 from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation import devices
+from mjx_climb.compilation.cache import enable_cache
 from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.kept_programs import kept
-from mjx_climb.compilation.options import compiler_options, enable_cache, kernel_pays, pieces_pay
+from mjx_climb.compilation.options import compiler_options, kernel_pays, pieces_pay
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, rows_of, varying

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.compilation import probe
 from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.options import kernel_pays
@@ -99,6 +100,7 @@ def test_the_kernel_is_for_new_gpus(monkeypatch, backend, capability, paid):
     device = types.SimpleNamespace(compute_capability=capability) if capability else types.SimpleNamespace()
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     monkeypatch.setattr(jax, "devices", lambda: [device])
+    monkeypatch.setattr(probe, "works", lambda path: path == "kernel")
     assert kernel_pays("limb", np.float32) == paid
     assert not kernel_pays("limb", np.float64)
     assert not kernel_pays("mjx", np.float32)

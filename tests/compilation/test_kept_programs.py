@@ -13,7 +13,7 @@ import sys
 import jax
 import numpy as np
 from mjx_climb.compilation.kept_programs import kept
-from mjx_climb.compilation.options import enable_cache
+from mjx_climb.compilation.cache import enable_cache
 
 identity, answer, shape, double = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "double"
 traced = []

@@ -33,7 +33,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a terminal interrupts its whole family: the parent says it
     import jax
 
-    from mjx_climb.compilation.options import enable_cache
+    from mjx_climb.compilation.cache import enable_cache
     from tuning.benchmarks import programs
 
     what, batch, steps, engine = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]

@@ -238,8 +238,8 @@ def _processor() -> str:
 @contextlib.contextmanager
 def _cache() -> Iterator[str]:
     """Use a new folder as XLA's cache, in this process and for its children, so that every run compiles alike."""
-    from mjx_climb.compilation import options
+    from mjx_climb.compilation import cache
 
     with tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True) as folder:
-        with options.cache_in(folder):
+        with cache.cache_in(folder):
             yield folder

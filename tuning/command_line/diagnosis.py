@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
 SIMULATION = ("walk", "gradient")
+NVIDIA = Path("/proc/driver/nvidia/version")  # there where the driver is loaded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +36,9 @@ class Part:
 
 def examine() -> list[Part]:
     """Return all parts, in the order in which they depend on each other."""
-    return [part for examination in (versions, devices, cache, renderer, simulation) for part in _guarded(examination)]
+    return [
+        part for examination in (versions, devices, cache, path, renderer, simulation) for part in _guarded(examination)
+    ]
 
 
 def _guarded(examination: Callable[[], Part | list[Part]]) -> list[Part]:
@@ -51,11 +54,7 @@ def _guarded(examination: Callable[[], Part | list[Part]]) -> list[Part]:
 def versions() -> Part:
     """Return the versions of what computes."""
     found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("mjx-climb", *PACKAGES):
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = None
+    found |= {name: _version(name) for name in ("mjx-climb", *PACKAGES)}
     missing = [name for name in PACKAGES if found[name] is None]
     findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in missing]
     engine, mjx = found["mujoco"], found["mujoco-mjx"]
@@ -73,16 +72,34 @@ def devices() -> Part:
 
     found = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()]
     facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
-    return Part("devices", f"{', '.join(found)}; {facts['cores']} CPU cores usable", facts)
+    text = f"{', '.join(found)}; {facts['cores']} CPU cores usable"
+    return Part("devices", text, facts, _unused_gpu() if facts["backend"] == "cpu" else ())
+
+
+def _unused_gpu() -> tuple[str, ...]:
+    """Return what keeps JAX from an NVIDIA GPU of this machine, where it has one and nobody asked for the CPU."""
+    if not NVIDIA.exists() or "cpu" in os.environ.get("JAX_PLATFORMS", "").lower():
+        return ()
+    plugins = [f"jax-cuda{major}-plugin" for major in (12, 13)]
+    if not any(_version(plugin) for plugin in plugins):
+        return ('an NVIDIA GPU is here and JAX has no plugin for it: python -m pip install "mjx-climb[cuda13]"',)
+    return ("an NVIDIA GPU is here, but JAX's plugin does not start: is the driver new enough for it?",)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def cache() -> Part:
     """Return the state of XLA's compilation cache."""
-    from mjx_climb.compilation import options
+    from mjx_climb.compilation.cache import VARIABLE, cache_in_use
 
-    folder = options.cache_in_use()
+    folder = cache_in_use()
     if folder is None:
-        text = f"off ({options.VARIABLE}): every start compiles again"
+        text = f"off ({VARIABLE}): every start compiles again"
         return Part("cache", text, {"on": False, "folder": None})
     sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
     facts = {"on": True, "folder": folder, "programs": len(sizes), "bytes": sum(sizes), "writable": True}
@@ -92,11 +109,26 @@ def cache() -> Part:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        remedy = f"set {options.VARIABLE} to a folder that can be, or to off"
+        remedy = f"set {VARIABLE} to a folder that can be, or to off"
         reason = (error.strerror or str(error)).lower()
         finding = f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}"
         return Part("cache", text, {**facts, "writable": False}, (finding,))
     return Part("cache", text, facts)
+
+
+def path() -> Part:
+    """Return by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
+    from mjx_climb.compilation import options, probe
+
+    fast = options.fast_path()
+    if fast is None:
+        return Part("path", "XLA's own: none faster is made for this device", {"path": None})
+    found = probe.verdict(fast)
+    if not found.works:
+        remedy = "walks are right, but slower; the versions of jax and jaxlib in pyproject.toml are known to work"
+        finding = f"{probe.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
+        return Part("path", "XLA's own", {"path": None}, (finding,))
+    return Part("path", f"{probe.PATHS[fast]}, {found.seen}", {"path": fast})
 
 
 def renderer() -> Part:

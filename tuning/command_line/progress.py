@@ -130,11 +130,11 @@ def cache_state() -> str:
     """Return one line on XLA's compilation cache."""
     from pathlib import Path
 
-    from mjx_climb.compilation import options
+    from mjx_climb.compilation import cache
 
-    folder = options.cache_in_use()
+    folder = cache.cache_in_use()
     if folder is None:
-        return f"compilation cache: off ({options.VARIABLE})"
+        return f"compilation cache: off ({cache.VARIABLE})"
     with contextlib.suppress(OSError):
         count = len(list(Path(folder).glob("*-cache")))
         return f"compilation cache: {folder}, {count or 'no'} programs"

@@ -12,7 +12,7 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.compilation.options import enable_cache
+from mjx_climb.compilation.cache import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from tuning.problem.objectives import Goal, Judge

@@ -13,7 +13,7 @@ import xarray as xr
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.compilation.options import enable_cache
+from mjx_climb.compilation.cache import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.given import AnyGains

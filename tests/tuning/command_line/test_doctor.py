@@ -15,7 +15,7 @@ from mjx_climb.rendering import RenderingError, backend
 from tuning.command_line import diagnosis, main
 
 ROOT = Path(__file__).parents[3]
-PARTS = ["versions", "devices", "cache", "renderer", "dynamics", "walk", "gradient"]
+PARTS = ["versions", "devices", "cache", "path", "renderer", "dynamics", "walk", "gradient"]
 
 
 @pytest.fixture
@@ -76,6 +76,17 @@ def test_what_is_no_number_is_compared_too(doctor, monkeypatch, name, value):
     code, found = doctor()
     assert (code, list(wrong(found))) == (1, ["walk"])
     assert found["parts"]["walk"]["deviation"] == {"walk": None}
+
+
+def test_a_gpu_that_jax_does_not_use_is_seen(doctor, monkeypatch, tmp_path):
+    monkeypatch.setattr(diagnosis, "NVIDIA", tmp_path)
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    monkeypatch.setenv("JAX_PLATFORMS", "")
+    code, found = doctor()
+    assert (code, list(wrong(found))) == (1, ["devices"])
+    assert "mjx-climb[cuda13]" in found["parts"]["devices"]["findings"][0]
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    assert doctor()[0] == 0
 
 
 def test_a_cache_folder_that_cannot_be_written_is_seen(doctor, monkeypatch, tmp_path):

@@ -1,0 +1,91 @@
+"""Margins: found where walks of a known kind fail, and where those of the independent program do."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import PD
+from tuning.judged import margins
+
+REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "hardware_walks.json").read_text())
+GAINS = mc.Gains(1.0, 150.0, 3e3, kp=np.asarray(20.0), kd=np.asarray(0.1))
+TORN, DEARER, DIVERGES, WEAK = 9.5e-3, 7.1e-3, 20.5e-3, 0.31
+
+
+@pytest.fixture
+def walks(monkeypatch):
+    """Walks whose failures are known: what is walked is kept."""
+    kept = []
+
+    def walked(scenario, gains, numbers, *, law, metrics, engine):
+        kept.append((law, gains, numbers))
+        given = not isinstance(law, PD)
+        variation = np.where(given, 50.0, 100.0) + given * 50.0 * np.maximum(numbers.force_delay, 0) / DEARER
+        weak = numbers.kp < WEAK * (20.0 if given else 50.0)
+        return {
+            "force_variation": np.where(numbers.command_delay > DEARER, 200.0 * given, variation),
+            "detached_at": np.where(given & (numbers.force_delay > TORN), 3.0, np.nan),
+            "diverged": (given & (numbers.control_period > DIVERGES)) | weak,
+        }
+
+    monkeypatch.setattr(mc, "rollout_metrics", walked)
+    return kept
+
+
+def test_margins_lie_where_walks_begin_to_fail(walks, case):
+    """To a sixth of what the first grid leaves open; the control period to a time step."""
+    found = margins.find(case("case_1_2", "virtual_model"), GAINS).margins
+    assert found["force_delay"].holds == pytest.approx(TORN, abs=4e-4) and found["force_delay"].holds <= TORN
+    assert found["force_delay"].better == pytest.approx(DEARER, abs=4e-4) and found["force_delay"].better < DEARER
+    assert found["command_delay"].better == pytest.approx(DEARER, abs=4e-4)
+    assert found["command_delay"].holds == found["command_delay"].worst == 0.03
+    assert found["control_period"].holds == found["control_period"].better == pytest.approx(20e-3)
+    assert found["joint_gains"].holds == found["joint_gains"].better == pytest.approx(WEAK, abs=0.02)
+    assert margins.warnings(found) == []
+
+
+def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
+    hardware = {"hardware.control_period": 0.005, "hardware.force_sensor.delay": 0.002, "hardware.seed": 3}
+    scenario = case("case_1_2", "virtual_model", hardware)
+    margins.find(scenario, GAINS)
+    (_, gains, given), (law, _, pd) = walks[:2]
+    assert isinstance(law, PD) and set(gains) == {"inertia", "damping", "stiffness"}
+    changed = {
+        0: (given.force_delay, 0.002), 1: (given.command_delay, 0.0), 2: (given.control_period, 0.005),
+        3: (given.kp, 20.0),
+    }  # fmt: skip
+    for row, (values, own) in changed.items():
+        assert len(np.unique(values[row])) > 10
+        np.testing.assert_array_equal(np.delete(values, row, 0), own)
+    np.testing.assert_array_equal(given.force_delay[0], given.base_delay[0])
+    np.testing.assert_allclose(given.kd / given.kp, 0.1 / 20)
+    np.testing.assert_allclose(pd.kp / given.kp, 50 / 20)  # pd has the scenario's own
+    assert given.seed == 3
+
+
+def test_less_than_twice_the_hardware_is_a_warning_by_name(walks, case):
+    own = {"hardware.force_sensor.delay": 4e-3, "hardware.command_delay": 3e-3, "hardware.control_period": 0.011}
+    found = margins.find(case("case_1_2", "virtual_model", own), GAINS).margins
+    lines = margins.warnings(found)
+    assert [line.split(":")[0] for line in lines] == ["force delay", "control period"]
+    assert "stay better than pd up to" in lines[0] and "the hardware has 4 ms, 8 ms would be safe" in lines[0]
+    assert "hold up to 20 ms only, the hardware has 11 ms, 22 ms would be safe" in lines[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["soft", "damped"])
+def test_margins_are_those_of_the_independent_program(case, name):
+    """Between its last walk that was better than pd and its first that was not, likewise for lost grippers."""
+    gains = mc.Gains(1.0, REFERENCE["gains"][name]["damping"], REFERENCE["gains"][name]["stiffness"])
+    found = margins.find(case("case_1_2", "virtual_model"), gains).margins
+    walks = REFERENCE["cases"]["case_1_2"]
+    for quantity, key in (("force_delay", "force_sensor.delay"), ("command_delay", "command_delay")):
+        for entry in (entry for entry in walks if entry.startswith(f"{key}=") and " " not in entry):
+            value, there, pd = float(entry.partition("=")[2]), walks[entry][name], walks[entry]["pd"]
+            held = there["detached_at"] is None
+            assert (value <= found[quantity].holds) == held, entry
+            better = held and there["force_variation"] < pd["force_variation"]
+            assert (value <= found[quantity].better) == better, entry

@@ -1,0 +1,105 @@
+"""`mjx-climb margins`: how much worse hardware may be before gains fail."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tuning.command_line import options
+from tuning.command_line.ending import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from tuning.judged.margins import Margin
+
+
+def margins(
+    config: options.Config,
+    gains: options.GainsFile = None,
+    retuned_pd: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Gains file whose kp and kd pd has too, in a curve of its own."),
+    ] = None,
+    controller: options.Controller = None,
+    hardware: options.Hardware = None,
+    changes: options.Set = None,
+    law: options.LawFile = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-margins"),
+    ] = None,
+    json: options.Json = False,
+    engine: options.Engine = None,
+) -> None:
+    """Find how late, slow and weak a robot's hardware may be before gains fail.
+
+    Makes force delay, command delay, control period and joint gains worse, one at a time, on top of the scenario's own
+    hardware, and says up to where no gripper is torn off, and up to where the force varies less than under pd on the
+    same hardware. Warns where that is less than twice what the hardware has.
+
+    Writes to DIR the margins (margins.json), all walks (margins.nc), and the force variation over each quantity, for
+    the gains, pd and the config's own gains (margins.png, .svg, .pdf).
+
+    \b
+    Examples:
+      mjx-climb margins case_1_2 --gains gains.yaml
+      mjx-climb margins case_1_2 --gains gains.yaml --hardware dynamixel_x --json
+    """
+    with options.reserved_stdout() as stdout:
+        from mjx_climb.control import PD
+        from mjx_climb.files import dataset, scenario_files
+        from tuning.command_line import progress, report
+        from tuning.gains import gains_file, law_file
+        from tuning.judged import margins as judged
+        from tuning.output import margins as output
+
+        scenario = options.scenario_from(config, controller, changes, hardware)
+        own = None if law is None else law_file.load(law)
+        given = {} if gains is None else gains_file.load(gains, own)
+        others = {} if gains is None or own is not None else {"config": judged.Walker(None, {})}
+        if retuned_pd is not None:
+            others["retuned pd"] = judged.Walker(PD(), _joint_gains(retuned_pd))
+        engine = options.engine_from(engine)
+        out = out or Path("results") / f"{config.stem}-margins"
+        scenario = scenario_files.copied(scenario, out)
+        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
+
+        console = report.console(stderr=True)
+        console.print(progress.cache_state(), soft_wrap=True)
+        meter = progress.Meter(console)
+        with meter.stage("margins") as told:
+            found = judged.find(scenario, given, law=own, others=others, engine=engine, progress=told)
+        with meter.stage("drawing", compiles=False):
+            text = output.write(found, out, "config" if gains is None else gains.stem)
+
+        tables = console if json else report.console(file=stdout)
+        tables.print(margins_table(found.margins))
+        for line in judged.warnings(found.margins):
+            tables.print(f"warning: {line}", soft_wrap=True)
+        console.print(f"written to {out}: {output.FILES}, config.yaml", soft_wrap=True)
+        if json:
+            print(text, file=stdout)
+
+
+def margins_table(margins: "dict[str, Margin]") -> "Table":
+    """Return margins beside the scenario's hardware."""
+    from tuning.command_line.report import plain_table
+    from tuning.judged.margins import QUANTITIES, in_words, with_unit
+
+    table = plain_table("", "hardware", "holds up to", "better than pd up to")
+    for name, margin in margins.items():
+        reached = [in_words(name, margin, value) for value in (margin.holds, margin.better)]
+        table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
+    return table
+
+
+def _joint_gains(file: Path) -> dict[str, float]:
+    from tuning.gains import gains_file
+
+    values = gains_file.by_name(gains_file.load(file))
+    if missing := [name for name in ("kp", "kd") if name not in values]:
+        raise InputError(
+            f"--retuned-pd: expected a gains file with kp and kd, {file} has no {' and no '.join(missing)}"
+        )
+    return {name: values[name] for name in ("kp", "kd")}

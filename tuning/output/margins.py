@@ -1,0 +1,35 @@
+"""What margins leave in a folder: the numbers, all walks and a picture; the same from Python and at the shell."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from mjx_climb import plots
+from mjx_climb.files import dataset
+from tuning.judged import margins
+from tuning.report.margin_pictures import plot_margins
+from tuning.report.numbers import to_json
+
+FILES = "margins.json, margins.nc, margins.png, .svg, .pdf"
+
+
+def summary(found: margins.Found) -> dict[str, Any]:
+    """Return margins and warnings as plain data, SI units; `needed` is the hardware with a factor of two."""
+    each = {
+        name: {**dataclasses.asdict(margin), "needed": margins.needed(name, margin)}
+        for name, margin in found.margins.items()
+    }
+    return {"margins": each, "warnings": margins.warnings(found.margins)}
+
+
+def write(found: margins.Found, folder: Path, given: str = "given gains") -> str:
+    """Write margins into a folder, and return their JSON; `given` is what the gains are called in the picture.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    text = to_json(summary(found))
+    dataset.write_text_atomically(folder / "margins.json", text + "\n")
+    dataset.save(found.walks, folder / "margins.nc")
+    plots.save_figure(plot_margins(found.walks, found.margins, given), folder / "margins")
+    return text
