@@ -114,6 +114,7 @@ def sweep(
             with meter.stage("grid") as told:
                 found = tuning.sweep(scenario, axes, law=user_law, gains=values, progress=kept.told(told), **how)
             again = _again(stiffness, damping, axis, batch_size) + options.own_options(law, metric)
+            again += " --gains gains.yaml" if law and gains else ""
             again += f"{options.engine_option(engine)} --out again"
             origin = options.origin(config.stem, again)
             judged = found.write(out, origin=origin, stage=meter.stage)
