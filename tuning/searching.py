@@ -10,7 +10,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains.gains_file import replaced
 from tuning.output.pareto import Front
-from tuning.output.robust import Robust
+from tuning.output.robust import JUDGES, Robust
 from tuning.output.schedule import Scheduled
 from tuning.output.swept import Swept
 from tuning.problem.ensemble import Ensemble
@@ -122,6 +122,7 @@ def robust(
     law: mc.Law | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
+    judges: int = JUDGES,
     out: Folder | None = None,
     progress: Callable[[searches.Progress], None] | None = None,
     **settings: Any,
@@ -130,10 +131,10 @@ def robust(
 
     `robust(scenario, ensemble, out="results/mine").write("results/mine")` is `mjx-climb tune --ensemble`.
     """
-    search = robust_search.settled(search, settings)
+    search = robust_search.settled(search, settings, ensemble)
     problem = robust_search.problem_of(scenario, ensemble, search, law=law, metrics=metrics, engine=engine)
     found = searches.run(problem, search, out=_path(out), progress=progress)
-    return Robust(**vars(found), problem=problem, ensemble=ensemble)
+    return Robust(**vars(found), problem=problem, ensemble=ensemble, judges=judges)
 
 
 def _path(out: Folder | None) -> Path | None:

@@ -45,7 +45,14 @@ def tune(
         list[str] | None,
         _pairs("GAIN", "Gain of the law to search that is left alone otherwise; repeatable."),
     ] = None,
-    with_joint_gains: Annotated[bool, typer.Option("--with-joint-gains", help="Search kp and kd as well.")] = False,
+    with_joint_gains: Annotated[
+        bool | None,
+        typer.Option(
+            "--with-joint-gains/--without-joint-gains",
+            help="Search kp and kd as well.",
+            show_default="where there is hardware",
+        ),
+    ] = None,
     starts: Annotated[
         int | None,
         typer.Option(metavar="N", help="Starts or population; grid: points per gain.", show_default="the method's"),
@@ -81,6 +88,9 @@ def tune(
     members: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Walks of the ensemble.", show_default="the file's")
     ] = None,
+    judges: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Walks of the fresh draw.", show_default="128")
+    ] = None,
     controller: options.Controller = None,
     hardware: options.Hardware = None,
     changes: options.Set = None,
@@ -100,7 +110,8 @@ def tune(
 
     Minimises force variation, peak foot force and cost of transport, each relative to pd, while the grippers hold,
     the joints keep their limits, the base stays within three times pd's deviation, and nothing gets worse than under
-    pd. Then walks the result in double precision, tests it, and compares it with the config's gains and pd.
+    pd. With hardware in the loop kp and kd are searched too. Then walks the result in double precision, tests it, and
+    compares it with the config's gains, pd, and pd with kp and kd searched for the same: what no force sensor gives.
 
     Writes to DIR the gains (gains.yaml, for run and sweep), everything judged (search.nc), the settings (config.yaml,
     search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks), and all of it
@@ -108,7 +119,8 @@ def tune(
     or worse, the same command goes on.
 
     With --ensemble every set of gains walks through all members (pushes, cargo, slope, grip stiffness, robot mass drawn
-    from a seed), mean and worst count, the peak pulling force with them, and a fresh draw judges the result.
+    from a seed, and hardware where the file says so), mean and worst count, the peak pulling force with them, and a
+    fresh draw judges the result, and says how many of its walks break each limit.
 
     \b
     METRIC: force_variation, peak_foot_force, peak_pull_force (N), peak_joint_torque (N m),
@@ -125,7 +137,7 @@ def tune(
       mjx-climb tune case_2 --ensemble ensemble --members 16
     """
     given = {
-        "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains or None,
+        "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains,
         "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
         "limits": _mapping("--limit", limit), "also": also and tuple(also),
         "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
@@ -141,14 +153,17 @@ def tune(
         scenario = options.scenario_from(config, controller, changes, hardware)
         user_law, scenario = options.law_from(law, gains, scenario)
         engine = options.engine_from(engine)
-        if members is not None and ensemble is None:
-            raise InputError("--members: expected --ensemble with it")
+        for option, value in (("--members", members), ("--judges", judges)):
+            if value is not None and ensemble is None:
+                raise InputError(f"{option}: expected --ensemble with it")
         changed = {} if members is None else {"members": members}
         drawn = None if ensemble is None else ensembles.load(shipped.found(ensemble), **changed)
         if drawn is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
         table = options.metrics_from(metric)
         wanted = _settings(search, given, table)
+        if drawn is not None:
+            wanted = robust_search.settled(wanted, {}, drawn)
         options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
         kind = "tune" if drawn is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
@@ -174,7 +189,7 @@ def tune(
             )
             again += f"{options.own_options(law, metric)} --out again{options.engine_option(engine)}"
             origin = options.origin(config.stem, again)
-            result = _writable(found, problem, drawn)
+            result = _writable(found, problem, drawn, judges)
             if found.interrupted:
                 result.write_found(out, origin.name)
                 raise Interrupted(
@@ -212,13 +227,13 @@ def _settings(file: Path | None, given: dict[str, Any], metrics: "mc.MetricTable
     return wanted
 
 
-def _writable(found: "Result", problem: "Problem", ensemble: "Ensemble | None") -> "Tuned | Robust":
-    from tuning.output.robust import Robust
+def _writable(found: "Result", problem: "Problem", ensemble: "Ensemble | None", judges: int | None) -> "Tuned | Robust":
+    from tuning.output.robust import JUDGES, Robust
     from tuning.output.tuned import Tuned
 
     if ensemble is None:
         return Tuned(**vars(found), problem=problem)
-    return Robust(**vars(found), problem=problem, ensemble=ensemble)
+    return Robust(**vars(found), problem=problem, ensemble=ensemble, judges=judges or JUDGES)
 
 
 def _tables(judged: "JudgedGains | JudgedRobustly", problem: "Problem", width: int) -> "list[Table | str]":

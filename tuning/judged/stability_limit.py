@@ -1,9 +1,14 @@
 """The discrete stability limit of a control law: which gains let a small disturbance grow.
 
-The closed loop (robot, contacts, joint loop, law) is linearised over one time step about the stance in the middle of
-the first swing, without gravity; small disturbances grow where the largest eigenvalue of that step leaves the unit
-circle. This is the limit of the loop as it is simulated, not of the law by itself: the virtual model alone is stable
-for any positive gains.
+The closed loop (robot, contacts, joint loop, law, and the hardware between them: delays, filter, control period,
+armature, viscous friction) is linearised over one control period about the stance in the middle of the first swing,
+without gravity; small disturbances grow where the largest eigenvalue of that period leaves the unit circle. This is the
+limit of the loop as it is simulated, not of the law by itself: the virtual model alone is stable for any positive
+gains.
+
+What has no linear part is left out: noise, bias, resolution, the limits of torque, offset and rate. So are dry
+friction, backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger
+motions, which slip.
 """
 
 import dataclasses
@@ -23,44 +28,131 @@ from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State
-from mjx_climb.hardware.stages import IDEAL
+from mjx_climb.hardware.control_period import period_steps
+from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.batches import batch_last, flattened, own_axes, rows_of
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.rollouts.rollout import given_in
-from mjx_climb.walk import gait
+from mjx_climb.walk import control_loop, gait
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
-from mjx_climb.walk.step import Structure, advance, begin, prepare, structure
+from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
 
-_CHUNK = 64  # gain sets per compiled batch
+_ENTRIES = 64 * 50**2  # of the matrices of one compiled batch, about
+_LARGEST_BATCH = 64  # gain sets
 _FINEST = 48  # values along an axis of a map
-_Varied = tuple[State, Any]  # of the robot and of the law
+_FINEST_WITH_MEMORY = 16  # the same where delays make the matrices large
+_UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
+_Varied = tuple[State, Any]  # of the robot; of law and hardware
 
 
 def spectral_radius(
-    scenario: mc.Scenario, gains: AnyGains, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    numbers: mc.Parameters | None = None,
+    *,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
 ) -> np.ndarray:
-    """Return the largest magnitude (B,) of an eigenvalue of one step, for gains (B, 6); the loop is stable below 1.
+    """Return by how much a small disturbance grows in a time step at most; the loop is stable below 1.
 
-    What a law remembers in whole numbers, or in yes and no, stays as it is: it cannot be off by a little.
+    It is the largest magnitude of an eigenvalue of one control period, taken to the power of a step; where the scenario
+    has cargo, the larger one of the robot without it and with it. What a law remembers in whole numbers, or in yes and
+    no, stays as it is: it cannot be off by a little.
+
+    Arguments:
+        scenario: what walks where.
+        gains: with any leading batch axes.
+        numbers: parameters in place of the scenario's, delays, period and filter among them, with batch axes that
+            broadcast with the gains'.
+        law: whose gains they are, the scenario's where None.
+        engine: the dynamics.
+
+    Returns:
+        Radii with the batch axes of gains and numbers.
     """
-    law, numbers, shape, _ = given_in(scenario, law, gains, _calm(scenario), np.float64)
-    count = math.prod(shape)
-    trees, axes = (law, numbers), (own_axes(law), own_axes(numbers))
+    if law is None:
+        law = law_of(scenario.with_overrides(_UNBOUNDED))
+    calm = _calm(scenario, numbers)
+    radius = _largest(scenario, law, gains, dataclasses.replace(calm, cargo_mass=calm.cargo_mass * 0), engine)
+    if not calm.cargo_mass.any():
+        return radius
+    return np.asarray(np.maximum(radius, _largest(scenario, law, gains, calm, engine)))
+
+
+def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Parameters, engine: str) -> np.ndarray:
+    """Return the radii of robots that carry their cargo from the start."""
+    law, calm, shape, _ = given_in(scenario, law, gains, calm, np.float64)
+    trees, axes, count = (law, calm), (own_axes(law), own_axes(calm)), math.prod(shape)
     flat = flattened(trees, axes, shape)
-    walk = structure(scenario, engine, smooth=True, in_pieces=False)._replace(stages=IDEAL)
+    walk = structure(scenario, engine, calm, smooth=True, in_pieces=False)
+    walk = walk._replace(stages=_linear(walk.stages))
+    steps = np.ones(count, int)
+    if walk.stages.control_period:
+        steps[:] = np.asarray(period_steps(jnp.asarray(flat[1].control_period), scenario.time_step))
+    middle = scenario.gait.cycle * (1 - scenario.gait.duty) / 2 / scenario.time_step
+    batch = _batch_of(walk.stages)
     radii = []
     with jax.enable_x64(True), jax.default_device(devices.host()):
-        run = _program(walk, scenario.gait.cycle * (1 - scenario.gait.duty))
-        for start in range(0, count, _CHUNK):
-            rows = np.minimum(np.arange(start, start + _CHUNK), count - 1)
+        run = _program(walk, batch)
+        for start in range(0, count, batch):
+            rows = np.minimum(np.arange(start, start + batch), count - 1)
             some, there = rows_of(flat, axes, rows)
             there = dataclasses.replace(there, kp=np.broadcast_to(there.kp, len(rows)))  # batched, come what may
-            matrices = np.asarray(run(some, there))
-            finite = np.isfinite(matrices).all((1, 2))
-            radius = np.full(len(rows), np.inf)
-            radius[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(1)
-            radii.append(radius[: count - start])
-    return np.concatenate(radii)
+            period = steps[rows]
+            first = period * np.round(middle / period)  # in the middle of the swing, where the law is worked out
+            # held: all further steps are alike; on a line to the next target each is another
+            kinds = period.max() if walk.stages.linear else min(period.max(), 2)
+            each = [np.asarray(run(some, there, first + min(k, kinds - 1))) for k in range(kinds)]
+            radii.append(_radii(np.stack(each), period)[: count - start])
+    return np.concatenate(radii).reshape(shape)
+
+
+def _linear(stages: Stages) -> Stages:
+    """Return the stages that have a linear part."""
+    without = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "dry_friction",
+               "backlash", "capture")  # fmt: skip
+    return stages._replace(**dict.fromkeys(without, False))
+
+
+def _batch_of(stages: Stages) -> int:
+    """Return how many matrices are made at once: the more, the smaller they are."""
+    samples = 4 + stages.force_delay + stages.base_delay + stages.command_delay + stages.servo_delay
+    return max(1, min(_LARGEST_BATCH, _ENTRIES // (12 * samples) ** 2))
+
+
+def _radii(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """Return radii (B,) of matrices (k, B, s, s) of the steps of a period, the last of which stands for all others."""
+    radius = np.full(len(periods), np.inf)
+    finite = np.isfinite(steps).all((0, 2, 3))
+    if not finite.any():
+        return radius
+    matrices = steps[:, finite]
+    core = _coupled((matrices != 0).any((0, 1)))
+    alone = np.diagonal(matrices, axis1=2, axis2=3)[..., ~core]
+    matrices = matrices[:, :, core][..., core]
+    found = []
+    for index, period in enumerate(periods[finite]):
+        whole, single = np.eye(int(core.sum())), np.ones(alone.shape[-1])
+        for k in range(min(period, len(matrices))):
+            last = k == len(matrices) - 1
+            times = int(period) - k if last else 1
+            whole = np.linalg.matrix_power(matrices[k, index], times) @ whole
+            single = single * alone[k, index] ** times
+        values = [*np.abs(np.linalg.eigvals(whole)), *np.abs(single)]
+        found.append(max(values) ** (1 / period))
+    radius[finite] = found
+    return radius
+
+
+def _coupled(acts: np.ndarray) -> np.ndarray:
+    """Return which states (s,) act on others that act back on them, where `acts` (s, s) says who acts on whom.
+
+    The eigenvalues are those of these states together and of each other state by itself.
+    """
+    reach = acts | np.eye(len(acts), dtype=bool)
+    for _ in range(math.ceil(math.log2(len(acts)))):
+        reach = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
+    return np.asarray((reach & reach.T).sum(1) > 1)
 
 
 def over_map(
@@ -68,12 +160,13 @@ def over_map(
 ) -> xr.DataArray:
     """Return the radius over the two gains (the same on all axes) of a grid of walks.
 
-    A grid of more than 48 values along an axis has it at 48 of them, and NaN between.
+    A grid of more than 48 values along an axis (16 with delays in the loop) has it at so many of them, NaN between.
     """
     axes, names = {}, [str(name) for name in walks["diverged"].dims]
+    finest = _FINEST if _batch_of(structure(scenario, engine).stages) == _LARGEST_BATCH else _FINEST_WITH_MEMORY
     for name in names:
         values = walks[name].values
-        axes[name] = values[np.unique(np.linspace(0, values.size - 1, min(values.size, _FINEST)).round().astype(int))]
+        axes[name] = values[np.unique(np.linspace(0, values.size - 1, min(values.size, finest)).round().astype(int))]
     lengths = (law_of(scenario) if law is None else law).AXES
     mesh = zip(names, np.meshgrid(*axes.values(), indexing="ij"), strict=True)
     gains = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
@@ -85,42 +178,41 @@ def over_map(
 
 
 @functools.lru_cache(maxsize=8)
-def _program(shape: Structure, swing_time: float) -> Callable[[Law, mc.Parameters], jax.Array]:
+def _program(shape: Structure, batch: int) -> Callable[[Law, mc.Parameters, np.ndarray], jax.Array]:
     # whole: XLA refuses some pieces of the derivative of a step
-    options = mc.compiler_options(_CHUNK, backend="cpu")
+    options = mc.compiler_options(batch, backend="cpu")
     if options:
         options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
-    return jax.jit(functools.partial(_jacobian, shape, swing_time), compiler_options=options)
+    return jax.jit(functools.partial(_jacobian, shape), compiler_options=options)
 
 
-def _calm(scenario: mc.Scenario) -> mc.Parameters:
-    """Return the scenario's numbers without gravity, cargo and pushes."""
+def _calm(scenario: mc.Scenario, numbers: mc.Parameters | None) -> mc.Parameters:
+    """Return numbers, the scenario's own where None, without gravity and pushes, and with the cargo loaded."""
     with jax.enable_x64(True):
-        numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
-    zero = {name: np.zeros_like(getattr(numbers, name)) for name in ("gravity", "cargo_mass")}
-    zero |= {name: getattr(numbers, name) * 0 for name in ("push_force", "push_moment")}
-    calm: mc.Parameters = dataclasses.replace(numbers, **zero)
+        numbers = jax.tree.map(np.asarray, mc.parameters(scenario) if numbers is None else numbers)
+    changed = {name: getattr(numbers, name) * 0 for name in ("gravity", "push_force", "push_moment")}
+    changed |= {"cargo_start": np.zeros(()), "cargo_stop": np.full((), np.inf)}
+    calm: mc.Parameters = dataclasses.replace(numbers, **changed)
     return calm
 
 
-def _jacobian(shape: Structure, swing_time: float, law: Law, numbers: mc.Parameters) -> jax.Array:
-    """Return the matrices (B, s, s) that map a small change of state over one step."""
+def _jacobian(shape: Structure, law: Law, numbers: mc.Parameters, step: jax.Array) -> jax.Array:
+    """Return the matrices (B, s, s) that map a small change of state over the step of a number (B,)."""
     batch, dtype = len(numbers.kp), jnp.result_type(float)
     walk = prepare(shape, batch_last(law, (batch,), dtype), batch_last(numbers, (batch,), dtype), batch)
     carry = begin(walk, batch)
-    step = jnp.asarray(round(swing_time / 2 / shape.time_step))
     now = gait.schedule(walk.plan, step)
     base = jnp.broadcast_to(gait.base_reference(walk.plan, now, walk.plan.base_start), (3, batch))
     rotation = quaternion_to_matrix(walk.plan.base_orientation)[:, :, None]
     target = gait.foot_targets(walk.plan, now, carry.contact.grip_point)
     joints = inverse_kinematics(walk.controller.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
-    closed = jnp.broadcast_to(now.closed, carry.contact.touching.shape)
-    carry = carry._replace(
-        state=dataclasses.replace(carry.state, base_position=base, joint_angles=joints),
-        contact=carry.contact._replace(touching=closed),
-    )
-    smooth = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in carry.law]
-    before = (carry.state, [leaf for leaf, varied in zip(carry.law, smooth, strict=True) if varied])
+    state = dataclasses.replace(carry.state, base_position=base, joint_angles=joints)
+    # the feet are where they should be, and everything that remembers has seen nothing else
+    memory = control_loop.start(state, jnp.broadcast_to(target, carry.contact.grip_point.shape), walk.controller)
+    contact = carry.contact._replace(touching=jnp.broadcast_to(now.closed, carry.contact.touching.shape))
+    remembered, whole = jax.tree.flatten((carry.law, memory))
+    smooth = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in remembered]
+    before = (state, [leaf for leaf, varied in zip(remembered, smooth, strict=True) if varied])
     leaves, tree = jax.tree.flatten(before)
     sizes = [leaf.size // batch for leaf in leaves]
     rows = jnp.split(jnp.eye(sum(sizes)), np.cumsum(sizes)[:-1], axis=1)
@@ -130,8 +222,13 @@ def _jacobian(shape: Structure, swing_time: float, law: Law, numbers: mc.Paramet
     ]
 
     def stepped(before: _Varied) -> _Varied:
-        after, _ = advance(walk, carry._replace(state=before[0], law=before[1]), step)
-        return after.state, after.law
+        varied = iter(before[1])
+        law, memory = jax.tree.unflatten(
+            whole, [next(varied) if kind else leaf for kind, leaf in zip(smooth, remembered, strict=True)]
+        )
+        after, _ = advance(walk, Carry(before[0], contact, carry.gait, law, memory), step)
+        moved = jax.tree.leaves((after.law, after.hardware))
+        return after.state, [leaf for leaf, kind in zip(moved, smooth, strict=True) if kind]
 
     def columns(before: _Varied, directions: _Varied) -> _Varied:
         along: _Varied = jax.vmap(lambda direction: jax.jvp(stepped, (before,), (direction,))[1])(directions)

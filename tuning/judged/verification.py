@@ -10,7 +10,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.walk.metrics import FAILURES
-from tuning.gains.gains_file import by_name, replaced
+from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
 from tuning.judged import maps, stability_limit
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
@@ -22,7 +22,6 @@ from tuning.searches.tune import problem_of
 STEP = 0.2  # relative change of a gain
 PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
 UNRESPONSIVE = 1e-3  # largest relative change of any metric
-BINDING = 1.25  # margins of a limit: as near to it, it is what holds the search there
 GRID = 12  # cells along each axis of the map
 
 
@@ -74,8 +73,10 @@ def map_of(
     if len(box) < 2 or (found.law is None and set(box) != {"stiffness", "damping"}):
         return None
     how: dict[str, Any] = {"law": found.law, "engine": problem.engine}
-    walks = grid.sweep(found.scenario, axes=box, progress=progress, metrics=problem.metrics, **how)
-    return maps.with_stability(maps.judged_by(walks, problem), found.scenario, **how)
+    joint = {name: value for name, value in by_name(found.gains).items() if name in OPTIONAL}
+    around = applied(found.scenario, joint)  # of the joint loop as it was found
+    walks = grid.sweep(around, axes=box, progress=progress, metrics=problem.metrics, **how)
+    return maps.with_stability(maps.judged_by(walks, problem), around, **how)
 
 
 def _problem_of(found: Result) -> Problem:
@@ -168,7 +169,7 @@ def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     near = []
     for limit in objective.limits:
         value = metrics[limit.metric]
-        if value is not None and -BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
+        if value is not None and -objectives.BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
             near.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
     return near
 

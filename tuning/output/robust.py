@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, Self
 
 import xarray as xr
 
-import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import gains as gains_of
@@ -22,8 +21,10 @@ from tuning.problem.evaluation import Problem
 from tuning.report import ensemble_pictures, page, search_pictures
 from tuning.report import robust as pages
 from tuning.report.numbers import to_json
-from tuning.searches import finished_parts, robust
+from tuning.searches import finished_parts, retuned_pd, robust
 from tuning.searches.result import Result
+from tuning.searches.retuned_pd import Worth
+from tuning.searches.robust import RobustObjective
 
 JUDGES = 128  # walks of each set of gains in the fresh draw
 FILES = (
@@ -49,20 +50,15 @@ class Robust(Result):
 
     problem: Problem = dataclasses.field(kw_only=True)
     ensemble: Ensemble = dataclasses.field(kw_only=True)
+    judges: int = dataclasses.field(default=JUDGES, kw_only=True)  # walks of each set of gains in the fresh draw
 
     def write(
-        self,
-        folder: str | os.PathLike[str],
-        *,
-        judges: int = JUDGES,
-        origin: page.Origin | None = None,
-        stage: Stage = silent,
+        self, folder: str | os.PathLike[str], *, origin: page.Origin | None = None, stage: Stage = silent
     ) -> Judged:
         """Judge the result on a fresh draw, and write what `mjx-climb tune --ensemble` writes.
 
         Arguments:
             folder: where to; it is made. Rounds that `tuning.robust(out=folder)` kept there are removed.
-            judges: walks of each set of gains in the fresh draw.
             origin: what the report says of where it comes from.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
@@ -76,7 +72,7 @@ class Robust(Result):
         found = self.write_found(folder, "from Python" if origin is None else origin.name)
         again = "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again"
         origin = complete(origin, "tuning.robust(...)", again, found.scenario, folder)
-        judged = judge(found, judges, stage)
+        judged = judge(found, stage, out=folder)
         dataset.save(judged.walks, folder / "judged.nc")
         dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
         with stage("drawing", compiles=False):
@@ -84,8 +80,7 @@ class Robust(Result):
             plots.save_figure(ensemble_pictures.plot_judged(judged.walks), folder / "judged")
         with stage("report", compiles=False):
             pictures = {text: folder / f"{name}.svg" for name, text in CAPTIONS.items()}
-            verdict = f"{judged.outcome[0]}."
-            page.write(pages.page(found, judged.summed, verdict, origin=origin, pictures=pictures), folder)
+            page.write(pages.page(found, judged.summed, judged.outcome, origin=origin, pictures=pictures), folder)
         finished_parts.clear(folder)
         return judged
 
@@ -107,27 +102,66 @@ class Robust(Result):
         return found
 
 
-def judge(found: Robust, judges: int = JUDGES, stage: Stage = silent) -> Judged:
-    """Walk a result, the scenario's own gains and pd through a fresh draw."""
+def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> Judged:
+    """Walk a result, the scenario's own gains, pd and pd retuned through a fresh draw.
+
+    `out` keeps the rounds in which pd is retuned until the result has been written.
+    """
     problem, ensemble, law = found.problem, found.ensemble, found.problem.law
+    goal = problem.objective
+    assert isinstance(goal, RobustObjective)
+    with stage("retuned pd", unit="rounds") as told:
+        retuned = retuned_pd.search(
+            problem, found.search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
+        )
+    pd = {} if retuned is None else {retuned_pd.NAME: retuned.gains}
     rivals: Mapping[str, AnyGains] = {"robust": found.gains, "config": law or gains_of(found.scenario)}
     how: dict[str, Any] = {"law": law, "engine": problem.engine, "metrics": problem.metrics}
     with stage("fresh draw") as told:
-        walks = robust.judge(found.scenario, rivals, ensemble, members=judges, progress=told, **how)
-    summed = robust.summary(walks)
-    lost = zip(summed["gains"].values.tolist(), summed["failed"].values, strict=True)
-    failed = ", ".join(f"{name} {share:.0%}" for name, share in lost)
-    outcome = [f"{judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}"]
+        walks = robust.judge(found.scenario, rivals, ensemble, members=found.judges, pd=pd, progress=told, **how)
+    with stage("its own draw") as told:
+        seen = robust.walked(found.scenario, {"robust": found.gains}, ensemble, progress=told, **how)
+    broken = robust.broken(walks, goal)
+    summed = robust.summary(walks).assign(objective=robust.scores(walks, goal), broken=broken)
+    outcome, worth = _limits_in_words(broken, robust.binding(seen, goal, "robust")), None
+    if retuned is not None:
+        worth = retuned_pd.worth(_scored(summed, "robust"), _scored(summed, retuned_pd.NAME), retuned)
+        outcome.insert(0, worth.in_words)
     if not found.feasible:
         outcome.append("warning: no gains kept every limit in every member of the search")
-    return Judged(walks, summed, outcome, to_json(_plain(summed, found, problem.metrics)))
+    lost = zip(summed["gains"].values.tolist(), summed["failed"].values, strict=True)
+    failed = ", ".join(f"{name} {share:.0%}" for name, share in lost)
+    verdict = f"{found.judges} walks each that the search never saw; would lose a gripper, or diverge: {failed}"
+    return Judged(walks, summed, [verdict, *outcome], to_json(_plain(summed, found, worth)))
 
 
-def _plain(summed: xr.Dataset, found: Result, metrics: mc.MetricTable) -> dict[str, Any]:
-    names, shown = summed["gains"].values.tolist(), pages.shown(metrics)
+def _limits_in_words(broken: xr.DataArray, binding: list[str]) -> list[str]:
+    """Return which limits hold the result where it is, and a warning for each that it breaks in the fresh draw."""
+    lines = [f"held by its limits: {'; '.join(binding)}"] if binding else []
+    shares = broken.sel(gains="robust")
+    for limit, share in zip(shares["limit"].values.tolist(), shares.values.tolist(), strict=True):
+        if share:
+            lines.append(f"warning: {share:.1%} of the fresh walks break {limit}")
+    return lines
+
+
+def _scored(summed: xr.Dataset, name: str) -> dict[str, float]:
+    """Return what gains are compared by."""
+    own = summed.sel(gains=name)
+    return {
+        "objective": float(own["objective"]),
+        "force_variation": float(own["force_variation"].sel(statistic="mean")),
+    }
+
+
+def _plain(summed: xr.Dataset, found: Robust, worth: Worth | None) -> dict[str, Any]:
+    names, shown = summed["gains"].values.tolist(), pages.shown(found.problem.metrics)
+    limits = summed["limit"].values.tolist()
     result = {
         name: {
             "failed": float(summed["failed"].sel(gains=name)),
+            "objective": float(summed["objective"].sel(gains=name)),
+            "broken_limits": dict(zip(limits, summed["broken"].sel(gains=name).values.tolist(), strict=True)),
             **{s: {m: float(summed[m].sel(gains=name, statistic=s)) for m in shown} for s in ("mean", "worst")},
         }
         for name in names
@@ -138,4 +172,4 @@ def _plain(summed: xr.Dataset, found: Result, metrics: mc.MetricTable) -> dict[s
         "env_steps": found.env_steps,
         "gains": by_name(found.gains),
     }
-    return {**result, "search": search}
+    return {**result, "search": search} | ({} if worth is None else {"force_sensor": worth._asdict()})

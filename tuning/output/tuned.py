@@ -6,23 +6,26 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from tuning.gains import gains_file
-from tuning.judged import verification
+from tuning.judged import maps, verification
 from tuning.judged.verification import Verification
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import Problem
+from tuning.problem.objectives import Goal
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
 from tuning.report.numbers import to_json
-from tuning.searches import finished_parts
+from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
+from tuning.searches.retuned_pd import Worth
 
 FILES = (
     "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), "
@@ -38,8 +41,8 @@ CAPTIONS = {
 class Judged(NamedTuple):
     """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
 
-    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned
-    compared: Compared  # tuned, config, pd
+    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
+    compared: Compared  # tuned, retuned_pd, config, pd
     over: xr.Dataset | None  # the map around it
     checked: Verification
     outcome: list[str]  # of the tests, in lines
@@ -58,6 +61,8 @@ class Tuned(Result):
     ) -> Judged:
         """Walk, test and draw the result, and write what `mjx-climb tune` writes: gains, map, pictures, report.
 
+        pd is retuned for the same goal beside it.
+
         Arguments:
             folder: where to; it is made. Rounds that `tune(out=folder)` kept there are removed.
             origin: what the report says of where it comes from.
@@ -73,7 +78,7 @@ class Tuned(Result):
         found = self.write_found(folder, "from Python" if origin is None else origin.name)
         again = "mjx-climb tune config.yaml --search search.yaml --out again"
         origin = complete(origin, "tune(...)", again, found.scenario, folder)
-        judged = judge(found, stage)
+        judged = judge(found, stage, out=folder)
         dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
         if judged.over is not None:
             dataset.save(judged.over, folder / "map.nc")
@@ -106,11 +111,23 @@ class Tuned(Result):
         return found
 
 
-def judge(found: Tuned, stage: Stage = silent) -> Judged:
-    """Walk a result, what it is compared with and the map around it, and test it."""
+def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Judged:
+    """Walk a result, what it is compared with and the map around it, and test it.
+
+    `out` keeps the rounds in which pd is retuned until the result has been written.
+    """
     scenario, problem = found.scenario, found.problem
-    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
-    walkers = {"pd": (pd, None), "config": (scenario, problem.law), "tuned": (verification.tuned(found), found.law)}
+    with stage("retuned pd", unit="rounds") as told:
+        retuned = retuned_pd.search(
+            problem, found.search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
+        )
+    walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {
+        "pd": (retuned_pd.under_pd(scenario), None),
+        "config": (scenario, problem.law),
+        "tuned": (verification.tuned(found), found.law),
+    }
+    if retuned is not None:
+        walkers[retuned_pd.NAME] = verification.tuned(retuned), None
     walks = {}
     for name, (walked, law) in walkers.items():
         with stage(name):
@@ -120,11 +137,17 @@ def judge(found: Tuned, stage: Stage = silent) -> Judged:
         over = verification.map_of(found, problem, progress=told)
     with stage("verification"):
         checked = verification.verify(found, problem, metrics=metrics["tuned"], walks=over)
-    compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in ("tuned", "config", "pd")}
-    outcome = outcome_of(checked, found)
+    order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
+    compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
+    outcome, worth = outcome_of(checked, found), None
+    if retuned is not None:
+        compared[retuned_pd.NAME] = (_joint(retuned), metrics[retuned_pd.NAME])
+        ours, theirs = (_scored(problem.objective, metrics[name]) for name in ("tuned", retuned_pd.NAME))
+        worth = retuned_pd.worth(ours, theirs, retuned)
+        outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
-    return Judged(walks, compared, over, checked, outcome, _summary(found, checked, compared))
+    return Judged(walks, compared, over, checked, outcome, _summary(found, checked, compared, worth))
 
 
 def _draw(found: Result, judged: Judged, folder: Path) -> dict[str, Path]:
@@ -146,7 +169,20 @@ def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
     return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
 
 
-def _summary(found: Result, checked: Verification, compared: Compared) -> str:
+def _joint(retuned: Result) -> dict[str, float]:
+    """Return kp and kd alone: pd has no other gains."""
+    gains = gains_file.by_name(retuned.gains)
+    return {name: float(gains[name]) for name in ("kp", "kd")}
+
+
+def _scored(target: Goal, metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Return what gains are compared by."""
+    variation = metrics["force_variation"]
+    score = float(maps.score_of(target, metrics).value)
+    return {"objective": score, "force_variation": np.nan if variation is None else float(variation)}
+
+
+def _summary(found: Result, checked: Verification, compared: Compared, worth: Worth | None) -> str:
     summary: dict[str, Any] = {
         name: {"gains": gains, "metrics": metrics} for name, (gains, metrics) in compared.items()
     }
@@ -154,6 +190,8 @@ def _summary(found: Result, checked: Verification, compared: Compared) -> str:
         **found.search.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
         "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
     }  # fmt: skip
+    if worth is not None:
+        summary["force_sensor"] = worth._asdict()
     summary["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
     return to_json(summary)
 

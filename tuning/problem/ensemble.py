@@ -1,4 +1,4 @@
-"""An ensemble of walks round one scenario: pushes, cargo, slope, grip stiffness and robot mass drawn from a seed.
+"""An ensemble of walks round one scenario: pushes, cargo, slope, grips, masses and hardware drawn from a seed.
 
 Each quantity is drawn from a range by a Latin hypercube: with m members one value falls into each m-th of its range.
 Masses are off by one factor for all links (`mjx_climb.Parameters.mass_scale`).
@@ -7,6 +7,7 @@ Masses are off by one factor for all links (`mjx_climb.Parameters.mass_scale`).
 import dataclasses
 import math
 import os
+from collections.abc import Callable
 from types import ModuleType
 from typing import Annotated, Any, Self
 
@@ -16,6 +17,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 import mjx_climb as mc
+from mjx_climb.hardware.stages import given
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import settings
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -24,6 +27,7 @@ _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _Share = Annotated[float, Field(gt=0, le=1)]
 Range = tuple[_NonNegative, _NonNegative]
 PositiveRange = tuple[_Positive, _Positive]
+AnyRange = tuple[_Finite, _Finite]
 
 
 class _Section(BaseModel):
@@ -61,6 +65,30 @@ class Gravity(_Section):
     slope: Range = Field(default=(0.0, 10.0), description="tilt against the scenario's gravity to any side, degrees")
 
 
+class Hardware(_Section):
+    """What the loop's hardware may be. A range that is null leaves the scenario's own; each walk has its own noise."""
+
+    force_delay: Range | None = Field(default=None, description="age of the forces, s")
+    command_delay: Range | None = Field(default=None, description="from the law to the joints, s")
+    control_rate: PositiveRange | None = Field(
+        default=None, description="of law and joint targets, Hz, even in its logarithm; periods are whole time steps"
+    )
+    force_noise: Range | None = Field(default=None, description="standard deviation per axis and sample, N")
+    force_bias: AnyRange | None = Field(default=None, description="offset on every axis of every sensor, N")
+    force_filter: PositiveRange | None = Field(default=None, description="cut-off, Hz, even in its logarithm")
+    friction: PositiveRange | None = Field(
+        default=None, description="factor on dry, load and viscous friction, even in its logarithm"
+    )
+    armature: PositiveRange | None = Field(default=None, description="factor on the armature, even in its logarithm")
+    backlash: Range | None = Field(default=None, description="play of the gears from end to end, rad")
+    capture_distance: PositiveRange | None = Field(
+        default=None, description="how far off the ground a gripper holds what it shuts on, m"
+    )
+
+
+_FRICTION = ("coulomb_friction", "load_friction", "viscous_friction")
+
+
 class Worst(_Section):
     """How much the worst members count beside the mean."""
 
@@ -80,6 +108,7 @@ class Ensemble(_Section):
         default=(0.5, 2.0), description="factor on the contact stiffness, even in its logarithm"
     )
     robot_mass: PositiveRange = Field(default=(0.9, 1.1), description="factor on the masses and inertias of all links")
+    hardware: Hardware | None = Field(default=None, description="what stands between the law and the joints")
     worst: Worst = Field(default=Worst(), description="the worst members in the objective")
 
     def to_yaml(self) -> str:
@@ -107,7 +136,11 @@ def make(values: dict[str, Any], source: str = "ensemble") -> Ensemble:
 
 
 def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
-    """Return the numbers of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains."""
+    """Return the numbers of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains.
+
+    Raises:
+        ConfigError: a factor on what the scenario does not have, or a control rate that its time step cannot tell.
+    """
     rng = np.random.default_rng(ensemble.seed)
     members = ensemble.members
 
@@ -138,7 +171,39 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
         force = uniform(pushes.force, n)[..., None] * direction
         changes |= {"push_force": force, "push_moment": np.zeros_like(force)}
         changes |= {"push_start": start, "push_stop": start + uniform(pushes.length, n)}
+    if ensemble.hardware is not None:
+        changes |= _hardware(scenario, ensemble.hardware, own, uniform)
+        changes["seed"] = rng.integers(0, 2**24, (members, 1)).astype(float)
     drawn: mc.Parameters = dataclasses.replace(own, **changes)
+    return drawn
+
+
+def _hardware(
+    scenario: mc.Scenario, hardware: Hardware, own: mc.Parameters, uniform: Callable[[AnyRange], np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return the numbers of the members' hardware, (members, 1) each."""
+    drawn = {}
+    for name in ("force_delay", "command_delay", "force_noise", "force_bias", "backlash", "capture_distance"):
+        if (span := getattr(hardware, name)) is not None:
+            drawn[name] = uniform(span)
+    if hardware.force_filter is not None:
+        drawn["force_filter"] = np.exp(uniform(_logs(hardware.force_filter)))
+    if hardware.control_rate is not None:
+        fastest = 1 / scenario.time_step
+        if hardware.control_rate[1] > fastest * (1 + 1e-9):
+            raise ConfigError(
+                f"hardware.control_rate: expected at most the {fastest:g} Hz of the time step, "
+                f"got {hardware.control_rate[1]:g}"
+            )
+        steps = np.round(fastest / np.exp(uniform(_logs(hardware.control_rate))))
+        drawn["control_period"] = steps * scenario.time_step
+    for key, names in (("friction", _FRICTION), ("armature", ("armature",))):
+        if (span := getattr(hardware, key)) is None:
+            continue
+        if not any(given(getattr(own, name)) for name in names):
+            raise ConfigError(f"hardware.{key}: expected {key} in the scenario to scale, got none")
+        factor = np.exp(uniform(_logs(span)))
+        drawn |= {name: getattr(own, name) * factor for name in names}
     return drawn
 
 

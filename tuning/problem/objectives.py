@@ -24,6 +24,7 @@ _PENALTY = 100.0
 _BEND = 0.1
 _MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
 PD_MARGIN = 0.005
+BINDING = 1.25  # margins of a limit: as near to it, it is what holds a search there
 
 
 class Score(NamedTuple):
@@ -126,6 +127,13 @@ def violation(limit: Limit, value: Array | np.ndarray) -> Array | np.ndarray:
     """Return by how much a limit is passed, relative to its scale; negative inside."""
     over = value - _by_row(limit.value)
     return (-over if limit.larger_is_better else over) / _by_row(limit.scale)
+
+
+def in_words(limit: Limit) -> str:
+    """Return "base_deviation at most 0.005 m (set by the user)"."""
+    value = np.asarray(limit.value)
+    text = f"{value:.4g}" if value.ndim == 0 else f"{value.min():.4g} to {value.max():.4g}"
+    return f"{limit.metric} at {'least' if limit.larger_is_better else 'most'} {text} ({limit.reason})"
 
 
 def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:

@@ -34,7 +34,9 @@ class Search(BaseModel):
     space: Layout = Field(default="isotropic", description="which axes share their gains")
     inertia: bool = Field(default=False, description="search the virtual inertia as well")
     also: tuple[str, ...] = Field(default=(), description="gains of the law to search that are left alone otherwise")
-    joint_gains: bool = Field(default=False, description="search kp and kd of the joint loop as well")
+    joint_gains: bool | None = Field(
+        default=None, description="search kp and kd of the joint loop as well; null: where there is hardware"
+    )
     bounds: dict[str, tuple[_Positive, _Positive]] = Field(
         default={}, description="lowest and highest value of a gain, as stiffness, stiffness.rotation, stiffness.rx"
     )

@@ -19,6 +19,7 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
+from mjx_climb.hardware.stages import IDEAL, stages_of
 from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.search import Search
@@ -104,14 +105,15 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         ConfigError: bounds or pins of a gain that is not there, a controller without gains, nothing left to search.
     """
     law = law_of(scenario) if law is None else law
-    if not law.GAINS and not search.joint_gains:
+    joint_gains = searches_joint_gains(scenario, search)
+    if not law.GAINS and not joint_gains:
         raise ConfigError("control.controller: expected an admittance law, got pd, which has no gains to search")
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
     if unknown := sorted({*search.also} - set(law.GAINS)):
         raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
     wanted = [name for name, field in law.GAINS.items() if field.searched or name in asked]
     defaults = {**law.search_bounds(scenario.time_step), **JOINT}
-    known = set(JOINT) if search.joint_gains else set()
+    known = set(JOINT) if joint_gains else set()
     names, lower, upper, fixed = [], [], [], []
     places: dict[str, int | list[int]] = {}
 
@@ -153,7 +155,7 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
             keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"] for axis in range(axes)]
             own = [add(each[-1], each) for each in keys] + [keep(value) for value in kept]
         places[gain] = own if np.ndim(value) else own[0]
-    if search.joint_gains:
+    if joint_gains:
         for gain in JOINT:
             places[gain] = add(gain, [gain])
     for section in ("bounds", "pins"):
@@ -168,6 +170,17 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         for gain, place in places.items()
     }
     return Space(tuple(names), np.asarray(lower), np.asarray(upper), index, np.asarray(fixed, float))
+
+
+def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
+    """Return whether kp and kd are searched: as the settings say, else where hardware stands before the joints.
+
+    With a force sensor that is late or a servo with friction, which admittance is best depends on the joint loop.
+    """
+    if search.joint_gains is not None:
+        return search.joint_gains
+    with jax.enable_x64(True):
+        return stages_of(scenario, mc.parameters(scenario))._replace(capture=False) != IDEAL
 
 
 def as_gains(values: Mapping[str, Any]) -> AnyGains:

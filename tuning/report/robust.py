@@ -1,6 +1,6 @@
 """The page of a search over an ensemble."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import xarray as xr
@@ -16,13 +16,15 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
          "base_deviation", "joint_limit_margin")  # fmt: skip
 
 
-def page(found: Result, summed: xr.Dataset, verdict: str, *, origin: Origin, pictures: Mapping[str, Path]) -> Page:
+def page(
+    found: Result, summed: xr.Dataset, outcome: Sequence[str], *, origin: Origin, pictures: Mapping[str, Path]
+) -> Page:
     """Return the page of a search over an ensemble.
 
     Arguments:
         found: the result.
         summed: of walks that the search never saw, see `tuning.searches.robust.summary`.
-        verdict: on them, a sentence.
+        outcome: in lines: how it went on them, what a force sensor is worth, which limits bind or break.
         origin, pictures: as of `tuning.report.sweep.page`.
     """
     control = found.scenario.control
@@ -32,8 +34,8 @@ def page(found: Result, summed: xr.Dataset, verdict: str, *, origin: Origin, pic
     return Page(
         title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
         origin=origin,
-        verdict=verdict,
-        notes=[] if found.feasible else ["No gains kept every limit in every member of the search."],
+        verdict=f"{outcome[0]}.",
+        notes=[f"{line[0].upper()}{line[1:]}." for line in outcome[1:]],
         scenario=found.scenario,
         explorers=[],
         tables=[judged_table(summed, found.judged_by), comparison.gains_table(rivals, found.law)],
@@ -51,7 +53,10 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
     """Return mean and worst of the main metrics, the first gains' with their change against the config's."""
     names = summed["gains"].values.tolist()
     columns = ["metric", "unit", "of the members", names[0], "vs config %", *names[1:]]
-    sections = []
+    values = {name: float(summed["objective"].sel(gains=name)) for name in names}
+    scores = [number(value) for value in values.values()]
+    scores.insert(1, change(values[names[0]], values["config"]))
+    sections = [("", [["objective", "", "mean and worst", *scores]])]
     for metric in shown(metrics):
         rows = []
         for statistic, label in (("mean", "mean"), ("worst", f"worst {summed.attrs['worst_share']:.0%}")):

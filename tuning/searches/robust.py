@@ -1,19 +1,17 @@
 """Robust tuning: gains for an ensemble of walks, judged on a draw that the search never saw."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.compilation.cache import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.given import AnyGains
@@ -27,13 +25,12 @@ from tuning.problem.ensemble import Ensemble, Worst
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Limit, Metrics, Score
 from tuning.problem.search import WEIGHTS, Search
-from tuning.searches import tune
+from tuning.searches import retuned_pd, tune
 from tuning.searches.result import Result
 
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}
 JUDGED_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that judges
-CHUNK = 128  # members at a time
 
 
 class RobustTerm(NamedTuple):
@@ -69,7 +66,7 @@ class RobustObjective:
         total, lost = 0.0, metrics["diverged"].any(0)
         feasible = ~lost
         for term in self.terms:
-            ratios = self._ratios(metrics[term.metric], term, term.mean, term.worst)
+            ratios = self.ratios(metrics[term.metric], term)
             name = PREFIX + term.metric if PREFIX + term.metric in metrics else term.metric
             soft = (
                 ratios
@@ -91,6 +88,10 @@ class RobustObjective:
         whole = jnp.broadcast_to(jnp.asarray(penalty, mean.dtype), mean.shape)
         score = Score(mean, smooth / total + whole, whole, feasible & jnp.isfinite(mean))
         return objectives.worthless(score, lost)
+
+    def ratios(self, values: Array | np.ndarray, term: RobustTerm) -> tuple[Array, Array]:
+        """Return mean and worst of a metric (members, ...), relative to pd's: above 1 is worse."""
+        return self._ratios(jnp.asarray(values), term, term.mean, term.worst)
 
     def _worst(self, values: Array, *, larger_is_better: bool = False) -> Array:
         return jnp.asarray(ensembles.worst_mean(values, self.worst.share, larger_is_better=larger_is_better, numpy=jnp))
@@ -156,30 +157,12 @@ def pd_of(
     engine: str = DEFAULT_ENGINE,
     metrics: mc.MetricTable = mc.METRICS,
 ) -> dict[str, np.ndarray]:
-    """Return what a search sees of pd in the walks that `numbers` (with leading batch axes) holds; see `_walked`."""
-    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    """Return what a search sees of pd in the walks that `numbers` (with leading batch axes) holds: in float32."""
     ones = np.ones(6)
-    return _walked(pd, mc.Gains(ones, ones, ones), numbers, engine, metrics)
-
-
-def _walked(
-    scenario: mc.Scenario,
-    gains: AnyGains,
-    numbers: mc.Parameters,
-    engine: str,
-    metrics: mc.MetricTable,
-    law: mc.Law | None = None,
-) -> dict[str, np.ndarray]:
-    """Return metrics and their smooth companions with nothing torn off, in float32, with the batch axes."""
-    enable_cache()
-    gains, numbers = jax.tree.map(lambda value: np.asarray(value, np.float32), (gains, numbers))
-    walks = math.prod(given_in(scenario, law, gains, numbers, np.float32).shape)
-    in_pieces = mc.pieces_pay(engine)
-    simulate = jax.jit(
-        mc.simulator(scenario, metrics=metrics, law=law, engine=engine, smooth=True, in_pieces=in_pieces),
-        compiler_options=mc.compiler_options(walks, in_pieces=in_pieces),
+    pd = retuned_pd.under_pd(scenario)
+    return mc.rollout_metrics(
+        pd, mc.Gains(ones, ones, ones), numbers, metrics=metrics, dtype=np.float32, engine=engine, smooth=True
     )
-    return {name: np.asarray(value) for name, value in simulate(gains, numbers).items()}
 
 
 def search(
@@ -198,20 +181,25 @@ def search(
 
     Where no weights are given, those of a plain search and the peak pulling force count alike.
     """
-    settings = settled(settings, changes)
+    settings = settled(settings, changes, ensemble)
     problem = problem_of(scenario, ensemble, settings, metrics=metrics, law=law, engine=engine)
     return tune.run(problem, settings, out=out, progress=progress)
 
 
-def settled(settings: Search | None, changes: Mapping[str, Any]) -> Search:
+def settled(settings: Search | None, changes: Mapping[str, Any], ensemble: Ensemble) -> Search:
     """Return settings with some keys replaced; without any, those of a robust search.
+
+    The joint loop is searched where the ensemble has hardware and the settings do not say.
 
     Raises:
         ConfigError: settings that make no sense.
     """
     if settings is None:
         changes = {"weights": ROBUST_WEIGHTS, **changes}
-    return tune.changed(settings, changes)
+    settings = tune.changed(settings, changes)
+    if settings.joint_gains is not None or ensemble.hardware is None:
+        return settings
+    return settings.model_copy(update={"joint_gains": True})
 
 
 def problem_of(
@@ -230,8 +218,8 @@ def problem_of(
     """
     table, numbers = tune.complete(metrics), ensembles.draw(scenario, ensemble)
     search_settings.check_metrics(settings, table)
-    walked = pd_of(scenario, numbers, engine=engine, metrics=table)
-    pd = {name: value.reshape(-1) for name, value in walked.items()}
+    each = pd_of(scenario, numbers, engine=engine, metrics=table)
+    pd = {name: value.reshape(-1) for name, value in each.items()}
     target = objective(scenario, settings, ensemble, pd, table)
     return tune.problem_of(scenario, settings, target, numbers, engine, law=law, metrics=table)
 
@@ -242,6 +230,7 @@ def judge(
     ensemble: Ensemble,
     *,
     members: int = 128,
+    pd: Mapping[str, AnyGains] = MappingProxyType({}),
     metrics: Iterable[mc.Metric] = mc.METRICS,
     law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
@@ -254,39 +243,80 @@ def judge(
 
     Arguments:
         scenario: what walks where, under an admittance law.
-        gains: by name.
+        gains: by name; with those of the joint loop, where they are the scenario's own.
         ensemble: drawn again with another seed.
         members: walks of each.
+        pd: further gains of the joint loop under pd, by name: `kp` and `kd`.
         metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         law: whose gains they are, where it is not the scenario's.
         engine: the dynamics.
         progress: called with walks done and in all.
 
     Returns:
-        Every metric of every walk, dimensions (`gains`, `member`): the names, and `pd` last; with what was drawn.
+        Every metric of every walk, dimensions (`gains`, `member`): the names, those of `pd`, and `pd` last; with what
+        was drawn.
     """
     fresh = ensemble.model_copy(update={"members": members, "seed": ensemble.seed + FRESH_SEED})
-    numbers = ensembles.draw(scenario, fresh)
-    table = tune.complete(metrics)
-    whole = [given_in(scenario, law, g, None, np.float64).law for g in gains.values()]
-    stacked = {name: np.stack([getattr(each, name) for each in whole]) for name in whole[0].GAINS}
-    total, parts = members * (len(gains) + 1), []
-    for start in range(0, members, CHUNK):
-        rows = {n: v[start : start + CHUNK] if v.shape[:1] == (members,) else v for n, v in vars(numbers).items()}
-        part = mc.Parameters(**rows)
-        walked = _walked(scenario, stacked, part, engine, table, law)
-        both = walked, pd_of(scenario, part, engine=engine, metrics=table)
-        parts.append({name: np.concatenate([v[name] for v in both], axis=1) for name in table.names})
-        if progress is not None:
-            progress(min(start + CHUNK, members) * (len(gains) + 1), total)
+    return walked(scenario, gains, fresh, pd=pd, metrics=metrics, law=law, engine=engine, progress=progress)
+
+
+def walked(
+    scenario: mc.Scenario,
+    gains: Mapping[str, AnyGains],
+    ensemble: Ensemble,
+    *,
+    pd: Mapping[str, AnyGains] = MappingProxyType({}),
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    """Walk several gains, and pd, through the members of an ensemble; see `judge`."""
+    numbers, table = ensembles.draw(scenario, ensemble), tune.complete(metrics)
+    under_pd = retuned_pd.under_pd(scenario)
+    own = {"kp": scenario.control.kp, "kd": scenario.control.kd}
+    kinds = [(scenario, law, dict(gains)), (under_pd, None, {**pd, "pd": own})]
+    total = ensemble.members * sum(len(some) for *_, some in kinds)
+    parts, done = [], 0
+    for place, whose, some in kinds:
+        if not some:
+            continue
+
+        def told(now: int, _: int, before: int = done) -> None:
+            if progress is not None:
+                progress(before + now, total)
+
+        how: dict[str, Any] = {"metrics": table, "law": whose, "engine": engine}
+        stacked = _stacked(place, whose, list(some.values()))
+        found = mc.rollout_metrics(place, stacked, numbers, dtype=np.float32, smooth=True, progress=told, **how)
+        parts.append(found)
+        done += ensemble.members * len(some)
     data: dict[str, Any] = {
         metric.name: (
             ("gains", "member"),
-            np.concatenate([part[metric.name] for part in parts]).T,
+            np.concatenate([part[metric.name] for part in parts], axis=1).T,
             dataset.metric_attributes(metric),
         )
         for metric in table
     }
+    for name, (values, units, text) in _drawn(numbers, ensemble).items():
+        values = np.broadcast_to(np.reshape(values, -1), ensemble.members)
+        data[name] = ("member", values, {"units": units, "long_name": text})
+    attrs: dict[str, Any] = {"title": "gains judged over an ensemble", **dataset.provenance(scenario)}
+    attrs["ensemble"] = ensemble.to_yaml()
+    attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
+    return xr.Dataset(data, {"gains": [*gains, *pd, "pd"], "member": np.arange(ensemble.members)}, attrs)
+
+
+def _stacked(scenario: mc.Scenario, law: mc.Law | None, gains: list[AnyGains]) -> dict[str, np.ndarray]:
+    """Return several gains as one batch (n, ...), by name, the joint loop's among them."""
+    each = [given_in(scenario, law, one, None, np.float64) for one in gains]
+    stacked = {name: np.stack([getattr(one.law, name) for one in each]) for name in each[0].law.GAINS}
+    return stacked | {name: np.stack([getattr(one.numbers, name) for one in each]) for name in ("kp", "kd")}
+
+
+def _drawn(numbers: mc.Parameters, ensemble: Ensemble) -> dict[str, tuple[np.ndarray, str, str]]:
+    """Return what is told of each member: values, unit and words."""
     drawn = {
         "cargo_mass": (numbers.cargo_mass, "kg", "mass of the cargo"),
         "contact_stiffness": (numbers.contact_stiffness, "N/m", "contact stiffness"),
@@ -294,19 +324,75 @@ def judge(
         "gravity": (np.linalg.norm(numbers.gravity, axis=-1), "m/s^2", "gravity"),
         "largest_push": (np.linalg.norm(numbers.push_force, axis=-1).max(-1, initial=0.0), "N", "largest push"),
     }
-    for name, (values, units, text) in drawn.items():
-        values = np.broadcast_to(np.reshape(values, -1), members)
-        data[name] = ("member", values, {"units": units, "long_name": text})
-    attrs: dict[str, Any] = {"title": "gains judged on a draw that no search saw", **dataset.provenance(scenario)}
-    attrs["ensemble"] = fresh.to_yaml()
-    attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
-    return xr.Dataset(data, {"gains": [*gains, "pd"], "member": np.arange(members)}, attrs)
+    if ensemble.hardware is None:
+        return drawn
+    return drawn | {
+        "force_delay": (numbers.force_delay, "s", "delay of the force sensors"),
+        "command_delay": (numbers.command_delay, "s", "delay of the commands"),
+        "control_period": (numbers.control_period, "s", "control period"),
+        "force_noise": (numbers.force_noise, "N", "noise of the force sensors"),
+        "coulomb_friction": (numbers.coulomb_friction, "N m", "dry friction"),
+        "armature": (numbers.armature, "kg m^2", "armature"),
+    }
 
 
 def failed(judged: xr.Dataset) -> xr.DataArray:
     """Return which walks would lose a gripper, or diverge, dimensions (`gains`, `member`)."""
     lost: xr.DataArray = judged["peak_pull_force"] > judged.attrs["holding_limit"]
     return lost | judged["diverged"].astype(bool)
+
+
+def broken(judged: xr.Dataset, goal: RobustObjective) -> xr.DataArray:
+    """Return the share of walks that break each limit of a search, dimensions (`limit` in words, `gains`).
+
+    A walk that diverged breaks every limit.
+    """
+    shares, words = [], []
+    for limit in goal.limits:
+        kept = objectives.violation(limit, judged[limit.metric].values.astype(float)) <= 0
+        shares.append((~kept | judged["diverged"].values.astype(bool)).mean(1))
+        words.append(objectives.in_words(limit))
+    about = {"units": "1", "long_name": "share of walks that break the limit"}
+    values = np.reshape(shares, (len(words), judged.sizes["gains"]))
+    return xr.DataArray(values, {"limit": words, "gains": judged["gains"].values}, ("limit", "gains"), attrs=about)
+
+
+def scores(judged: xr.Dataset, goal: RobustObjective) -> xr.DataArray:
+    """Return what gains are worth over the walks of a draw, (`gains`): 1 for pd on the same walks."""
+    rows = {str(name): judged[name].values for name in judged.data_vars if judged[name].ndim == 2}
+    pd = {name: values[-1] for name, values in rows.items()}
+    terms = []
+    for term in goal.terms:
+        worst = ensembles.worst_mean(pd[term.metric], goal.worst.share, larger_is_better=term.larger_is_better)
+        mean, worst = float(pd[term.metric].mean()), float(worst)
+        terms.append(term._replace(mean=mean, worst=worst, smooth_mean=mean, smooth_worst=worst))
+    fresh = dataclasses.replace(goal, terms=tuple(terms))
+    value = np.asarray(fresh.score({name: jnp.asarray(values.T) for name, values in rows.items()}).value)
+    return xr.DataArray(value, {"gains": judged["gains"].values}, attrs={"units": "1", "long_name": "objective"})
+
+
+def binding(seen: xr.Dataset, goal: RobustObjective, name: str) -> list[str]:
+    """Return in words which limits hold gains where they are: kept in every member, but hardly in one.
+
+    `seen` are the walks of the members that the search walked.
+    """
+    own = seen.sel(gains=name)
+    rows = {str(key): own[key].values.astype(float) for key in seen.data_vars}
+    if rows["diverged"].any():
+        return []
+    held = []
+    for limit in goal.limits:
+        worst = float(np.max(objectives.violation(limit, rows[limit.metric])))
+        if -objectives.BINDING * limit.margin <= worst <= 0:
+            held.append(objectives.in_words(limit))
+    if goal.margin is None:
+        return held
+    for term in goal.terms:
+        ratios = goal.ratios(rows[term.metric], term)
+        for ratio, words in zip(ratios, ("mean", f"mean of the worst {goal.worst.share:.0%}"), strict=True):
+            if 1 - objectives.BINDING * goal.margin <= float(ratio) <= 1:
+                held.append(f"{words} of {term.metric} no worse than pd's")
+    return held
 
 
 def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:

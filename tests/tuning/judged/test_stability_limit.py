@@ -1,5 +1,8 @@
 """The limit of stability: what it calls unstable diverges, what it calls stable does not."""
 
+import dataclasses
+
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -39,3 +42,22 @@ def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
     known = radius.dropna("stiffness")
     assert known.sizes["stiffness"] == 48
     np.testing.assert_allclose(known, np.broadcast_to(walks["damping"] / 1e2, known.shape))
+
+
+@pytest.mark.slow
+def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case):
+    """Soft gains, a law at 250 Hz, a cargo from the start: 5 ms of delay are borne, 15 ms are not."""
+    push = {"force": [1.0, 1.0, 1.0], "moment": [0.1, 0.1, 0.1], "start": 0.2, "stop": 0.22}
+    still = {"gait.stride": 1e-4, "gait.step_height": 0.01, "duration": 1.0, "contact.holding_limit": None}
+    loaded = {"disturbance.pushes": [push], "disturbance.cargo": {"mass": 1.0, "start": 0.0}}
+    scenario = case("case_2", "virtual_model", still | loaded | {"hardware.control_period": 0.004})
+    gains = mc.Gains(1.0, 150.0, 3000.0)
+    with jax.enable_x64(True):
+        numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
+    late = dataclasses.replace(numbers, force_delay=np.array([5e-3, 15e-3]))
+    radius = stability_limit.spectral_radius(scenario, gains, late)
+    force = mc.rollout_histories(scenario, gains, late, dtype=np.float64)["foot_force_history"][:, 1]
+    early, end = force[:, 80:120].max(1), force[:, 160:].max(1)  # of 200 stretches
+    assert radius[0] < 0.995 and force[0, 160:].max() < 0.5 * force[0, 40:60].max()
+    assert (end[1] / early[1]) ** (1 / 400) - 1 == pytest.approx(radius[1] - 1, rel=0.1)
+    assert radius[1] > 1.004

@@ -1,6 +1,7 @@
 """Ensembles: what is drawn, how mean and worst count, and that a draw that was not seen judges."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -9,12 +10,13 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.profiles import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import ensemble as ensembles
-from tuning.problem import search
+from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble
-from tuning.searches import robust, tune
+from tuning.searches import retuned_pd, robust, tune
 
 FAST = ["duration=0.3"]
 SHORT_PUSHES = {"start": (0.05, 0.1), "length": (0.05, 0.1)}
@@ -79,6 +81,56 @@ def test_draws_fill_their_ranges(scenario):
     assert np.abs(directions.mean(0)).max() < 0.1 and np.abs((directions**2).mean(0) - 1 / 3).max() < 0.1
 
 
+HARDWARE = {
+    "force_delay": (0.002, 0.015), "control_rate": (100.0, 500.0), "force_noise": (0.05, 0.3), "friction": (0.5, 2.0),
+    "armature": (0.5, 2.0), "force_filter": (10.0, 50.0), "force_bias": (-0.2, 0.2), "capture_distance": (0.001, 0.01),
+}  # fmt: skip
+
+
+def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
+    scenario = with_hardware(mc.load_scenario(config_path("case_2.yaml")), load_hardware("dynamixel_x"))
+    own = jax.tree.map(np.asarray, mc.parameters(scenario))
+    before = ensembles.draw(scenario, Ensemble(members=50))
+    drawn = ensembles.draw(scenario, ensembles.make({"members": 50, "hardware": HARDWARE}))
+    for name in ("push_force", "cargo_mass", "gravity", "mass_scale", "contact_stiffness", "backlash"):
+        np.testing.assert_array_equal(getattr(before, name), getattr(drawn, name))
+    assert len(np.unique(drawn.seed)) == 50 and before.seed.ndim == 0
+    rate = 1 / drawn.control_period
+    np.testing.assert_allclose(drawn.control_period * 1000, np.round(drawn.control_period * 1000), atol=1e-9)
+    for values, low, high in (
+        (drawn.force_delay, 0.002, 0.015), (rate, 100.0, 500.0), (drawn.force_noise, 0.05, 0.3),
+        (drawn.coulomb_friction / own.coulomb_friction, 0.5, 2.0), (drawn.armature / own.armature, 0.5, 2.0),
+        (drawn.force_filter, 10.0, 50.0), (drawn.force_bias, -0.2, 0.2), (drawn.capture_distance, 0.001, 0.01),
+    ):  # fmt: skip
+        reach = high - low
+        assert values.shape == (50, 1)
+        assert low - 1e-9 <= values.min() < low + 0.1 * reach and high - 0.1 * reach < values.max() <= high + 1e-9
+    assert np.median(rate) == pytest.approx(np.sqrt(100.0 * 500.0), rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("hardware", "where"),
+    [
+        ({"friction": (0.5, 2.0)}, "hardware.friction: expected friction in the scenario"),
+        ({"control_rate": (100.0, 2000.0)}, "hardware.control_rate: expected at most the 1000 Hz"),
+    ],
+)
+def test_hardware_that_cannot_be_drawn_is_refused(scenario, hardware, where):
+    with pytest.raises(ConfigError, match=where):
+        ensembles.draw(scenario, ensembles.make({"hardware": hardware}))
+
+
+def test_joint_gains_are_searched_where_there_is_hardware(scenario):
+    late = scenario.with_overrides({"hardware.force_sensor.delay": 0.005})
+    names = [spaces.space(s, search.Search()).names for s in (scenario, late)]
+    assert names == [("damping", "stiffness"), ("damping", "stiffness", "kp", "kd")]
+    assert spaces.space(late, search.make({"joint_gains": False})).size == 2
+    drawn = ensembles.make({"hardware": {"force_delay": (0.0, 0.01)}})
+    assert robust.settled(search.Search(), drawn).joint_gains
+    assert not robust.settled(search.make({"joint_gains": False}), drawn).joint_gains
+    assert robust.settled(search.Search(), Ensemble()).joint_gains is None
+
+
 def test_sections_that_are_null_leave_the_scenario(scenario):
     drawn = ensembles.draw(scenario, Ensemble(members=3, pushes=None, cargo=None, gravity=None))
     own = mc.parameters(scenario)
@@ -139,27 +191,75 @@ def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
     assert float(score.penalty[1]) > float(score.penalty[0])
 
 
-def test_search_and_judgement(scenario, ensemble):
+def test_search_and_judgement(scenario):
+    """Forces are late in every walk: the joint loop is searched and judged with the admittance."""
+    late = {"force_delay": (0.002, 0.005)}
+    ensemble = ensembles.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late})
     found = robust.search(scenario, ensemble, method="cmaes", starts=4, iterations=2)
     assert found.history.sizes["point"] == 8
     assert found.env_steps == 8 * ensemble.members * scenario.steps
+    assert found.gains.kp is not None
     paper = mc.Gains(1.0, 5e3, 2e4)
-    judged = robust.judge(scenario, {"robust": found.gains, "config": paper}, ensemble, members=6)
+    calm = {"kp": 30.0, "kd": 0.5}
+    rivals = {"robust": found.gains, "config": paper}
+    judged = robust.judge(scenario, rivals, ensemble, members=6, pd={"retuned_pd": calm})
     assert judged["force_variation"].dims == ("gains", "member")
-    assert judged["gains"].values.tolist() == ["robust", "config", "pd"]
-    unseen = dataclasses.replace(jax.tree.map(np.asarray, mc.parameters(scenario)))
-    assert unseen.gravity.shape == (3,)
-    drawn = ensembles.draw(scenario, ensemble.model_copy(update={"members": 6, "seed": robust.FRESH_SEED}))
-    alone = jax.tree.map(lambda v, own: v[3, 0] if v.ndim > own.ndim else v, drawn, unseen)
-    metrics = mc.rollout_metrics(scenario, paper, alone)
-    assert judged["force_variation"].sel(gains="config", member=3).item() == pytest.approx(
-        metrics["force_variation"].item(), rel=1e-3
-    )
+    assert judged["gains"].values.tolist() == ["robust", "config", "retuned_pd", "pd"]
+    unseen = ensembles.draw(scenario, ensemble.model_copy(update={"members": 6, "seed": robust.FRESH_SEED}))
+    own = jax.tree.map(np.asarray, mc.parameters(scenario))
+    alone = jax.tree.map(lambda v, own: v[3, 0] if v.ndim > own.ndim else v, unseen, own)
+    pd = scenario.with_overrides({"control.controller": "pd"})
+    for name, metrics in (
+        ("robust", mc.rollout_metrics(scenario, found.gains, alone)),
+        ("config", mc.rollout_metrics(scenario, paper, alone)),
+        ("retuned_pd", mc.rollout_metrics(pd, calm, alone)),
+    ):
+        there = judged["force_variation"].sel(gains=name, member=3).item()
+        assert there == pytest.approx(metrics["force_variation"].item(), rel=1e-3), name
     summed = robust.summary(judged)
     assert summed["force_variation"].dims == ("statistic", "gains")
     variation = judged["force_variation"].sel(gains="pd").values
     assert summed["force_variation"].sel(gains="pd", statistic="worst").item() == pytest.approx(variation.max())
-    assert summed["failed"].values.tolist() == [0.0, 0.0, 0.0]
+    assert summed["failed"].values.tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
+def judgement(**metrics):
+    """Walks of two members with "mine" and "pd", by metric as [[mine], [pd]]."""
+    rows = {"diverged": [[False] * 2] * 2, "joint_limit_margin": [[1.0] * 2] * 2, "peak_pull_force": [[1.0] * 2] * 2}
+    rows |= {"base_deviation": [[1e-3] * 2] * 2} | metrics
+    data = {name: (("gains", "member"), np.array(values)) for name, values in rows.items()}
+    return xr.Dataset(data, {"gains": ["mine", "pd"]})
+
+
+def test_limits_are_judged_on_the_unseen_draw(scenario):
+    base = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 6e-3], [1e-3, 1e-3]])
+    pd = {name: base[name].sel(gains="pd").values for name in base.data_vars}
+    settings = search.make({"weights": {"force_variation": 1.0}, "limits": {"base_deviation": 5e-3}})
+    goal = robust.objective(scenario, settings, Ensemble(members=2), pd)
+    shares = robust.broken(base, goal)
+    asked = "base_deviation at most 0.005 (set by the user)"
+    assert shares.sel(limit=asked).values.tolist() == [0.5, 0.0]
+    assert shares.drop_sel(limit=asked).max() == 0
+    assert robust.scores(base, goal).values.tolist() == pytest.approx([0.5, 1.0])
+    assert robust.binding(base, goal, "mine") == []
+    near = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 4.95e-3], [1e-3, 1e-3]])
+    assert robust.binding(near, goal, "mine") == [asked]
+    level = judgement(force_variation=[[1.0, 3.99], [2.0, 4.0]])
+    assert robust.binding(level, goal, "mine") == ["mean of the worst 20% of force_variation no worse than pd's"]
+    lost = judgement(diverged=[[True, False], [False, False]], force_variation=[[1.0, 2.0], [2.0, 4.0]])
+    assert robust.broken(lost, goal).sel(gains="mine").values.tolist() == [0.5] * len(goal.limits)
+
+
+def test_what_a_force_sensor_is_worth():
+    retuned = SimpleNamespace(gains={"kp": 25.0, "kd": 0.5}, feasible=True)
+    without = {"objective": 0.8, "force_variation": 50.0}
+    less = retuned_pd.worth({"objective": 0.6, "force_variation": 30.0}, without, retuned)
+    assert less[:2] == pytest.approx((-0.25, -0.4))
+    assert less.in_words.startswith("the force sensor pays: 25.0 % less objective and 40.0 % less force variation than")
+    more = retuned_pd.worth({"objective": 0.9, "force_variation": 51.0}, without, retuned)
+    assert more.in_words.startswith("the force sensor does not pay: 12.5 % more objective and 2.0 % more force")
+    lost = retuned_pd.worth({"objective": np.nan, "force_variation": 51.0}, without, retuned)
+    assert "not to be compared" in lost.in_words
 
 
 def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, tmp_path):
