@@ -75,7 +75,7 @@ def margins(
 
         tables = console if json else report.console(file=stdout)
         tables.print(margins_table(found.margins))
-        for line in judged.warnings(found.margins):
+        for line in judged.warnings(found):
             tables.print(f"warning: {line}", soft_wrap=True)
         console.print(f"written to {out}: {output.FILES}, config.yaml", soft_wrap=True)
         if json:

@@ -23,7 +23,8 @@ _HEADER = """\
 Parameters of the ros2_control admittance_controller, written by mjx-climb export.
 Stable at update rates of {lowest} Hz and above; the largest discrete pole at {rate} Hz is {pole:.6g}.
 The controller yields along the wrench that it is given: give it -w, w the foot forces summed at the base.
-joint_damping 0 and filter_coefficient 1 leave Eq. 3 as it is. Leave a sensor_filter_chain empty."""
+joint_damping 0 leaves Eq. 3 as it is; {filtered}. It reads its sensor by itself: what a broadcaster's
+sensor_filter_chain makes of the wrench never comes here."""
 
 
 def six(gains: mc.Gains) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -96,12 +97,24 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
     )
 
 
-def write(gains: mc.Gains, rate: int, name: str = "admittance_controller") -> str:
-    """Return the parameter file of a controller called `name` that updates at `rate` Hz."""
+def filter_coefficient(cutoff: float | None, rate: float) -> float:
+    """Return the share of a new sample that makes a first-order low pass of a cut-off in Hz, 1 for none."""
+    return 1.0 if cutoff is None else -math.expm1(-2 * math.pi * cutoff / rate)
+
+
+def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutoff: float | None = None) -> str:
+    """Return the parameter file of a controller called `name`.
+
+    Arguments:
+        gains: that `check` lets through.
+        rate: of its updates, Hz.
+        name: of the controller.
+        cutoff: of the first-order low pass on the forces with which the gains were walked, Hz; None: none.
+    """
     inertia, damping, stiffness = six(gains)
     parameters = {
         "update_rate": rate,
-        "ft_sensor": {"filter_coefficient": 1.0},
+        "ft_sensor": {"filter_coefficient": filter_coefficient(cutoff, rate)},
         "admittance": {
             "selected_axes": [True] * 6,
             "mass": inertia.tolist(),
@@ -111,7 +124,8 @@ def write(gains: mc.Gains, rate: int, name: str = "admittance_controller") -> st
         },
     }
     lowest = math.ceil(lowest_rate(gains).max())
-    header = _HEADER.format(lowest=lowest, rate=rate, pole=np.abs(poles(gains, rate)).max())
+    filtered = "filter_coefficient 1 filters nothing" if cutoff is None else f"filter_coefficient: {cutoff:g} Hz"
+    header = _HEADER.format(lowest=lowest, rate=rate, pole=np.abs(poles(gains, rate)).max(), filtered=filtered)
     joint = {key: float(value) for key in ("kp", "kd") if (value := getattr(gains, key)) is not None}
     if joint:
         header += "\nThe joint loop is the hardware's: " + ", ".join(f"{key} {value:g}" for key, value in joint.items())

@@ -65,10 +65,12 @@ class Walker(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Margins by quantity, and all walks: by gains, quantity and point, each quantity from good to bad."""
+    """Margins by quantity, and what they were found from."""
 
     margins: dict[str, Margin]
-    walks: xr.Dataset
+    holds: bool  # on the scenario's own hardware: no gripper torn off, and nothing diverges
+    better: bool  # and less force variation than pd
+    walks: xr.Dataset  # by gains, quantity and point, each quantity from good to bad
 
 
 def find(
@@ -112,23 +114,30 @@ def find(
         values = some["value"].values
         holds, better = (_last_good(values, good) for good in _verdicts(some))
         margins[name] = Margin(own_value(scenario, name), holds, better, float(values[-1]))
-    return Found(margins, walks)
+    holds, better = (bool(good[0]) for good in _verdicts(coarse.sel(quantity="joint_gains")))  # all of them
+    return Found(margins, holds, better, walks)
 
 
-def warnings(margins: Mapping[str, Margin]) -> list[str]:
-    """Return in words which margins are less than the hardware with a factor of two."""
-    lines = []
-    for name, margin in margins.items():
-        for what, reached in (("hold", margin.holds), ("stay better than pd", margin.better)):
-            if _reaches(name, reached, needed(name, margin)):
-                continue
-            upto = "at no value" if reached is None else f"up to {with_unit(name, reached)} only"
-            lines.append(
-                f"{QUANTITIES[name].title}: gains {what} {upto}, the hardware has {with_unit(name, margin.own)}, "
-                f"{with_unit(name, needed(name, margin))} would be safe"
-            )
-            break
+def warnings(found: Found) -> list[str]:
+    """Return in words what speaks against gains: no use on their hardware, or margins of less than twice as much."""
+    if not found.holds:
+        return ["on the hardware itself the walk fails: a gripper is torn off, or it diverges"]
+    lines = [] if found.better else ["on the hardware itself the force varies no less than under pd"]
+    for name, margin in found.margins.items():
+        wanted = needed(name, margin.own)
+        if not reaches(name, margin.holds, wanted):
+            failing = f"gains hold {_up_to(name, margin.holds)}"
+        elif found.better and not reaches(name, margin.better, wanted):
+            failing = f"gains stay better than pd {_up_to(name, margin.better)}"
+        else:
+            continue
+        own, safe = with_unit(name, margin.own), with_unit(name, wanted)
+        lines.append(f"{QUANTITIES[name].title}: {failing}, the hardware has {own}, {safe} would be safe")
     return lines
+
+
+def _up_to(quantity: str, reached: float | None) -> str:
+    return "at no value" if reached is None else f"up to {with_unit(quantity, reached)} only"
 
 
 def in_words(quantity: str, margin: Margin, reached: float | None) -> str:
@@ -144,7 +153,8 @@ def with_unit(quantity: str, value: float) -> str:
     return f"x {value:.2g}" if QUANTITIES[quantity].scales else f"{1e3 * value:.3g} ms"
 
 
-def _reaches(quantity: str, reached: float | None, wanted: float) -> bool:
+def reaches(quantity: str, reached: float | None, wanted: float) -> bool:
+    """Return whether a margin that reaches so far is as far as wanted or farther."""
     if reached is None:
         return False
     return reached <= wanted if QUANTITIES[quantity].scales else reached >= wanted
@@ -161,19 +171,21 @@ def own_value(scenario: mc.Scenario, quantity: str) -> float:
     }[quantity]
 
 
-def needed(quantity: str, margin: Margin) -> float:
-    """Return how far the gains should hold: half the joint gains, twice the delay or period of the hardware."""
-    return margin.own / FACTOR if QUANTITIES[quantity].scales else margin.own * FACTOR
+def needed(quantity: str, own: float) -> float:
+    """Return how far gains should hold: half the joint gains, twice the delay or period that the hardware has."""
+    return own / FACTOR if QUANTITIES[quantity].scales else own * FACTOR
 
 
 def values_of(scenario: mc.Scenario, quantity: str) -> np.ndarray:
     """Return the values (POINTS,) of a quantity that are walked, from good to bad, closer together where it is good."""
     step, own = scenario.time_step, own_value(scenario, quantity)
     if QUANTITIES[quantity].scales:
-        return np.geomspace(1.0, _WEAKEST, POINTS)
-    longest = _LONGEST_PERIOD if quantity == "control_period" else min(_LONGEST_DELAY, _MOST_SAMPLES * step)
-    longest = max(longest, 2 * FACTOR * own)
-    values = longest * np.linspace(0, 1, POINTS) ** 2
+        values = np.geomspace(1.0, _WEAKEST, POINTS)
+    else:
+        longest = _LONGEST_PERIOD if quantity == "control_period" else min(_LONGEST_DELAY, _MOST_SAMPLES * step)
+        values = max(longest, 2 * FACTOR * own) * np.linspace(0, 1, POINTS) ** 2
+    for wanted in (own, needed(quantity, own)):  # what is asked of gains is walked itself
+        values[np.abs(values - wanted).argmin()] = wanted
     return _whole_steps(values, step) if quantity == "control_period" else values
 
 

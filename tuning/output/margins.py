@@ -16,10 +16,11 @@ FILES = "margins.json, margins.nc, margins.png, .svg, .pdf"
 def summary(found: margins.Found) -> dict[str, Any]:
     """Return margins and warnings as plain data, SI units; `needed` is the hardware with a factor of two."""
     each = {
-        name: {**dataclasses.asdict(margin), "needed": margins.needed(name, margin)}
+        name: {**dataclasses.asdict(margin), "needed": margins.needed(name, margin.own)}
         for name, margin in found.margins.items()
     }
-    return {"margins": each, "warnings": margins.warnings(found.margins)}
+    own = {"holds": found.holds, "better": found.better}
+    return {"own_hardware": own, "margins": each, "warnings": margins.warnings(found)}
 
 
 def write(found: margins.Found, folder: Path, given: str = "given gains") -> str:
@@ -31,5 +32,5 @@ def write(found: margins.Found, folder: Path, given: str = "given gains") -> str
     text = to_json(summary(found))
     dataset.write_text_atomically(folder / "margins.json", text + "\n")
     dataset.save(found.walks, folder / "margins.nc")
-    plots.save_figure(plot_margins(found.walks, found.margins, given), folder / "margins")
+    plots.save_figure(plot_margins(found, given), folder / "margins")
     return text

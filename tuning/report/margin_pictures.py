@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from mjx_climb import plots
-from tuning.judged.margins import QUANTITIES, Margin, needed
+from tuning.judged.margins import QUANTITIES, Found, needed
 
 _ROOM = 1.6  # of the largest force variation of pd: above it curves leave the picture
 _WIDE = 4  # range of that from which on the axis is logarithmic
@@ -17,24 +17,24 @@ _OTHERS = (plots.BLUE, plots.GREEN, plots.PURPLE, plots.ORANGE)
 _TORN, _DIVERGED = "X", "^"
 
 
-def plot_margins(walks: xr.Dataset, margins: dict[str, Margin], given: str = "given gains") -> Figure:
+def plot_margins(found: Found, given: str = "given gains") -> Figure:
     """Draw force variation over each quantity; a curve ends where a gripper is torn off, or the walk diverges.
 
     Dotted lines are the scenario's hardware, and twice as much of it (half of the joint gains).
 
     Arguments:
-        walks: as `tuning.judged.margins.find` gives them.
-        margins: likewise.
+        found: as `tuning.judged.margins.find` gives it.
         given: what the given gains are called.
     """
+    walks = found.walks
     names = [str(name) for name in walks["gains"].values]
     others = iter(_OTHERS)
     colors = {name: _COLORS.get(name) or next(others) for name in names}
     with plots.style():
         figure = Figure(figsize=(2 * plots.COLUMN, 4.4), layout="constrained")
-        for panel, (name, margin) in zip(figure.subplots(2, 2).flat, margins.items(), strict=True):
+        for panel, (name, margin) in zip(figure.subplots(2, 2).flat, found.margins.items(), strict=True):
             _draw(panel, walks.sel(quantity=name), name, colors)
-            for value in {margin.own, needed(name, margin)}:
+            for value in {margin.own, needed(name, margin.own)}:
                 panel.axvline(value * _scale(name), color="0.5", linewidth=0.7, linestyle=":", zorder=0)
         handles = [Line2D([], [], color=colors[n], label=given if n == "given" else n) for n in names]
         for marker, label in ((_TORN, "gripper torn off"), (_DIVERGED, "diverged")):

@@ -1,5 +1,6 @@
 """Export: what is written reads back, and what would diverge in ros2_control's admittance_controller is refused."""
 
+import math
 import re
 
 import numpy as np
@@ -9,8 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mjx_climb as mc
+from mjx_climb.control.motion import Motion, begin, move
+from mjx_climb.control.virtual_model import rest
 from tuning.command_line import main
-from tuning.gains import gains_file, gains_tables, ros2_control
+from tuning.gains import admittance_control, gains_file, gains_tables, ros2_control
+from tuning.judged import margins, stability_limit
 
 SIX = [1.0, 2.0, 0.5, 0.1, 0.3, 0.02]
 GAINS = mc.Gains(np.array(SIX), np.array([90.0, 120, 33, 2, 5, 1.5]), np.array([3e3, 2e3, 1e3, 7.5, 30, 11]))
@@ -99,7 +103,7 @@ def test_a_push_dies_out_or_grows_as_the_poles_say(factor, grows):
 def test_what_is_written_reads_back(export, form):
     code, text, err = export(GAINS, "--format", form)
     read = {"ros2_control": ros2_control.read, "json": gains_tables.read_json, "csv": gains_tables.read_csv}[form]
-    assert (code, err) == (0, "")
+    assert (code, len(err.splitlines())) == (0, 1) and "these gains were not walked" in err
     for name in mc.Gains.AXES:
         np.testing.assert_allclose(getattr(read(text), name), getattr(GAINS, name), rtol=1e-14)
 
@@ -160,9 +164,122 @@ def test_the_papers_pole_is_the_known_one():
         (GAINS, ("--format", "xml"), "'xml'"),
         (GAINS, ("--update-rate", "0"), "--update-rate"),
         (GAINS, ("--name", "a b"), "--name"),
+        (GAINS, ("--hardware", "ideal"), "--hardware: expected --config with it"),
+        (mc.Gains(1.0, 50.0, 1e3), ("--config", "case_1_2", "--update-rate", 300), "whole number of the config's time"),
+        (GAINS, ("--format", "admittance_control"), "inertia: expected one value for the axes of a force"),
+        (PAPER, ("--format", "admittance_control"), "a virtual inertia of 5.35 would do"),
+        (
+            mc.Gains(1.0, 50.0, 1e3),
+            ("--format", "admittance_control", "--update-rate", 40),
+            "at most 0.02 s, to which admittance_control cuts longer ones, got 0.025",
+        ),
     ],
 )
 def test_bad_input_ends_with_2_and_one_line(export, gains, arguments, expected):
     code, out, err = export(gains, *arguments)
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert expected in err
+
+
+SPLIT = mc.Gains(*(np.repeat(pair, 3) for pair in ([1.0, 0.5], [150.0, 20.0], [3e3, 300.0])))
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """Stability and margins that a test sets, in place of minutes of walking; what they were asked for is kept."""
+    found = {"radius": 0.99, "holds": 0.05, "better": 0.05, "asked": []}
+
+    def find(scenario, gains, *, engine):
+        found["asked"].append(scenario)
+        reached = {"force_delay": (found["holds"], found["better"]), "joint_gains": (0.1, 0.1)}
+        each = {
+            name: margins.Margin(margins.own_value(scenario, name), *reached.get(name, (0.05, 0.05)), 0.05)
+            for name in margins.QUANTITIES
+        }
+        own = 0.005
+        return margins.Found(each, found["holds"] >= own, found["better"] >= own, None)
+
+    monkeypatch.setattr(margins, "find", find)
+    monkeypatch.setattr(stability_limit, "spectral_radius", lambda *_, **__: np.array([found["radius"]]))
+    return found
+
+
+def test_gains_for_the_cpp_library_read_back_and_move_as_here(export, judged):
+    """Deadband, bounds and period of the config go with them; the walk that is judged has the library's steps."""
+    code, text, err = export(SPLIT, "--config", "case_1_2", "--format", "admittance_control", "--update-rate", 200)
+    assert (code, err) == (0, "")
+    gains, period, motion = admittance_control.read(text)
+    assert period == 0.005 and motion == Motion(semi_implicit=True)
+    for name in mc.Gains.AXES:
+        np.testing.assert_array_equal(getattr(gains, name), getattr(SPLIT, name))
+    (scenario,) = judged["asked"]
+    assert (scenario.control.integration, scenario.hardware.control_period) == ("semi_implicit", 0.005)
+    bounded = Motion(True, (0.5, 0.02), (0.03, 0.1), (0.1, math.inf))
+    assert admittance_control.read(admittance_control.write(SPLIT, 0.01, bounded)) == (gains_like(SPLIT), 0.01, bounded)
+
+
+class gains_like:
+    """Equal to gains of the same numbers."""
+
+    def __init__(self, gains):
+        self.gains = gains
+
+    def __eq__(self, other):
+        return all(np.array_equal(getattr(self.gains, n), getattr(other, n)) for n in mc.Gains.AXES)
+
+
+@pytest.mark.parametrize("factor", [1.01, 0.99])
+def test_the_librarys_limit_is_that_of_its_substeps(factor):
+    """Gains just inside the limit die out in the law's own semi-implicit steps, just outside they grow."""
+    period, damping, stiffness = 0.007, 300.0, 4e4
+    gains = mc.Gains(1.0, damping, stiffness)
+    limit = ros2_control.smallest_inertia(gains, 1 / admittance_control.substep_of(period))[0]
+    gains = mc.Gains(np.full(6, limit * factor), np.full(6, damping), np.full(6, stiffness))
+    motion = Motion(semi_implicit=True)
+    mass = begin(motion, gains, period, rest(np.zeros(6)))
+    sizes = []
+    for step in range(300):
+        mass = move(motion, gains, mass, np.full(6, 10.0 * (step == 0)))
+        sizes.append(float(np.abs(mass.state.displacement).max()))
+    assert (max(sizes[-20:]) > max(sizes[:20])) == (factor < 1)
+    if factor > 1:
+        admittance_control.check(gains, period, "gains")
+    else:
+        with pytest.raises(mc.ConfigError, match="virtual inertia"):
+            admittance_control.check(gains, period, "gains")
+
+
+def test_filter_and_rate_are_those_that_were_walked(export, judged, tmp_path):
+    """A config beside the gains is the one; a filter of 30 Hz halves a step after ln 2 / (2 pi 30) s."""
+    changes = {"hardware.control_period": 0.002, "hardware.force_sensor.filter": 30.0}
+    (tmp_path / "config.yaml").write_text(mc.load_scenario("case_1_2", changes).to_yaml())
+    code, text, err = export(SPLIT)
+    parameters = yaml.safe_load(text)["admittance_controller"]["ros__parameters"]
+    assert (code, err, parameters["update_rate"]) == (0, "", 500)
+    coefficient = parameters["ft_sensor"]["filter_coefficient"]
+    assert (1 - coefficient) ** (math.log(2) / (2 * math.pi * 30) * 500) == pytest.approx(0.5)
+    assert "filter_coefficient: 30 Hz" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "expected"),
+    [
+        ({"radius": 1.001}, 2, "a disturbance about the stance that grows by 1.001"),
+        ({"holds": 0.004}, 2, "a walk that loses a gripper or diverges"),
+        ({"holds": 0.009, "better": 0.006}, 0, "warning: force delay: gains hold up to 9 ms only"),
+        ({"better": 0.004}, 0, "warning: on the hardware itself the force varies no less than under pd"),
+        ({"better": 0.006}, 0, "warning: force delay: gains stay better than pd up to 6 ms only"),
+    ],
+)
+def test_margins_refuse_and_warn(export, judged, changes, code, expected):
+    judged |= changes
+    got, out, err = export(SPLIT, "--config", "case_1_2", "--hardware", "dynamixel_x")
+    assert (got, bool(out), len(err.splitlines())) == (code, code == 0, 1)
+    assert expected in err
+
+
+@pytest.mark.parametrize(("key", "value"), [("control.controller", "pd"), ("control.reading", "measured_pose")])
+def test_gains_of_another_law_are_refused(export, judged, tmp_path, key, value):
+    (tmp_path / "config.yaml").write_text(mc.load_scenario("case_1_2", {key: value}).to_yaml())
+    code, out, err = export(SPLIT)
+    assert (code, out, len(err.splitlines())) == (2, "", 1) and key in err

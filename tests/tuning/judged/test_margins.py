@@ -37,14 +37,15 @@ def walks(monkeypatch):
 
 def test_margins_lie_where_walks_begin_to_fail(walks, case):
     """To a sixth of what the first grid leaves open; the control period to a time step."""
-    found = margins.find(case("case_1_2", "virtual_model"), GAINS).margins
+    whole = margins.find(case("case_1_2", "virtual_model"), GAINS)
+    found = whole.margins
+    assert whole.holds and whole.better and margins.warnings(whole) == []
     assert found["force_delay"].holds == pytest.approx(TORN, abs=4e-4) and found["force_delay"].holds <= TORN
     assert found["force_delay"].better == pytest.approx(DEARER, abs=4e-4) and found["force_delay"].better < DEARER
     assert found["command_delay"].better == pytest.approx(DEARER, abs=4e-4)
     assert found["command_delay"].holds == found["command_delay"].worst == 0.03
     assert found["control_period"].holds == found["control_period"].better == pytest.approx(20e-3)
     assert found["joint_gains"].holds == found["joint_gains"].better == pytest.approx(WEAK, abs=0.02)
-    assert margins.warnings(found) == []
 
 
 def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
@@ -68,11 +69,23 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
 
 def test_less_than_twice_the_hardware_is_a_warning_by_name(walks, case):
     own = {"hardware.force_sensor.delay": 4e-3, "hardware.command_delay": 3e-3, "hardware.control_period": 0.011}
-    found = margins.find(case("case_1_2", "virtual_model", own), GAINS).margins
-    lines = margins.warnings(found)
+    lines = margins.warnings(margins.find(case("case_1_2", "virtual_model", own), GAINS))
     assert [line.split(":")[0] for line in lines] == ["force delay", "control period"]
     assert "stay better than pd up to" in lines[0] and "the hardware has 4 ms, 8 ms would be safe" in lines[0]
     assert "hold up to 20 ms only, the hardware has 11 ms, 22 ms would be safe" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("delay", "expected"),
+    [
+        (8e-3, ["on the hardware itself the force varies no less", "force delay: gains hold"]),
+        (10e-3, ["on the hardware itself the walk fails"]),
+    ],
+)
+def test_gains_of_no_use_on_the_hardware_itself_are_said_to_be_so_once(walks, case, delay, expected):
+    found = margins.find(case("case_1_2", "virtual_model", {"hardware.force_sensor.delay": delay}), GAINS)
+    lines = margins.warnings(found)
+    assert len(lines) == len(expected) and all(map(str.startswith, lines, expected))
 
 
 @pytest.mark.slow

@@ -1,0 +1,89 @@
+"""Gains for the C++ library `admittance_control` of the paper's first author (2026, Apache-2.0).
+
+It moves a virtual mass for each three-vector, a force or a moment, `M x'' + D x' + K x = u`, by semi-implicit Euler in
+substeps of at most 2 ms, as `mjx_climb.control.motion` does with `control.integration: semi_implicit`. It knows one M,
+D and K for a force, and one of each for a moment.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import yaml
+
+import mjx_climb as mc
+from mjx_climb.control.motion import LONGEST_PERIOD, SUBSTEP, Motion
+from mjx_climb.files.dataset import SIX
+from mjx_climb.scenario.messages import ConfigError
+from tuning.gains import ros2_control
+from tuning.gains.ros2_control import six
+
+_KINDS = ("force", "moment")  # of three axes each
+
+_HEADER = """\
+Gains for the C++ library admittance_control, written by mjx-climb export: call it every {period:g} s.
+It reads Eq. 3 as a virtual model. The base yields along what it is given: give it -w, w the foot forces summed at the
+base, in the axes of the base reference. Units: kg, N s/m, N/m, N, m, m/s; of moments kg m^2, N m s/rad, N m/rad, N m,
+rad, rad/s. An infinite bound is none."""
+
+
+def check(gains: mc.Gains, period: float, source: str) -> None:
+    """Refuse gains that the library cannot take, or that grow in it.
+
+    Raises:
+        ConfigError: in one line, gains that differ between the axes of a force or of a moment, a period that the
+            library would cut short, or a substep that is too long.
+    """
+    for name, values in zip(mc.Gains.AXES, six(gains), strict=True):
+        for kind, three, axes in zip(_KINDS, np.split(values, 2), np.split(np.array(SIX), 2), strict=True):
+            if np.ptp(three):
+                each = ", ".join(f"{axis} {value:.4g}" for axis, value in zip(axes, three, strict=True))
+                raise ConfigError(
+                    f"{source}: {name}: expected one value for the axes of a {kind}, which is all that "
+                    f"admittance_control knows, got {each}: search them with --space split"
+                )
+    if period > LONGEST_PERIOD * (1 + 1e-9):
+        raise ConfigError(
+            f"{source}: expected a period of at most {LONGEST_PERIOD:g} s, to which admittance_control cuts longer "
+            f"ones, got {period:g}"
+        )
+    substep = substep_of(period)
+    if not ros2_control.stable(gains, 1 / substep).all():
+        inertia = 1.05 * ros2_control.smallest_inertia(gains, 1 / substep).max()
+        raise ConfigError(
+            f"{source}: expected gains that are stable in the substeps of {substep:g} s that admittance_control takes, "
+            f"got a displacement that grows: a virtual inertia of {inertia:.3g} would do"
+        )
+
+
+def substep_of(period: float) -> float:
+    """Return the substeps, s, into which the library divides a period."""
+    return period / math.ceil(period / SUBSTEP - 1e-6)
+
+
+def write(gains: mc.Gains, period: float, motion: Motion | None = None, *, forces_only: bool = False) -> str:
+    """Return the library's parameters as YAML.
+
+    Arguments:
+        gains: that `check` lets through.
+        period: s, at which the law was walked.
+        motion: deadband and bounds that were walked; none where None.
+        forces_only: for a law of each foot's force (Eq. 2): no moment.
+    """
+    motion = motion or Motion()
+    tree: dict[str, Any] = {"period": period}
+    for place, kind in enumerate(_KINDS[:1] if forces_only else _KINDS):
+        own = {n: float(v[3 * place]) for n, v in zip(("mass", "damping", "stiffness"), six(gains), strict=True)}
+        bounds = {n: float(getattr(motion, n)[place]) for n in ("deadband", "max_offset", "max_velocity")}
+        tree[kind] = own | bounds
+    comments = "".join(f"# {line}\n" for line in _HEADER.format(period=period).splitlines())
+    return comments + yaml.safe_dump({"admittance_control": tree}, sort_keys=False, default_flow_style=False)
+
+
+def read(text: str) -> tuple[mc.Gains, float, Motion]:
+    """Return gains, period and motion in a file that `write` made with forces and moments."""
+    tree = yaml.safe_load(text)["admittance_control"]
+    force, moment = (tree[kind] for kind in _KINDS)
+    gains = mc.Gains(*(np.repeat([force[n], moment[n]], 3) for n in ("mass", "damping", "stiffness")))
+    bounds = {n: (force[n], moment[n]) for n in ("deadband", "max_offset", "max_velocity")}
+    return gains, tree["period"], Motion(semi_implicit=True, **bounds)

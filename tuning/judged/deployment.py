@@ -1,0 +1,35 @@
+"""Whether gains may go to the robot: what speaks against it on the scenario's own hardware."""
+
+import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from tuning.gains.gains_file import by_name
+from tuning.judged import margins, stability_limit
+
+_ROUNDING = 1e-9
+
+
+def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = DEFAULT_ENGINE) -> list[str]:
+    """Return warnings, a margin of less than twice the hardware each.
+
+    Arguments:
+        scenario: what walks where, on which hardware.
+        gains: those in question.
+        source: names them in an error.
+        engine: the dynamics.
+
+    Raises:
+        ConfigError: in one line, gains with which the loop is unstable about the stance, or a walk fails, on the very
+            hardware of the scenario.
+    """
+    radius = float(stability_limit.spectral_radius(scenario, gains, engine=engine).max())
+    if radius > 1 + _ROUNDING:
+        raise mc.ConfigError(
+            f"{source}: expected gains that are stable on the config's hardware, got a disturbance about the stance "
+            f"that grows by {radius:.6f} a time step"
+        )
+    found = margins.find(scenario, by_name(gains), engine=engine)
+    if not found.holds:
+        raise mc.ConfigError(
+            f"{source}: expected gains that hold on the config's hardware, got a walk that loses a gripper or diverges"
+        )
+    return margins.warnings(found)
