@@ -106,6 +106,7 @@ def schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
     from tuning.command_line.report import change, gain, number, plain_table
 
     table = plain_table("gravity G", "cargo kg", *gains, "force variation N", "vs config %", "vs pd %", "")
+    table.columns[-1].no_wrap = False  # words give way to numbers
     for row in rows:
         tuned, config, pd = (row["force_variation"][walk] for walk in ("tuned", "config", "pd"))
         cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
