@@ -33,13 +33,14 @@ def pareto(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-pareto")
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
     """Search the Pareto front of two metrics, by gradients under a row of limits, all in one batch.
 
     Prints the front and its knee, the point furthest from the line between the front's ends, and writes to DIR the
-    front with its gains and everything that was walked (front.nc), a picture (front.png, .svg, .pdf), the gains at
+    front with its gains and everything that was walked (front.nc), a picture (front.png), the gains at
     the knee (gains.yaml), the front as JSON (summary.json), and all of it as a page for a browser (report.html).
     Finished rounds are kept: after Ctrl-C the same command goes on.
 
@@ -61,7 +62,7 @@ def pareto(
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes)
         user_law = options.own_law(law)
-        engine = options.engine_from(engine)
+        engine, formats = options.engine_from(engine), options.figures_from(figures)
         table = options.metrics_from(metric)
         wanted = options.search_from(search, space, scenario, config, user_law, table)
         for option, name in (("--better", better), ("--against", against)):
@@ -81,7 +82,7 @@ def pareto(
                 front = output.Front(fronts.run(asked, points, out=out, progress=kept.phases(show)), asked)
             again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
             again += f"--points {points}{options.own_options(law, metric)}{options.engine_option(engine)} --out again"
-            front.write(out, origin=options.origin(config.stem, again), stage=meter.stage)
+            front.write(out, origin=options.origin(config.stem, again), figures=formats, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
         tables.print(report.from_page(front_table(front.data, front.knee, table)))

@@ -20,6 +20,7 @@ def run(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-<controller>"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
     compare: render_options.Compare = None,
@@ -34,7 +35,7 @@ def run(
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
     (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json), pictures
     over time (walk) and of the feet's paths on the ground (feet), with --compare the plots of both walks (comparison);
-    each picture is a .png, a .svg and a .pdf.
+    each picture in the formats of --figures.
 
     In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
     pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
@@ -60,6 +61,7 @@ def run(
         own, scenario = options.law_from(law, gains, scenario)
         name = options.law_name(own, scenario)
         engine, table = options.engine_from(engine), options.metrics_from(metric)
+        formats = options.figures_from(figures)
         load_robot(scenario.robot)
         pictures = render_options.pictures_from(video, snapshots, at, size, view, scenario)
         baseline = render_options.compared(scenario, compare)
@@ -82,13 +84,14 @@ def run(
         dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
         dataset.write_text_atomically(out / "metrics.json", text + "\n")
         with meter.stage("drawing", compiles=False):
-            plots.save_figure(plots.plot_walk(trajectory), out / "walk")
-            plots.save_figure(plots.plot_feet(trajectory), out / "feet")
-        files = ["trajectory.nc", "config.yaml", "metrics.json", "walk.png, .svg, .pdf", "feet.png, .svg, .pdf"]
+            plots.save_figure(plots.plot_walk(trajectory), out / "walk", formats)
+            plots.save_figure(plots.plot_feet(trajectory), out / "feet", formats)
+        files = ["trajectory.nc", "config.yaml", "metrics.json"]
+        files += [f"{name}.{kind}" for name in ("walk", "feet") for kind in formats]
         if baseline is not None:
             names = [baseline.control.controller, name]
-            plots.save_figure(plots.plot_comparison(dict(zip(names, walks, strict=True))), out / "comparison")
-            files.append("comparison.png, .svg, .pdf")
+            plots.save_figure(plots.plot_comparison(dict(zip(names, walks, strict=True))), out / "comparison", formats)
+            files += [f"comparison.{kind}" for kind in formats]
         files += pictures.write(walks, out, meter.stage)
 
         tables = console if json else report.console(file=stdout)

@@ -43,6 +43,7 @@ def schedule(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-schedule"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
@@ -50,7 +51,7 @@ def schedule(
 
     The config's gravity gives the direction, its cargo the time of loading. Prints the gains and what they change
     against pd, and writes to DIR the table (schedule.csv, schedule.yaml), all metrics and what the gains of one
-    operating point are worth at another (schedule.nc), and a picture (schedule.png, .svg, .pdf). Finished rounds are
+    operating point are worth at another (schedule.nc), and a picture (schedule.png). Finished rounds are
     kept: after Ctrl-C the same command goes on.
 
     \b
@@ -67,7 +68,7 @@ def schedule(
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes)
         user_law = options.own_law(law)
-        engine = options.engine_from(engine)
+        engine, formats = options.engine_from(engine), options.figures_from(figures)
         table = options.metrics_from(metric)
         wanted = options.search_from(search, space, scenario, config, user_law, table)
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
@@ -83,7 +84,7 @@ def schedule(
         with kept_in(out, "rounds") as kept:
             with meter.stage("schedule", unit="rounds") as show:
                 found = output.Scheduled(schedules.run(asked, out=out, progress=kept.phases(show)), asked)
-            found.write(out, stage=meter.stage)
+            found.write(out, figures=formats, stage=meter.stage)
 
         rows = schedules.rows(found.data)
         tables = console if json else report.console(file=stdout)

@@ -103,6 +103,7 @@ def tune(
             metavar="DIR", help="Folder for the results.", show_default="results/<config>-tune-<method>-<space>"
         ),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
@@ -152,7 +153,7 @@ def tune(
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes, hardware)
         user_law, scenario = options.law_from(law, gains, scenario)
-        engine = options.engine_from(engine)
+        engine, formats = options.engine_from(engine), options.figures_from(figures)
         for option, value in (("--members", members), ("--judges", judges)):
             if value is not None and ensemble is None:
                 raise InputError(f"{option}: expected --ensemble with it")
@@ -196,7 +197,7 @@ def tune(
                     f"the best of {kept.done} rounds is in {out}: objective {found.value:.4f}, gains.yaml; "
                     "the same command goes on from there"
                 )
-            judged = result.write(out, origin=origin, stage=meter.stage)
+            judged = result.write(out, origin=origin, figures=formats, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
         for shown in _tables(judged, problem, tables.width):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from tuning.report.numbers import to_json
 from tuning.searches import finished_parts, pareto
 from tuning.searches.pareto import Trade
 
-FILES = "report.html, front.nc, front.png, .svg, .pdf, gains.yaml, summary.json, config.yaml, search.yaml"
+FILES = "report.html, front.nc, front.png, gains.yaml, summary.json, config.yaml, search.yaml"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,13 +54,19 @@ class Front:
         return to_json({"front": rows, "knee": self.knee, **references})
 
     def write(
-        self, folder: str | os.PathLike[str], *, origin: page.Origin | None = None, stage: Stage = silent
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: page.Origin | None = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
     ) -> None:
         """Draw the front, walk what the report shows, and write what `mjx-climb pareto` writes.
 
         Arguments:
             folder: where to; it is made. Rounds that `tuning.pareto(out=folder)` kept there are removed.
             origin: what the report says of where it comes from.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
         Raises:
@@ -75,7 +82,7 @@ class Front:
         comment = f"mjx-climb pareto {origin.name}: {better} against {against}, the knee of the front"
         gains_file.save(self.gains, folder / "gains.yaml", comment, problem.law)
         with stage("drawing", compiles=False):
-            plots.save_figure(ensemble_pictures.plot_front(self.data), folder / "front")
+            plots.save_figure(ensemble_pictures.plot_front(self.data), folder / "front", {"png", *figures})
         with stage("report"):
             page.write(self._page(scenario, origin, folder), folder)
         finished_parts.clear(folder)
@@ -91,6 +98,6 @@ class Front:
             data, self.knee, mc.rollout_histories(scenario, on_front, metrics=problem.metrics, **how), walks, scenario,
             origin=origin,
             seed=self.trade.search.seed,
-            pictures={"The front, and all that was walked on the way.": folder / "front.svg"},
+            pictures={"The front, and all that was walked on the way.": folder / "front.png"},
             about=problem.metrics,
         )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -28,7 +28,7 @@ from tuning.searches.robust import RobustObjective
 
 JUDGES = 128  # walks of each set of gains in the fresh draw
 FILES = (
-    "report.html, gains.yaml, search.nc, judged.nc, summary.json, convergence and judged (.png, .svg, .pdf), "
+    "report.html, gains.yaml, search.nc, judged.nc, summary.json, convergence.png, judged.png, "
     "config.yaml, search.yaml, ensemble.yaml"
 )
 CAPTIONS = {"convergence": "How the search converged.", "judged": "Share of the fresh walks below a value."}
@@ -53,13 +53,19 @@ class Robust(Result):
     judges: int = dataclasses.field(default=JUDGES, kw_only=True)  # walks of each set of gains in the fresh draw
 
     def write(
-        self, folder: str | os.PathLike[str], *, origin: page.Origin | None = None, stage: Stage = silent
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: page.Origin | None = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
     ) -> Judged:
         """Judge the result on a fresh draw, and write what `mjx-climb tune --ensemble` writes.
 
         Arguments:
             folder: where to; it is made. Rounds that `tuning.robust(out=folder)` kept there are removed.
             origin: what the report says of where it comes from.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
         Returns:
@@ -76,10 +82,10 @@ class Robust(Result):
         dataset.save(judged.walks, folder / "judged.nc")
         dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
         with stage("drawing", compiles=False):
-            plots.save_figure(search_pictures.plot_convergence(found), folder / "convergence")
-            plots.save_figure(ensemble_pictures.plot_judged(judged.walks), folder / "judged")
+            plots.save_figure(search_pictures.plot_convergence(found), folder / "convergence", {"png", *figures})
+            plots.save_figure(ensemble_pictures.plot_judged(judged.walks), folder / "judged", {"png", *figures})
         with stage("report", compiles=False):
-            pictures = {text: folder / f"{name}.svg" for name, text in CAPTIONS.items()}
+            pictures = {text: folder / f"{name}.png" for name, text in CAPTIONS.items()}
             page.write(pages.page(found, judged.summed, judged.outcome, origin=origin, pictures=pictures), folder)
         finished_parts.clear(folder)
         return judged

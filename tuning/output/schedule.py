@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Collection
 from pathlib import Path
 
 import xarray as xr
@@ -15,7 +16,7 @@ from tuning.report import ensemble_pictures
 from tuning.searches import finished_parts, schedule
 from tuning.searches.schedule import OperatingPoints
 
-FILES = "schedule.csv, schedule.yaml, schedule.nc, schedule.png, .svg, .pdf, config.yaml, search.yaml"
+FILES = "schedule.csv, schedule.yaml, schedule.nc, schedule.png, config.yaml, search.yaml"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,11 +30,14 @@ class Scheduled:
         """Return the gains for a gravity in G and a cargo in kg, between the operating points too."""
         return schedule.lookup(self.data, gravity, cargo)
 
-    def write(self, folder: str | os.PathLike[str], *, stage: Stage = silent) -> None:
+    def write(
+        self, folder: str | os.PathLike[str], *, figures: Collection[str] = ("png",), stage: Stage = silent
+    ) -> None:
         """Draw the schedule, and write what `mjx-climb schedule` writes.
 
         Arguments:
             folder: where to; it is made. Rounds that `tuning.schedule(out=folder)` kept there are removed.
+            figures: formats of the picture, of `mjx_climb.plots.FORMATS`.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
         Raises:
@@ -46,5 +50,5 @@ class Scheduled:
         dataset.write_text_atomically(folder / "schedule.csv", schedule.to_csv(self.data))
         dataset.write_text_atomically(folder / "schedule.yaml", schedule.to_yaml(self.data))
         with stage("drawing", compiles=False):
-            plots.save_figure(ensemble_pictures.plot_schedule(self.data), folder / "schedule")
+            plots.save_figure(ensemble_pictures.plot_schedule(self.data), folder / "schedule", figures)
         finished_parts.clear(folder)

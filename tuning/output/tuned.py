@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -28,7 +28,7 @@ from tuning.searches.result import Result
 from tuning.searches.retuned_pd import Worth
 
 FILES = (
-    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), "
+    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence.png, path.png, walks.png, "
     "config.yaml, search.yaml"
 )
 CAPTIONS = {
@@ -57,7 +57,12 @@ class Tuned(Result):
     problem: Problem = dataclasses.field(kw_only=True)
 
     def write(
-        self, folder: str | os.PathLike[str], *, origin: page.Origin | None = None, stage: Stage = silent
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: page.Origin | None = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
     ) -> Judged:
         """Walk, test and draw the result, and write what `mjx-climb tune` writes: gains, map, pictures, report.
 
@@ -66,6 +71,7 @@ class Tuned(Result):
         Arguments:
             folder: where to; it is made. Rounds that `tune(out=folder)` kept there are removed.
             origin: what the report says of where it comes from.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
         Returns:
@@ -83,7 +89,7 @@ class Tuned(Result):
         if judged.over is not None:
             dataset.save(judged.over, folder / "map.nc")
         with stage("drawing", compiles=False):
-            pictures = _draw(found, judged, folder)
+            pictures = _draw(found, judged, folder, {"png", *figures})
         with stage("report", compiles=False):
             shown = {name: judged.walks[name] for name in judged.compared}
             written = pages.page(
@@ -150,17 +156,17 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
     return Judged(walks, compared, over, checked, outcome, _summary(found, checked, compared, worth))
 
 
-def _draw(found: Result, judged: Judged, folder: Path) -> dict[str, Path]:
+def _draw(found: Result, judged: Judged, folder: Path, formats: Collection[str]) -> dict[str, Path]:
     """Draw the pictures of a result and return the files of the page by their captions."""
-    figures = {
+    drawn = {
         "convergence": search_pictures.plot_convergence(found),
         "walks": plots.plot_comparison(judged.walks),
     }
     if judged.over is not None:
-        figures["path"] = search_pictures.plot_path(found, judged.over)
-    for name, figure in figures.items():
-        plots.save_figure(figure, folder / name)
-    return {CAPTIONS[name]: folder / f"{name}.svg" for name in figures}
+        drawn["path"] = search_pictures.plot_path(found, judged.over)
+    for name, figure in drawn.items():
+        plots.save_figure(figure, folder / name, formats)
+    return {CAPTIONS[name]: folder / f"{name}.png" for name in drawn}
 
 
 def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:

@@ -113,7 +113,7 @@ def test_tuned_gains_go_from_file_to_file(quiet, tmp_path):
     assert told == json.loads((folder / "summary.json").read_text())
     tuned = told["tuned"]["metrics"]
     assert told["search"]["objective"] < 1 < told["search"]["env_steps"]
-    pictures = [f"{name}.{kind}" for name in ("convergence", "path", "walks") for kind in ("png", "svg", "pdf")]
+    pictures = [f"{name}.png" for name in ("convergence", "path", "walks")]
     for name in (*pictures, "report.html", "config.yaml", "search.yaml", "map.nc"):
         assert (folder / name).stat().st_size > 100, name
 
