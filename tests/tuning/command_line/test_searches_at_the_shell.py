@@ -18,12 +18,10 @@ from tuning.searches import result, tune
 ROOT = Path(__file__).parents[3]
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.3", "--set", "disturbance.cargo.start=0.1"]
+ENSEMBLE = ["--ensemble", "ensemble", "--members", "2", "--judges", "4", "--limit", "base_deviation=1e-4"]
 SEARCHES = {  # arguments, and what the result is in
     "tune": (["tune", CASE, *SHORT, "--starts", "2", "--iterations", "3"], "search.nc"),
-    "ensemble": (
-        ["tune", CASE, *SHORT, "--ensemble", "ensemble", "--members", "2", "--starts", "2", "--iterations", "3"],
-        "search.nc",
-    ),
+    "ensemble": (["tune", CASE, *SHORT, *ENSEMBLE, "--starts", "2", "--iterations", "3"], "search.nc"),
     "pareto": (["pareto", CASE, *SHORT, "--points", "3"], "front.nc"),
     "schedule": (["schedule", CASE, *SHORT, "--gravity", "0.1,1", "--cargo", "0.5"], "schedule.nc"),
 }
@@ -76,6 +74,18 @@ def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
         for name, values in whole.variables.items():
             np.testing.assert_array_equal(resumed[name].values, values.values, err_msg=name)
     assert not (killed / "parts").exists()
+
+
+def test_a_limit_that_fresh_walks_break_is_named_and_what_the_force_sensor_is_worth(quiet):
+    """A tenth of a millimetre is asked of a base that sags further by itself."""
+    told = json.loads((quiet("ensemble") / "printed.json").read_text())
+    page = (quiet("ensemble") / "report.html").read_text()
+    asked = "base_deviation at most 0.0001 (set by the user)"
+    assert told["robust"]["broken_limits"][asked] == told["pd"]["broken_limits"][asked] == 1.0
+    assert f"100.0% of the fresh walks break {asked}" in page
+    worth, scores = told["force_sensor"], [told[name]["objective"] for name in ("robust", "retuned_pd", "pd")]
+    assert worth["objective"] == pytest.approx(scores[0] / scores[1] - 1) and scores[2] == pytest.approx(1)
+    assert worth["in_words"].startswith("the force sensor") and worth["in_words"][1:] in page
 
 
 def test_tuned_gains_go_from_file_to_file(quiet, tmp_path):
