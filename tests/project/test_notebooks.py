@@ -71,6 +71,15 @@ def test_public_names_only(path):
 
 
 @every_notebook
+def test_what_is_imported_is_there(path):
+    plain = "\n".join(cell.source for cell in code_cells(read(path)))
+    lines = [line for line in plain.splitlines() if not line.startswith("%")]
+    imports = [node for node in ast.parse("\n".join(lines)).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert imports
+    exec(compile(ast.Module(imports, []), path.name, "exec"), {})
+
+
+@every_notebook
 def test_words_are_words(path):
     """One title; text that an editor of scripts has kept as comments would be a title in every line."""
     lines = [line for cell in read(path).cells if cell.cell_type == "markdown" for line in cell.source.splitlines()]
