@@ -70,6 +70,7 @@ def test_one_robot_and_a_batch_walk_alike(scenario, law):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_slopes_along_own_gains_agree_with_central_differences(scenario, law):
     """Along the cut-off of one axis and the share, for two robots."""
     gains = {"cutoff": np.array([[20.0], [50.0]]) * np.ones(6), "share": np.array([0.9, 0.5])}
