@@ -22,12 +22,10 @@ from tuning.searches import result, tune
 ROOT = Path(__file__).parents[3]
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.3", "--set", "disturbance.cargo.start=0.1"]
+ENSEMBLE = ["--ensemble", "ensemble", "--members", "2", "--judges", "4", "--limit", "base_deviation=1e-4"]
 SEARCHES = {  # arguments, and what the result is in
     "tune": (["tune", CASE, *SHORT, "--starts", "2", "--iterations", "3"], "search.nc"),
-    "ensemble": (
-        ["tune", CASE, *SHORT, "--ensemble", "ensemble", "--members", "2", "--starts", "2", "--iterations", "3"],
-        "search.nc",
-    ),
+    "ensemble": (["tune", CASE, *SHORT, *ENSEMBLE, "--starts", "2", "--iterations", "3"], "search.nc"),
     "pareto": (["pareto", CASE, *SHORT, "--points", "3"], "front.nc"),
     "schedule": (["schedule", CASE, *SHORT, "--gravity", "0.1,1", "--cargo", "0.5"], "schedule.nc"),
 }
@@ -82,6 +80,18 @@ def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     assert not (killed / "parts").exists()
 
 
+def test_a_limit_that_fresh_walks_break_is_named_and_what_the_force_sensor_is_worth(quiet):
+    """A tenth of a millimetre is asked of a base that sags further by itself."""
+    told = json.loads((quiet("ensemble") / "printed.json").read_text())
+    page = (quiet("ensemble") / "report.html").read_text()
+    asked = "base_deviation at most 0.0001 (set by the user)"
+    assert told["robust"]["broken_limits"][asked] == told["pd"]["broken_limits"][asked] == 1.0
+    assert f"100.0% of the fresh walks break {asked}" in page
+    worth, scores = told["force_sensor"], [told[name]["objective"] for name in ("robust", "retuned_pd", "pd")]
+    assert worth["objective"] == pytest.approx(scores[0] / scores[1] - 1) and scores[2] == pytest.approx(1)
+    assert worth["in_words"].startswith("the force sensor") and worth["in_words"][1:] in page
+
+
 def from_python(search, folder):
     scenario = mc.load_scenario(CASE, ["duration=0.3", "disturbance.cargo.start=0.1"])
     if search == "pareto":
@@ -89,7 +99,8 @@ def from_python(search, folder):
     if search == "schedule":
         return tuning.schedule(scenario, gravity=(0.1, 1.0), cargo=(0.5,), out=folder)
     drawn = ensemble.load(config_path("ensemble.yaml"), members=2)
-    return tuning.robust(scenario, drawn, starts=2, iterations=3, out=folder)
+    asked = {"limits": {"base_deviation": 1e-4}, "judges": 4}
+    return tuning.robust(scenario, drawn, starts=2, iterations=3, out=folder, **asked)
 
 
 @pytest.mark.parametrize("search", ["pareto", "schedule", "ensemble"])
