@@ -22,6 +22,7 @@ from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
+from tuning.problem.evaluation import under_pd
 from tuning.report import page
 from tuning.report import sweep as pages
 from tuning.report.comparison import Compared, gains_of
@@ -119,7 +120,7 @@ def judge(found: Swept, stage: Stage = silent) -> Judged:
     """Walk what the grid is compared with, and work out its limit of stability."""
     best = grid.best_cell(found.data)
     config = "paper" if _is_the_papers(found) else "config"
-    pd = found.scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    pd = under_pd(found.scenario)
     walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {"pd": (pd, None), config: (found.scenario, found.law)}
     if found.gains is not None:
         walkers[GIVEN] = found.walker()
