@@ -62,12 +62,22 @@ def test_private_names_are_seen(source, found):
 
 def test_the_stories_are_there():
     stories = {"stiffness_damping_maps", "two_readings_of_eq_3", "gradient_against_grid", "robust_tuning"}
+    stories.add("a_policy_that_learns")
     assert stories <= {path.stem for path in NOTEBOOKS}
 
 
 @every_notebook
 def test_public_names_only(path):
     assert private_names("\n".join(cell.source for cell in code_cells(read(path)))) == []
+
+
+@every_notebook
+def test_what_is_imported_is_there(path):
+    plain = "\n".join(cell.source for cell in code_cells(read(path)))
+    lines = [line for line in plain.splitlines() if not line.startswith("%")]
+    imports = [node for node in ast.parse("\n".join(lines)).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert imports
+    exec(compile(ast.Module(imports, []), path.name, "exec"), {})
 
 
 @every_notebook

@@ -39,7 +39,7 @@ def margins(
     same hardware. Warns where that is less than twice what the hardware has.
 
     Writes to DIR the margins (margins.json), all walks (margins.nc), and the force variation over each quantity, for
-    the gains, pd and the config's own gains (margins.png, .svg, .pdf).
+    the gains, pd and the config's own gains (margins.png).
 
     \b
     Examples:

@@ -10,7 +10,7 @@ from tuning.judged import margins
 from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
 
-FILES = "margins.json, margins.nc, margins.png, .svg, .pdf"
+FILES = "margins.json, margins.nc, margins.png"
 
 
 def summary(found: margins.Found) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,13 +13,16 @@ from matplotlib.figure import Figure
 
 import mjx_climb as mc
 from mjx_climb import plots
+from mjx_climb.compilation import devices
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset, scenario_files
 from mjx_climb.rollouts.given import AnyGains
+from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
+from tuning.problem.evaluation import under_pd
 from tuning.report import page
 from tuning.report import sweep as pages
 from tuning.report.comparison import Compared, gains_of
@@ -79,6 +83,8 @@ class Swept:
         judged = judge(found, stage)
         dataset.save(judged.data, folder / "sweep.nc")
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
+        if found.law is not None and found.gains is not None:  # config.yaml has no place for them
+            gains_file.save(found.gains, folder / "gains.yaml", "of the sweep in this folder", found.law)
         with stage("drawing", compiles=False):
             plots.save_figure(sheet(judged.data, judged.compared), folder / "maps", {"png", *figures})
         histories = judged.data
@@ -114,20 +120,22 @@ def judge(found: Swept, stage: Stage = silent) -> Judged:
     """Walk what the grid is compared with, and work out its limit of stability."""
     best = grid.best_cell(found.data)
     config = "paper" if _is_the_papers(found) else "config"
-    pd = found.scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    pd = under_pd(found.scenario)
     walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {"pd": (pd, None), config: (found.scenario, found.law)}
     if found.gains is not None:
         walkers[GIVEN] = found.walker()
     if best is not None:
         walkers["best"] = found.walker({name: best[name].item() for name in found.axes})
-    walks = {}
-    for name, (scenario, law) in walkers.items():
-        with stage(name):
-            walks[name] = mc.rollout(scenario, law=law, engine=found.engine)
-    walks = dict(reversed(list(walks.items())))
-    with stage("stability limit"):
-        scenario, law = found.walker()
-        radius = stability_limit.over_map(scenario, found.data, law=law, engine=found.engine)
+    scenario, law = found.walker()
+    # side by side: most of the time goes to the compiler, which has a program of its own for each
+    with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
+        limit = pool.submit(stability_limit.over_map, scenario, found.data, law=law, engine=found.engine)
+        walking = {
+            name: pool.submit(mc.rollout, walker, law=own, engine=found.engine)
+            for name, (walker, own) in reversed(walkers.items())
+        }
+        walks = {name: each.result() for name, each in walking.items()}
+        radius = limit.result()
     compared = {name: (gains_of(walk), mc.metrics(walk, found.metrics)) for name, walk in walks.items()}
     data = found.data.assign(spectral_radius=radius)
     failed = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
@@ -181,6 +189,7 @@ def _page(found: Swept, judged: Judged, histories: xr.Dataset, origin: page.Orig
         origin=origin,
         pictures={CAPTION: folder / "maps.png"},
         about=found.metrics,
+        law=found.law,
     )  # fmt: skip
 
 
