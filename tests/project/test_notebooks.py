@@ -61,13 +61,23 @@ def test_private_names_are_seen(source, found):
 
 
 def test_the_stories_are_there():
-    stories = {"stiffness_damping_maps", "two_readings_of_eq_3", "gradient_against_grid", "robust_tuning"}
+    stories = {
+        "stiffness_damping_maps", "two_readings_of_eq_3", "gradient_against_grid", "robust_tuning", "delay_in_the_loop"
+    }  # fmt: skip
     assert stories <= {path.stem for path in NOTEBOOKS}
 
 
 @every_notebook
 def test_public_names_only(path):
     assert private_names("\n".join(cell.source for cell in code_cells(read(path)))) == []
+
+
+@every_notebook
+def test_imports_resolve(path):
+    source = "\n".join(cell.source for cell in code_cells(read(path)))
+    tree = ast.parse("\n".join(line for line in source.splitlines() if not line.startswith("%")))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    exec(compile(ast.Module(imports, []), path.name, "exec"), {})
 
 
 @every_notebook
