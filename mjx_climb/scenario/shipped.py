@@ -1,15 +1,24 @@
-"""The configs that come with the program: the paper's cases, and an ensemble of walks."""
+"""The configs that come with the program: the paper's cases, and ensembles of walks."""
 
 from pathlib import Path
 
-ENSEMBLE = "ensemble"
+_ENSEMBLE = "ensemble"  # what the names of ensembles begin with
 _PACKAGES = Path(__file__).parents[2]
 _FOLDERS = (_PACKAGES / "mjx_climb" / "configs", _PACKAGES / "configs")  # installed, or in a checkout
 
 
 def names() -> list[str]:
     """Return the names of the shipped scenarios."""
-    return sorted({file.stem for folder in _FOLDERS for file in folder.glob("*.yaml")} - {ENSEMBLE})
+    return [name for name in _stems() if not name.startswith(_ENSEMBLE)]
+
+
+def ensembles() -> list[str]:
+    """Return the names of the shipped ensembles."""
+    return [name for name in _stems() if name.startswith(_ENSEMBLE)]
+
+
+def _stems() -> list[str]:
+    return sorted({file.stem for folder in _FOLDERS for file in folder.glob("*.yaml")})
 
 
 def profiles() -> list[str]:
@@ -44,7 +53,7 @@ def config_path(name: str) -> Path:
             return path
     from mjx_climb.scenario.messages import ConfigError
 
-    known = ", ".join([*names(), ENSEMBLE])
+    known = ", ".join(_stems())
     raise ConfigError(
         f"{Path(name).stem}: expected a file, or a config that comes with the program ({known}), got neither"
     )

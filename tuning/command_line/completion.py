@@ -18,8 +18,8 @@ def config(incomplete: str) -> list[str]:
 
 
 def ensemble(incomplete: str) -> list[str]:
-    """Return the shipped ensemble and the YAML files that a word may become."""
-    return [*_beginning(incomplete, [shipped.ENSEMBLE]), *_files(incomplete)]
+    """Return the shipped ensembles and the YAML files that a word may become."""
+    return [*_beginning(incomplete, shipped.ensembles()), *_files(incomplete)]
 
 
 def hardware(incomplete: str) -> list[str]:

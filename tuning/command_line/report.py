@@ -96,13 +96,17 @@ def gains_table(walks: "Compared") -> Table:
     held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
     for key in gain_units(walks):
         six = {name: axis_values(gains.get(key)) for name, gains in held.items()}
-        if all(np.ptp(values) == 0 for values in six.values()):
-            table.add_row(key, *(f"{values[0]:.4g}" for values in six.values()))
+        if all(len(np.unique(values)) == 1 for values in six.values()):
+            table.add_row(key, *(_number(values[0]) for values in six.values()))
             continue
         for axis, label in enumerate(("x", "y", "z", "rx", "ry", "rz")):
-            table.add_row(f"{key} {label}", *(f"{values[axis]:.4g}" for values in six.values()), end_section=axis == 5)
+            table.add_row(f"{key} {label}", *(_number(values[axis]) for values in six.values()), end_section=axis == 5)
     for key in ("kp", "kd"):
         if any(key not in gains for gains in held.values()):
             continue
-        table.add_row(key, *(f"{gains[key]:.4g}" for gains in held.values()))
+        table.add_row(key, *(_number(gains[key]) for gains in held.values()))
     return table
+
+
+def _number(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.4g}"

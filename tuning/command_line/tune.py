@@ -37,7 +37,14 @@ def tune(
         list[str] | None,
         _pairs("GAIN", "Gain of the law to search that is left alone otherwise; repeatable."),
     ] = None,
-    with_joint_gains: Annotated[bool, typer.Option("--with-joint-gains", help="Search kp and kd as well.")] = False,
+    with_joint_gains: Annotated[
+        bool | None,
+        typer.Option(
+            "--with-joint-gains/--without-joint-gains",
+            help="Search kp and kd as well.",
+            show_default="where there is hardware",
+        ),
+    ] = None,
     starts: Annotated[
         int | None,
         typer.Option(metavar="N", help="Starts or population; grid: points per gain.", show_default="the method's"),
@@ -73,6 +80,9 @@ def tune(
     members: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Walks of the ensemble.", show_default="the file's")
     ] = None,
+    judges: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Walks of the fresh draw.", show_default=str(JUDGES))
+    ] = None,
     controller: options.Controller = None,
     hardware: options.Hardware = None,
     changes: options.Set = None,
@@ -91,7 +101,8 @@ def tune(
 
     Minimises force variation, peak foot force and cost of transport, each relative to pd, while the grippers hold,
     the joints keep their limits, the base stays within three times pd's deviation, and nothing gets worse than under
-    pd. Then walks the result in double precision, tests it, and compares it with the config's gains and pd.
+    pd. With hardware in the loop kp and kd are searched too. Then walks the result in double precision, tests it, and
+    compares it with the config's gains, pd, and pd with kp and kd searched for the same: what no force sensor gives.
 
     Writes to DIR the gains (gains.yaml, for run and sweep), everything judged (search.nc), the settings (config.yaml,
     search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks), and all of it
@@ -99,7 +110,8 @@ def tune(
     or worse, the same command goes on.
 
     With --ensemble every set of gains walks through all members (pushes, cargo, slope, grip stiffness, robot mass drawn
-    from a seed), mean and worst count, the peak pulling force with them, and a fresh draw judges the result.
+    from a seed, and hardware where the file says so), mean and worst count, the peak pulling force with them, and a
+    fresh draw judges the result, and says how many of its walks break each limit.
 
     \b
     METRIC: force_variation, peak_foot_force, peak_pull_force (N), peak_joint_torque (N m),
@@ -130,12 +142,13 @@ def tune(
         scenario = options.scenario_from(config, controller, changes, hardware)
         user_law, scenario = options.law_from(law, gains, scenario)
         engine = options.engine_from(engine)
-        if members is not None and ensemble is None:
-            raise InputError("--members: expected --ensemble with it")
+        for option, value in (("--members", members), ("--judges", judges)):
+            if value is not None and ensemble is None:
+                raise InputError(f"{option}: expected --ensemble with it")
         changed = {} if members is None else {"members": members}
         drawn = None if ensemble is None else ensembles.load(shipped.found(ensemble), **changed)
         given = {
-            "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains or None,
+            "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains,
             "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
             "limits": _mapping("--limit", limit), "also": also and tuple(also),
             "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
@@ -149,6 +162,8 @@ def tune(
             settings.check_metrics(wanted, mc.METRICS, "")
         except mc.ConfigError as error:
             raise InputError(options.in_options(str(error).removeprefix(": "))) from None
+        if drawn is not None:
+            wanted = robust_search.settled(wanted, drawn)
         options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
         kind = "tune" if ensemble is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
@@ -164,7 +179,18 @@ def tune(
         scenario = tuned.write_settings(out, scenario, wanted.to_yaml())
         if drawn is not None:
             return tune_robustly(
-                scenario, wanted, drawn, JUDGES, out, engine, config.stem, _line, meter, stdout, json=json, law=user_law
+                scenario,
+                wanted,
+                drawn,
+                judges or JUDGES,
+                out,
+                engine,
+                config.stem,
+                _line,
+                meter,
+                stdout,
+                json=json,
+                law=user_law,
             )
 
         kept = 0

@@ -5,21 +5,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from tuning.gains import gains_file
-from tuning.judged import verification
+from tuning.judged import maps, verification
 from tuning.judged.verification import Verification
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
-from tuning.problem.objectives import Judge
+from tuning.problem.objectives import Goal, Judge
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
 from tuning.report.numbers import to_json
+from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
+from tuning.searches.retuned_pd import Worth
 from tuning.searches.tune import problem_of
 
 FILES = (
@@ -31,8 +35,8 @@ FILES = (
 class Judged(NamedTuple):
     """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
 
-    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned
-    compared: Compared  # tuned, config, pd
+    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
+    compared: Compared  # tuned, retuned_pd, config, pd
     checked: Verification
     outcome: list[str]  # of the tests, in lines
     summary: str  # all of it, JSON
@@ -61,7 +65,7 @@ def write(
     engine: str = DEFAULT_ENGINE,
     stage: Stage = silent,
 ) -> Judged:
-    """Walk, test and draw a result, and write all of it with the report.
+    """Walk, test and draw a result, and write all of it with the report; pd is retuned for the same goal beside it.
 
     Arguments:
         found: the result.
@@ -81,8 +85,18 @@ def write(
     found = dataclasses.replace(found, scenario=scenario, history=made_from(found.history, scenario))
     comment = f"{found.search.method}, {found.search.space}, objective {found.value:.4f} (pd: 1)"
     write_found(found, folder, f"mjx-climb tune {origin.name}: {comment}", law)
-    scenarios = {"pd": scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})}
-    scenarios |= {"config": scenario, "tuned": verification.tuned(found)}
+    target = problem_of(
+        found.scenario, found.search, function, engine=engine, law=found.law, metrics=found.judged_by
+    ).objective
+    kept = (folder / finished_parts.FOLDER).is_dir()  # as the rounds of the search itself
+    with stage("retuned pd", unit="rounds") as told:
+        retuned = retuned_pd.search(
+            found, objective=function or target, engine=engine, out=folder if kept else None,
+            progress=lambda now: told(now.rounds, now.rounds_in_all),
+        )  # fmt: skip
+    scenarios = {"pd": retuned_pd.under_pd(scenario), "config": scenario, "tuned": verification.tuned(found)}
+    if retuned is not None:
+        scenarios[retuned_pd.NAME] = verification.tuned(retuned)
     laws, walks = {"config": law, "tuned": found.law}, {}
     for name, walked in scenarios.items():
         with stage(name):
@@ -92,8 +106,13 @@ def write(
         over = verification.map_of(found, progress=told, engine=engine)
     with stage("verification"):
         checked = verification.verify(found, metrics=metrics["tuned"], walks=over, function=function, engine=engine)
-    compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in ("tuned", "config", "pd")}
-    summary = _summary(found, checked, compared)
+    order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
+    compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
+    worth = None
+    if retuned is not None:
+        compared[retuned_pd.NAME] = (_joint(retuned), metrics[retuned_pd.NAME])
+        worth = retuned_pd.worth(_scored(target, metrics["tuned"]), _scored(target, metrics[retuned_pd.NAME]), retuned)
+    summary = _summary(found, checked, compared, worth)
     dataset.write_text_atomically(folder / "summary.json", summary + "\n")
     captions = {
         "convergence": "How the search converged.",
@@ -108,9 +127,8 @@ def write(
         for name, figure in figures.items():
             plots.save_figure(figure, folder / name)
     outcome = outcome_of(checked, found)
-    target = problem_of(
-        found.scenario, found.search, function, engine=engine, law=found.law, metrics=found.judged_by
-    ).objective
+    if worth is not None:
+        outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(target, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
     with stage("report", compiles=False):
@@ -121,6 +139,7 @@ def write(
             pictures={captions[name]: folder / f"{name}.svg" for name in figures},
         )  # fmt: skip
         page.write(written, folder)
+    retuned_pd.forget(folder)
     return Judged(walks, compared, checked, outcome, summary)
 
 
@@ -130,7 +149,20 @@ def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
     return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
 
 
-def _summary(found: Result, checked: Verification, compared: Compared) -> str:
+def _joint(retuned: Result) -> dict[str, float]:
+    """Return kp and kd alone: pd has no other gains."""
+    gains = gains_file.by_name(retuned.gains)
+    return {name: float(gains[name]) for name in ("kp", "kd")}
+
+
+def _scored(target: Goal, metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Return what gains are compared by."""
+    variation = metrics["force_variation"]
+    score = float(maps.score_of(target, metrics).value)
+    return {"objective": score, "force_variation": np.nan if variation is None else float(variation)}
+
+
+def _summary(found: Result, checked: Verification, compared: Compared, worth: Worth | None) -> str:
     summary: dict[str, Any] = {
         name: {"gains": gains, "metrics": metrics} for name, (gains, metrics) in compared.items()
     }
@@ -138,6 +170,8 @@ def _summary(found: Result, checked: Verification, compared: Compared) -> str:
         **found.search.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
         "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
     }  # fmt: skip
+    if worth is not None:
+        summary["force_sensor"] = worth._asdict()
     summary["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
     return to_json(summary)
 

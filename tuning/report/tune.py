@@ -100,10 +100,14 @@ def robust_page(
     table: Table,
     verdict: str,
     *,
+    notes: list[str],
     origin: Origin,
     pictures: Mapping[str, Path],
 ) -> Page:
-    """Return the page of a search over an ensemble; `table` judges its result on walks that the search never saw."""
+    """Return the page of a search over an ensemble; `table` judges its result on walks that the search never saw.
+
+    `notes` say what a force sensor is worth, and which limits bind or break.
+    """
     gains = by_name(found.gains)
     own = found.scenario.control
     config_gains = {key: getattr(own, key) for key in mc.Gains.AXES}
@@ -113,7 +117,7 @@ def robust_page(
         title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
         origin=origin,
         verdict=verdict,
-        notes=[] if found.feasible else ["No gains kept every limit in every member of the search."],
+        notes=notes if found.feasible else [*notes, "No gains kept every limit in every member of the search."],
         scenario=found.scenario,
         explorers=[],
         tables=[table, comparison.gains_table(rivals)],

@@ -1,8 +1,11 @@
 """pd with joint gains of its own for the same goal: what can be had without a force sensor."""
 
+import contextlib
+import math
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
@@ -10,7 +13,7 @@ from tuning.gains.gains_file import by_name
 from tuning.problem.objectives import Judge
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT
-from tuning.searches import tune
+from tuning.searches import finished_parts, tune
 from tuning.searches.result import Result
 
 NAME = "retuned_pd"  # in tables and files
@@ -43,17 +46,29 @@ def search(
 
     Returns:
         The search, or None where the result itself is one of pd.
+
+    Raises:
+        KeyboardInterrupt: the user stopped it; with `out` it goes on from there.
     """
     if found.law is None and found.scenario.control.controller == "pd":
         return None
     how: dict[str, Any] = {"objective": objective, "numbers": numbers, "metrics": found.judged_by, "engine": engine}
-    folder = None if out is None else kept_in(out)
-    return tune.tune(under_pd(found.scenario), _settings(found.search), out=folder, progress=progress, **how)
+    folder = None if out is None else _kept_in(out)
+    again = tune.tune(under_pd(found.scenario), _settings(found.search), out=folder, progress=progress, **how)
+    if again.interrupted:
+        raise KeyboardInterrupt
+    return again
 
 
-def kept_in(out: Path) -> Path:
-    """Return where the rounds of a search in `out` keep those of pd beside their own."""
-    return Path(out) / "parts" / NAME
+def forget(out: Path) -> None:
+    """Remove the rounds that a search kept in `out`."""
+    shutil.rmtree(_kept_in(out), ignore_errors=True)
+    with contextlib.suppress(OSError):
+        _kept_in(out).parent.rmdir()  # where nothing else is kept
+
+
+def _kept_in(out: Path) -> Path:
+    return Path(out) / finished_parts.FOLDER / NAME
 
 
 def _settings(search: Search) -> Search:
@@ -67,20 +82,31 @@ def _settings(search: Search) -> Search:
     return search.model_copy(update=changed)
 
 
-def worth(values: Mapping[str, float], without: Mapping[str, float], joint: Any) -> str:
-    """Return in a sentence what a force sensor is worth.
+class Worth(NamedTuple):
+    """What a force sensor changes: of gains found against pd retuned."""
+
+    objective: float  # relative: -0.1 is a tenth less
+    force_variation: float
+    in_words: str
+
+
+def worth(values: Mapping[str, float], without: Mapping[str, float], retuned: Result) -> Worth:
+    """Return what a force sensor is worth.
 
     Arguments:
         values: `objective` and `force_variation` of the gains found.
-        without: the same of pd with the joint gains `joint`.
+        without: the same of pd with the joint gains of `retuned`.
+        retuned: the search of these.
     """
-    gained = {name: 100 * (1 - values[name] / without[name]) for name in ("objective", "force_variation")}
-    of = by_name(joint)
-    rival = f"pd with kp {float(of['kp']):.4g}, kd {float(of['kd']):.4g}, which needs none"
-    parts = [f"{_by(gained[name])} {name.replace('_', ' ')}" for name in gained]
-    verdict = "pays" if gained["objective"] > 0 else "does not pay"
-    return f"the force sensor {verdict}: {' and '.join(parts)} than {rival}"
-
-
-def _by(percent: float) -> str:
-    return f"{abs(percent):.1f} % {'less' if percent > 0 else 'more'}"
+    joint = by_name(retuned.gains)
+    rival = f"pd with kp {float(joint['kp']):.4g}, kd {float(joint['kd']):.4g}, which needs none"
+    rival += "" if retuned.feasible else " (and breaks a limit)"
+    changes = {name: values[name] / without[name] - 1 for name in ("objective", "force_variation")}
+    if not all(map(math.isfinite, changes.values())):
+        return Worth(**changes, in_words=f"the force sensor: not to be compared with {rival}: a walk diverged")
+    verdict = "pays" if changes["objective"] < 0 else "does not pay"
+    parts = [
+        f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'} {name.replace('_', ' ')}"
+        for name, change in changes.items()
+    ]
+    return Worth(**changes, in_words=f"the force sensor {verdict}: {' and '.join(parts)} than {rival}")

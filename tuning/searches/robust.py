@@ -31,7 +31,6 @@ from tuning.searches.result import Result
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}
 JUDGED_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that judges
-CHUNK = 128  # members at a time
 
 
 class RobustTerm(NamedTuple):
@@ -297,7 +296,7 @@ def walked(
             if progress is not None:
                 progress(before + now, total)
 
-        how: dict[str, Any] = {"metrics": table, "law": whose, "engine": engine, "batch_size": CHUNK * len(some)}
+        how: dict[str, Any] = {"metrics": table, "law": whose, "engine": engine}
         stacked = _stacked(place, whose, list(some.values()))
         found = mc.rollout_metrics(place, stacked, numbers, dtype=np.float32, smooth=True, progress=told, **how)
         parts.append(found)

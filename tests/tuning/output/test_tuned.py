@@ -33,7 +33,15 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     pictures = {f"{name}.{kind}" for name in ("convergence", "path", "walks") for kind in ("png", "svg", "pdf")}
     files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
     assert names == files | pictures
-    assert stages == ["pd", "config", "tuned", "map", "verification", "drawing", "report"]
+    walked = ["pd", "config", "tuned", "retuned_pd"]
+    assert stages == ["retuned pd", *walked, "map", "verification", "drawing", "report"]
+    summary = json.loads(written.summary)
+    torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
+    assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
+    assert summary["force_sensor"]["in_words"] == written.outcome[0]
+    assert list(summary["retuned_pd"]["gains"]) == ["kp", "kd"] and list(written.compared) == [
+        "tuned", "retuned_pd", "config", "pd"
+    ]  # fmt: skip
     assert json.loads((tmp_path / "summary.json").read_text()) == json.loads(written.summary)
     assert written.checked.value == pytest.approx(written.compared["tuned"][1]["peak_joint_torque"])
     assert result.load(tmp_path / "search.nc").value == found.value

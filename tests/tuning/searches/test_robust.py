@@ -1,6 +1,7 @@
 """Ensembles: what is drawn, how mean and worst count, and that a draw that was not seen judges."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -250,12 +251,15 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
 
 
 def test_what_a_force_sensor_is_worth():
-    less = retuned_pd.worth({"objective": 0.6, "force_variation": 30.0}, {"objective": 0.8, "force_variation": 50.0},
-                            {"kp": 25.0, "kd": 0.5})  # fmt: skip
-    assert less.startswith("the force sensor pays: 25.0 % less objective and 40.0 % less force variation than pd with")
-    more = retuned_pd.worth({"objective": 0.9, "force_variation": 51.0}, {"objective": 0.8, "force_variation": 50.0},
-                            {"kp": 25.0, "kd": 0.5})  # fmt: skip
-    assert more.startswith("the force sensor does not pay: 12.5 % more objective and 2.0 % more force variation")
+    retuned = SimpleNamespace(gains={"kp": 25.0, "kd": 0.5}, feasible=True)
+    without = {"objective": 0.8, "force_variation": 50.0}
+    less = retuned_pd.worth({"objective": 0.6, "force_variation": 30.0}, without, retuned)
+    assert less[:2] == pytest.approx((-0.25, -0.4))
+    assert less.in_words.startswith("the force sensor pays: 25.0 % less objective and 40.0 % less force variation than")
+    more = retuned_pd.worth({"objective": 0.9, "force_variation": 51.0}, without, retuned)
+    assert more.in_words.startswith("the force sensor does not pay: 12.5 % more objective and 2.0 % more force")
+    lost = retuned_pd.worth({"objective": np.nan, "force_variation": 51.0}, without, retuned)
+    assert "not to be compared" in lost.in_words
 
 
 def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, tmp_path):
