@@ -197,8 +197,9 @@ def _walked(scenario: mc.Scenario, walker: Walker, values: np.ndarray, engine: s
     """Return what walks are worth on hardware with one quantity (Q, N) changed at a time."""
     with jax.enable_x64(True):
         own = jax.tree.map(np.asarray, mc.parameters(scenario))
-    gains = by_name(walker.gains)
-    joint = {name: gains.pop(name, getattr(own, name)) for name in _JOINT}
+    gains, values_given = walker.gains, by_name(walker.gains)
+    joint = {name: values_given.pop(name, getattr(own, name)) for name in _JOINT}
+    gains = dataclasses.replace(gains, kp=None, kd=None) if isinstance(gains, mc.Gains) else values_given
     numbers: dict[str, np.ndarray] = {}
     for place, quantity in enumerate(QUANTITIES.values()):
         for name in quantity.parameters:

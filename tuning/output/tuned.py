@@ -9,10 +9,11 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb import plots
+from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from tuning.gains import gains_file
-from tuning.judged import maps, verification
+from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
@@ -20,6 +21,7 @@ from tuning.problem.objectives import Goal, Judge
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
+from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
 from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
@@ -27,7 +29,7 @@ from tuning.searches.retuned_pd import Worth
 from tuning.searches.tune import problem_of
 
 FILES = (
-    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks (.png, .svg, .pdf), "
+    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks, margins (.png, .svg, .pdf), "
     "config.yaml, search.yaml"
 )
 
@@ -104,8 +106,14 @@ def write(
     metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
     with stage("map") as told:
         over = verification.map_of(found, progress=told, engine=engine)
+    with stage("margins") as told:
+        hardware = margins.find(
+            scenario, found.gains, law=found.law, others=_rivals(law, retuned), engine=engine, progress=told
+        )
     with stage("verification"):
-        checked = verification.verify(found, metrics=metrics["tuned"], walks=over, function=function, engine=engine)
+        checked = verification.verify(
+            found, metrics=metrics["tuned"], walks=over, hardware=hardware, function=function, engine=engine
+        )
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
     worth = None
@@ -118,9 +126,14 @@ def write(
         "convergence": "How the search converged.",
         "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
         "path": "The way of the search over the map; the red line is the limit of stability.",
+        "margins": "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges.",
     }
     with stage("drawing", compiles=False):
-        figures = {"convergence": search_pictures.plot_convergence(found), "walks": plots.plot_comparison(walks)}
+        figures = {
+            "convergence": search_pictures.plot_convergence(found),
+            "walks": plots.plot_comparison(walks),
+            "margins": plot_margins(hardware, "tuned"),
+        }
         if over is not None:
             dataset.save(over, folder / "map.nc")
             figures["path"] = search_pictures.plot_path(found, over)
@@ -147,6 +160,12 @@ def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
     """Return the gains of a walk, those of the joint loop last; None where its controller has none."""
     gains, control = gains_of(walk), walk.scenario.control
     return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
+
+
+def _rivals(law: mc.Law | None, retuned: Result | None) -> dict[str, margins.Walker]:
+    """Return who walks beside a result and pd on worse hardware: the config's own gains, and pd retuned."""
+    rivals = {"config": margins.Walker(law, {})}
+    return rivals if retuned is None else rivals | {"retuned pd": margins.Walker(PD(), _joint(retuned))}
 
 
 def _joint(retuned: Result) -> dict[str, float]:
@@ -188,5 +207,8 @@ def outcome_of(checked: Verification, found: Result) -> list[str]:
     lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
     if checked.grid_value is not None:
         lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
+    for name, margin in checked.margins.items():
+        holds, better = (margins.in_words(name, margin, reached) for reached in (margin.holds, margin.better))
+        lines.append(f"margin, {margins.QUANTITIES[name].title}: holds up to {holds}, better than pd up to {better}")
     lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
     return lines + [f"warning: {line}" for line in checked.warnings]

@@ -8,6 +8,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD
+from tuning.gains.gains_file import by_name
 from tuning.judged import margins
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "hardware_walks.json").read_text())
@@ -53,7 +54,7 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
     scenario = case("case_1_2", "virtual_model", hardware)
     margins.find(scenario, GAINS)
     (_, gains, given), (law, _, pd) = walks[:2]
-    assert isinstance(law, PD) and set(gains) == {"inertia", "damping", "stiffness"}
+    assert isinstance(law, PD) and set(by_name(gains)) == {"inertia", "damping", "stiffness"}
     changed = {
         0: (given.force_delay, 0.002), 1: (given.command_delay, 0.0), 2: (given.control_period, 0.005),
         3: (given.kp, 20.0),
@@ -86,6 +87,16 @@ def test_gains_of_no_use_on_the_hardware_itself_are_said_to_be_so_once(walks, ca
     found = margins.find(case("case_1_2", "virtual_model", {"hardware.force_sensor.delay": delay}), GAINS)
     lines = margins.warnings(found)
     assert len(lines) == len(expected) and all(map(str.startswith, lines, expected))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["pd", "end_effector"])
+def test_gains_of_any_law_have_margins(case, law):
+    """Six values of a law of three, and those of one without any."""
+    scenario = case("case_1_2", law, {"duration": 0.05, "disturbance.cargo.start": 0.01})
+    found = margins.find(scenario, mc.Gains(*(np.ones(6) * value for value in (1.0, 200.0, 5e3)), kp=np.asarray(40.0)))
+    assert found.holds and found.walks["force_variation"].shape == (2, 4, 2 * margins.POINTS)
+    assert np.isfinite(found.walks["force_variation"]).all()
 
 
 @pytest.mark.slow
