@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     )
     from mjx_climb.plots.feet import plot_feet
     from mjx_climb.plots.maps import color_scale, comparable, failed_walks, plot_map, plot_maps
-    from mjx_climb.plots.saving import save_figure
+    from mjx_climb.plots.saving import FORMATS, save_figure
     from mjx_climb.plots.styling import COLUMN, legend, legend_below, style
     from mjx_climb.plots.time_panels import thin
     from mjx_climb.plots.walk_events import detachments, disturbances, grip_changes, largest_foot_force
@@ -56,7 +56,7 @@ _PUBLIC = {
         "plot_map",
         "plot_maps",
     ),
-    "saving": ("save_figure",),
+    "saving": ("FORMATS", "save_figure"),
     "styling": (
         "COLUMN",
         "legend",
@@ -83,6 +83,7 @@ __all__ = [
     "BLUE",
     "CARGO",
     "COLUMN",
+    "FORMATS",
     "GREEN",
     "GREY",
     "LIMB_COLORS",

@@ -84,8 +84,7 @@ def plot_maps(
     if not metrics:
         raise ValueError("expected at least one metric to draw")
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
-    figure = Figure(figsize=(COLUMN * columns, 0.5 + 2.5 * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    figure, axes = _sheet(rows, columns)
     handles = {}
     for metric, panel in zip(metrics, axes.flat, strict=False):
         value = (baselines or {}).get(metric)
@@ -101,10 +100,30 @@ def plot_maps(
             panel.tick_params(axis="x", labelbottom=True)
         if number % columns:
             panel.set_ylabel("")
-    legend_below(figure, list(handles.values()), 3 * columns)
+        panel.minorticks_off()
+    if handles:
+        figure.legend(handles=list(handles.values()), loc="lower center", ncols=3 * columns, columnspacing=1.2)
     if title:
         figure.suptitle(title, fontsize=8.5)
     return figure
+
+
+def _sheet(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
+    """Return a figure and its panels (rows, columns), with room for labels by measure: no layout is worked out."""
+    width, height = COLUMN * columns, 0.5 + 2.3 * rows
+    left, right, beside = 0.62, 0.5, 0.55
+    bottom, top, between = 0.75, 0.45, 0.35
+    cell_width = (width - left - right - (columns - 1) * beside) / columns
+    cell_height = (height - bottom - top - (rows - 1) * between) / rows
+    figure = Figure(figsize=(width, height))
+    axes = figure.subplots(
+        rows, columns, squeeze=False, sharex=True, sharey=True,
+        gridspec_kw={
+            "left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height,
+            "wspace": beside / cell_width, "hspace": between / cell_height,
+        },
+    )  # fmt: skip
+    return figure, axes
 
 
 def _draw_map(
@@ -193,7 +212,7 @@ def _draw_map(
     panel.set_xlim(*_span(x_edges, [mark[0] for mark in marks.values()]))
     panel.set_ylim(*_span(y_edges, [mark[1] for mark in marks.values()]))
 
-    bar = figure.colorbar(mesh, ax=panel, extend=extend, pad=0.02, aspect=25)
+    bar = figure.colorbar(mesh, ax=panel, extend=extend, fraction=0.05, pad=0.02, aspect=25)
     bar.outline.set_linewidth(0.6)
     if flags:
         bar.set_ticks(codes.tolist(), labels=flags)

@@ -71,6 +71,11 @@ Engine = Annotated[
         autocompletion=completion.engine,
     ),
 ]
+FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.plots`, which the command line does not wait for
+Figures = Annotated[
+    str,
+    typer.Option(metavar="LIST", help=f"Formats of the pictures, with commas: some of {', '.join(FORMATS)}."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
@@ -95,6 +100,18 @@ def origin(name: str, again: str) -> "Origin":
     from tuning.report.page import Origin
 
     return Origin(name, typed(), again)
+
+
+def figures_from(text: str) -> tuple[str, ...]:
+    """Return the formats of `--figures`.
+
+    Raises:
+        InputError: another one.
+    """
+    formats = tuple(dict.fromkeys(name.strip().lower() for name in text.split(",")))
+    if unknown := [name for name in formats if name not in FORMATS]:
+        raise InputError(f"--figures: expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
+    return formats
 
 
 def scenario_from(

@@ -59,16 +59,17 @@ def sweep(
         int | None,
         typer.Option(min=1, metavar="N", help="Robots that walk at a time.", show_default="parts of a few seconds"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
     """Walk a grid of stiffness and damping, or of two other gains, the same on all axes, in single precision.
 
     Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
-    side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a map of
-    each metric with the law's limit of stability (maps/, and maps.png, .svg, .pdf with the main ones), the three walks
-    over time (walks.png, .svg, .pdf), the table (comparison.json), the resolved scenario (config.yaml), and all of it
-    as a page for a browser (report.html).
+    side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a sheet with a
+    map of each metric and the law's limit of stability (maps.png), the table (comparison.json), the resolved scenario
+    (config.yaml), and all of it with the walks over time as a page for a browser (report.html). `mjx-climb plot DIR`
+    draws each of them by itself.
 
     Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
     gives the inertia and the joint gains of the grid, and a further walk to compare with.
@@ -92,6 +93,7 @@ def sweep(
         user_law = options.own_law(law)
         values = options.gains_from(gains, user_law)
         engine = options.engine_from(engine)
+        formats = options.figures_from(figures)
         if user_law is None and scenario.control.controller == "pd":
             raise InputError("--controller: expected a law with gains to sweep, got pd")
         try:
@@ -114,7 +116,7 @@ def sweep(
                     progress=kept.told(told),
                 )  # fmt: skip
             origin = options.origin(config.stem, _again(stiffness, damping, axis, law, batch_size, engine))
-            judged = found.write(out, origin=origin, stage=meter.stage)
+            judged = found.write(out, origin=origin, figures=formats, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
         tables.print(report.comparison_table(judged.compared, "pd", tables.width))

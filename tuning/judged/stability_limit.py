@@ -24,10 +24,10 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.compilation import devices
+from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
-from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.control_period import period_steps
 from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.batches import batch_last, flattened, own_axes, rows_of
@@ -35,14 +35,13 @@ from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.walk import control_loop, gait
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
-from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
+from mjx_climb.walk.step import Carry, Structure, Walk, advance, begin, prepare, structure
 
 _ENTRIES = 64 * 50**2  # of the matrices of one compiled batch, about
 _LARGEST_BATCH = 64  # gain sets
 _FINEST = 48  # values along an axis of a map
 _FINEST_WITH_MEMORY = 16  # the same where delays make the matrices large
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
-_Varied = tuple[State, Any]  # of the robot; of law and hardware
 
 
 def spectral_radius(
@@ -84,7 +83,7 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
     law, calm, shape, _ = given_in(scenario, law, gains, calm, np.float64)
     trees, axes, count = (law, calm), (own_axes(law), own_axes(calm)), math.prod(shape)
     flat = flattened(trees, axes, shape)
-    walk = structure(scenario, engine, calm, smooth=True, in_pieces=False)
+    walk = structure(scenario, engine, calm, smooth=True, in_pieces=mc.pieces_pay(engine, "cpu"))
     walk = walk._replace(stages=_linear(walk.stages))
     steps = np.ones(count, int)
     if walk.stages.control_period:
@@ -93,18 +92,26 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
     batch = _batch_of(walk.stages)
     radii = []
     with jax.enable_x64(True), jax.default_device(devices.host()):
-        run = _program(walk, batch)
+        some, there = _rows(flat, axes, np.zeros(1, int))
+        kinds_of = tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves((some, there)))
+        states = _states(walk, jax.tree.structure((some, there)), kinds_of)
+        run, column = _program(walk, batch * states), np.repeat(np.arange(states), batch)
         for start in range(0, count, batch):
             rows = np.minimum(np.arange(start, start + batch), count - 1)
-            some, there = rows_of(flat, axes, rows)
-            there = dataclasses.replace(there, kp=np.broadcast_to(there.kp, len(rows)))  # batched, come what may
+            given = _rows(flat, axes, np.tile(rows, states))
             period = steps[rows]
             first = period * np.round(middle / period)  # in the middle of the swing, where the law is worked out
             # held: all further steps are alike; on a line to the next target each is another
             kinds = period.max() if walk.stages.linear else min(period.max(), 2)
-            each = [np.asarray(run(some, there, first + min(k, kinds - 1))) for k in range(kinds)]
-            radii.append(_radii(np.stack(each), period)[: count - start])
+            at = [np.tile(first + min(k, kinds - 1), states) for k in range(kinds)]
+            matrices = [np.asarray(run(*given, step, column)).reshape(states, states, batch) for step in at]
+            radii.append(_radii(np.stack(matrices).transpose(0, 3, 1, 2), period)[: count - start])
     return np.concatenate(radii).reshape(shape)
+
+
+def _rows(trees: Any, axes: Any, rows: np.ndarray) -> tuple[Law, mc.Parameters]:
+    law, numbers = rows_of(trees, axes, rows)
+    return law, dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, len(rows)))  # batched, come what may
 
 
 def _linear(stages: Stages) -> Stages:
@@ -178,12 +185,10 @@ def over_map(
 
 
 @functools.lru_cache(maxsize=8)
-def _program(shape: Structure, batch: int) -> Callable[[Law, mc.Parameters, np.ndarray], jax.Array]:
-    # whole: XLA refuses some pieces of the derivative of a step
-    options = mc.compiler_options(batch, backend="cpu")
-    if options:
-        options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
-    return jax.jit(functools.partial(_jacobian, shape), compiler_options=options)
+def _program(shape: Structure, batch: int) -> Callable[[Law, mc.Parameters, np.ndarray, np.ndarray], jax.Array]:
+    options = mc.compiler_options(batch, in_pieces=shape.in_pieces, backend="cpu")
+    options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
+    return jax.jit(functools.partial(_columns, shape), compiler_options=options)
 
 
 def _calm(scenario: mc.Scenario, numbers: mc.Parameters | None) -> mc.Parameters:
@@ -196,8 +201,44 @@ def _calm(scenario: mc.Scenario, numbers: mc.Parameters | None) -> mc.Parameters
     return calm
 
 
-def _jacobian(shape: Structure, law: Law, numbers: mc.Parameters, step: jax.Array) -> jax.Array:
-    """Return the matrices (B, s, s) that map a small change of state over the step of a number (B,)."""
+def _columns(shape: Structure, law: Law, numbers: mc.Parameters, step: jax.Array, column: jax.Array) -> jax.Array:
+    """Return by how much the state (s, B) is off after the step of a number (B,), where one value of it was before.
+
+    Which one is `column` (B,): a robot for each column of each matrix, as robots are what a step in pieces is fast at.
+    """
+    batch = len(numbers.kp)
+    walk, carry = _stance(shape, law, numbers, step)
+    remembered, whole = jax.tree.flatten((carry.law, carry.hardware))
+    smooth = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in remembered]
+    robot, tree = jax.tree.flatten(carry.state)
+    before = (*robot, *(leaf for leaf, varied in zip(remembered, smooth, strict=True) if varied))
+
+    def stepped(*before: jax.Array) -> list[jax.Array]:
+        state = jax.tree.unflatten(tree, before[: len(robot)])
+        varied = iter(before[len(robot) :])
+        law, hardware = jax.tree.unflatten(
+            whole, [next(varied) if kind else leaf for kind, leaf in zip(smooth, remembered, strict=True)]
+        )
+        after, _ = advance(walk, Carry(state, carry.contact, carry.gait, law, hardware), step)
+        moved = jax.tree.leaves((after.law, after.hardware))
+        return jax.tree.leaves(after.state) + [leaf for leaf, kind in zip(moved, smooth, strict=True) if kind]
+
+    def moved(*off: jax.Array) -> list[jax.Array]:
+        after: list[jax.Array] = jax.jvp(stepped, before, off)[1]
+        return after
+
+    sizes = [leaf.size // batch for leaf in before]
+    places = jnp.split(jnp.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+    off = [
+        (place[:, None] == column).astype(leaf.dtype).reshape(leaf.shape)
+        for place, leaf in zip(places, before, strict=True)
+    ]
+    after = (in_kernels(moved) if shape.in_pieces else moved)(*off)
+    return jnp.concatenate([leaf.reshape(-1, batch) for leaf in after])
+
+
+def _stance(shape: Structure, law: Law, numbers: mc.Parameters, step: jax.Array) -> tuple[Walk, Carry]:
+    """Return robots that stand as they should at a step (B,), and have never been otherwise."""
     batch, dtype = len(numbers.kp), jnp.result_type(float)
     walk = prepare(shape, batch_last(law, (batch,), dtype), batch_last(numbers, (batch,), dtype), batch)
     carry = begin(walk, batch)
@@ -207,33 +248,15 @@ def _jacobian(shape: Structure, law: Law, numbers: mc.Parameters, step: jax.Arra
     target = gait.foot_targets(walk.plan, now, carry.contact.grip_point)
     joints = inverse_kinematics(walk.controller.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
     state = dataclasses.replace(carry.state, base_position=base, joint_angles=joints)
-    # the feet are where they should be, and everything that remembers has seen nothing else
     memory = control_loop.start(state, jnp.broadcast_to(target, carry.contact.grip_point.shape), walk.controller)
     contact = carry.contact._replace(touching=jnp.broadcast_to(now.closed, carry.contact.touching.shape))
-    remembered, whole = jax.tree.flatten((carry.law, memory))
-    smooth = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in remembered]
-    before = (state, [leaf for leaf, varied in zip(remembered, smooth, strict=True) if varied])
-    leaves, tree = jax.tree.flatten(before)
-    sizes = [leaf.size // batch for leaf in leaves]
-    rows = jnp.split(jnp.eye(sum(sizes)), np.cumsum(sizes)[:-1], axis=1)
-    each = [
-        jnp.broadcast_to(row.reshape(-1, *leaf.shape[:-1], 1), (len(row), *leaf.shape))
-        for row, leaf in zip(rows, leaves, strict=True)
-    ]
+    return walk, carry._replace(state=state, contact=contact, hardware=memory)
 
-    def stepped(before: _Varied) -> _Varied:
-        varied = iter(before[1])
-        law, memory = jax.tree.unflatten(
-            whole, [next(varied) if kind else leaf for kind, leaf in zip(smooth, remembered, strict=True)]
-        )
-        after, _ = advance(walk, Carry(before[0], contact, carry.gait, law, memory), step)
-        moved = jax.tree.leaves((after.law, after.hardware))
-        return after.state, [leaf for leaf, kind in zip(moved, smooth, strict=True) if kind]
 
-    def columns(before: _Varied, directions: _Varied) -> _Varied:
-        along: _Varied = jax.vmap(lambda direction: jax.jvp(stepped, (before,), (direction,))[1])(directions)
-        return along
-
-    moved = jax.tree.leaves(columns(before, jax.tree.unflatten(tree, each)))
-    matrix = jnp.concatenate([leaf.reshape(sum(sizes), -1, batch) for leaf in moved], axis=1)  # (column, row, B)
-    return jnp.transpose(matrix, (2, 1, 0))
+@functools.lru_cache(maxsize=8)
+def _states(shape: Structure, tree: Any, kinds: tuple[Any, ...]) -> int:
+    """Return how many values of a robot can be off by a little, from the kinds of a law's and parameters' arrays."""
+    law, numbers = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*kind) for kind in kinds])
+    carry = jax.eval_shape(lambda *given: _stance(shape, *given)[1], law, numbers, jax.ShapeDtypeStruct((1,), float))
+    leaves = jax.tree.leaves((carry.state, carry.law, carry.hardware))
+    return sum(leaf.size for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating))

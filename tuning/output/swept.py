@@ -2,12 +2,13 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
 import mjx_climb as mc
 from mjx_climb import plots
@@ -25,15 +26,12 @@ from tuning.report.explorer import axes_of
 from tuning.report.numbers import to_json
 from tuning.searches import finished_parts, grid
 
-FILES = "report.html, sweep.nc, maps.png, .svg, .pdf, maps/, walks.png, .svg, .pdf, comparison.json, config.yaml"
+FILES = "report.html, sweep.nc, maps.png, comparison.json, config.yaml"
 GIVEN = "gains file"  # the name of a walk with gains that are not the config's
 # inertia, damping and stiffness of cases 1.1, 1.2 and 2
 PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 HATCHED = ("detached_limb", "diverged")  # shown on every map
-PICTURES = {
-    "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
-    "maps": "All metrics over both gains; brighter is better.",
-}
+CAPTION = "All metrics over both gains; brighter is better."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,13 +51,19 @@ class Swept:
         return axes_of(self.data)
 
     def write(
-        self, folder: str | os.PathLike[str], *, origin: page.Origin | None = None, stage: Stage = silent
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: page.Origin | None = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
     ) -> "Judged":
         """Walk the best, the scenario's own gains and pd, and write what `mjx-climb sweep` writes.
 
         Arguments:
             folder: where to; it is made. Parts that `tuning.sweep(out=folder)` kept there are removed.
             origin: what the report says of where it comes from.
+            figures: formats of the sheet of maps, of `mjx_climb.plots.FORMATS`; the report holds it as PNG anyway.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
         Returns:
@@ -76,7 +80,7 @@ class Swept:
         dataset.save(judged.data, folder / "sweep.nc")
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
         with stage("drawing", compiles=False):
-            _draw(found, judged, folder)
+            plots.save_figure(sheet(judged.data, judged.compared), folder / "maps", {"png", *figures})
         histories = judged.data
         if judged.data["diverged"].size > grid.HISTORIES:
             with stage("histories"):
@@ -145,30 +149,23 @@ def _summary(compared: Compared, counts: Mapping[str, Any]) -> str:
     return to_json({"best": None} | walks | {"grid": counts})
 
 
-def _draw(found: Swept, judged: Judged, folder: Path) -> None:
-    """Draw the walks over time, and the maps on a sheet and one by one."""
-    x, y = found.axes
-    metrics = [name for name in found.metrics.names if name not in HATCHED]
-    baselines = {name: v for name, v in judged.compared["pd"][1].items() if name in metrics and v is not None}
-    marks = _marks(found, judged)
-    walks = dict(reversed(list(judged.walks.items())))
-    plots.save_figure(plots.plot_comparison(walks), folder / "walks")
-    if known := [name for name in metrics if np.isfinite(judged.data[name]).any()]:
-        sheet = plots.plot_maps(judged.data, known, marks, baselines=baselines, columns=3, x=x, y=y)
-        plots.save_figure(sheet, folder / "maps")
-    for name in metrics:
-        figure = plots.plot_map(judged.data, name, marks, baseline=baselines.get(name), x=x, y=y)
-        plots.save_figure(figure, folder / "maps" / name)
+def sheet(data: xr.Dataset, compared: Compared) -> Figure:
+    """Draw the maps of all metrics that have values, with the gains and with pd's values to compare with."""
+    x, y = axes_of(data)
+    metrics = [str(n) for n, v in data.items() if "larger_is_better" in v.attrs and n not in HATCHED]
+    known = [name for name in metrics if np.isfinite(data[name]).any()]
+    baselines = {name: value for name, value in compared["pd"][1].items() if value is not None}
+    return plots.plot_maps(data, known, marks(data, compared), baselines=baselines, columns=3, x=x, y=y)
 
 
-def _marks(found: Swept, judged: Judged) -> dict[str, tuple[float, float]]:
+def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]]:
     """Return the two gains of the walks that have one of each."""
-    marks = {}
-    for name, (gains, _) in judged.compared.items():
-        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in found.axes):
-            x, y = (float(np.ravel(gains[key])[0]) for key in found.axes)
-            marks[name] = x, y
-    return marks
+    found = {}
+    for name, (gains, _) in compared.items():
+        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes_of(data)):
+            x, y = (float(np.ravel(gains[key])[0]) for key in axes_of(data))
+            found[name] = x, y
+    return found
 
 
 def _histories(found: Swept, judged: Judged) -> xr.Dataset:
@@ -179,10 +176,10 @@ def _histories(found: Swept, judged: Judged) -> xr.Dataset:
 
 def _page(found: Swept, judged: Judged, histories: xr.Dataset, origin: page.Origin, folder: Path) -> page.Page:
     return pages.page(
-        judged.data, histories, judged.walks, judged.compared, _marks(found, judged), found.walker()[0],
+        judged.data, histories, judged.walks, judged.compared, marks(judged.data, judged.compared), found.walker()[0],
         warnings=[f"The best lies on the edge of the grid: widen {name}." for name in judged.at_edge],
         origin=origin,
-        pictures={text: folder / f"{name}.svg" for name, text in PICTURES.items()},
+        pictures={CAPTION: folder / "maps.png"},
         about=found.metrics,
     )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """A report as one HTML page: what stands on it, and how it becomes a file."""
 
+import base64
 import dataclasses
 import platform
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,7 +52,7 @@ class Page:
     scenario: mc.Scenario
     explorers: Sequence[Mapping[str, Any]]
     tables: Sequence[Table]
-    pictures: Mapping[str, Path]  # SVG files by their captions
+    pictures: Mapping[str, Path]  # PNG files by their captions
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
 
@@ -69,9 +69,7 @@ def write(page: Page, folder: Path) -> Path:
 def render(page: Page) -> str:
     """Return the page as HTML that holds all it needs."""
     inlined = {name: Markup((HERE / name).read_text()) for name in ("page.css", "page.js")}
-    pictures = [
-        (text, inline_svg(file.read_text(), f"p{n}-", text)) for n, (text, file) in enumerate(page.pictures.items())
-    ]
+    pictures = {caption: _inlined(file) for caption, file in page.pictures.items()}
     return _ENVIRONMENT.get_template("page.html.jinja").render(
         page=page,
         explorers=plain(page.explorers),
@@ -82,15 +80,9 @@ def render(page: Page) -> str:
     )
 
 
-def inline_svg(text: str, prefix: str, label: str) -> Markup:
-    """Return an SVG document as an element of a page: with ids of its own, and a label for those who cannot see it."""
-    body = text[text.index("<svg") :]
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    # matplotlib gives one name to several parts of a figure; only those that are pointed at need theirs
-    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', body))
-    body = re.sub(r' id="([^"]*)"', lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", body)
-    body = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}", body)
-    return Markup(body.replace("<svg", Markup('<svg role="img" aria-label="{}"').format(label), 1))
+def _inlined(file: Path) -> str:
+    """Return a PNG file as an address that holds all of it."""
+    return f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}"
 
 
 def _facts(page: Page) -> dict[str, Any]:

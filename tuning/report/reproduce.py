@@ -32,7 +32,7 @@ def page(
         notes: what is said of the claims, a line each.
         prose: what is said of each claim, by case and reading.
         origin: of the page.
-        pictures: SVG files by their captions.
+        pictures: PNG files by their captions.
     """
     explorers = []
     for name, walks in cases.items():

@@ -47,7 +47,7 @@ def page(
         scenario: of the grid.
         warnings: for the notes.
         origin: of the page.
-        pictures: SVG files by their captions.
+        pictures: PNG files by their captions.
         about: the metrics of the walks.
     """
     best = grid.best_cell(result)

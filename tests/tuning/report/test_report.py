@@ -314,15 +314,6 @@ def test_a_coarser_grid_keeps_what_it_must():
     assert (np.diff(rows["stiffness"]) > 0).all()
 
 
-def test_pictures_of_one_page_keep_their_own_names():
-    parts = '<g id="a"/><g id="b"/><g id="b"/><use href="#a"/><g clip-path="url(#a)"/>'
-    svg = f'<?xml version="1.0"?><svg><metadata>x</metadata>{parts}</svg>'
-    text = page.inline_svg(svg, "p1-", 'a "b" < c')
-    assert 'id="p1-a"' in text and 'href="#p1-a"' in text and "url(#p1-a)" in text
-    assert "metadata" not in text and "&#34;b&#34; &lt; c" in text
-    assert 'b"/>' not in text  # nothing points at it
-
-
 def test_words_say_which_way_a_metric_went():
     assert comparison.against("peak_foot_force", 3.0, {"pd": 4.0, "paper": None}) == "3 N, 25.0 % below pd"
     metrics = {"force_variation": 1.0, "base_deviation": 2.0, "min_tsm": 0.5}
