@@ -208,7 +208,7 @@ def outcome_of(checked: Verification, found: Result) -> list[str]:
     if checked.grid_value is not None:
         lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
     for name, margin in checked.margins.items():
-        holds, better = (margins.in_words(name, margin, reached) for reached in (margin.holds, margin.better))
+        holds, better = (margins.in_words(name, margin.worst, reached) for reached in (margin.holds, margin.better))
         lines.append(f"margin, {margins.QUANTITIES[name].title}: holds up to {holds}, better than pd up to {better}")
     lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
     return lines + [f"warning: {line}" for line in checked.warnings]
