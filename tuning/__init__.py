@@ -1,16 +1,17 @@
 """Searches for admittance gains, and the command line on top of them.
 
-`tuning.sweep` and, in `tuning.tune`, `tune`: names are imported when they are first used, so that the command line
-starts at once.
+`tuning.sweep`, `pareto`, `schedule`, `robust`, and in `tuning.tune` `tune`: what they return writes by
+`.write(folder)` what the command writes. Names are imported when they are first used, so that the command line starts
+at once.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tuning.searching import sweep
+    from tuning.searching import pareto, robust, schedule, sweep
 
-__all__ = ["sweep"]
+__all__ = ["pareto", "robust", "schedule", "sweep"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,15 +1,28 @@
 """The searches from Python beside `tuning.tune`: each returns what can be written as the command of its name does."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains.gains_file import replaced
+from tuning.output.pareto import Front
+from tuning.output.robust import JUDGES, Robust
+from tuning.output.schedule import Scheduled
 from tuning.output.swept import Swept
+from tuning.problem.ensemble import Ensemble
+from tuning.problem.search import Search
 from tuning.searches import grid
+from tuning.searches import pareto as fronts
+from tuning.searches import robust as robust_search
+from tuning.searches import schedule as schedules
+from tuning.searches import tune as searches
+from tuning.searches.judged_rounds import Told
+
+Folder = str | os.PathLike[str]
 
 
 def sweep(
@@ -21,7 +34,7 @@ def sweep(
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
     batch_size: int | None = None,
-    out: str | os.PathLike[str] | None = None,
+    out: Folder | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Swept:
     """Walk a grid of two gains, the same on all axes of one walk, in single precision.
@@ -51,6 +64,78 @@ def sweep(
     walked, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
     data = grid.sweep(
         walked, axes=axes, law=own, progress=progress, batch_size=batch_size, engine=engine, metrics=table,
-        out=None if out is None else Path(out),
+        out=_path(out),
     )  # fmt: skip
     return Swept(data, scenario, law, gains, table, engine)
+
+
+def pareto(
+    scenario: mc.Scenario,
+    search: Search | None = None,
+    *,
+    better: str = fronts.BETTER,
+    against: str = fronts.AGAINST,
+    points: int = fronts.POINTS,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    out: Folder | None = None,
+    progress: Told | None = None,
+    **settings: Any,
+) -> Front:
+    """Search the Pareto front of two metrics as `tuning.searches.pareto.front` does, whose arguments these are.
+
+    `pareto(scenario, out="results/mine").write("results/mine")` is `mjx-climb pareto`.
+    """
+    how: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine}
+    asked = fronts.trade(scenario, searches.changed(search, settings), better=better, against=against, **how)
+    return Front(fronts.run(asked, points, out=_path(out), progress=progress), asked)
+
+
+def schedule(
+    scenario: mc.Scenario,
+    search: Search | None = None,
+    *,
+    gravity: Sequence[float] = schedules.GRAVITIES,
+    cargo: Sequence[float] = schedules.CARGO,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    out: Folder | None = None,
+    progress: Told | None = None,
+    **settings: Any,
+) -> Scheduled:
+    """Tune gains for pairs of gravity and cargo as `tuning.searches.schedule.schedule` does, whose arguments these are.
+
+    `schedule(scenario, out="results/mine").write("results/mine")` is `mjx-climb schedule`.
+    """
+    how: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine}
+    asked = schedules.operating_points(scenario, searches.changed(search, settings), gravity, cargo, **how)
+    return Scheduled(schedules.run(asked, out=_path(out), progress=progress), asked)
+
+
+def robust(
+    scenario: mc.Scenario,
+    ensemble: Ensemble,
+    search: Search | None = None,
+    *,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    judges: int = JUDGES,
+    out: Folder | None = None,
+    progress: Callable[[searches.Progress], None] | None = None,
+    **settings: Any,
+) -> Robust:
+    """Search the gains that do best over an ensemble as `tuning.searches.robust.search`, whose arguments these are.
+
+    `robust(scenario, ensemble, out="results/mine").write("results/mine")` is `mjx-climb tune --ensemble`.
+    """
+    search = robust_search.settled(search, settings, ensemble)
+    problem = robust_search.problem_of(scenario, ensemble, search, law=law, metrics=metrics, engine=engine)
+    found = searches.run(problem, search, out=_path(out), progress=progress)
+    return Robust(**vars(found), problem=problem, ensemble=ensemble, judges=judges)
+
+
+def _path(out: Folder | None) -> Path | None:
+    return None if out is None else Path(out)

@@ -15,6 +15,7 @@ import numpy as np
 from mjx_climb.hardware.friction import PRESLIDING, RELAXATION
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot.description import PASSIVE
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
@@ -82,25 +83,36 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
     contact, control, walk, servo = scenario.contact, scenario.control, scenario.gait, scenario.hardware.servo
     feet = np.arange(model.nsite)
     for limb in (None, *feet):
-        mass, jacobians = _at(scenario.robot, walk.stride, walk.step_height, limb)
+        mass, jacobians, turning = _at(scenario.robot, walk.stride, walk.step_height, limb)
         joint = np.diag(np.repeat([0.0, 1.0], [6, model.nv - 6]))
+        driven = np.repeat(1.0, model.nv)
+        driven[6:] = model.jnt_group[1:] != PASSIVE
+        spring = np.repeat(0.0, model.nv)
+        spring[6:] = model.jnt_stiffness[1:]
         held = jacobians[feet != limb].reshape(-1, model.nv)
+        turned = turning[feet != limb].reshape(-1, model.nv)
+        moments = contact.rotational_stiffness * turned.T @ turned
+        resisting = contact.rotational_damping * turned.T @ turned if contact.rotational_stiffness else 0 * moments
         dry = servo.coulomb_friction + model.dof_frictionloss
         for bristle in (0 * dry, dry / PRESLIDING) if dry.any() else (0 * dry,):  # slipping, sticking
             damping = bristle * (RELAXATION + h)
             yield (
                 mass + np.diag(servo.armature + h * damping) * joint,
-                np.diag(control.kp + bristle) * joint + contact.stiffness * held.T @ held,
-                np.diag(control.kd + servo.viscous_friction + model.dof_damping + damping) * joint
-                + contact.damping * held.T @ held,
+                np.diag(control.kp * driven + spring + bristle) * joint + contact.stiffness * held.T @ held + moments,
+                np.diag(control.kd * driven + servo.viscous_friction + model.dof_damping + damping) * joint
+                + contact.damping * held.T @ held
+                + resisting,
             )
 
 
 @functools.lru_cache(maxsize=64)
 def _at(
     robot: str | RobotFile, stride: float, step_height: float, swinging: int | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return mass matrix and foot Jacobians (L, 3, 18) at stance, or with one foot lifted half a stride ahead."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at stance or with one foot lifted.
+
+    It is lifted half a stride ahead.
+    """
     model = load_model(robot)
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[0]
@@ -116,7 +128,7 @@ def _at(
     mujoco.mj_forward(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    jacobians = np.empty((model.nsite, 3, model.nv))
+    jacobians, turning = np.empty((2, model.nsite, 3, model.nv))
     for site in range(model.nsite):
-        mujoco.mj_jacSite(model, data, jacobians[site], None, site)
-    return mass, jacobians
+        mujoco.mj_jacSite(model, data, jacobians[site], turning[site], site)
+    return mass, jacobians, turning

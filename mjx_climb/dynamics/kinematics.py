@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.dynamics.spatial import compose, cross, dot, rotate
+from mjx_climb.dynamics.spatial import chosen, compose, cross, dot, rotate
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot.constants import Robot
 
@@ -42,12 +42,15 @@ def limb_frames(robot: Robot, base_rotation: Array | None, joint_angles: Array) 
         zero_rotation = jnp.asarray(turned_frame) if rotation is None else compose(rotation, turned_frame)
         slides, angles = robot.sliding(link), joint_angles
         if slides is not None:
-            position = position + zero_rotation[:, 2] * jnp.where(slides, joint_angles[link], 0.0)
-            angles = jnp.where(slides, 0.0, joint_angles)
-        c, s = jnp.cos(angles[link]), jnp.sin(angles[link])
-        x, y, z = zero_rotation[:, 0], zero_rotation[:, 1], zero_rotation[:, 2]
-        turned = c * x + s * y
-        rotation = jnp.stack([turned, c * y - s * x, jnp.broadcast_to(z, turned.shape)], axis=1)
+            position = position + zero_rotation[:, 2] * chosen(slides, joint_angles[link], jnp.zeros_like(position[0]))
+            angles = chosen(slides, jnp.zeros_like(joint_angles), joint_angles)
+        if slides is not None and slides.all():
+            rotation = jnp.broadcast_to(zero_rotation, (3, *position.shape))
+        else:
+            c, s = jnp.cos(angles[link]), jnp.sin(angles[link])
+            x, y, z = zero_rotation[:, 0], zero_rotation[:, 1], zero_rotation[:, 2]
+            turned = c * x + s * y
+            rotation = jnp.stack([turned, c * y - s * x, jnp.broadcast_to(z, turned.shape)], axis=1)
         rotations.append(rotation)
         positions.append(position)
     return LimbFrames(tuple(rotations), tuple(positions), position + rotate(rotations[-1], robot.foot_center))
@@ -65,10 +68,38 @@ def foot_kinematics(robot: Robot, frames: LimbFrames, state: State) -> Feet:
     return Feet(state.base_position[:, None] + frames.foot, velocity, frames.foot, jacobian)
 
 
+class Turning(NamedTuple):
+    """How the links that end in feet are turned, and turn."""
+
+    rotation: Array  # (3, 3, L, B), world
+    velocity: Array  # (3, L, B) rad/s, world axes
+    axes: tuple[Array, ...]  # per joint of a limb (3, L, B): angular velocity per joint rate
+
+
+def foot_turning(robot: Robot, frames: LimbFrames, state: State) -> Turning:
+    """Return the attitudes of the last links and how they change, for a state in the layout of the hot path."""
+    axes = tuple(turning_per_rate(robot, link, rotation[:, 2]) for link, rotation in enumerate(frames.rotation))
+    velocity = jnp.broadcast_to(state.base_angular_velocity[:, None], frames.foot.shape)
+    for axis, rate in zip(axes, state.joint_rates, strict=True):
+        velocity = velocity + axis * rate
+    return Turning(frames.rotation[-1], velocity, axes)
+
+
+def turning_per_rate(robot: Robot, link: int, axis: Array) -> Array:
+    """Return the angular velocity (3, L, B) of the links beyond a joint with `axis` per rate of it."""
+    slides = robot.sliding(link)
+    return axis if slides is None else chosen(slides, jnp.zeros_like(axis), axis)
+
+
+def turn_between(one: Array, other: Array) -> Array:
+    """Return the axis of the turn from an attitude (3, 3, L, B) to another, times the sine of its angle (3, L, B)."""
+    return 0.5 * (cross(one[:, 0], other[:, 0]) + cross(one[:, 1], other[:, 1]) + cross(one[:, 2], other[:, 2]))
+
+
 def foot_velocity_per_rate(robot: Robot, link: int, axis: Array, lever: Array) -> Array:
     """Return the velocity (3, L, B) of the foot per rate of a joint with `axis`, from which it is `lever` m away."""
     turning, slides = cross(axis, lever), robot.sliding(link)
-    return turning if slides is None else jnp.where(slides, axis, turning)
+    return turning if slides is None else chosen(slides, axis, turning)
 
 
 def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo_mass: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.dynamics.kinematics import LimbFrames, base_wrench_of_foot_force, foot_velocity_per_rate, limb_frames
-from mjx_climb.dynamics.spatial import compose, cross, dot, quaternion_to_matrix, rotate, rotate_back
+from mjx_climb.dynamics.spatial import chosen, compose, cross, dot, quaternion_to_matrix, rotate, rotate_back
 from mjx_climb.dynamics.state import Acceleration, State
 from mjx_climb.robot.constants import Robot
 
@@ -88,7 +88,7 @@ def joint_motion(robot: Robot, frames: LimbFrames, joint: int) -> tuple[Array, A
     turning = cross(frames.position[joint], frames.rotation[joint][:, 2])
     if slides is None:
         return axis, turning
-    return jnp.where(slides, 0.0, axis), jnp.where(slides, axis, turning)
+    return chosen(slides, jnp.zeros_like(axis), axis), chosen(slides, axis, turning)
 
 
 def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array) -> Limbs:
@@ -109,8 +109,9 @@ def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array
         anchor = position
         spin = axis * state.joint_rates[link]
         if (slides := robot.sliding(link)) is not None:
-            anchor_acceleration = anchor_acceleration + jnp.where(slides, 2 * cross(angular_velocity, spin), 0.0)
-            spin = jnp.where(slides, 0.0, spin)
+            coriolis = 2 * cross(angular_velocity, spin)
+            anchor_acceleration = anchor_acceleration + chosen(slides, coriolis, jnp.zeros_like(coriolis))
+            spin = chosen(slides, jnp.zeros_like(spin), spin)
         angular_acceleration = angular_acceleration + cross(angular_velocity, spin)
         angular_velocity = angular_velocity + spin
 

@@ -18,6 +18,16 @@ def dot(a: Float[Array | np.ndarray, "n *#rest"], b: Float[Array, "n *#rest"]) -
     return product
 
 
+def chosen(mask: np.ndarray, one: Array, other: Array) -> Array:
+    """Return `one` where a constant mask is true, else `other`; an array that none of it asks for is left out.
+
+    XLA:CPU ends the process at a kernel of which it has simplified such an array away.
+    """
+    if mask.all():
+        return one
+    return jnp.where(mask, one, other) if mask.any() else other
+
+
 def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return the vector product over the leading axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -31,6 +31,7 @@ class Stages(NamedTuple):
     viscous_friction: bool = False
     backlash: bool = False
     capture: bool = False
+    rotational: bool = False  # grips transmit moments
 
     @property
     def force(self) -> bool:
@@ -76,6 +77,7 @@ def stages_of(scenario: Scenario, numbers: Parameters) -> Stages:
         viscous_friction=given(numbers.viscous_friction),
         backlash=given(numbers.backlash),
         capture=finite(numbers.capture_distance),
+        rotational=given(numbers.rotational_stiffness),
     )
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mjx_climb.plots.feet import plot_feet
     from mjx_climb.plots.maps import color_scale, comparable, failed_walks, plot_map, plot_maps
     from mjx_climb.plots.saving import FORMATS, save_figure
-    from mjx_climb.plots.styling import COLUMN, legend, legend_below, style
+    from mjx_climb.plots.styling import COLUMN, legend, legend_below, over_style, style
     from mjx_climb.plots.time_panels import thin
     from mjx_climb.plots.walk_events import detachments, disturbances, grip_changes, largest_foot_force
     from mjx_climb.plots.walks import plot_comparison, plot_walk
@@ -61,6 +61,7 @@ _PUBLIC = {
         "COLUMN",
         "legend",
         "legend_below",
+        "over_style",
         "style",
     ),
     "time_panels": ("thin",),
@@ -103,6 +104,7 @@ __all__ = [
     "largest_foot_force",
     "legend",
     "legend_below",
+    "over_style",
     "plot_comparison",
     "plot_feet",
     "plot_map",

@@ -1,8 +1,11 @@
 """How pictures look: the width of a column, letters and lines, legends."""
 
+import contextlib
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from contextvars import ContextVar
+from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
@@ -41,9 +44,23 @@ _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 
+_OVER: ContextVar[Mapping[str, Any]] = ContextVar("_OVER", default=MappingProxyType({}))
+
+
 def style() -> AbstractContextManager[None]:
     """Return a context in which matplotlib draws in this module's style: `with plots.style(): ...`."""
-    return mpl.rc_context(_STYLE)
+    settings: dict[Any, Any] = dict(_OVER.get())
+    return mpl.rc_context(_STYLE | settings)
+
+
+@contextlib.contextmanager
+def over_style(settings: Mapping[str, Any]) -> Iterator[None]:
+    """Put settings of matplotlib's over this module's style for all that is drawn and saved in the context."""
+    before = _OVER.set(settings)
+    try:
+        yield
+    finally:
+        _OVER.reset(before)
 
 
 def styled(draw: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:

@@ -61,6 +61,8 @@ class Parameters:
     gravity: _Vector  # (3,) m/s^2
     contact_stiffness: _Scalar  # N/m
     contact_damping: _Scalar  # N s/m
+    rotational_stiffness: _Scalar  # N m/rad, of a grip
+    rotational_damping: _Scalar  # N m s/rad
     holding_limit: _Scalar  # N, infinite where a gripper cannot be torn off
     kp: _Scalar  # N m/rad
     kd: _Scalar  # N m s/rad
@@ -112,6 +114,8 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         gravity=scenario.gravity,
         contact_stiffness=contact.stiffness,
         contact_damping=contact.damping,
+        rotational_stiffness=contact.rotational_stiffness,
+        rotational_damping=contact.rotational_damping,
         holding_limit=_or_infinite(contact.holding_limit),
         kp=control.kp,
         kd=control.kd,

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import RobotError
+from mjx_climb.robot.description import PASSIVE, RobotError
 from mjx_climb.robot.robot_file import model_of, spec_of
 from mjx_climb.scenario.model import RobotFile
 
@@ -34,9 +34,9 @@ _KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     data_fields=[
         "base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation",
         "foot_center", "joint_lower", "joint_upper", "stance_position", "stance_orientation", "stance_joints",
-        "armature", "damping", "friction",
+        "armature", "damping", "friction", "spring", "spring_rest", "torque_limit",
     ],
-    meta_fields=["name", "limbs", "model", "slides", "joint_names"],
+    meta_fields=["name", "limbs", "model", "slides", "passive", "joint_names"],
 )  # fmt: skip
 @dataclasses.dataclass(frozen=True)
 class Robot:
@@ -67,7 +67,11 @@ class Robot:
     armature: Float[np.ndarray, "N L #B"] | None = None  # kg m^2, of the drives, seen at the joints; None: none
     damping: Float[np.ndarray, "N L #B"] | None = None  # N m s/rad, of the joints, as the file says; None: none
     friction: Float[np.ndarray, "N L #B"] | None = None  # N m, dry, of the joints, as the file says; None: none
+    spring: Float[np.ndarray, "N L #B"] | None = None  # N m/rad, of the joints, as the file says; None: none
+    spring_rest: Float[np.ndarray, "N L #B"] | None = None  # rad, where the springs are slack
+    torque_limit: Float[np.ndarray, "N L #B"] | None = None  # N m, of the drives, infinite: none; None: none at all
     slides: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: the joint is prismatic; (): none is
+    passive: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: nothing drives the joint; (): all are driven
     joint_names: tuple[str, ...] = ()  # (N,) of a limb's joints, from the base outwards
 
     @property
@@ -78,6 +82,11 @@ class Robot:
     def sliding(self, link: int) -> np.ndarray | None:
         """Return which limbs have a prismatic joint at a link, (L, 1) bool; None where all are revolute."""
         return np.array(self.slides[link])[:, None] if self.slides and any(self.slides[link]) else None
+
+    @property
+    def driven(self) -> np.ndarray | None:
+        """Which joints are driven, (N, L, 1) bool; None where all are."""
+        return ~np.array(self.passive)[..., None] if self.passive else None
 
     @property
     def total_mass(self) -> Float[np.ndarray, " B"]:
@@ -156,6 +165,11 @@ def _frame(axis: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
+def _flags(mask: np.ndarray) -> tuple[tuple[bool, ...], ...]:
+    """Return a mask (N, L, 1) as tuples, empty where it is false throughout."""
+    return tuple(map(tuple, mask[..., 0].tolist())) if mask.any() else ()
+
+
 def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
     """Return the constants of a MuJoCo model: see `load_robot`."""
     limbs = _limb_bodies(model, name)
@@ -172,7 +186,20 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
         return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
 
-    keys = ("mass", "center", "inertia", "position", "rotation", "foot", "lower", "upper", "slides", *_DRIVES)
+    keys = (
+        "mass",
+        "center",
+        "inertia",
+        "position",
+        "rotation",
+        "foot",
+        "lower",
+        "upper",
+        "slides",
+        "passive",
+        *_DRIVES,
+    )
+    keys += ("spring", "rest", "limit")
     fields: dict[str, list[np.ndarray]] = {key: [] for key in keys}
     for chain in limbs:
         parent_position, parent_rotation = np.zeros(3), np.eye(3)
@@ -191,6 +218,10 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             for key, field in _DRIVES.items():
                 column[key].append(getattr(model, field)[model.jnt_dofadr[joint]])
             column["slides"].append(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
+            column["passive"].append(model.jnt_group[joint] == PASSIVE)
+            column["spring"].append(model.jnt_stiffness[joint])
+            column["rest"].append(model.qpos_spring[model.jnt_qposadr[joint]])
+            column["limit"].append(model.jnt_actfrcrange[joint, 1] if model.jnt_actfrclimited[joint] else np.inf)
             parent_position, parent_rotation = position, rotation
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
         if len(sites) != 1:
@@ -202,6 +233,7 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         raise RobotError(f"{name}: expected a keyframe with the rest stance")
     stance = model.key_qpos[0]
     stacked = {key: np.stack(value, axis=-1)[..., None] for key, value in fields.items()}
+    sprung = stacked["spring"].any()
     return Robot(
         name=name,
         limbs=tuple(model.body(chain[0]).name.rsplit("_", 1)[0] for chain in limbs),
@@ -221,5 +253,9 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
         stance_joints=stance[7:].reshape(len(limbs), -1).T[..., None].copy(),
         **{key: stacked[key] if stacked[key].any() else None for key in _DRIVES},
         joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in limbs[0]),
-        slides=tuple(map(tuple, stacked["slides"][..., 0].tolist())) if stacked["slides"].any() else (),
+        spring=stacked["spring"] if sprung else None,
+        spring_rest=stacked["rest"] if sprung else None,
+        torque_limit=stacked["limit"] if np.isfinite(stacked["limit"]).any() else None,
+        slides=_flags(stacked["slides"]),
+        passive=_flags(stacked["passive"]),
     )

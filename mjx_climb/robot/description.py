@@ -1,43 +1,151 @@
 """A robot's own MJCF or URDF as its author wrote it, without what the dynamics do not need."""
 
 import re
+import warnings
 from pathlib import Path
+
+import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
+SPECK = 1e-10  # kg, kg m^2: of links without a mass, as many a file has them between two joints
+_DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes")
 
 
 class RobotError(ValueError):
     """A model that mjx_climb cannot use: the message names the model and what was expected."""
 
 
-def bare(file: str) -> mujoco.MjSpec:
-    """Return the description in a file without shapes of weighed bodies, looks, actuators and sensors.
+def described(file: str) -> mujoco.MjSpec:
+    """Return the description in a file, with a name for every body and joint and hinges in place of ball joints.
 
-    A URDF has its inertias written down, and so have many an MJCF's bodies: their shapes, and the files of meshes, do
-    not matter. Moments of inertia that no body can have are mended as MuJoCo mends them (`balanceinertia`).
+    A body without a name is called after its parent and its place among the children, a joint after its body. A ball
+    joint `hip` becomes hinges `hip_x`, `hip_y`, `hip_z` about the body's own axes.
 
     Raises:
-        ValueError: a file that MuJoCo does not read.
+        RobotError: a file that MuJoCo does not read.
     """
-    spec = mujoco.MjSpec.from_file(file)
+    try:
+        spec = mujoco.MjSpec.from_file(file)
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise unreadable(file, error) from None
+    taken = {body.name for body in spec.bodies}
+    for body in spec.bodies:
+        for number, child in enumerate(body.bodies):
+            if not child.name:
+                child.name = _free(f"{body.name}_{number + 1}", taken)
+    taken = {joint.name for joint in spec.joints}
+    for body in spec.bodies:
+        for joint in body.joints:
+            if not joint.name:
+                joint.name = _free(
+                    body.name if joint.type != mujoco.mjtJoint.mjJNT_FREE else f"{body.name}_free", taken
+                )
+    balls = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_BALL]
+    for ball in balls:
+        _as_hinges(spec, ball)
+    if balls:
+        for key in spec.keys:
+            spec.delete(key)
+    return spec
+
+
+def _free(name: str, taken: set[str]) -> str:
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _as_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> None:
+    """Put three hinges in the place of a ball joint."""
+    limit = float(ball.range[1]) if ball.range[1] > 0 else 0.0
+    how = dict(pos=ball.pos, stiffness=ball.stiffness, damping=ball.damping, armature=ball.armature)
+    name, parent, limited = ball.name, ball.parent, ball.limited
+    spec.delete(ball)
+    for letter, axis in zip("xyz", np.eye(3), strict=True):
+        hinge = parent.add_joint(name=f"{name}_{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, **how)
+        hinge.limited = limited
+        if limit:
+            hinge.range = [-limit, limit]
+
+
+def bare(file: str) -> mujoco.MjSpec:
+    """Return the description in a file without shapes of weighed bodies, looks, actuators, sensors and tendons.
+
+    A URDF has its inertias written down, and so have many an MJCF's bodies: their shapes, and the files of meshes, do
+    not matter. Moments of inertia that no body can have are mended as MuJoCo mends them (`balanceinertia`), and links
+    without a mass get a speck of one.
+
+    Raises:
+        RobotError: a file that MuJoCo does not read.
+    """
+    spec = described(file)
     urdf = file.lower().endswith(".urdf")
-    for part in (*spec.actuators, *spec.sensors, *spec.pairs, *spec.excludes, *spec.skins):
-        spec.delete(part)
+    _limit_torques(spec)
+    for kind in _DROPPED:
+        for part in getattr(spec, kind):
+            spec.delete(part)
+    for equality in spec.equalities:
+        if equality.type == mujoco.mjtEq.mjEQ_TENDON:
+            spec.delete(equality)
+    lowest, highest = spec.compiler.inertiagrouprange
     from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     for geom in spec.geoms:
         weighed = urdf or (geom.parent.explicitinertial and not from_shapes) or geom.parent.name == "world"
-        if weighed or geom.mass == 0 or geom.density == 0:
+        if weighed or geom.mass == 0 or geom.density == 0 or not lowest <= geom.group <= highest:
             spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
-    for geom in spec.geoms:
-        geom.material = ""
+    for drawn in (*spec.geoms, *spec.sites):
+        drawn.material = ""
     for part in (*(mesh for mesh in spec.meshes if mesh.name not in used), *spec.materials, *spec.textures):
         spec.delete(part)
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = True
+    spec.compiler.boundmass = spec.compiler.boundinertia = SPECK
     return spec
+
+
+def _limit_torques(spec: mujoco.MjSpec) -> None:
+    """Write what the actuators can give into the joints that they turn, where these say nothing of their own."""
+    for actuator in spec.actuators:
+        joint = spec.joint(actuator.target) if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT else None
+        if joint is None or joint.actfrcrange[1] > 0:
+            continue
+        most = float(actuator.forcerange[1])
+        direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        if most <= 0 and direct:
+            most = float(actuator.ctrlrange[1] * actuator.gainprm[0])
+        most *= abs(float(actuator.gear[0]))
+        if most > 0:
+            joint.actfrcrange, joint.actfrclimited = [-most, most], mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Return the model of the description in a file.
+
+    Raises:
+        RobotError: one that MuJoCo does not compile.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what is old-fashioned in somebody's file
+            return spec.compile()
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise unreadable(file, error) from None
+
+
+def unreadable(file: str, error: Exception) -> RobotError:
+    """Return what MuJoCo says of a file in one line, beginning with the line of the file that it is about."""
+    reason = " ".join((str(error) or "an empty one").split())
+    place = file
+    if found := re.search(r"line (\d+)", reason):
+        place = f"{file}:{found[1]}"
+    elif found := re.search(r"[Ee]lement name '([^']+)'", reason):
+        place = line_of(file, found[1])
+    return RobotError(f"{place}: expected an MJCF or URDF that MuJoCo loads, got {reason[:300]}")
 
 
 def line_of(file: str, name: str) -> str:

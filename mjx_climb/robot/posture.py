@@ -5,8 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.description import PASSIVE
 
 _ITERATIONS = 60
+_PATIENCE = 10  # iterations in which no limb comes nearer: those that are not there will not be
 _STARTS = 5  # of femur and tibia each, spread over their limits
 _OTHER_STARTS = 15  # of limbs of another number of joints
 
@@ -22,15 +24,19 @@ def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
     """Return joint angles within the limits that put the feet at `feet` (L, 3) m, in the frame of the base.
 
     Of several postures of limbs of three joints the one whose knee is nearest the middle of its range, as in the closed
-    form; of others the one whose joints are, in the mean of squares over their ranges.
+    form; of others the one whose joints are, in the mean of squares over their ranges. Joints that nothing drives are
+    where their springs are slack.
     """
     data = mujoco.MjData(model)
     lower, upper = model.jnt_range[1:].reshape(len(feet), -1, 2).transpose(2, 0, 1)
     middle, half = (lower + upper) / 2, (upper - lower) / 2
+    driven = (model.jnt_group[1:] != PASSIVE).reshape(lower.shape)
+    slack = model.qpos_spring[7:].reshape(lower.shape)
     best, errors = middle.copy(), np.full(len(feet), np.inf)
     bend = np.full(len(feet), np.inf)
     for fractions in _starts(lower.shape[1]):
-        angles, missed = _newton(model, data, lower + (upper - lower) * fractions, feet)
+        start = np.where(driven, lower + (upper - lower) * fractions, slack)
+        angles, missed = _newton(model, data, start, feet, driven)
         missed = np.where(((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all(1), missed, np.inf)
         off = np.abs(angles - middle)
         bent = off[:, 2] if off.shape[1] == 3 else ((off / half) ** 2).mean(1)
@@ -50,12 +56,12 @@ def _starts(joints: int) -> np.ndarray:
 
 
 def _newton(
-    model: mujoco.MjModel, data: mujoco.MjData, angles: np.ndarray, feet: np.ndarray
+    model: mujoco.MjModel, data: mujoco.MjData, angles: np.ndarray, feet: np.ndarray, driven: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return joint angles (L, N) from a start, and the distances (L,) m that are left; all limbs at once."""
     jacobian, columns = np.empty((3, model.nv)), 6 + np.arange(angles.size).reshape(angles.shape)
     turns = (model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE).reshape(angles.shape)
-    angles = angles.copy()
+    angles, best, since = angles.copy(), np.full(len(feet), np.inf), 0
     for _ in range(_ITERATIONS):
         data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
         data.qpos[7:] = angles.ravel()
@@ -64,13 +70,16 @@ def _newton(
         left = feet - data.site_xpos
         for limb in range(len(feet)):
             mujoco.mj_jacSite(model, data, jacobian, None, limb)
-            j = jacobian[:, columns[limb]]
+            j = jacobian[:, columns[limb]] * driven[limb]
             if j.shape[1] > 3:
                 step = j.T @ np.linalg.solve(j @ j.T + 1e-12 * np.eye(3), left[limb])
             else:
                 step = np.linalg.solve(j.T @ j + 1e-12 * np.eye(j.shape[1]), j.T @ left[limb])
             angles[limb] += step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
         angles = np.where(turns, np.remainder(angles + np.pi, 2 * np.pi) - np.pi, angles)
-        if np.abs(left).max() < 1e-13:
+        missed = np.abs(left).max(1)
+        since = 0 if (missed < 0.99 * best).any() else since + 1
+        best = np.minimum(best, missed)
+        if missed.max() < 1e-13 or since == _PATIENCE:
             break
     return angles, np.linalg.norm(left, axis=1)

@@ -7,14 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, RobotError, bare, line_of
+from mjx_climb.robot.description import JOINTS, PASSIVE, SPECK, RobotError, bare, compiled, line_of
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import Limb, RobotFile
 
 LINKS = ("coxa", "femur", "tibia")  # of a limb of three joints
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
-_TINY = 1e-9  # kg
+_TINY = 2 * SPECK
 _REACH = 1.0  # m, of a sliding joint without limits, either way
+_NO_INERTIA = np.zeros((3, 3))
 _SHORT = 1e-3  # m, links too short to draw
 _PAD = (1e-9, 1e-12)  # kg, kg m^2: of a joint that only fills up a limb of fewer joints than others, at its foot
 
@@ -50,7 +51,7 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
 
 def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     """Return the robot of `spec_of` before it stands, and its base's centre of mass in its link's frame, (3,) m."""
-    file = _compiled(source)
+    file = compiled(source.file, bare(source.file))
     locked = _locked(source, file)
     data = mujoco.MjData(file)
     data.qpos[file.jnt_qposadr[np.isin(file.jnt_type, JOINTS)]] = 0
@@ -58,13 +59,14 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     mujoco.mj_kinematics(file, data)
     part = _parts(file, locked)
     limbs = _around(source)
-    chains = {name: _chain(source, file, part, name, limb) for name, limb in limbs.items()}
-    base = _base(source, file, part, chains)
-    _no_more(source, file, base, chains, locked)
+    chains = {name: _chain(source, file, part, locked, name, limb) for name, limb in limbs.items()}
+    base = _base(source, file, part, locked, chains)
+    _no_more(source, file, part, base, chains, locked)
+    _sprung(source, file, chains)
     axes = data.xmat[base].reshape(3, 3)
     body = _link(file, data, np.flatnonzero(part == base))
     if body.mass <= _TINY:
-        raise _error(source, "file", f"a mass of the base link {file.body(base).name!r}", "none")
+        raise _error(source, "file", f"a mass of the base link {file.body(base).name!r}", "none", file.body(base).name)
 
     spec = _scene()
     trunk = spec.worldbody.add_body(name="base")
@@ -81,15 +83,6 @@ def _error(source: RobotFile, key: str, expected: str, got: str, element: str | 
     """Return what is wrong in one line, with that of the file where an element of that name stands."""
     place = source.file if element is None else line_of(source.file, element)
     return RobotError(" ".join(f"{place}: robot.{key}: expected {expected}, got {got}".split()))
-
-
-def _compiled(source: RobotFile) -> mujoco.MjModel:
-    """Return the model in the file with every link kept as a body of its own."""
-    try:
-        return bare(source.file).compile()
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        reason = str(error).splitlines()[0] if str(error) else "an empty one"
-        raise _error(source, "file", "an MJCF or URDF that MuJoCo loads", reason) from None
 
 
 def _around(source: RobotFile) -> dict[str, Limb]:
@@ -120,7 +113,24 @@ def _parts(file: mujoco.MjModel, locked: Collection[int]) -> np.ndarray:
     return part
 
 
-def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, name_of_limb: str, limb: Limb) -> list[int]:
+def _inner(file: mujoco.MjModel, part: np.ndarray, locked: Collection[int], joint: int) -> tuple[int, int]:
+    """Return the joint that a joint hangs on, -1 for none, and the body that it does."""
+    body = int(file.jnt_bodyid[joint])
+    parent = int(part[file.body_parentid[body]])
+
+    def moving(of: int, until: int) -> list[int]:
+        first = int(file.body_jntadr[of])
+        return [j for j in range(first, until) if j not in locked and int(file.jnt_type[j]) in JOINTS]
+
+    if before := moving(body, joint):
+        return before[-1], body
+    inside = moving(parent, int(file.body_jntadr[parent] + file.body_jntnum[parent]))
+    return (inside[-1] if inside else -1), parent
+
+
+def _chain(
+    source: RobotFile, file: mujoco.MjModel, part: np.ndarray, locked: Collection[int], name_of_limb: str, limb: Limb
+) -> list[int]:
     """Return the joints of a limb, after a look at what they hang on."""
     key, joints = f"limbs.{name_of_limb}.joints", []
     for name in limb.joints:
@@ -128,47 +138,77 @@ def _chain(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, name_of_li
         if joint < 0 or file.jnt_type[joint] not in JOINTS:
             known = ", ".join(file.joint(i).name for i in range(file.njnt)) or "none"
             raise _error(source, key, f"revolute or prismatic joints of the file ({known[:200]})", repr(name))
-        if name in dict(source.locked.items()):
-            raise _error(source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}")
-        if file.jnt_stiffness[joint]:
-            raise _error(source, key, "no joint springs, which are not simulated", f"one at {name!r}", name)
-        if file.body_jntnum[file.jnt_bodyid[joint]] != 1:
-            raise _error(source, key, "one joint for each body", f"several at that of {name!r}", name)
+        if joint in locked:
+            raise _error(source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}", name)
         joints.append(joint)
     for inner, outer in itertools.pairwise(joints):
-        if part[file.body_parentid[file.jnt_bodyid[outer]]] != file.jnt_bodyid[inner]:
-            got = f"{file.joint(outer).name!r} not next after {file.joint(inner).name!r}"
-            raise _error(source, key, "a chain from the base outwards", got)
+        if _inner(file, part, locked, outer)[0] != inner:
+            name = file.joint(outer).name
+            got = f"{name!r} not next after {file.joint(inner).name!r}"
+            raise _error(source, key, "a chain from the base outwards", got, name)
     return joints
 
 
-def _base(source: RobotFile, file: mujoco.MjModel, part: np.ndarray, chains: dict[str, list[int]]) -> int:
+def _base(
+    source: RobotFile, file: mujoco.MjModel, part: np.ndarray, locked: Collection[int], chains: dict[str, list[int]]
+) -> int:
     """Return the body that all limbs begin at."""
-    bases = {limb: part[file.body_parentid[file.jnt_bodyid[chain[0]]]] for limb, chain in chains.items()}
-    first, base = next(iter(bases.items()))
-    for limb, other in bases.items():
-        if other != base or base == 0:
+    begins = {limb: _inner(file, part, locked, chain[0]) for limb, chain in chains.items()}
+    first, (_, base) = next(iter(begins.items()))
+    for limb, (joint, other) in begins.items():
+        if other != base or base == 0 or joint >= 0:
             expected = f"all limbs to begin at one base link, as {first} does at {file.body(base).name!r}"
-            raise _error(source, f"limbs.{limb}.joints", expected, repr(file.body(other).name))
-    return int(base)
+            name = file.joint(chains[limb][0]).name
+            raise _error(source, f"limbs.{limb}.joints", expected, repr(file.body(other).name), name)
+    return base
 
 
 def _no_more(
-    source: RobotFile, file: mujoco.MjModel, base: int, chains: dict[str, list[int]], locked: Collection[int]
+    source: RobotFile,
+    file: mujoco.MjModel,
+    part: np.ndarray,
+    base: int,
+    chains: dict[str, list[int]],
+    locked: Collection[int],
 ) -> None:
     """Refuse a robot with more to it than a base, its limbs, and joints that are held."""
     ours = [joint for chain in chains.values() for joint in chain]
     if len(set(ours)) != len(ours):
-        twice = next(joint for joint in ours if ours.count(joint) > 1)
-        raise _error(source, "limbs", "different joints", f"{file.joint(twice).name!r} twice")
+        twice = file.joint(next(joint for joint in ours if ours.count(joint) > 1)).name
+        raise _error(source, "limbs", "different joints", f"{twice!r} twice", twice)
     for joint in range(file.njnt):
-        floats = file.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and file.jnt_bodyid[joint] == base
-        if joint not in ours and joint not in locked and not floats:
+        body = file.jnt_bodyid[joint]
+        floats = file.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and body == base
+        of_another = file.body_rootid[body] != file.body_rootid[base]
+        if joint not in ours and joint not in locked and not floats and not of_another:
             name = file.joint(joint).name
             expected = f"no joints but those named and the base's own (robot.locked.{name}: 0 would hold it)"
             raise _error(source, "limbs", expected, repr(name), name)
-    if file.neq:
-        raise _error(source, "file", "no equality constraints, which are not simulated", f"{file.neq}")
+    joints, root = mujoco.mjtEq.mjEQ_JOINT, file.body_rootid[base]
+    for n in range(file.neq):
+        ends = [int(end) for end in (file.eq_obj1id[n], file.eq_obj2id[n]) if end >= 0]
+        kind, holds = file.eq_type[n], file.eq_objtype[n] == mujoco.mjtObj.mjOBJ_BODY
+        if kind == joints:
+            idle = all(end in locked or file.body_rootid[file.jnt_bodyid[end]] != root for end in ends)
+        else:
+            idle = holds and (len({part[end] for end in ends}) == 1 or all(file.body_rootid[e] != root for e in ends))
+        if not idle:
+            name = file.equality(n).name or (file.joint(ends[0]).name if kind == joints else "") or (
+                file.body(ends[0]).name if holds else "")  # fmt: skip
+            raise _error(source, "file", "no equality constraints between moving parts", f"one at {name!r}", name)
+
+
+def _sprung(source: RobotFile, file: mujoco.MjModel, chains: dict[str, list[int]]) -> None:
+    """Refuse springs of joints that no limb has, and limbs that nothing drives."""
+    springs = dict(source.springs.items())
+    names = {limb: [file.joint(joint).name for joint in chain] for limb, chain in chains.items()}
+    ours = {name for chain in names.values() for name in chain}
+    for name in springs:
+        if name not in ours:
+            raise _error(source, f"springs.{name}", "a joint of a limb", "one of none", name)
+    for limb, chain in names.items():
+        if all(name in springs for name in chain):
+            raise _error(source, f"limbs.{limb}.joints", "a joint that is driven", "springs in all", chain[0])
 
 
 def _link(file: mujoco.MjModel, data: mujoco.MjData, bodies: np.ndarray) -> _Link:
@@ -259,6 +299,11 @@ def _add_limb(
 ) -> None:
     """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next."""
     foot = _foot(source, file, data, part, limb, chain[-1])
+    springs, stands = dict(source.springs.items()), [file.jnt_bodyid[joint] for joint in chain]
+    links = [
+        _link(file, data, np.flatnonzero(part == body)) if body not in stands[n + 1 :] else _Link(0.0, at, _NO_INERTIA)
+        for n, (body, at) in enumerate(zip(stands, data.xanchor[chain], strict=True))
+    ]
     anchors = [data.xanchor[joint] for joint in chain]
     names = LINKS if joints == len(LINKS) else [f"joint{n + 1}" for n in range(joints)]
     body, ends = trunk, [*anchors[1:], foot]
@@ -269,22 +314,28 @@ def _add_limb(
             pos=parent_axes.T @ (origin - parent_origin),
             quat=_quaternion(parent_axes.T @ axes),
         )
-        dof = file.jnt_dofadr[joint]
-        body.add_joint(
+        dof, name = file.jnt_dofadr[joint], file.joint(joint).name
+        spring = springs.get(name)
+        moved = body.add_joint(
             name=f"{limb}_{names[n]}",
             type=mujoco.mjtJoint(file.jnt_type[joint]),
             axis=[0, 0, 1],
             range=_limits(source, file, limb, joint),
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             armature=file.dof_armature[dof],
-            damping=[file.dof_damping[dof], 0, 0],
+            damping=[file.dof_damping[dof] + (spring.damping if spring else 0.0), 0, 0],
             frictionloss=file.dof_frictionloss[dof],
+            stiffness=[spring.stiffness if spring else file.jnt_stiffness[joint], 0, 0],
+            springref=spring.rest if spring else file.qpos_spring[file.jnt_qposadr[joint]],
+            group=PASSIVE if spring else 0,
         )
-        link = _link(file, data, np.flatnonzero(part == file.jnt_bodyid[joint]))
+        if file.jnt_actfrclimited[joint]:
+            moved.actfrcrange, moved.actfrclimited = file.jnt_actfrcrange[joint], mujoco.mjtLimited.mjLIMITED_TRUE
+        link = links[n]
         if link.mass <= _TINY:
-            got = f"none at {file.joint(joint).name!r}"
-            name = file.joint(joint).name
-            raise _error(source, f"limbs.{limb}.joints", "links that have a mass", got, name)
+            if all(other.mass <= _TINY for other in links[n:]) and not file.dof_armature[dof]:
+                raise _error(source, f"limbs.{limb}.joints", "links that have a mass", f"none at {name!r}", name)
+            link = _Link(_PAD[0], origin, _PAD[1] * np.eye(3))
         _weigh(body, link._replace(center=axes.T @ (link.center - origin), inertia=axes.T @ link.inertia @ axes))
         _draw(body, axes.T @ (end - origin), first=n == 0, last=n == len(chain) - 1)
         parent_axes, parent_origin = axes, origin

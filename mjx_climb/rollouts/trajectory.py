@@ -40,6 +40,7 @@ class Trajectory:
     foot_velocity: Float[np.ndarray, "time limb 3"]  # m/s
     foot_target: Float[np.ndarray, "time limb 3"]  # m
     foot_force: Float[np.ndarray, "time limb 3"]  # N, of the ground on the foot
+    foot_moment: Float[np.ndarray, "time limb 3"]  # N m, of the ground on the foot
     grip_point: Float[np.ndarray, "time limb 3"]  # m
     support: Bool[np.ndarray, "time limb"]  # the gripper is shut and holds
     contact: Bool[np.ndarray, "time limb"]  # the ground acts on the foot

@@ -130,6 +130,12 @@ class Contact(Section):
 
     stiffness: Positive = Field(default=1.0e4, description="contact stiffness per axis, N/m")
     damping: NonNegative = Field(default=20.0, description="contact damping per axis, N s/m")
+    rotational_stiffness: NonNegative = Field(
+        default=0.0, description="stiffness of a grip against turning, N m/rad; 0: a foot is held as a point"
+    )
+    rotational_damping: NonNegative = Field(
+        default=0.0, description="damping of a grip against turning, N m s/rad; felt with a rotational_stiffness"
+    )
     holding_limit: Limit = Field(
         default=15.0, description="force above which a pulled gripper lets go, N; null: grippers never let go"
     )
@@ -251,6 +257,20 @@ class Locked(_ByName):
     __pydantic_extra__: dict[str, Number]
 
 
+class Spring(Section):
+    """A joint that nothing drives."""
+
+    stiffness: NonNegative = Field(description="stiffness, N m/rad, or N/m of a sliding joint")
+    damping: NonNegative = Field(default=0.0, description="damping beside the file's, N m s/rad, or N s/m")
+    rest: Number = Field(default=0.0, description="where the spring is slack, rad, or m")
+
+
+class Springs(_ByName):
+    """Joints of limbs that nothing drives, by their names."""
+
+    __pydantic_extra__: dict[str, Spring]
+
+
 class RobotFile(Section):
     """A robot of one's own; its base link's axes are x ahead, y left, z up."""
 
@@ -258,6 +278,7 @@ class RobotFile(Section):
     height: Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
     limbs: Limbs = Field(description="joints and feet")
     locked: Locked = Field(default=Locked(), description="joints of the file that belong to no limb, held at a value")
+    springs: Springs = Field(default=Springs(), description="joints of limbs that nothing drives, each on a spring")
 
 
 def _kind_of_robot(value: Any) -> str:

@@ -56,6 +56,7 @@ class Contacts(NamedTuple):
     force: Array  # (3, L, B) N
     support: Array  # (L, B) bool
     wrench: Array  # (6, B) N, N m
+    moment: Any = ()  # (6, B) N, N m, what of it are moments of the grips; () where they transmit none
 
 
 class Driven(NamedTuple):
@@ -85,6 +86,11 @@ def start(state: State, feet: Array, controller: Controller) -> Memory:
     )
 
 
+def _transposed_times(rotation: Array, other: Array) -> Array:
+    """Return `R^T S` (3, 3, B)."""
+    return jnp.stack([rotate_back(rotation, other[:, column]) for column in range(3)], axis=1)
+
+
 def run(
     controller: Controller,
     memory: Memory,
@@ -104,6 +110,7 @@ def run(
     if stages.force:
         sensor, force = force_sensor.measured(sensor, force, step, numbers, stages, pace.force, pace.filter_share)
         wrench = base_wrench_of_foot_force(contacts.lever, force)
+        wrench = wrench + contacts.moment if stages.rotational else wrench
     buffers, base = base_estimate.estimated(
         memory.base_estimate, base_estimate.true_base(state), step, numbers, stages, pace.base
     )
@@ -114,9 +121,13 @@ def run(
         after, command = law_state, shifted_by(reference, displacement_of(action, wrench))
     rotation = quaternion_to_matrix(command.base_orientation)
     target = rotate_back(rotation[:, :, None], command.foot_position - command.base_position[:, None])
-    iterated = isinstance(controller.geometry, Chain)
-    joints = inverse_kinematics(controller.geometry, target, memory.posture if iterated else None)
-    posture = joints.joint_angles if iterated else ()
+    posture: Any = ()
+    if isinstance(controller.geometry, Chain):
+        turn = _transposed_times(rotation, quaternion_to_matrix(reference.base_orientation))
+        joints = inverse_kinematics(controller.geometry, target, memory.posture, turn)
+        posture = joints.joint_angles
+    else:
+        joints = inverse_kinematics(controller.geometry, target)
     if isinstance(action, JointTargets):
         joints = joints._replace(joint_angles=action.angles)
 

@@ -3,23 +3,26 @@
 The closed form is that of a yaw joint and two parallel pitch joints, all link offsets kept.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.dynamics.kinematics import foot_velocity_per_rate, limb_frames
+from mjx_climb.dynamics.kinematics import foot_velocity_per_rate, limb_frames, turn_between, turning_per_rate
 from mjx_climb.dynamics.limb_engine import factorize, solve
-from mjx_climb.dynamics.spatial import dot, rotate_back
+from mjx_climb.dynamics.spatial import chosen, compose, dot, norm, rotate_back
 from mjx_climb.robot.constants import Robot
 
 _PARALLEL = 1e-9
 STEPS = 4  # of Gauss-Newton, from the last solution
 _DAMPING = 0.5  # of a step, 1 per squared error: quadratic convergence near the target, calm out of reach
-_LEAST_DAMPING = 1e-10  # of the limb's mean squared lever
+_LEAST_DAMPING = 1e-10  # of the limb's mean squared lever, in double precision
+_LEAST_ROUNDINGS = 8.0  # the same in units of rounding, in single precision
 _PULL = 0.05  # of the way to the rest posture in a step, where that does not move the foot
 _LONGEST_STEP = 0.3  # rad, or m
+POSE = 6  # joints of a limb that can put its foot anywhere, turned in any way
 _MET = 1e-4  # m, from a target that counts as reached
 
 
@@ -51,11 +54,18 @@ class Chain(NamedTuple):
     """Limbs without a closed form."""
 
     robot: Robot
+    attitude: Any = None  # (3, 3, L, 1), base frame: how the last links are to be turned; None: any way
 
 
-def limb_geometry(robot: Robot) -> LimbGeometry | Chain:
-    """Return the geometry of a robot's limbs for `inverse_kinematics`."""
-    if robot.joints != 3 or robot.slides:
+def limb_geometry(robot: Robot, turned: bool = False) -> LimbGeometry | Chain:
+    """Return the geometry of a robot's limbs for `inverse_kinematics`.
+
+    With `turned` the last links of limbs with six driven joints or more keep the attitudes of the rest stance.
+    """
+    driven = robot.joints if robot.driven is None else int(robot.driven.sum(0).min())
+    if turned and driven >= POSE:
+        return Chain(robot, limb_frames(robot, None, jnp.asarray(robot.stance_joints)).rotation[-1])
+    if robot.joints != 3 or robot.slides or robot.passive:
         return Chain(robot)
     columns = []
     for limb in range(len(robot.limbs)):
@@ -100,59 +110,93 @@ def _safe_sqrt(square: Array, floor: float) -> Array:
     return jnp.sqrt(jnp.where(above, square, floor))
 
 
-def inverse_kinematics(geometry: LimbGeometry | Chain, foot: Array, last: Array | None = None) -> JointSolution:
+def inverse_kinematics(
+    geometry: LimbGeometry | Chain, foot: Array, last: Array | None = None, turn: Array | None = None
+) -> JointSolution:
     """Return the joint angles that put the feet at `foot`, (3, L, B) m in the base frame.
 
     A target out of reach gives the nearest stretch or fold of the limb towards it, finite in value and derivative, and
     is flagged. Angles lie in (-pi, pi] in the closed form; joint limits are not applied here. Limbs without a closed
-    form take `STEPS` steps from `last` (N, L, B), the posture before, or the rest stance.
+    form take `STEPS` steps from `last` (N, L, B), the posture before, or the rest stance; where they keep an attitude,
+    it is that of the rest stance turned by `turn` (3, 3, B).
     """
     if isinstance(geometry, Chain):
         stance = jnp.asarray(geometry.robot.stance_joints)
         start = jnp.broadcast_to(stance, (*stance.shape[:2], foot.shape[-1])) if last is None else last
-        return _gauss_newton(geometry.robot, foot, start)
+        attitude = geometry.attitude
+        if attitude is not None and turn is not None:
+            attitude = compose(turn[:, :, None], attitude)
+        return _gauss_newton(geometry.robot, foot, attitude, start)
     return _closed_form(geometry, foot)
 
 
-def _gauss_newton(robot: Robot, target: Array, angles: Array) -> JointSolution:
+def _gauss_newton(robot: Robot, target: Array, attitude: Array | None, angles: Array) -> JointSolution:
     """Return the posture after a fixed number of damped steps, the last two of them towards the target alone.
 
     What moves no foot goes towards the rest posture, the more the nearer a joint is to its limits (Levenberg-Marquardt
     with the error as its damping, after Sugihara, IEEE Trans. Robotics 27, 2011; null-space
-    motion after Liegeois, IEEE Trans. Systems, Man and Cybernetics 7, 1977).
+    motion after Liegeois, IEEE Trans. Systems, Man and Cybernetics 7, 1977). A turn counts as a way by the limb's mean
+    length. Joints that nothing drives stay where they are.
     """
     middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2
+    least = max(_LEAST_DAMPING, _LEAST_ROUNDINGS * float(jnp.finfo(angles.dtype).eps))
+    rows, length = 3, norm(robot.foot_center)
+    if attitude is not None:
+        rows = 6
+        length = (length + sum(norm(offset) for offset in robot.frame_position[1:])) / robot.joints
 
     def at(angles: Array) -> tuple[Array, list[Array]]:
         frames = limb_frames(robot, None, angles)
+        axes = [rotation[:, 2] for rotation in frames.rotation]
         columns = [
-            foot_velocity_per_rate(robot, k, frames.rotation[k][:, 2], frames.foot - frames.position[k])
-            for k in range(robot.joints)
+            foot_velocity_per_rate(robot, k, axes[k], frames.foot - frames.position[k]) for k in range(robot.joints)
         ]
-        return target - frames.foot, columns
+        error = target - frames.foot
+        if attitude is not None:
+            turn = turn_between(frames.rotation[-1], jnp.broadcast_to(attitude, frames.rotation[-1].shape))
+            error = jnp.concatenate([error, length * turn])
+            columns = [
+                jnp.concatenate([column, length * turning_per_rate(robot, k, axes[k])])
+                for k, column in enumerate(columns)
+            ]
+        if robot.driven is not None:
+            columns = [chosen(mask, one, 0 * one) for mask, one in zip(robot.driven, columns, strict=True)]
+        return error, columns
 
     for step in range(STEPS):
         error, columns = at(angles)
-        rows = jnp.stack(columns, axis=1)  # (3, N, L, B)
         lever = sum((dot(column, column) for column in columns), jnp.zeros_like(angles[0])) / robot.joints
-        damping = _DAMPING * dot(error, error) + _LEAST_DAMPING * lever
-        gram = {(i, j): dot(rows[i], rows[j]) + (damping if i == j else 0.0) for i in range(3) for j in range(i, 3)}
-        factor = factorize(gram)
-        change = _transposed_times(columns, solve(factor, error))
-        if step < STEPS - 2 and robot.joints > 3:
+        back = _pseudo_inverse(columns, _DAMPING * dot(error, error) + least * lever)
+        change = back(error)
+        if step < STEPS - 2 and robot.joints > rows:
             near = jnp.clip(((angles - middle) / half) ** 8, 0.0, 8.0)
             pull = _PULL * (1 + near) * (robot.stance_joints - angles)
-            moved = jnp.stack([dot(rows[i], pull) for i in range(3)])
-            change = change + pull - _transposed_times(columns, solve(factor, moved))
+            if robot.driven is not None:
+                pull = jnp.stack([chosen(mask, one, 0 * one) for mask, one in zip(robot.driven, pull, strict=True)])
+            moved = jnp.stack([dot(row, pull) for row in jnp.stack(columns, axis=1)])
+            change = change + pull - back(moved)
         largest = jnp.abs(change).max(0)
         angles = angles + change * (_LONGEST_STEP / jnp.maximum(largest, _LONGEST_STEP))
     error, _ = at(angles)
     return JointSolution(angles, dot(error, error) < _MET**2)
 
 
-def _transposed_times(columns: list[Array], vector: Array) -> Array:
-    """Return `J^T v` (N, L, B) for the columns of J."""
-    return jnp.stack([dot(column, vector) for column in columns])
+def _pseudo_inverse(columns: list[Array], damping: Array) -> Callable[[Array], Array]:
+    """Return `J^T (J J^T + d)^-1`, or `(J^T J + d)^-1 J^T` where J has fewer columns than rows, as a function.
+
+    It turns (rows, L, B) into (N, L, B). What is factorised is then of full rank where J is.
+    """
+    over = columns if len(columns) < columns[0].shape[0] else list(jnp.stack(columns, axis=1))
+    size = len(over)
+    gram = {(i, j): dot(over[i], over[j]) + (damping if i == j else 0.0) for i in range(size) for j in range(i, size)}
+    factor = factorize(gram)
+
+    def transposed_times(vector: Array) -> Array:
+        return jnp.stack([dot(column, vector) for column in columns])
+
+    if over is columns:
+        return lambda vector: solve(factor, transposed_times(vector))
+    return lambda vector: transposed_times(solve(factor, vector))
 
 
 def _closed_form(geometry: LimbGeometry, foot: Array) -> JointSolution:

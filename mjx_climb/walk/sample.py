@@ -24,6 +24,7 @@ class Sample(NamedTuple):
     foot_velocity: Array  # (3, L, B)
     foot_target: Array  # (3, L, B)
     foot_force: Array  # (3, L, B), of the ground on the foot
+    foot_moment: Array  # (3, L, B), of the ground on the foot
     grip_point: Array  # (3, L, B)
     support: Array  # (L, B) bool: the gripper is shut and holds
     contact: Array  # (L, B) bool: the ground acts on the foot

@@ -11,8 +11,14 @@ from jax import Array
 
 from mjx_climb.control import Law, Reference, Start, running
 from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
-from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force, center_of_mass, foot_kinematics, limb_frames
-from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix, rotate_back
+from mjx_climb.dynamics.kinematics import (
+    base_wrench_of_foot_force,
+    center_of_mass,
+    foot_kinematics,
+    foot_turning,
+    limb_frames,
+)
+from mjx_climb.dynamics.spatial import dot, norm, quaternion_to_matrix, rotate_back
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.hardware.pace import pace as pace_of
 from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
@@ -21,7 +27,7 @@ from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import control_loop, disturbance, gait
 from mjx_climb.walk.action import Action
-from mjx_climb.walk.contact import Contact, Reach, grip
+from mjx_climb.walk.contact import Attitude, Contact, Reach, grip
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
@@ -97,7 +103,7 @@ def structure(
         time_step=scenario.time_step,
         metrics=table.with_companions if smooth else table,
         smooth=smooth,
-        stages=_with_own_friction(stages_of(scenario, numbers), load_robot(scenario.robot)),
+        stages=_with_own_drives(stages_of(scenario, numbers), load_robot(scenario.robot)),
         in_pieces=in_pieces,
     )
 
@@ -109,14 +115,17 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
     """
     dtype = numbers.kp.dtype
     constants = load_robot(structure.robot)
-    robot, geometry = jax.tree.map(lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants)))
+    held_turned = structure.stages.rotational
+    robot, geometry = jax.tree.map(
+        lambda value: jnp.asarray(value, dtype), (constants, limb_geometry(constants, held_turned))
+    )
     stance = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
     feet = robot.stance_position[:, None] + stance.foot
     stages, time_step = structure.stages, structure.time_step
     pace = pace_of(numbers, stages, time_step)
     held = time_step * pace.period if stages.control_period else time_step
     drives = _with_armature(robot, jnp.asarray(numbers.armature)) if stages.armature else robot
-    own = _with_friction_of(robot, numbers)
+    own = _with_drives_of(robot, numbers)
     unlimited = jnp.full_like(numbers.holding_limit, jnp.inf)
     plan = gait.plan(robot, feet, numbers, structure.lift_off, structure.time_step)
     begun = running.begin(law, Start(held, _first_reference(plan, batch)))
@@ -163,17 +172,26 @@ def _with_armature(robot: Robot, armature: Array) -> Robot:
     return dataclasses.replace(robot, armature=own + armature)
 
 
-def _with_own_friction(stages: Stages, robot: Robot) -> Stages:
-    """Return the stages with those of friction that the robot's own file asks for."""
+def _with_own_drives(stages: Stages, robot: Robot) -> Stages:
+    """Return the stages with those that the joints in the robot's own file ask for."""
     return stages._replace(
+        torque_limit=stages.torque_limit or robot.torque_limit is not None,
         dry_friction=stages.dry_friction or robot.friction is not None,
         viscous_friction=stages.viscous_friction or robot.damping is not None,
     )
 
 
-def _with_friction_of(robot: Robot, numbers: Parameters) -> Parameters:
-    """Return the numbers with the friction in the robot's file beside the scenario's, (N, L, B) where there is some."""
+def _with_drives_of(robot: Robot, numbers: Parameters) -> Parameters:
+    """Return the numbers with what the robot's file says of its joints beside the scenario's, (N, L, B) where it does.
+
+    A joint that nothing drives has no gains.
+    """
     dry, viscous = jnp.asarray(numbers.coulomb_friction), jnp.asarray(numbers.viscous_friction)
+    if robot.driven is not None:
+        numbers = dataclasses.replace(numbers, kp=numbers.kp * robot.driven, kd=numbers.kd * robot.driven)
+    if robot.torque_limit is not None:
+        least = jnp.minimum(jnp.asarray(numbers.torque_limit), robot.torque_limit)
+        numbers = dataclasses.replace(numbers, torque_limit=least)
     return dataclasses.replace(
         numbers,
         coulomb_friction=dry if robot.friction is None else dry + robot.friction,
@@ -198,9 +216,13 @@ def begin(walk: Walk, batch: int) -> Carry:
     still = jnp.zeros_like(position)
     stages, initial = walk.controller.stages, walk.controller.law.initial
     state = State(position, orientation, still, still, joints, jnp.zeros_like(joints))
+    contact = Contact(feet, shut, ~shut, Reach(shut, ~shut) if stages.capture else ())
+    if stages.rotational:
+        frames = limb_frames(walk.robot, quaternion_to_matrix(orientation), joints)
+        contact = contact._replace(attitude=Attitude(frames.rotation[-1], ~shut))
     return Carry(
         state=state,
-        contact=Contact(feet, shut, ~shut, Reach(shut, ~shut) if stages.capture else ()),
+        contact=contact,
         gait=position,
         law=[_grown(value, batch) for value in walk.controller.law.initial] if stages.control_period else initial,
         hardware=control_loop.start(state, feet, walk.controller),
@@ -218,8 +240,14 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
     feet = foot_kinematics(robot, frames, state)
 
     now = gait.schedule(walk.plan, step)
-    contact, held = grip(carry.contact, feet, now.closed, gait.ground_height(walk.plan, now), walk.grip_numbers)
+    turning = foot_turning(robot, frames, state) if walk.controller.stages.rotational else None
+    ground = gait.ground_height(walk.plan, now)
+    contact, held = grip(carry.contact, feet, now.closed, ground, walk.grip_numbers, turning)
     wrench = base_wrench_of_foot_force(feet.lever, held.force)
+    moment: Any = ()
+    if turning is not None:
+        moment = jnp.concatenate([jnp.zeros_like(wrench[:3]), held.moment.sum(1)])
+        wrench = wrench + moment
 
     memory, cycle_start = walk.cycle_start(walk.plan, now, carry.gait, state.base_position)
     reference = Reference(
@@ -232,7 +260,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         carry.hardware,
         carry.law,
         state,
-        control_loop.Contacts(feet.lever, held.force, held.support, wrench),
+        control_loop.Contacts(feet.lever, held.force, held.support, wrench, moment),
         reference,
         step,
         action,
@@ -242,20 +270,27 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
     push = disturbance.push(numbers, step, walk.time_step)
     # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
     share = 1 / numbers.mass_scale
+    torque = driven.drive.joint_torque
+    if robot.spring is not None and robot.spring_rest is not None:
+        torque = torque - robot.spring * (state.joint_angles - robot.spring_rest)
     sticking = driven.drive.armature
+    outside = push
+    if turning is not None:
+        torque = torque + jnp.stack([dot(axis, held.moment) for axis in turning.axes])
+        outside = push + moment
     drives = _with_armature(walk.drives, sticking) if walk.controller.stages.dry_friction else walk.drives
     acceleration = walk.engine(_lighter_drives(drives, numbers.mass_scale))(
         state,
-        driven.drive.joint_torque * share,
+        torque * share,
         held.force * share,
-        push * share,
+        outside * share,
         cargo * share,
         jnp.asarray(numbers.gravity),
     )
 
     mass = cargo + robot.total_mass
     com = center_of_mass(robot, frames, state.base_position, cargo)
-    net_force, net_moment = net_external_wrench(feet.position, held.force, state.base_position, push)
+    net_force, net_moment = net_external_wrench(feet.position, held.force, state.base_position, outside)
     # a gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet
     holding = jnp.where(jnp.isfinite(numbers.holding_limit), numbers.holding_limit, 0.0)
     sample = Sample(
@@ -275,6 +310,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         foot_velocity=feet.velocity,
         foot_target=driven.command.foot_position,
         foot_force=held.force,
+        foot_moment=held.moment,
         grip_point=contact.grip_point,
         support=held.support,
         contact=contact.touching,
@@ -298,4 +334,6 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
     after = jax.tree.map(lambda new, old: jnp.broadcast_to(new, old.shape), after, carry)
     if not contact.reach:  # nobody misses; said last, so that a step without it is cut into the same pieces
         sample = sample._replace(missed=jnp.zeros_like(held.support))
+    if turning is None:
+        sample = sample._replace(foot_moment=jnp.zeros_like(held.force))
     return after, sample

@@ -200,8 +200,8 @@ def put(value, *path):
 JOINTS = ["LF_yaw", "LF_lift", "LF_knee"]
 LIFT_ORIGIN = '<child link="LF_thigh"/>'
 BAD = {
-    "no file": ([], put("nowhere.urdf", "file"), "robot.file: expected an MJCF or URDF"),
-    "no XML": ([("<robot", "robot")], put(0.1, "height"), "robot.file: expected an MJCF or URDF"),
+    "no file": ([], put("nowhere.urdf", "file"), "expected an MJCF or URDF"),
+    "no XML": ([("<robot", "robot")], put(0.1, "height"), "expected an MJCF or URDF"),
     "no such joint": ([], put(["LF_yaw", "LF_lift", "elbow"], "limbs", "LF", "joints"), "LF.joints: expected revolute"),
     "order": ([], put(JOINTS[::-1], "limbs", "LF", "joints"), "limbs.LF.joints: expected a chain"),
     "another limb's joint": ([], put(["LF_yaw", "LH_lift", "LF_knee"], "limbs", "LF", "joints"), "expected a chain"),

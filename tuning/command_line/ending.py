@@ -29,6 +29,11 @@ class Kept:
 
         return counted
 
+    def phases(self, show: Callable[..., None]) -> Callable[[int, int, str], None]:
+        """Return the same for what is told its phase as well, as "descent 1 of 3"."""
+        counted = self.told(show)
+        return lambda done, total, phase: counted(done, total, f"{phase} {done}/{total}")
+
 
 @contextlib.contextmanager
 def kept_in(out: Path, what: str, done: int = 0) -> Iterator[Kept]:

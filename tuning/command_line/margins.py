@@ -30,6 +30,7 @@ def margins(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-margins"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
@@ -41,7 +42,7 @@ def margins(
     has.
 
     Writes to DIR the margins (margins.json), all walks (margins.nc), and the force variation over each quantity, for
-    the gains, pd and the config's own gains (margins.png, .svg, .pdf).
+    the gains, pd and the config's own gains (margins, in the formats of --figures).
 
     \b
     Examples:
@@ -64,6 +65,7 @@ def margins(
         if retuned_pd is not None:
             others["retuned pd"] = judged.Walker(PD(), _joint_gains(retuned_pd))
         engine = options.engine_from(engine)
+        formats = options.figures_from(figures)
         out = out or Path("results") / f"{config.stem}-margins"
         scenario = scenario_files.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
@@ -76,13 +78,16 @@ def margins(
         with meter.stage("linearised loop", unit="quantities") as told:
             stable = linear_margins.find(scenario, given, found.margins, law=own, engine=engine, progress=told)
         with meter.stage("drawing", compiles=False):
-            text = output.write(found, stable, out, "config" if gains is None else gains.stem)
+            text = output.write(found, stable, out, "config" if gains is None else gains.stem, formats)
 
         tables = console if json else report.console(file=stdout)
         tables.print(margins_table(found.margins, stable))
         for line in judged.warnings(found):
             tables.print(f"warning: {line}", soft_wrap=True)
-        console.print(f"written to {out}: {output.FILES}, config.yaml", soft_wrap=True)
+        console.print(
+            f"written to {out}: {output.FILES}, {', '.join(f'margins.{kind}' for kind in formats)}, config.yaml",
+            soft_wrap=True,
+        )
         if json:
             print(text, file=stdout)
 

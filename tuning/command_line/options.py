@@ -62,6 +62,15 @@ LawFile = Annotated[
         "--law", metavar="FILE.py:NAME", help="Control law of one's own in place of the config's; the file is run."
     ),
 ]
+Metrics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--metric",
+        metavar="FILE.py:NAME",
+        help="Metric of one's own beside the shipped ones; the file is run. May be given several times.",
+        show_default=False,
+    ),
+]
 Engine = Annotated[
     str | None,
     typer.Option(
@@ -147,6 +156,17 @@ def own_law(text: str | None) -> "mc.Law | None":
     return None if text is None else law_file.load(text)
 
 
+def metrics_from(texts: list[str] | None) -> "mc.MetricTable":
+    """Return the shipped metrics, with those of `--metric` behind them.
+
+    Raises:
+        ConfigError: no such metric.
+    """
+    from tuning.problem import own_file
+
+    return own_file.metrics(texts or ())
+
+
 def gains_from(file: Path | None, law: "mc.Law | None") -> "mc.Gains | dict[str, Any] | None":
     """Return the values of `--gains`, None without one.
 
@@ -176,19 +196,25 @@ def law_name(law: "mc.Law | None", scenario: "mc.Scenario") -> str:
     return scenario.control.controller if law is None else type(law).__name__
 
 
-def search_from(file: Path | None, space: str | None, scenario: "mc.Scenario", config: Path) -> "Search":
+def search_from(
+    file: Path | None,
+    space: str | None,
+    scenario: "mc.Scenario",
+    config: Path,
+    law: "mc.Law | None",
+    metrics: "mc.MetricTable",
+) -> "Search":
     """Return the settings of a search from its file and `--space`, checked against the scenario.
 
     Raises:
         ConfigError: settings that make no sense, by themselves or for the scenario.
     """
-    from mjx_climb import METRICS
     from tuning.problem import search as settings
 
     own = settings.Search() if file is None else settings.load(file)
-    settings.check_metrics(own, METRICS, str(file))
+    settings.check_metrics(own, metrics, str(file))
     wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-    check_space(scenario, wanted, config, file)
+    check_space(scenario, wanted, config, file, law)
     return wanted
 
 
@@ -251,9 +277,9 @@ def engine_from(name: str | None) -> str:
     return name or DEFAULT_ENGINE
 
 
-def law_option(law: str | None) -> str:
-    """Return the option that chooses a law, with a space before it; empty for the config's."""
-    return "" if law is None else f" --law {law}"
+def own_options(law: str | None, metrics: list[str] | None) -> str:
+    """Return the options that choose a law and metrics of one's own, with a space before each; empty without any."""
+    return ("" if law is None else f" --law {law}") + "".join(f" --metric {text}" for text in metrics or ())
 
 
 def engine_option(engine: str) -> str:

@@ -19,6 +19,7 @@ from tuning.command_line import (
     margins,
     options,
     pareto,
+    plot,
     reproduce,
     robot,
     schedule,
@@ -45,6 +46,7 @@ app.command("sweep", short_help="Walk a grid of stiffness and damping, and map i
 app.command("tune", short_help="Search the gains of the controller.")(tune.tune)
 app.command("pareto", short_help="Search the front of two metrics.")(pareto.pareto)
 app.command("schedule", short_help="Tune gains for pairs of gravity and cargo.")(schedule.schedule)
+app.command("plot", short_help="Draw the pictures of a result again.")(plot.plot)
 app.command("margins", short_help="Find how bad hardware may be before gains fail.")(margins.margins)
 app.command("reproduce", short_help="Walk the paper's cases and judge its claims.")(reproduce.reproduce)
 app.command("export", short_help="Write gains for the robot's own controller.")(export.export)

@@ -8,10 +8,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from tuning.report.numbers import axis_values, change, gain, gain_units, number, to_json, unit
+from tuning.report.numbers import axis_values, change, gain, number, to_json, unit
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from tuning.report import page
     from tuning.report.comparison import Compared
 
 __all__ = ["change", "gain", "number", "to_json", "unit"]
@@ -53,6 +54,17 @@ def plain_table(*columns: str) -> Table:
     return table
 
 
+def from_page(made: "page.Table") -> Table:
+    """Return a table of a report for the terminal."""
+    table = plain_table(*made.columns)
+    for place, column in enumerate(table.columns):
+        column.justify = "left" if place < made.words else "right"
+    for _, rows in made.sections:
+        for row in rows:
+            table.add_row(*row, end_section=row is rows[-1])
+    return table
+
+
 def walk_table(metrics: Mapping[str, Any], about: "mc.MetricTable | None" = None) -> Table:
     """Return the table of one walk."""
     table = plain_table("metric", "value", "unit")
@@ -61,14 +73,19 @@ def walk_table(metrics: Mapping[str, Any], about: "mc.MetricTable | None" = None
     return table
 
 
-def comparison_table(walks: "Compared", baseline: str, width: int, about: "mc.MetricTable | None" = None) -> Table:
+def comparison_table(
+    walks: "Compared", baseline: str, width: int, about: "mc.MetricTable | None" = None, law: "mc.Law | None" = None
+) -> Table:
     """Return walks side by side, each with its change against the baseline where `width` characters have room.
 
     Arguments:
         walks: by name, gains (None for a controller without) and metrics; the baseline is one of them.
         width: of the terminal.
         about: the metrics themselves; the shipped ones where None.
+        law: the user's own, for the units of its gains.
     """
+    from tuning.report.comparison import gain_units
+
     gains = {name: held for name, (held, _) in walks.items()}
     metrics = {name: values for name, (_, values) in walks.items()}
     compared = [name for name in walks if name != baseline and width >= 38 + 19 * (len(walks) - 1)]
@@ -80,8 +97,8 @@ def comparison_table(walks: "Compared", baseline: str, width: int, about: "mc.Me
         cells = [t for name in walks for t in [values[name], changes.get(name, "")][: 1 + (name in compared)]]
         table.add_row(key, text, *cells, end_section=last)
 
-    units = gain_units(walks)
-    for key, text in units.items():
+    units = gain_units(walks, law)
+    for key, (text, _) in units.items():
         add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == list(units)[-1])
     for key, base in metrics[baseline].items():
         changes = {name: change(metrics[name][key], base) for name in compared}
@@ -89,12 +106,14 @@ def comparison_table(walks: "Compared", baseline: str, width: int, about: "mc.Me
     return table
 
 
-def gains_table(walks: "Compared") -> Table:
-    """Return the gains of walks, axis by axis where the axes differ."""
+def gains_table(walks: "Compared", law: "mc.Law | None" = None) -> Table:
+    """Return the gains of walks, axis by axis where the axes differ; `law` is the user's own, if any."""
+    from tuning.report.comparison import gain_units
+
     table = plain_table("metric", *(name for name in walks if walks[name][0] is not None))
     table.columns[0].header = "gain"
     held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
-    for key in gain_units(walks):
+    for key in gain_units(walks, law):
         six = {name: axis_values(gains.get(key)) for name, gains in held.items()}
         if all(len(np.unique(values)) == 1 for values in six.values()):
             table.add_row(key, *(_number(values[0]) for values in six.values()))

@@ -49,7 +49,7 @@ def reproduce(
 
     Prints all metrics beside the paper's numbers, and for each claim whether it holds here. Writes to DIR all of it
     (report.html to look through in a browser, reproduce.json, tables.txt, paper.md), the baseline and the proposed
-    controller over time (case_1_1.png, .svg, .pdf, ...), the resolved scenarios (case_1_1.yaml, ...) and each walk
+    controller over time (case_1_1.png, ...), the resolved scenarios (case_1_1.yaml, ...) and each walk
     (case_1_1-pd.nc, ..., 7 MB each, open with xarray).
 
     \b
@@ -116,7 +116,7 @@ def reproduce(
                         config="\n".join(f"# case {name}\n{scenario.to_yaml()}" for name, scenario in scenarios.items())
                     ),
                     pictures={
-                        f"Case {name}: {case.title}; baseline and both readings of Eq. 3.": out / f"{stem(name)}.svg"
+                        f"Case {name}: {case.title}; baseline and both readings of Eq. 3.": out / f"{stem(name)}.png"
                         for name, case in paper.CASES.items()
                     },
                 )
@@ -127,7 +127,7 @@ def reproduce(
         show(found, console if json else report.console(file=stdout))
         console.print(
             f"written to {out} in {progress.duration(time.perf_counter() - begin)}: report.html, reproduce.json, "
-            f"tables.txt, paper.md, figures (.png, .svg, .pdf), scenarios (.yaml), {count} walks (.nc)",
+            f"tables.txt, paper.md, figures (.png), scenarios (.yaml), {count} walks (.nc)",
             soft_wrap=True,
         )
         if json:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tuning.command_line import options, visible
+from tuning.command_line import options, render_options
 
 
 def run(
@@ -15,25 +15,27 @@ def run(
     changes: options.Set = None,
     gains: options.GainsFile = None,
     law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-<controller>"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
-    compare: visible.Compare = None,
-    video: visible.Video = False,
-    snapshots: visible.Snapshots = False,
-    at: visible.At = None,
-    size: visible.Size = None,
-    view: visible.View = False,
+    compare: render_options.Compare = None,
+    video: render_options.Video = False,
+    snapshots: render_options.Snapshots = False,
+    at: render_options.At = None,
+    size: render_options.Size = None,
+    view: render_options.View = False,
 ) -> None:
     """Walk one robot through a scenario, in double precision.
 
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
     (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json), pictures
     over time (walk) and of the feet's paths on the ground (feet), with --compare the plots of both walks (comparison);
-    each picture is a .png, a .svg and a .pdf.
+    each picture in the formats of --figures.
 
     In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
     pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
@@ -58,10 +60,11 @@ def run(
         scenario = options.scenario_from(config, controller, changes, hardware)
         own, scenario = options.law_from(law, gains, scenario)
         name = options.law_name(own, scenario)
-        engine = options.engine_from(engine)
+        engine, table = options.engine_from(engine), options.metrics_from(metric)
+        formats = options.figures_from(figures)
         load_robot(scenario.robot)
-        pictures = visible.pictures_from(video, snapshots, at, size, view, scenario)
-        baseline = visible.compared(scenario, compare)
+        pictures = render_options.pictures_from(video, snapshots, at, size, view, scenario)
+        baseline = render_options.compared(scenario, compare)
         out = out or Path("results") / f"{config.stem}-{name}"
         scenario = scenario_files.copied(scenario, out)
         baseline = None if baseline is None else scenario_files.copied(baseline, out)
@@ -76,28 +79,31 @@ def run(
         if baseline is not None:
             with meter.stage(baseline.control.controller):
                 walks.insert(0, mc.rollout(baseline, engine=engine))
-        metrics = mc.metrics(trajectory)
+        metrics = mc.metrics(trajectory, table)
         text = report.to_json(metrics)
         dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
         dataset.write_text_atomically(out / "metrics.json", text + "\n")
         with meter.stage("drawing", compiles=False):
-            plots.save_figure(plots.plot_walk(trajectory), out / "walk")
-            plots.save_figure(plots.plot_feet(trajectory), out / "feet")
-        files = ["trajectory.nc", "config.yaml", "metrics.json", "walk.png, .svg, .pdf", "feet.png, .svg, .pdf"]
+            plots.save_figure(plots.plot_walk(trajectory), out / "walk", formats)
+            plots.save_figure(plots.plot_feet(trajectory), out / "feet", formats)
+        files = ["trajectory.nc", "config.yaml", "metrics.json"]
+        files += [f"{name}.{kind}" for name in ("walk", "feet") for kind in formats]
         if baseline is not None:
             names = [baseline.control.controller, name]
-            plots.save_figure(plots.plot_comparison(dict(zip(names, walks, strict=True))), out / "comparison")
-            files.append("comparison.png, .svg, .pdf")
+            plots.save_figure(plots.plot_comparison(dict(zip(names, walks, strict=True))), out / "comparison", formats)
+            files += [f"comparison.{kind}" for kind in formats]
         files += pictures.write(walks, out, meter.stage)
 
         tables = console if json else report.console(file=stdout)
         if baseline is None:
-            tables.print(report.walk_table(metrics))
+            tables.print(report.walk_table(metrics, table))
             tables.print(report.verdict(trajectory, metrics))
         else:
-            both = [(n, walk, mc.metrics(walk)) for n, walk in zip(reversed(names), reversed(walks), strict=True)]
+            both = [
+                (n, walk, mc.metrics(walk, table)) for n, walk in zip(reversed(names), reversed(walks), strict=True)
+            ]
             compared = {name: (gains_of(walk), values) for name, walk, values in both}
-            tables.print(report.comparison_table(compared, baseline.control.controller, tables.width))
+            tables.print(report.comparison_table(compared, baseline.control.controller, tables.width, table, own))
             for name, walk, values in both:
                 tables.print(f"{name}: {report.verdict(walk, values)}")
         console.print(f"written to {out}: {', '.join(files)}", soft_wrap=True)

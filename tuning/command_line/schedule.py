@@ -3,6 +3,7 @@
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tuning.command_line import options
-from tuning.command_line.ending import InputError, Interrupted
+from tuning.command_line.ending import InputError, kept_in
 from tuning.command_line.tune import SpaceName
 
 if TYPE_CHECKING:
@@ -36,10 +37,13 @@ def schedule(
     ] = None,
     controller: options.Controller = None,
     changes: options.Set = None,
+    law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-schedule"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
@@ -47,7 +51,7 @@ def schedule(
 
     The config's gravity gives the direction, its cargo the time of loading. Prints the gains and what they change
     against pd, and writes to DIR the table (schedule.csv, schedule.yaml), all metrics and what the gains of one
-    operating point are worth at another (schedule.nc), and a picture (schedule.png, .svg, .pdf). Finished rounds are
+    operating point are worth at another (schedule.nc), and a picture (schedule.png). Finished rounds are
     kept: after Ctrl-C the same command goes on.
 
     \b
@@ -56,17 +60,17 @@ def schedule(
       mjx-climb schedule case_2 --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
     with options.reserved_stdout() as stdout:
-        from mjx_climb import plots
-        from mjx_climb.files import dataset, scenario_files
+        from mjx_climb.files import dataset
         from tuning.command_line import progress, report
-        from tuning.report import ensemble_pictures
-        from tuning.searches import finished_parts
+        from tuning.output import schedule as output
         from tuning.searches import schedule as schedules
 
-        begin, kept = time.perf_counter(), 0
+        begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes)
-        engine = options.engine_from(engine)
-        wanted = options.search_from(search, space, scenario, config)
+        user_law = options.own_law(law)
+        engine, formats = options.engine_from(engine), options.figures_from(figures)
+        table = options.metrics_from(metric)
+        wanted = options.search_from(search, space, scenario, config, user_law, table)
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
         loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)
         out = out or Path("results") / f"{config.stem}-schedule"
@@ -74,57 +78,39 @@ def schedule(
         console = report.console(stderr=True)
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(search or config):
-            schedules.goals(scenario, wanted, levels, loads, engine)
-        scenario = scenario_files.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
-
-        def told(done: int, total: int, phase: str) -> None:
-            nonlocal kept
-            kept = done
-            show(done, total, f"{phase} {done}/{total}")
-
-        try:
-            with meter.stage("schedule", unit="rounds") as show:
-                table = schedules.schedule(
-                    scenario, wanted, gravity=levels, cargo=loads, engine=engine, out=out, progress=told
-                )
-            dataset.save(table, out / "schedule.nc")
-            dataset.write_text_atomically(out / "schedule.csv", schedules.to_csv(table))
-            dataset.write_text_atomically(out / "schedule.yaml", schedules.to_yaml(table))
-            plots.save_figure(ensemble_pictures.plot_schedule(table), out / "schedule")
-            finished_parts.clear(out)
-        except KeyboardInterrupt:
-            raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
-
-        tables = console if json else report.console(file=stdout)
-        tables.print(schedule_table(schedules.rows(table)))
-        level, load, loss = schedules.one_for_all(table)
-        if loss < float("inf"):
-            tables.print(
-                f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
+            asked = schedules.operating_points(
+                scenario, wanted, levels, loads, law=user_law, metrics=table, engine=engine
             )
-        else:
-            tables.print("one for all: every set of gains breaks a limit at some other operating point")
+        with kept_in(out, "rounds") as kept:
+            with meter.stage("schedule", unit="rounds") as show:
+                found = output.Scheduled(schedules.run(asked, out=out, progress=kept.phases(show)), asked)
+            found.write(out, figures=formats, stage=meter.stage)
+
+        rows = schedules.rows(found.data)
+        tables = console if json else report.console(file=stdout)
+        tables.print(schedule_table(rows, found.data.attrs["searched"].split()))
+        tables.print(_one_for_all(*schedules.one_for_all(found.data)))
         seconds = progress.duration(time.perf_counter() - begin)
-        console.print(
-            f"written to {out} in {seconds}: schedule.csv, schedule.yaml, schedule.nc, schedule.png, .svg, .pdf, "
-            "config.yaml",
-            soft_wrap=True,
-        )
+        console.print(f"written to {out} in {seconds}: {output.FILES}", soft_wrap=True)
         if json:
-            print(report.to_json(schedules.rows(table)), file=stdout)
+            print(report.to_json(rows), file=stdout)
 
 
-def schedule_table(rows: list[dict[str, Any]]) -> "Table":
-    """Return the table of a schedule: gains, and force variation against pd."""
+def _one_for_all(level: float, load: float, loss: float) -> str:
+    if loss < math.inf:
+        return f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
+    return "one for all: every set of gains breaks a limit at some other operating point"
+
+
+def schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
+    """Return the table of a schedule: the gains that were searched, and force variation against pd."""
     from tuning.command_line.report import change, gain, number, plain_table
 
-    table = plain_table(
-        "gravity G", "cargo kg", "stiffness", "damping", "force variation N", "vs config %", "vs pd %", ""
-    )
+    table = plain_table("gravity G", "cargo kg", *gains, "force variation N", "vs config %", "vs pd %", "")
+    table.columns[-1].no_wrap = False  # words give way to numbers
     for row in rows:
         tuned, config, pd = (row["force_variation"][walk] for walk in ("tuned", "config", "pd"))
-        cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", gain(row, "stiffness"), gain(row, "damping")]
+        cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
         verdict = "" if row["feasible"] else "breaks limits"
         verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
         table.add_row(*cells, number(tuned), change(tuned, config), change(tuned, pd), verdict.strip())

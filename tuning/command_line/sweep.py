@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -51,6 +51,7 @@ def sweep(
     changes: options.Set = None,
     gains: options.GainsFile = None,
     law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-sweep"),
@@ -92,6 +93,7 @@ def sweep(
         scenario = options.scenario_from(config, controller, changes, hardware)
         user_law = options.own_law(law)
         values = options.gains_from(gains, user_law)
+        table = options.metrics_from(metric)
         engine = options.engine_from(engine)
         formats = options.figures_from(figures)
         if user_law is None and scenario.control.controller == "pd":
@@ -102,7 +104,8 @@ def sweep(
             raise InputError(str(error).replace("axes.", "--axis ", 1)) from None
         out = out or Path("results") / f"{config.stem}-sweep"
         walked, walking = (scenario, user_law) if values is None else replaced(scenario, user_law, values)
-        there = grid.claim(walked, axes=axes, law=walking, batch_size=batch_size, engine=engine, out=out)
+        how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "metrics": table, "out": out}
+        there = grid.claim(walked, axes=axes, law=walking, **how)
         console = report.console(stderr=True)
         console.print(_announcement(walked, axes, there), soft_wrap=True)
         console.print(progress.cache_state(), soft_wrap=True)
@@ -111,15 +114,15 @@ def sweep(
         walks = math.prod(map(len, axes.values()))
         with kept_in(out, f"of {walks} walks", there) as kept:
             with meter.stage("grid") as told:
-                found = tuning.sweep(
-                    scenario, axes, law=user_law, gains=values, engine=engine, batch_size=batch_size, out=out,
-                    progress=kept.told(told),
-                )  # fmt: skip
-            origin = options.origin(config.stem, _again(stiffness, damping, axis, law, batch_size, engine))
+                found = tuning.sweep(scenario, axes, law=user_law, gains=values, progress=kept.told(told), **how)
+            again = _again(stiffness, damping, axis, batch_size) + options.own_options(law, metric)
+            again += " --gains gains.yaml" if law and gains else ""
+            again += f"{options.engine_option(engine)} --out again"
+            origin = options.origin(config.stem, again)
             judged = found.write(out, origin=origin, figures=formats, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
-        tables.print(report.comparison_table(judged.compared, "pd", tables.width))
+        tables.print(report.comparison_table(judged.compared, "pd", tables.width, table, user_law))
         for line in _outcome(judged, axes):
             tables.print(line)
         seconds = progress.duration(time.perf_counter() - begin)
@@ -209,16 +212,8 @@ def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", kep
     return text + (f"; {kept} are there already" if kept else "")
 
 
-def _again(
-    stiffness: str | None,
-    damping: str | None,
-    axis: list[str] | None,
-    law: str | None,
-    batch_size: int | None,
-    engine: str,
-) -> str:
+def _again(stiffness: str | None, damping: str | None, axis: list[str] | None, batch_size: int | None) -> str:
     """Return the command that repeats a sweep from the resolved config in its folder."""
-    size = "" if batch_size is None else f" --batch-size {batch_size}"
     chosen = "".join(f" --{name} {text}" for name, text in (("stiffness", stiffness), ("damping", damping)) if text)
-    chosen += "".join(f" --axis {pair}" for pair in axis or ()) + options.law_option(law)
-    return f"mjx-climb sweep config.yaml{chosen}{size}{options.engine_option(engine)} --out again"
+    chosen += "".join(f" --axis {pair}" for pair in axis or ())
+    return f"mjx-climb sweep config.yaml{chosen}" + ("" if batch_size is None else f" --batch-size {batch_size}")

@@ -9,17 +9,25 @@ import typer
 
 from mjx_climb.scenario import shipped
 from tuning.command_line import completion, options
-from tuning.command_line.ending import InputError, Interrupted
-from tuning.command_line.robust import tune_robustly
+from tuning.command_line.ending import InputError, Interrupted, kept_in
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    import mjx_climb as mc
+    from tuning.output.robust import Judged as JudgedRobustly
+    from tuning.output.robust import Robust
+    from tuning.output.tuned import Judged as JudgedGains
+    from tuning.output.tuned import Tuned
+    from tuning.problem.ensemble import Ensemble
+    from tuning.problem.evaluation import Problem
+    from tuning.problem.search import Search
+    from tuning.searches.result import Result
     from tuning.searches.tune import Progress
 
 MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 SpaceName = Literal["isotropic", "split", "diagonal"]
 Value = TypeVar("Value")
-
-JUDGES = 128  # walks of each set of gains in the fresh draw
 
 
 def _pairs(metavar: str, text: str) -> Any:
@@ -81,19 +89,21 @@ def tune(
         int | None, typer.Option(min=1, metavar="N", help="Walks of the ensemble.", show_default="the file's")
     ] = None,
     judges: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Walks of the fresh draw.", show_default=str(JUDGES))
+        int | None, typer.Option(min=1, metavar="N", help="Walks of the fresh draw.", show_default="128")
     ] = None,
     controller: options.Controller = None,
     hardware: options.Hardware = None,
     changes: options.Set = None,
     gains: options.GainsFile = None,
     law: options.LawFile = None,
+    metric: options.Metrics = None,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR", help="Folder for the results.", show_default="results/<config>-tune-<method>-<space>"
         ),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
@@ -116,7 +126,7 @@ def tune(
     \b
     METRIC: force_variation, peak_foot_force, peak_pull_force (N), peak_joint_torque (N m),
       cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
-      joint_limit_margin (rad)
+      joint_limit_margin (rad); with --metric the user's own
     GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
       stiffness and inertia likewise; kp, kd; with --law the law's own gains
 
@@ -127,45 +137,36 @@ def tune(
       mjx-climb tune case_1_1 --method cmaes --space split --pin damping.rotation=50
       mjx-climb tune case_2 --ensemble ensemble --members 16
     """
+    given = {
+        "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains,
+        "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
+        "limits": _mapping("--limit", limit), "also": also and tuple(also),
+        "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
+    }  # fmt: skip
     with options.reserved_stdout() as stdout:
-        import mjx_climb as mc
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
-        from tuning.output import tuned
         from tuning.problem import ensemble as ensembles
-        from tuning.problem import search as settings
-        from tuning.searches import finished_parts
         from tuning.searches import robust as robust_search
-        from tuning.searches import tune as tuning_tune
+        from tuning.searches import tune as searches
 
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes, hardware)
         user_law, scenario = options.law_from(law, gains, scenario)
-        engine = options.engine_from(engine)
+        engine, formats = options.engine_from(engine), options.figures_from(figures)
         for option, value in (("--members", members), ("--judges", judges)):
             if value is not None and ensemble is None:
                 raise InputError(f"{option}: expected --ensemble with it")
         changed = {} if members is None else {"members": members}
         drawn = None if ensemble is None else ensembles.load(shipped.found(ensemble), **changed)
-        given = {
-            "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains,
-            "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
-            "limits": _mapping("--limit", limit), "also": also and tuple(also),
-            "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
-        }  # fmt: skip
-        if ensemble is not None and weight is None and search is None:
+        if drawn is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
-        own = settings.Search() if search is None else settings.load(search)
-        settings.check_metrics(own, mc.METRICS, str(search))
-        try:
-            wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "")
-            settings.check_metrics(wanted, mc.METRICS, "")
-        except mc.ConfigError as error:
-            raise InputError(options.in_options(str(error).removeprefix(": "))) from None
+        table = options.metrics_from(metric)
+        wanted = _settings(search, given, table)
         if drawn is not None:
-            wanted = robust_search.settled(wanted, drawn)
+            wanted = robust_search.settled(wanted, {}, drawn)
         options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
-        kind = "tune" if ensemble is None else "robust"
+        kind = "tune" if drawn is None else "robust"
         out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
         dataset.check_folder(out)
         console = report.console(stderr=True)
@@ -173,60 +174,80 @@ def tune(
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(None if weight else search):
             if drawn is None:
-                tuning_tune.problem_of(scenario, wanted, engine=engine, law=user_law)
+                problem = searches.problem_of(scenario, wanted, engine=engine, law=user_law, metrics=table)
             else:
-                robust_search.goal(scenario, drawn, wanted, engine)
-        scenario = tuned.write_settings(out, scenario, wanted.to_yaml())
-        if drawn is not None:
-            return tune_robustly(
-                scenario,
-                wanted,
-                drawn,
-                judges or JUDGES,
-                out,
-                engine,
-                config.stem,
-                _line,
-                meter,
-                stdout,
-                json=json,
-                law=user_law,
-            )
+                how: dict[str, Any] = {"engine": engine, "law": user_law, "metrics": table}
+                problem = robust_search.problem_of(scenario, drawn, wanted, **how)
 
-        kept = 0
-
-        def round_done(now: tuning_tune.Progress) -> None:
-            nonlocal kept
-            kept = now.rounds
-            show(now.rounds, now.rounds_in_all, _line(now))
-
-        try:
+        with kept_in(out, "rounds") as kept:
             with meter.stage("search", unit="rounds") as show:
-                found = tuning_tune.tune(scenario, wanted, law=user_law, engine=engine, out=out, progress=round_done)
+                told = kept.told(show)
+                found = searches.run(
+                    problem, wanted, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all, _line(now))
+                )
+            again = "mjx-climb tune config.yaml --search search.yaml" + (
+                "" if drawn is None else " --ensemble ensemble.yaml"
+            )
+            again += f"{options.own_options(law, metric)} --out again{options.engine_option(engine)}"
+            origin = options.origin(config.stem, again)
+            result = _writable(found, problem, drawn, judges)
             if found.interrupted:
-                comment = f"{wanted.method}, {wanted.space}, objective {found.value:.4f} (pd: 1)"
-                tuned.write_found(found, out, f"mjx-climb tune {config.stem}: {comment}", user_law)
+                result.write_found(out, origin.name)
                 raise Interrupted(
-                    f"the best of {kept} rounds is in {out}: objective {found.value:.4f}, gains.yaml; "
+                    f"the best of {kept.done} rounds is in {out}: objective {found.value:.4f}, gains.yaml; "
                     "the same command goes on from there"
                 )
-            again = f"mjx-climb tune config.yaml --search search.yaml{options.law_option(law)} --out again"
-            again += options.engine_option(engine)
-            origin = options.origin(config.stem, again)
-            judged = tuned.write(found, out, law=user_law, origin=origin, engine=engine, stage=meter.stage)
-            finished_parts.clear(out)
-        except KeyboardInterrupt:
-            raise Interrupted(f"{kept} rounds are kept in {out}; the same command goes on from there") from None
+            judged = result.write(out, origin=origin, figures=formats, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)
-        tables.print(report.comparison_table(judged.compared, "pd", tables.width))
-        tables.print(report.gains_table(judged.compared))
-        for line in judged.outcome:
-            tables.print(line, soft_wrap=True)
+        for shown in _tables(judged, problem, tables.width):
+            tables.print(shown, soft_wrap=isinstance(shown, str))
         seconds = progress.duration(time.perf_counter() - begin)
-        console.print(f"written to {out} in {seconds}: {tuned.FILES}", soft_wrap=True)
+        console.print(f"written to {out} in {seconds}: {judged.files}", soft_wrap=True)
         if json:
             print(judged.summary, file=stdout)
+
+
+def _settings(file: Path | None, given: dict[str, Any], metrics: "mc.MetricTable") -> "Search":
+    """Return the settings of a file, the default ones where None, with the options that were given.
+
+    Raises:
+        ConfigError: a file that makes no sense.
+        InputError: options that make none.
+    """
+    from mjx_climb.scenario.messages import ConfigError
+    from tuning.problem import search as settings
+
+    own = settings.Search() if file is None else settings.load(file)
+    settings.check_metrics(own, metrics, str(file))
+    try:
+        wanted = settings.make({**own.model_dump(), **{k: v for k, v in given.items() if v is not None}}, "")
+        settings.check_metrics(wanted, metrics, "")
+    except ConfigError as error:
+        raise InputError(options.in_options(str(error).removeprefix(": "))) from None
+    return wanted
+
+
+def _writable(found: "Result", problem: "Problem", ensemble: "Ensemble | None", judges: int | None) -> "Tuned | Robust":
+    from tuning.output.robust import JUDGES, Robust
+    from tuning.output.tuned import Tuned
+
+    if ensemble is None:
+        return Tuned(**vars(found), problem=problem)
+    return Robust(**vars(found), problem=problem, ensemble=ensemble, judges=judges or JUDGES)
+
+
+def _tables(judged: "JudgedGains | JudgedRobustly", problem: "Problem", width: int) -> "list[Table | str]":
+    """Return what is printed of a result, in its order."""
+    from tuning.command_line import report
+    from tuning.output.robust import Judged
+    from tuning.report.robust import judged_table
+
+    metrics, law = problem.metrics, problem.law
+    if isinstance(judged, Judged):
+        return [report.from_page(judged_table(judged.summed, metrics)), *judged.outcome]
+    compared = report.comparison_table(judged.compared, "pd", width, metrics, law)
+    return [compared, report.gains_table(judged.compared, law), *judged.outcome]
 
 
 def _line(now: "Progress") -> str:

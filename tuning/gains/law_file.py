@@ -1,14 +1,12 @@
 """Control laws in a user's file: FILE.py:NAME, a class whose gains have defaults, or an instance."""
 
 import dataclasses
-import importlib.util
 import inspect
-import sys
 from pathlib import Path
-from typing import Any
 
 import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
+from tuning.problem import own_file
 
 THE_CONFIG = "the config's law"
 
@@ -19,12 +17,7 @@ def load(text: str) -> mc.Law:
     Raises:
         ConfigError: in one line, no such file or name, a file that fails, or something else than a law.
     """
-    file, colon, name = text.rpartition(":")
-    if not (colon and file and name):
-        raise ConfigError(f"law: expected FILE.py:NAME, got {text!r}")
-    found = getattr(_run(Path(file)), name, None)
-    if found is None:
-        raise ConfigError(f"{file}: expected a law named {name}, got none")
+    found, file, name = own_file.load(text, "law")
     if isinstance(found, type) and issubclass(found, mc.Law):
         try:
             found = found()
@@ -33,24 +26,6 @@ def load(text: str) -> mc.Law:
     if not isinstance(found, mc.Law):
         raise ConfigError(f"{file}: expected {name} to be a law that inherits from mjx_climb.Law, got {found!r}")
     return found
-
-
-def _run(file: Path) -> Any:
-    if not file.is_file():
-        raise ConfigError(f"{file}: expected a file of Python, got none")
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    if spec is None or spec.loader is None:
-        raise ConfigError(f"{file}: expected a file of Python, whose name ends in .py")
-    module = importlib.util.module_from_spec(spec)
-    sys.path.insert(0, str(file.absolute().parent))  # for what the file itself imports, as python FILE does
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else ""
-        raise ConfigError(f"{file}: {type(error).__name__}: {reason}") from None
-    finally:
-        sys.path.pop(0)
-    return module
 
 
 def reference(law: mc.Law) -> str:

@@ -11,6 +11,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning.judged import stability_limit
 from tuning.problem import objectives
+from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.searches.tune import problem_of
 
@@ -34,7 +35,11 @@ def with_objective(
         engine: the dynamics, for the walk of pd.
         metrics: of the walks.
     """
-    problem = problem_of(scenario, search or Search(), engine=engine, metrics=metrics, law=law)
+    return judged_by(walks, problem_of(scenario, search or Search(), engine=engine, metrics=metrics, law=law))
+
+
+def judged_by(walks: xr.Dataset, problem: Problem) -> xr.Dataset:
+    """Add what a problem's objective says of each cell, as `with_objective` does."""
     dimensions = walks["diverged"].dims
     walks = walks.transpose(*dimensions, ...)
     score = score_of(problem.objective, {name: walks[name].values for name in problem.metrics.names})

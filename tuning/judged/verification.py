@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.walk.metrics import FAILURES
 from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
@@ -16,7 +15,7 @@ from tuning.judged import maps, margins, stability_limit
 from tuning.judged.margins import Margin
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
-from tuning.problem.objectives import Goal, Judge, Score
+from tuning.problem.objectives import Goal, Score
 from tuning.searches import grid
 from tuning.searches.result import Result
 from tuning.searches.tune import problem_of
@@ -53,55 +52,60 @@ class Verification:
 
 
 def map_of(
-    found: Result, *, progress: Callable[[int, int], None] | None = None, engine: str = DEFAULT_ENGINE
+    found: Result, problem: Problem | None = None, *, progress: Callable[[int, int], None] | None = None
 ) -> xr.Dataset | None:
     """Return the metrics over an isotropic grid of two gains, with the objective as `objective`; None with one gain.
 
     They are stiffness and damping, where the law has them and they were searched, or else the first two that were.
 
     A variable `spectral_radius` tells where the closed loop is unstable.
+
+    Arguments:
+        found: the result.
+        problem: that was searched, where it is at hand; else as the result's settings say, without an objective of
+            the user's own.
+        progress: called with walks done and in all.
     """
-    problem = problem_of(found.scenario, found.search, engine=engine, metrics=found.judged_by, law=found.law)
-    kinds = list(dict.fromkeys(name.split(".")[0] for name in problem.space.names))
+    problem = problem or _problem_of(found)
     box = {}
-    for kind in sorted(kinds, key=lambda kind: {"stiffness": 0, "damping": 1}.get(kind, 2))[:2]:
+    for kind in problem.space.gains[:2]:
         rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
         low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
         box[kind] = np.geomspace(low, high, GRID)
     if len(box) < 2 or (found.law is None and set(box) != {"stiffness", "damping"}):
         return None
-    how: dict[str, Any] = {"law": found.law, "engine": engine}
+    how: dict[str, Any] = {"law": found.law, "engine": problem.engine}
     joint = {name: value for name, value in by_name(found.gains).items() if name in OPTIONAL}
     around = applied(found.scenario, joint)  # of the joint loop as it was found
-    walks = grid.sweep(around, axes=box, progress=progress, metrics=found.judged_by, **how)
-    judged = maps.with_objective(walks, found.scenario, found.search, metrics=found.judged_by, **how)
-    return maps.with_stability(judged, around, **how)
+    walks = grid.sweep(around, axes=box, progress=progress, metrics=problem.metrics, **how)
+    return maps.with_stability(maps.judged_by(walks, problem), around, **how)
+
+
+def _problem_of(found: Result) -> Problem:
+    return problem_of(found.scenario, found.search, metrics=found.judged_by, law=found.law)
 
 
 def verify(
     found: Result,
+    problem: Problem | None = None,
     *,
     metrics: Mapping[str, Any] | None = None,
     walks: xr.Dataset | None = None,
     hardware: margins.Found | None = None,
-    function: Judge | None = None,
-    engine: str = DEFAULT_ENGINE,
 ) -> Verification:
     """Test a result.
 
     Arguments:
         found: the result.
+        problem: as of `map_of`.
         metrics: of its walk alone in float64, where the caller has them already.
         walks: what `map_of` gave, for the agreement with a grid.
         hardware: what `tuning.judged.margins.find` gave for the result.
-        function: the user's objective, where the search had one.
-        engine: the dynamics.
     """
-    problem = problem_of(found.scenario, found.search, function, engine=engine, metrics=found.judged_by, law=found.law)
-    problem = dataclasses.replace(problem, dtype=np.float64)
+    problem = dataclasses.replace(problem or _problem_of(found), dtype=np.float64)
     space, objective = problem.space, problem.objective
     if metrics is None:
-        alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=engine)
+        alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=problem.engine)
         metrics = mc.metrics(alone_walk, found.judged_by)
     alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
@@ -114,7 +118,7 @@ def verify(
     best = None if walks is None else maps.best_cell(walks)
     single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
     alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
-    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=engine)
+    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=problem.engine)
     radius = float(limit[0])
 
     def number(value: float) -> float | None:

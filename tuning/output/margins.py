@@ -1,7 +1,7 @@
 """What margins leave in a folder: the numbers, all walks and a picture; the same from Python and at the shell."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from tuning.judged.linear_margins import Stable
 from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
 
-FILES = "margins.json, margins.nc, margins.png, .svg, .pdf"
+FILES = "margins.json, margins.nc"  # and the picture
 
 
 def summary(found: margins.Found, stable: Mapping[str, Stable]) -> dict[str, Any]:
@@ -29,7 +29,13 @@ def summary(found: margins.Found, stable: Mapping[str, Stable]) -> dict[str, Any
     return {"own_hardware": own, "margins": each, "warnings": margins.warnings(found)}
 
 
-def write(found: margins.Found, stable: Mapping[str, Stable], folder: Path, given: str = "given gains") -> str:
+def write(
+    found: margins.Found,
+    stable: Mapping[str, Stable],
+    folder: Path,
+    given: str = "given gains",
+    figures: Collection[str] = ("png",),
+) -> str:
     """Write margins into a folder, and return their JSON.
 
     Arguments:
@@ -37,6 +43,7 @@ def write(found: margins.Found, stable: Mapping[str, Stable], folder: Path, give
         stable: of the linearised loop.
         folder: where to.
         given: what the gains are called in the picture.
+        figures: formats of the picture, of `mjx_climb.plots.FORMATS`.
 
     Raises:
         OutputError: a file cannot be written.
@@ -44,5 +51,5 @@ def write(found: margins.Found, stable: Mapping[str, Stable], folder: Path, give
     text = to_json(summary(found, stable))
     dataset.write_text_atomically(folder / "margins.json", text + "\n")
     dataset.save(found.walks, folder / "margins.nc")
-    plots.save_figure(plot_margins(found, given), folder / "margins")
+    plots.save_figure(plot_margins(found, given), folder / "margins", figures)
     return text

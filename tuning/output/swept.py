@@ -15,6 +15,7 @@ from mjx_climb import plots
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset, scenario_files
 from mjx_climb.rollouts.given import AnyGains
+from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
 from tuning.output.folder import complete, made_from, write_config
@@ -79,6 +80,8 @@ class Swept:
         judged = judge(found, stage)
         dataset.save(judged.data, folder / "sweep.nc")
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
+        if found.law is not None and found.gains is not None:  # config.yaml has no place for them
+            gains_file.save(found.gains, folder / "gains.yaml", "of the sweep in this folder", found.law)
         with stage("drawing", compiles=False):
             plots.save_figure(sheet(judged.data, judged.compared), folder / "maps", {"png", *figures})
         histories = judged.data
@@ -181,6 +184,7 @@ def _page(found: Swept, judged: Judged, histories: xr.Dataset, origin: page.Orig
         origin=origin,
         pictures={CAPTION: folder / "maps.png"},
         about=found.metrics,
+        law=found.law,
     )  # fmt: skip
 
 

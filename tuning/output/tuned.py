@@ -1,23 +1,25 @@
 """What a search for gains leaves in a folder: gains, all that was judged, verification, map, pictures and report."""
 
 import dataclasses
-from collections.abc import Mapping
+import os
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.control import PD
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from tuning.gains import gains_file
 from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
-from tuning.problem.objectives import Goal, Judge
+from tuning.problem.evaluation import Problem
+from tuning.problem.objectives import Goal
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
@@ -26,12 +28,17 @@ from tuning.report.numbers import to_json
 from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
 from tuning.searches.retuned_pd import Worth
-from tuning.searches.tune import problem_of
 
 FILES = (
-    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence, path, walks, margins (.png, .svg, .pdf), "
+    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence.png, path.png, walks.png, margins.png, "
     "config.yaml, search.yaml"
 )
+CAPTIONS = {
+    "convergence": "How the search converged.",
+    "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
+    "path": "The way of the search over the map; the red line is the limit of stability.",
+    "margins": "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges.",
+}
 
 
 class Judged(NamedTuple):
@@ -39,121 +46,137 @@ class Judged(NamedTuple):
 
     walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
     compared: Compared  # tuned, retuned_pd, config, pd
+    over: xr.Dataset | None  # the map around it
+    hardware: margins.Found  # on worse hardware
     checked: Verification
     outcome: list[str]  # of the tests, in lines
     summary: str  # all of it, JSON
+    files: str = FILES  # that are written
 
 
-def write_settings(folder: Path, scenario: mc.Scenario, search_yaml: str) -> mc.Scenario:
-    """Write what repeats a search, and return the scenario with the files that it names copied to the folder."""
-    scenario = write_config(scenario, folder)
-    dataset.write_text_atomically(folder / "search.yaml", search_yaml)
-    return scenario
+@dataclasses.dataclass(frozen=True)
+class Tuned(Result):
+    """The result of a search for gains, and what was searched."""
+
+    problem: Problem = dataclasses.field(kw_only=True)
+
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: page.Origin | None = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
+    ) -> Judged:
+        """Walk, test and draw the result, and write what `mjx-climb tune` writes: gains, map, pictures, report.
+
+        pd is retuned for the same goal beside it.
+
+        Arguments:
+            folder: where to; it is made. Rounds that `tune(out=folder)` kept there are removed.
+            origin: what the report says of where it comes from.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
+            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+
+        Returns:
+            The walks, their metrics side by side and the outcome of the tests.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        folder = Path(folder)
+        found = self.write_found(folder, "from Python" if origin is None else origin.name)
+        again = "mjx-climb tune config.yaml --search search.yaml --out again"
+        origin = complete(origin, "tune(...)", again, found.scenario, folder)
+        judged = judge(found, stage, out=folder)
+        dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
+        if judged.over is not None:
+            dataset.save(judged.over, folder / "map.nc")
+        with stage("drawing", compiles=False):
+            pictures = _draw(found, judged, folder, {"png", *figures})
+        with stage("report", compiles=False):
+            shown = {name: judged.walks[name] for name in judged.compared}
+            written = pages.page(
+                found, judged.checked, judged.over, shown, judged.compared,
+                outcome=[line[0].upper() + line[1:] for line in judged.outcome],
+                origin=origin,
+                pictures=pictures,
+            )  # fmt: skip
+            page.write(written, folder)
+        finished_parts.clear(folder)
+        return judged
+
+    def write_found(self, folder: Path, name: str) -> Self:
+        """Write scenario, settings, gains and all that was judged, without walking anything.
+
+        Returns:
+            The result, of the scenario with the files that it names copied to the folder.
+        """
+        scenario = write_config(self.scenario, folder)
+        found = dataclasses.replace(self, scenario=scenario, history=made_from(self.history, scenario))
+        dataset.write_text_atomically(folder / "search.yaml", self.search.to_yaml())
+        comment = f"{self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
+        gains_file.save(self.gains, folder / "gains.yaml", f"mjx-climb tune {name}: {comment}", self.problem.law)
+        found.save(folder / "search.nc")
+        return found
 
 
-def write_found(found: Result, folder: Path, comment: str, law: mc.Law | None = None) -> None:
-    """Write the gains (gains.yaml) and all that was judged (search.nc), without walking anything."""
-    gains_file.save(found.gains, folder / "gains.yaml", comment, law)
-    found.save(folder / "search.nc")
+def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Judged:
+    """Walk a result, what it is compared with and the map around it, and test it.
 
-
-def write(
-    found: Result,
-    folder: Path,
-    *,
-    law: mc.Law | None = None,
-    origin: page.Origin | None = None,
-    function: Judge | None = None,
-    engine: str = DEFAULT_ENGINE,
-    stage: Stage = silent,
-) -> Judged:
-    """Walk, test and draw a result, and write all of it with the report; pd is retuned for the same goal beside it.
-
-    Arguments:
-        found: the result.
-        folder: where to.
-        law: the one whose gains were searched, as it was before, where it is not the scenario's.
-        origin: what the report says of where it comes from.
-        function: the objective of the user's own, where the search had one.
-        engine: the dynamics.
-        stage: told what goes on, see `tuning.output.stages`.
-
-    Raises:
-        OutputError: a file cannot be written.
+    `out` keeps the rounds in which pd is retuned until the result has been written.
     """
-    scenario = write_settings(folder, found.scenario, found.search.to_yaml())
-    again = "mjx-climb tune config.yaml --search search.yaml --out again"
-    origin = complete(origin, "tune(...)", again, scenario, folder)
-    found = dataclasses.replace(found, scenario=scenario, history=made_from(found.history, scenario))
-    comment = f"{found.search.method}, {found.search.space}, objective {found.value:.4f} (pd: 1)"
-    write_found(found, folder, f"mjx-climb tune {origin.name}: {comment}", law)
-    target = problem_of(
-        found.scenario, found.search, function, engine=engine, law=found.law, metrics=found.judged_by
-    ).objective
-    kept = (folder / finished_parts.FOLDER).is_dir()  # as the rounds of the search itself
+    scenario, problem = found.scenario, found.problem
     with stage("retuned pd", unit="rounds") as told:
         retuned = retuned_pd.search(
-            found, objective=function or target, engine=engine, out=folder if kept else None,
-            progress=lambda now: told(now.rounds, now.rounds_in_all),
-        )  # fmt: skip
-    scenarios = {"pd": retuned_pd.under_pd(scenario), "config": scenario, "tuned": verification.tuned(found)}
+            problem, found.search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
+        )
+    walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {
+        "pd": (retuned_pd.under_pd(scenario), None),
+        "config": (scenario, problem.law),
+        "tuned": (verification.tuned(found), found.law),
+    }
     if retuned is not None:
-        scenarios[retuned_pd.NAME] = verification.tuned(retuned)
-    laws, walks = {"config": law, "tuned": found.law}, {}
-    for name, walked in scenarios.items():
+        walkers[retuned_pd.NAME] = verification.tuned(retuned), None
+    walks = {}
+    for name, (walked, law) in walkers.items():
         with stage(name):
-            walks[name] = mc.rollout(walked, law=laws.get(name), engine=engine)
+            walks[name] = mc.rollout(walked, law=law, engine=problem.engine)
     metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
     with stage("map") as told:
-        over = verification.map_of(found, progress=told, engine=engine)
+        over = verification.map_of(found, problem, progress=told)
     with stage("margins") as told:
+        rivals = _rivals(problem.law, retuned)
         hardware = margins.find(
-            scenario, found.gains, law=found.law, others=_rivals(law, retuned), engine=engine, progress=told
+            scenario, found.gains, law=found.law, others=rivals, engine=problem.engine, progress=told
         )
     with stage("verification"):
-        checked = verification.verify(
-            found, metrics=metrics["tuned"], walks=over, hardware=hardware, function=function, engine=engine
-        )
+        checked = verification.verify(found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware)
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
-    worth = None
+    outcome, worth = outcome_of(checked, found), None
     if retuned is not None:
         compared[retuned_pd.NAME] = (_joint(retuned), metrics[retuned_pd.NAME])
-        worth = retuned_pd.worth(_scored(target, metrics["tuned"]), _scored(target, metrics[retuned_pd.NAME]), retuned)
-    summary = _summary(found, checked, compared, worth)
-    dataset.write_text_atomically(folder / "summary.json", summary + "\n")
-    captions = {
-        "convergence": "How the search converged.",
-        "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
-        "path": "The way of the search over the map; the red line is the limit of stability.",
-        "margins": "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges.",
-    }
-    with stage("drawing", compiles=False):
-        figures = {
-            "convergence": search_pictures.plot_convergence(found),
-            "walks": plots.plot_comparison(walks),
-            "margins": plot_margins(hardware, "tuned"),
-        }
-        if over is not None:
-            dataset.save(over, folder / "map.nc")
-            figures["path"] = search_pictures.plot_path(found, over)
-        for name, figure in figures.items():
-            plots.save_figure(figure, folder / name)
-    outcome = outcome_of(checked, found)
-    if worth is not None:
+        ours, theirs = (_scored(problem.objective, metrics[name]) for name in ("tuned", retuned_pd.NAME))
+        worth = retuned_pd.worth(ours, theirs, retuned)
         outcome.insert(0, worth.in_words)
-    if broken := verification.broken_limits(target, metrics["config"]):
+    if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
-    with stage("report", compiles=False):
-        written = pages.page(
-            found, checked, over, {name: walks[name] for name in compared}, compared,
-            outcome=[line[0].upper() + line[1:] for line in outcome],
-            origin=origin,
-            pictures={captions[name]: folder / f"{name}.svg" for name in figures},
-        )  # fmt: skip
-        page.write(written, folder)
-    retuned_pd.forget(folder)
-    return Judged(walks, compared, checked, outcome, summary)
+    return Judged(walks, compared, over, hardware, checked, outcome, _summary(found, checked, compared, worth))
+
+
+def _draw(found: Result, judged: Judged, folder: Path, formats: Collection[str]) -> dict[str, Path]:
+    """Draw the pictures of a result and return the files of the page by their captions."""
+    drawn = {
+        "convergence": search_pictures.plot_convergence(found),
+        "walks": plots.plot_comparison(judged.walks),
+        "margins": plot_margins(judged.hardware, "tuned"),
+    }
+    if judged.over is not None:
+        drawn["path"] = search_pictures.plot_path(found, judged.over)
+    for name, figure in drawn.items():
+        plots.save_figure(figure, folder / name, formats)
+    return {CAPTIONS[name]: folder / f"{name}.png" for name in drawn}
 
 
 def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:

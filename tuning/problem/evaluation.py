@@ -15,7 +15,7 @@ import mjx_climb as mc
 from mjx_climb.compilation.cache import enable_cache
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
-from tuning.problem.objectives import Goal
+from tuning.problem.objectives import Goal, Judge
 from tuning.problem.spaces import Space, to_gains64
 
 
@@ -59,6 +59,7 @@ class Problem:
     engine: str = DEFAULT_ENGINE
     metrics: mc.MetricTable = mc.METRICS
     law: mc.Law | None = None  # the scenario's where None
+    judge: Judge | None = None  # the objective as its user gave it, None for the weighted terms
 
     def env_steps(self, points: int, tangents: int = 0) -> int:
         """Return what judging so many points costs; a step with k tangents counts 1 + k."""

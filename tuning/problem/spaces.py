@@ -43,12 +43,18 @@ class Space:
         """How many numbers are searched."""
         return len(self.names)
 
+    @property
+    def gains(self) -> list[str]:
+        """The names of the gains that are searched on one or more axes, stiffness and damping first."""
+        kinds = dict.fromkeys(name.split(".")[0] for name in self.names)
+        return sorted(kinds, key=lambda kind: {"stiffness": 0, "damping": 1}.get(kind, 2))
+
     def to_gains(self, theta: Float[Array, "*batch n"]) -> AnyGains:
         """Return the gains of points, with their batch axes: `mc.Gains` where they are the paper's, else by name."""
         fixed = jnp.broadcast_to(jnp.asarray(self.fixed, theta.dtype), (*theta.shape[:-1], self.fixed.size))
         values = jnp.exp(jnp.concatenate([theta, fixed], axis=-1))
         by_name = {name: values[..., index] for name, index in self.index.items()}
-        return mc.Gains(**by_name) if set(by_name) - set(JOINT) == set(mc.Gains.AXES) else by_name
+        return as_gains(by_name)
 
     def from_gains(self, gains: AnyGains) -> np.ndarray:
         """Return the point (n,) nearest to some gains: geometric means of shared ones, clipped to the bounds."""
@@ -175,6 +181,11 @@ def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
         return search.joint_gains
     with jax.enable_x64(True):
         return stages_of(scenario, mc.parameters(scenario))._replace(capture=False) != IDEAL
+
+
+def as_gains(values: Mapping[str, Any]) -> AnyGains:
+    """Return gains by name as `mc.Gains` where they are the paper's, else as they are."""
+    return mc.Gains(**values) if set(values) - set(JOINT) == set(mc.Gains.AXES) else values
 
 
 def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:

@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-from mjx_climb import METRICS, Gains, MetricTable, Trajectory
+from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
 from tuning.gains.gains_file import by_name
-from tuning.report.numbers import axis_values, change, gain, gain_units, number, unit
+from tuning.gains.labels import labels
+from tuning.report.numbers import axis_values, change, gain, number, plain_unit, unit
 from tuning.report.page import Table
 
 Values = Mapping[str, Any]
@@ -20,15 +21,29 @@ def gains_of(walk: Trajectory) -> dict[str, Any] | None:
     return None if control.controller == "pd" else {name: getattr(control, name) for name in Gains.AXES}
 
 
-def table(compared: Compared, caption: str, about: MetricTable = METRICS) -> Table:
+def gain_units(compared: Compared, law: Law | None = None) -> dict[str, tuple[str, str]]:
+    """Return the units of a translation and of a rotation by gain, those of the joint loop left out.
+
+    They are the gains of the walks, in the order of the paper's, then those of the user's law; the paper's where no
+    walk has any.
+    """
+    held = [gains for gains, _ in compared.values() if gains is not None]
+    own = dict.fromkeys(name for gains in held for name in gains if name not in ("kp", "kd"))
+    known = labels(law)
+    first = [name for name in ("stiffness", "damping", "inertia") if name in own or not own]
+    units = {name: known[name][0].split(",") for name in dict.fromkeys([*first, *own])}
+    return {name: (plain_unit(each[0]), plain_unit(each[-1])) for name, each in units.items()}
+
+
+def table(compared: Compared, caption: str, about: MetricTable = METRICS, law: Law | None = None) -> Table:
     """Return gains and metrics of walks; the first is also given as change against the others, in per cent.
 
-    `about` holds the metrics themselves.
+    `about` holds the metrics themselves, `law` is the user's own, if any.
     """
     first, *others = compared
     columns = ["", "unit", first, *(f"vs {name} %" for name in others), *others]
     gains = []
-    for key, text in gain_units(compared).items():
+    for key, (text, _) in gain_units(compared, law).items():
         values = {name: gain(held, key) for name, (held, _) in compared.items()}
         gains.append([key, text, values[first], *("" for _ in others), *(values[name] for name in others)])
     rows = []
@@ -39,15 +54,17 @@ def table(compared: Compared, caption: str, about: MetricTable = METRICS) -> Tab
     return Table(caption, columns, [("", gains), ("", rows)])
 
 
-def gains_table(compared: Compared) -> Table:
-    """Return the gains of walks, axis by axis."""
+def gains_table(compared: Compared, law: Law | None = None) -> Table:
+    """Return the gains of walks, axis by axis; `law` is the user's own, if any."""
     held = {name: gains for name, (gains, _) in compared.items() if gains is not None}
-    units = {"stiffness": ("N/m", "N m/rad"), "damping": ("N s/m", "N m s/rad"), "inertia": ("kg", "kg m^2")}
     sections = []
-    for key in gain_units(compared):
-        six = {name: axis_values(gains.get(key)) for name, gains in held.items()}
-        texts, axes = units.get(key, ("", "")), enumerate(("x", "y", "z", "rx", "ry", "rz"))
-        rows = [[f"{key} {a}", texts[i // 3], *(number(_finite(v[i])) for v in six.values())] for i, a in axes]
+    for key, units in gain_units(compared, law).items():
+        values = {name: axis_values(gains.get(key)) for name, gains in held.items()}
+        if law is not None and key in law.GAINS and law.GAINS[key].length == 1:
+            rows = [[key, units[0], *(number(_finite(v[0])) for v in values.values())]]
+        else:
+            axes = enumerate(("x", "y", "z", "rx", "ry", "rz"))
+            rows = [[f"{key} {a}", units[i // 3], *(number(_finite(v[i])) for v in values.values())] for i, a in axes]
         sections.append(("", rows))
     return Table("Gains by axis", ["", "unit", *held], sections)
 

@@ -104,9 +104,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     Solid lines are translations, dashed ones rotations where they differ; gains that differ within either appear as
     their geometric mean. Hollow marks break a limit.
     """
-    gravity, kinds = table["gravity"].values, ["stiffness", "damping"]
-    if np.ptp(table["inertia"].values):
-        kinds.append("inertia")
+    gravity, kinds = table["gravity"].values, table.attrs["searched"].split()
     units = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inertia": "M [kg, kg m$^2$]"}
     loads = table["cargo"].values
     colors = [plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.SKY, plots.VERMILLION]
@@ -118,11 +116,9 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             point = table.sel(cargo=load)
             sound = point["feasible"].values.astype(bool)
             for panel, kind in zip(axes, kinds, strict=False):
-                logs = np.log(point[kind].values)
-                parts = [logs[:, :3].mean(1), logs[:, 3:].mean(1)]
-                for part, dash in zip(parts[: 1 + (not np.allclose(*parts))], "-:", strict=False):
-                    _line(panel, gravity, np.exp(part), sound, color, dash)
-                panel.set_ylabel(units[kind])
+                for part, dash in zip(_translation_and_rotation(point[kind].values), "-:", strict=False):
+                    _line(panel, gravity, part, sound, color, dash)
+                panel.set_ylabel(units.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
             variation = point["force_variation"]
             for walk, dash in (("tuned", "-"), ("config", ":")):
                 left = 100 * (variation.sel(walk=walk) / variation.sel(walk="pd")).values
@@ -142,6 +138,13 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             "cargo",
         )  # fmt: skip
     return figure
+
+
+def _translation_and_rotation(gain: np.ndarray) -> list[np.ndarray]:
+    """Return the geometric means of a gain (n, axes) or (n) over translations, and over rotations where they differ."""
+    logs = np.log(gain.reshape(len(gain), -1))
+    both = [part.mean(1) for part in (logs[:, :3], logs[:, 3:]) if part.size]
+    return [np.exp(part) for part in both[: 1 + (not np.allclose(both[0], both[-1]))]]
 
 
 def _log_scale(panel: Axes) -> None:

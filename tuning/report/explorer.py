@@ -125,26 +125,31 @@ def grid_points(
 
 
 def listed_points(
-    walks: xr.Dataset, histories: Mapping[str, np.ndarray], chosen: int, trade: tuple[str, str]
+    walks: xr.Dataset,
+    histories: Mapping[str, np.ndarray],
+    chosen: int,
+    trade: tuple[str, str],
+    about: mc.MetricTable = mc.METRICS,
 ) -> dict[str, Any]:
     """Return walks that form no grid, along the dimension `front`, for `explorer`.
 
     Arguments:
-        walks: gains (front, six) and metrics (front).
+        walks: gains (front) or (front, axis) and metrics (front).
         histories: `LINES` of all of them.
         chosen: the one to begin with.
         trade: the two metrics that are drawn against each other.
+        about: the metrics themselves.
     """
-    count = walks.sizes["front"]
-    values = {name: _values(walks[name]) for name in mc.METRICS.names}
+    count, names = walks.sizes["front"], walks.attrs["searched"].split()
+    values = {name: _values(walks[name]) for name in about.names}
     values["detached_limb"] = [None] * count  # nothing lets go on a front
-    gains = [{name: walks[name].values[i] for name in _AXES} for i in range(count)]
+    gains = [{name: walks[name].values[i] for name in names} for i in range(count)]
     return {
         "count": count,
         "left_out": 0,
         "axes": None,
         "trade": list(trade),
-        "gains": {name: [gain(held, name) for held in gains] for name in _AXES},
+        "gains": {name: [gain(held, name) for held in gains] for name in names},
         "values": values,
         "texts": {},
         "scales": {},
@@ -157,7 +162,6 @@ def listed_points(
     }
 
 
-_AXES = ("stiffness", "damping")
 _FAILURES = ("detached_limb", "detached_at", "diverged")
 
 

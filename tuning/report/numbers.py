@@ -37,16 +37,6 @@ def number(value: float | str | None) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
-def gain_units(compared: Mapping[str, tuple[Mapping[str, Any] | None, Any]]) -> dict[str, str]:
-    """Return the unit of a translation by gain, those of the joint loop left out; empty for a user's own gain."""
-    held = [gains for gains, _ in compared.values() if gains is not None]
-    own = dict.fromkeys((name for gains in held for name in gains if name not in ("kp", "kd")), "")
-    known = {"stiffness": "N/m", "damping": "N s/m", "inertia": "kg"}
-    return {name: unit for name, unit in known.items() if name in own or not own} | {
-        name: "" for name in own if name not in known
-    }
-
-
 def axis_values(value: ArrayLike | None) -> np.ndarray:
     """Return a gain on six axes: one of three on the translations, NaN where it has none."""
     values = np.atleast_1d(np.asarray(np.nan if value is None else value, float))
@@ -65,8 +55,12 @@ def unit(name: str, about: "MetricTable | None" = None) -> str:
     """Return the unit of a metric, one of `about` or of the shipped ones; empty where it has none."""
     from mjx_climb import METRICS
 
-    text = (about or METRICS)[name].unit
-    return "" if text == "1" else text
+    return plain_unit((about or METRICS)[name].unit)
+
+
+def plain_unit(text: str) -> str:
+    """Return a unit for people: nothing for a number without one."""
+    return "" if text.strip() == "1" else text.strip()
 
 
 def change(value: float | str | None, base: float | str | None) -> str:

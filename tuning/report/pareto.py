@@ -9,7 +9,26 @@ import xarray as xr
 import mjx_climb as mc
 from tuning.report import comparison
 from tuning.report.explorer import explorer, listed_points
+from tuning.report.numbers import gain, number, unit
 from tuning.report.page import Origin, Page, Table
+
+ROWS = 20
+
+
+def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS) -> Table:
+    """Return some twenty points of a front, the knee among them, with the config's gains and pd below."""
+    shown_metrics, names = (front.attrs["against"], front.attrs["better"]), front.attrs["searched"].split()
+    columns = ["", *(f"{name} {unit(name, about)}".strip() for name in shown_metrics), *names]
+    count, on = front.sizes["front"], []
+    for i in sorted({*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), knee}):
+        gains = {name: front[name].values[i] for name in names}
+        values = (number(front[n].values[i]) for n in shown_metrics)
+        on.append(["knee" if i == knee else "", *values, *(gain(gains, name) for name in names)])
+    references = []
+    for name in ("config", "pd"):
+        row = [number(front[f"reference_{n}"].sel(reference=name).item()) for n in shown_metrics]
+        references.append([name, *row, *("" for _ in names)])
+    return Table("The front", columns, [("", on), ("", references)], 1)
 
 
 def page(
@@ -17,12 +36,12 @@ def page(
     knee: int,
     histories: Mapping[str, np.ndarray],
     walks: Mapping[str, mc.Trajectory],
-    table: Table,
     scenario: mc.Scenario,
     *,
     origin: Origin,
     seed: int,
     pictures: Mapping[str, Path],
+    about: mc.MetricTable = mc.METRICS,
 ) -> Page:
     """Return the page of a front.
 
@@ -31,16 +50,16 @@ def page(
         knee: index of the point where it bends.
         histories: of the walks on the front, as `mjx_climb.rollout_histories` gives them.
         walks: config and pd in double precision.
-        table: the front.
         scenario: of all walks.
         origin, pictures: as of `tuning.report.sweep.page`.
         seed: of the search.
+        about: the metrics of the walks.
     """
     better, against = front.attrs["better"], front.attrs["against"]
-    metrics = {walk: mc.metrics(trajectory) for walk, trajectory in walks.items()}
+    metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
     at_knee = {n: front[n].values[knee].item() for n in (better, against)}
     texts = [
-        f"{n.replace('_', ' ')} {comparison.against(n, value, {w: m[n] for w, m in metrics.items()})}"
+        f"{n.replace('_', ' ')} {comparison.against(n, value, {w: m[n] for w, m in metrics.items()}, about)}"
         for n, value in at_knee.items()
     ]
     return Page(
@@ -52,10 +71,10 @@ def page(
         explorers=[
             explorer(
                 "The front", walks, metrics, shown=("pd",),
-                points=listed_points(front, histories, knee, trade=(against, better)),
+                points=listed_points(front, histories, knee, trade=(against, better), about=about), about=about,
             )
         ],
-        tables=[table],
+        tables=[front_table(front, knee, about)],
         pictures=pictures,
         facts={"precision": "float32 (search), float64 (front)", "seed": seed},
     )  # fmt: skip

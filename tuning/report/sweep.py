@@ -35,6 +35,7 @@ def page(
     origin: Origin,
     pictures: Mapping[str, Path],
     about: mc.MetricTable = mc.METRICS,
+    law: mc.Law | None = None,
 ) -> Page:
     """Return the page of a sweep.
 
@@ -49,6 +50,7 @@ def page(
         origin: of the page.
         pictures: PNG files by their captions.
         about: the metrics of the walks.
+        law: the user's own, for the units of its gains.
     """
     best = grid.best_cell(result)
     metrics = {walk: numbers for walk, (_, numbers) in compared.items()}
@@ -84,7 +86,7 @@ def page(
                 points=grid_points(result, histories, metrics["pd"], marks, chosen), about=about,
             )
         ],
-        tables=[comparison.table(compared, "Walks in double precision", about)],
+        tables=[comparison.table(compared, "Walks in double precision", about, law)],
         pictures=pictures,
         facts={
             "precision": f"{result.attrs['dtype']} (grid), float64 (named walks)",

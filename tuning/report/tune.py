@@ -77,8 +77,8 @@ def page(
             )
         ],
         tables=[
-            comparison.table(compared, "Walks in double precision", found.judged_by),
-            comparison.gains_table(compared),
+            comparison.table(compared, "Walks in double precision", found.judged_by, found.law),
+            comparison.gains_table(compared, found.law),
             Table(
                 "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more",
                 ["gain", "20 % less", "20 % more", "shape", "slope per log"],
@@ -92,37 +92,6 @@ def page(
             "seed": search.seed,
             "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})",
         },
-    )
-
-
-def robust_page(
-    found: Result,
-    table: Table,
-    verdict: str,
-    *,
-    notes: list[str],
-    origin: Origin,
-    pictures: Mapping[str, Path],
-) -> Page:
-    """Return the page of a search over an ensemble; `table` judges its result on walks that the search never saw.
-
-    `notes` say what a force sensor is worth, and which limits bind or break.
-    """
-    gains = by_name(found.gains)
-    own = found.scenario.control
-    config_gains = {key: getattr(own, key) for key in mc.Gains.AXES}
-    rivals: comparison.Compared = {"robust": (gains, {})}
-    rivals = rivals if found.law else {**rivals, "config": (config_gains, {})}
-    return Page(
-        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
-        origin=origin,
-        verdict=verdict,
-        notes=notes if found.feasible else [*notes, "No gains kept every limit in every member of the search."],
-        scenario=found.scenario,
-        explorers=[],
-        tables=[table, comparison.gains_table(rivals)],
-        pictures=pictures,
-        facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
     )
 
 

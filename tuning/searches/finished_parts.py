@@ -4,7 +4,7 @@ import io
 import json
 import shutil
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ class Parts:
         wanted = json.loads(json.dumps(identity))
         stored = _read(file)
         if stored is not None and stored != wanted:
-            differs = ", ".join(key for key in wanted if stored.get(key) != wanted[key]) or "its keys"
+            differs = ", ".join(_differences(stored, wanted)) or "its keys"
             raise OutputError(
                 f"{out}: expected no unfinished sweep but this one, got another that differs in {differs} "
                 f"(repeat its command to finish it, remove {self.folder}, or choose another --out)"
@@ -63,6 +63,16 @@ class Parts:
 def clear(out: Path) -> None:
     """Remove the parts of a computation whose result has been written."""
     shutil.rmtree(Path(out) / FOLDER, ignore_errors=True)
+
+
+def _differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator[str]:
+    """Return the keys that differ, and where they hold mappings of the same keys which of these, as axes.damping."""
+    for key, value in wanted.items():
+        other = stored.get(key)
+        if isinstance(value, Mapping) and isinstance(other, Mapping) and set(value) == set(other):
+            yield from (f"{key}.{inner}" for inner in _differences(other, value))
+        elif other != value:
+            yield key
 
 
 def _read(file: Path) -> dict[str, Any] | None:

@@ -8,7 +8,7 @@ was walked on the way is a candidate; the front is what nothing else beats in bo
 import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -16,13 +16,15 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
-from mjx_climb.files.dataset import SIX
+from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.gains_file import by_name
+from tuning.gains.labels import axes_of, labelled
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Search
-from tuning.problem.spaces import to_gains64
+from tuning.problem.spaces import as_gains, to_gains64
 from tuning.searches import tune
 from tuning.searches.judged_rounds import Rounds, Told
 from tuning.searches.methods import Task, gradient
@@ -31,17 +33,28 @@ CANDIDATES = 64  # random points, the scenario's own gains among them
 STAGES = 3  # descents; between them every row starts again from the best point within its limit
 ITERATIONS = 6  # of a descent
 POINTS = 12  # limits along the front
+BETTER, AGAINST = "force_variation", "base_deviation"
 _Archive = dict[str, list[np.ndarray]]
 _MARGIN = 0.002  # relative: where the penalty of a row's limit begins, inside it
+
+
+class Trade(NamedTuple):
+    """What is traded for what."""
+
+    problem: Problem  # its objective is `better` alone
+    search: Search  # settings as they were asked for
+    better: str  # the metric that each row betters
+    against: str  # the metric that each row limits
 
 
 def front(
     scenario: mc.Scenario,
     settings: Search | None = None,
     *,
-    better: str = "force_variation",
-    against: str = "base_deviation",
+    better: str = BETTER,
+    against: str = AGAINST,
     points: int = POINTS,
+    law: mc.Law | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
@@ -57,6 +70,7 @@ def front(
         against: the metric that each row limits.
         points: how many limits, evenly spaced in the logarithm, from the least that is found to where `better` is
             best, within the settings' own limit on `against`.
+        law: whose gains are searched, the scenario's where None.
         metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics.
         out: a folder that keeps finished rounds, so that an interrupted search goes on.
@@ -64,16 +78,43 @@ def front(
 
     Returns:
         Dimension `point`: both metrics of all that was walked in the search, nothing torn off. Dimension `front`: the
-        gains on the front and all their metrics, in float64 with grippers that tear off. Dimension `reference`: the
-        metrics of the scenario's own gains (`config`) and of `pd`, likewise.
+        gains on the front (those of six axes along `six`, of three along `three`) and all their metrics, in float64
+        with grippers that tear off. Dimension `reference`: the metrics of the law's own gains (`config`) and of `pd`,
+        likewise.
 
     Raises:
         ConfigError: no walk meets the constraints, or a metric that cannot be weighed.
     """
+    settings = tune.changed(settings, changes)
+    asked = trade(scenario, settings, better=better, against=against, law=law, metrics=metrics, engine=engine)
+    return run(asked, points, out=out, progress=progress)
+
+
+def trade(
+    scenario: mc.Scenario,
+    settings: Search,
+    *,
+    better: str = BETTER,
+    against: str = AGAINST,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+) -> Trade:
+    """Return what `front` searches; pd walks first.
+
+    Raises:
+        ConfigError: a metric that cannot be weighed, or one against itself.
+    """
     if better == against:
         raise ConfigError(f"against: expected another metric than {better}")
-    settings = bettering(better, tune.changed(settings, changes))
-    problem = tune.problem_of(scenario, settings, engine=engine, metrics=metrics)
+    problem = tune.problem_of(scenario, bettering(better, settings), engine=engine, law=law, metrics=metrics)
+    return Trade(problem, settings, better, against)
+
+
+def run(asked: Trade, points: int = POINTS, *, out: Path | None = None, progress: Told | None = None) -> xr.Dataset:
+    """Search a front; arguments and result as of `front`."""
+    problem, _, better, against = asked
+    settings = bettering(better, asked.search)
     table = problem.metrics
     space, plain = problem.space, problem.objective
     assert isinstance(plain, Objective)
@@ -106,7 +147,7 @@ def front(
         )
         for step in visited:
             keep(step.theta, step.found)
-    return _dataset(scenario, settings, problem, archive, limits, better, against, rounds.env_steps, engine)
+    return _dataset(asked, archive, limits, rounds.env_steps)
 
 
 def bettering(metric: str, settings: Search) -> Search:
@@ -129,10 +170,10 @@ def knee(x: np.ndarray, y: np.ndarray) -> int:
     return int(np.argmin(across + down))
 
 
-def gains_of(result: xr.Dataset, index: int) -> mc.Gains:
+def gains_of(result: xr.Dataset, index: int) -> AnyGains:
     """Return the gains of one point of the front."""
     row = result.isel(front=index)
-    return mc.Gains(**{name: row[name].values for name in (*mc.Gains.AXES, "kp", "kd") if name in row})
+    return as_gains({name: row[name].values for name in result.attrs["gains"].split()})
 
 
 def _sign(metric: mc.Metric) -> float:
@@ -178,37 +219,24 @@ def _best_within(archive: _Archive, limits: np.ndarray, signs: tuple[float, floa
     return theta[rows]
 
 
-def _dataset(
-    scenario: mc.Scenario,
-    settings: Search,
-    problem: Problem,
-    archive: _Archive,
-    limits: np.ndarray,
-    better: str,
-    against: str,
-    env_steps: int,
-    engine: str,
-) -> xr.Dataset:
-    table = problem.metrics
+def _dataset(asked: Trade, archive: _Archive, limits: np.ndarray, env_steps: int) -> xr.Dataset:
+    problem, _, better, against = asked
+    scenario, table, law = problem.scenario, problem.metrics, problem.law
     signs = _sign(table[against]), _sign(table[better])
     theta, x, y = _joined(archive, signs)
-    candidates = nondominated(x, y)
-    candidates = candidates[np.isfinite(y[candidates])]
-    widest = signs[0] * limits[-1] * (1 + 1e-6 * np.sign(signs[0] * limits[-1]))
-    within = x[candidates] <= widest
-    candidates = candidates[within] if within.any() else candidates
+    candidates = _candidates(x, y, signs[0] * limits[-1])
     gains = to_gains64(problem.space, theta[candidates])
-    six = {n: np.broadcast_to(getattr(gains, n), (len(candidates), 6)) for n in ("inertia", "damping", "stiffness")}
-    extra = {n: getattr(gains, n) for n in ("kp", "kd") if getattr(gains, n) is not None}
-    exact = mc.rollout_metrics(scenario, mc.Gains(**six, **extra), metrics=table, dtype=np.float64, engine=engine)
+    how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
+    exact = mc.rollout_metrics(scenario, gains, law=law, **how)
     stays = (exact["detached_limb"] < 0) & ~exact["diverged"]
     costs = [np.where(stays, s * exact[name], np.inf) for s, name in zip(signs, (against, better), strict=True)]
     on = nondominated(*costs)
     on = on[np.isfinite(costs[1][on])]
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
-    own = [mc.rollout_metrics(s, metrics=table, dtype=np.float64, engine=engine) for s in (scenario, pd)]
-    data: dict[str, Any] = {name: (("front", "six"), values[on]) for name, values in six.items()}
-    data |= {name: ("front", values[on]) for name, values in extra.items()}
+    own = [mc.rollout_metrics(scenario, law=law, **how), mc.rollout_metrics(pd, **how)]
+    chosen = {name: values[on] for name, values in by_name(gains).items()}
+    gains_on = labelled(chosen, ("front",), law)
+    data: dict[str, Any] = dict(gains_on)
     for metric in table:
         name, about = metric.name, dataset.metric_attributes(metric)
         data[name] = ("front", exact[name][on], about)
@@ -219,6 +247,15 @@ def _dataset(
     data["held"] = ("point", np.concatenate(archive["held"]), {"units": "1", "long_name": "all constraints met"})
     data["theta"] = (("point", "coordinate"), theta, {"units": "1", "long_name": "log of the gains"})
     attrs = {"title": "Pareto front of two metrics", "better": better, "against": against, "env_steps": env_steps}
-    attrs |= {"search": settings.to_yaml(), **dataset.provenance(scenario)}
-    coordinates = {"six": SIX, "coordinate": list(problem.space.names), "reference": ["config", "pd"]}
-    return xr.Dataset(data, coordinates, attrs)
+    attrs |= {"gains": " ".join(chosen), "searched": " ".join(problem.space.gains)}
+    attrs |= {"search": bettering(better, asked.search).to_yaml(), **dataset.provenance(scenario)}
+    coordinates = {"coordinate": list(problem.space.names), "reference": ["config", "pd"]}
+    return xr.Dataset(data, coordinates | axes_of(gains_on), attrs)
+
+
+def _candidates(x: np.ndarray, y: np.ndarray, widest: float) -> np.ndarray:
+    """Return the indices of the points that no other beats, within the widest limit where there are such."""
+    found = nondominated(x, y)
+    found = found[np.isfinite(y[found])]
+    within = x[found] <= widest * (1 + 1e-6 * np.sign(widest))
+    return np.asarray(found[within] if within.any() else found)

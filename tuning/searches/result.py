@@ -17,8 +17,9 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
 from tuning.gains.law_file import check_reference, reference
 from tuning.problem import search as search_settings
+from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
-from tuning.problem.spaces import Space, to_gains64
+from tuning.problem.spaces import to_gains64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,16 +50,7 @@ class Result:
         return dataset.save(self.history, path)
 
 
-def from_history(
-    scenario: mc.Scenario,
-    search: Search,
-    space: Space,
-    arrays: Mapping[str, np.ndarray],
-    *,
-    law: mc.Law | None = None,
-    metrics: mc.MetricTable = mc.METRICS,
-    interrupted: bool,
-) -> Result:
+def from_history(problem: Problem, search: Search, arrays: Mapping[str, np.ndarray], *, interrupted: bool) -> Result:
     """Return the result of the points judged so far.
 
     The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
@@ -68,6 +60,7 @@ def from_history(
     """
     if not arrays or not len(arrays["value"]):
         raise ValueError("expected a judged point, got none")
+    scenario, space, law, metrics = problem.scenario, problem.space, problem.law, problem.metrics
     count = len(arrays["value"])
     best = best_of(arrays)
     data: dict[str, Any] = {

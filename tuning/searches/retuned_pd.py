@@ -1,16 +1,15 @@
 """pd with joint gains of its own for the same goal: what can be had without a force sensor."""
 
-import contextlib
+import dataclasses
 import math
-import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning.gains.gains_file import by_name
-from tuning.problem.objectives import Judge
+from tuning.problem import spaces
+from tuning.problem.evaluation import Problem
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT
 from tuning.searches import finished_parts, tune
@@ -25,46 +24,36 @@ def under_pd(scenario: mc.Scenario) -> mc.Scenario:
 
 
 def search(
-    found: Result,
+    problem: Problem,
+    settings: Search,
     *,
-    objective: Judge | None = None,
-    numbers: mc.Parameters | None = None,
-    engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
     progress: Callable[[tune.Progress], None] | None = None,
 ) -> Result | None:
-    """Search kp and kd of pd as a result was searched: goal, walks, method and rounds are the same.
+    """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same.
 
     A method of the caller's own is replaced by the default one, in its own number of rounds.
 
     Arguments:
-        found: the result that pd is to be compared with.
-        objective, numbers: of its search, where they were not those of its settings and scenario.
-        engine: the dynamics.
+        problem: what was searched.
+        settings: of its search.
         out: a folder that keeps each finished round in a folder of its own, see `tuning.searches.tune.tune`.
         progress: called after each round.
 
     Returns:
-        The search, or None where the result itself is one of pd.
+        The search, or None where what was searched is itself pd.
 
     Raises:
         KeyboardInterrupt: the user stopped it; with `out` it goes on from there.
     """
-    if found.law is None and found.scenario.control.controller == "pd":
+    if problem.law is None and problem.scenario.control.controller == "pd":
         return None
-    how: dict[str, Any] = {"objective": objective, "numbers": numbers, "metrics": found.judged_by, "engine": engine}
-    folder = None if out is None else _kept_in(out)
-    again = tune.tune(under_pd(found.scenario), _settings(found.search), out=folder, progress=progress, **how)
+    settings, scenario = _settings(settings), under_pd(problem.scenario)
+    rival = dataclasses.replace(problem, scenario=scenario, space=spaces.space(scenario, settings), law=None)
+    again = tune.run(rival, settings, out=None if out is None else _kept_in(out), progress=progress)
     if again.interrupted:
         raise KeyboardInterrupt
     return again
-
-
-def forget(out: Path) -> None:
-    """Remove the rounds that a search kept in `out`."""
-    shutil.rmtree(_kept_in(out), ignore_errors=True)
-    with contextlib.suppress(OSError):
-        _kept_in(out).parent.rmdir()  # where nothing else is kept
 
 
 def _kept_in(out: Path) -> Path:

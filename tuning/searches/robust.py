@@ -1,7 +1,6 @@
 """Robust tuning: gains for an ensemble of walks, judged on a draw that the search never saw."""
 
 import dataclasses
-import functools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +22,7 @@ from tuning.problem import ensemble as ensembles
 from tuning.problem import objectives
 from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble, Worst
+from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Limit, Metrics, Score
 from tuning.problem.search import WEIGHTS, Search
 from tuning.searches import retuned_pd, tune
@@ -181,57 +181,47 @@ def search(
 
     Where no weights are given, those of a plain search and the peak pulling force count alike.
     """
-    if settings is None and "weights" not in changes:
-        changes["weights"] = ROBUST_WEIGHTS
-    settings = settled(tune.changed(settings, changes), ensemble)
-    table = tune.complete(metrics)
-    target, numbers = goal(scenario, ensemble, settings, engine, table), ensembles.draw(scenario, ensemble)
-    how: dict[str, Any] = {"law": law, "metrics": table, "engine": engine, "out": out, "progress": progress}
-    return tune.tune(scenario, settings, objective=target, numbers=numbers, **how)
+    settings = settled(settings, changes, ensemble)
+    problem = problem_of(scenario, ensemble, settings, metrics=metrics, law=law, engine=engine)
+    return tune.run(problem, settings, out=out, progress=progress)
 
 
-def settled(settings: Search, ensemble: Ensemble) -> Search:
-    """Return settings in which the joint loop is searched where the ensemble has hardware and they do not say."""
+def settled(settings: Search | None, changes: Mapping[str, Any], ensemble: Ensemble) -> Search:
+    """Return settings with some keys replaced; without any, those of a robust search.
+
+    The joint loop is searched where the ensemble has hardware and the settings do not say.
+
+    Raises:
+        ConfigError: settings that make no sense.
+    """
+    if settings is None:
+        changes = {"weights": ROBUST_WEIGHTS, **changes}
+    settings = tune.changed(settings, changes)
     if settings.joint_gains is not None or ensemble.hardware is None:
         return settings
     return settings.model_copy(update={"joint_gains": True})
 
 
-def retuned(
-    found: Result,
-    ensemble: Ensemble,
-    *,
-    engine: str = DEFAULT_ENGINE,
-    out: Path | None = None,
-    progress: Callable[[tune.Progress], None] | None = None,
-) -> Result | None:
-    """Return pd with the joint gains that do best over the same ensemble, see `tuning.searches.retuned_pd`."""
-    target = goal(found.scenario, ensemble, found.search, engine, found.judged_by)
-    numbers = ensembles.draw(found.scenario, ensemble)
-    return retuned_pd.search(found, objective=target, numbers=numbers, engine=engine, out=out, progress=progress)
-
-
-def goal(
+def problem_of(
     scenario: mc.Scenario,
     ensemble: Ensemble,
     settings: Search,
+    *,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
-    metrics: mc.MetricTable = mc.METRICS,
-) -> RobustObjective:
-    """Return what a search over an ensemble minimises; pd walks through the members first.
+) -> Problem:
+    """Return what a search over an ensemble searches; pd walks through the members first.
 
     Raises:
-        ConfigError: see `objective`.
+        ConfigError: see `objective`, and settings that make no sense for the scenario.
     """
-    search_settings.check_metrics(settings, metrics)
-    return objective(scenario, settings, ensemble, _baseline(scenario, ensemble, engine, metrics), metrics)
-
-
-@functools.lru_cache(maxsize=8)
-def _baseline(scenario: mc.Scenario, ensemble: Ensemble, engine: str, metrics: mc.MetricTable) -> dict[str, np.ndarray]:
-    """Return the metrics (members,) of pd with their smooth companions."""
-    walked = pd_of(scenario, ensembles.draw(scenario, ensemble), engine=engine, metrics=metrics)
-    return {name: value.reshape(-1) for name, value in walked.items()}
+    table, numbers = tune.complete(metrics), ensembles.draw(scenario, ensemble)
+    search_settings.check_metrics(settings, table)
+    each = pd_of(scenario, numbers, engine=engine, metrics=table)
+    pd = {name: value.reshape(-1) for name, value in each.items()}
+    target = objective(scenario, settings, ensemble, pd, table)
+    return tune.problem_of(scenario, settings, target, numbers, engine, law=law, metrics=table)
 
 
 def judge(

@@ -5,12 +5,11 @@ Then every point tries the gains of all others, takes them where they are better
 """
 
 import dataclasses
-import functools
 import io
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -21,9 +20,10 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.files import dataset
-from mjx_climb.files.dataset import SIX
-from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.gains_file import by_name
+from tuning.gains.labels import axes_of, labelled
 from tuning.problem import objectives, spaces
 from tuning.problem import search as search_settings
 from tuning.problem.evaluation import Evaluation, Problem
@@ -40,8 +40,25 @@ GRAVITIES = (1e-6, 1e-2, 1 / 6, 0.38, 1.0)  # G: orbit, a small body, Moon, Mars
 CARGO = (0.0, 0.5, 1.0)  # kg
 CANDIDATES = 24  # random points per operating point
 ITERATIONS = (10, 8)  # of the two descents
-GAINS = ("inertia", "damping", "stiffness")
-_Part = TypeVar("_Part", Term, Limit)
+_VARIED = ("gravity", "cargo_mass")
+_Row = TypeVar("_Row", Term, Limit)
+
+
+class OperatingPoints(NamedTuple):
+    """What is tuned side by side, P pairs of gravity and cargo, the cargo running fastest."""
+
+    problem: Problem  # of all of them, a row each
+    search: Search
+    goals: list[Objective]  # (P,) each relative to pd there
+    numbers: mc.Parameters  # gravity (P, 3), cargo (P,)
+    gravity: tuple[float, ...]  # G
+    cargo: tuple[float, ...]  # kg
+
+    def at(self, places: np.ndarray) -> Problem:
+        """Return the problem whose rows are at some of the points."""
+        rows = {n: v[places] if n in _VARIED else v for n, v in vars(self.numbers).items()}
+        objective = _rows([self.goals[place] for place in places])
+        return dataclasses.replace(self.problem, numbers=mc.Parameters(**rows), objective=objective)
 
 
 def schedule(
@@ -50,6 +67,7 @@ def schedule(
     *,
     gravity: Sequence[float] = GRAVITIES,
     cargo: Sequence[float] = CARGO,
+    law: mc.Law | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
     out: Path | None = None,
@@ -63,6 +81,7 @@ def schedule(
         settings: space, bounds, weights, limits and seed (the method is not used); `changes` replace keys of it.
         gravity: G, ascending.
         cargo: kg, ascending.
+        law: whose gains are tuned, the scenario's where None.
         metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics.
         out: a folder that keeps finished rounds, so that an interrupted search goes on.
@@ -77,22 +96,50 @@ def schedule(
         ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
     """
     settings = tune.changed(settings, changes)
-    table = tune.complete(metrics)
-    each, numbers = goals(scenario, settings, gravity, cargo, engine, table), _numbers(scenario, gravity, cargo)
-    points = len(each)
-    space, rng = spaces.space(scenario, settings), np.random.default_rng(settings.seed)
-    dtype = np.dtype(settings.precision).type
-    problem = Problem(scenario, space, _rows(each), dtype=dtype, engine=engine, metrics=table)
-    own = tune.start_of(problem)
-    identity = {**tune.search_identity(problem, settings), "operating_points": [list(gravity), list(cargo)]}
-    rounds = Rounds(1 + sum(ITERATIONS) + 2, progress, out, identity)
+    points = operating_points(scenario, settings, gravity, cargo, law=law, metrics=metrics, engine=engine)
+    return run(points, out=out, progress=progress)
 
-    def at(places: np.ndarray) -> Problem:
-        """Return the problem whose rows are at some operating points."""
-        rows = {n: v[places] if n in _VARIED else v for n, v in vars(numbers).items()}
-        return dataclasses.replace(
-            problem, numbers=mc.Parameters(**rows), objective=_rows([each[place] for place in places])
-        )
+
+def operating_points(
+    scenario: mc.Scenario,
+    settings: Search,
+    gravity: Sequence[float] = GRAVITIES,
+    cargo: Sequence[float] = CARGO,
+    *,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+) -> OperatingPoints:
+    """Return what `schedule` tunes; pd walks at each point first.
+
+    Raises:
+        ConfigError: see `schedule`.
+    """
+    for name, values, least in (("gravity", gravity, 0.0), ("cargo", cargo, -1e-12)):
+        if not len(values) or not np.isfinite(values).all() or min(values) <= least or (np.diff(values) <= 0).any():
+            raise ConfigError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
+    table = tune.complete(metrics)
+    search_settings.check_metrics(settings, table)
+    numbers = _numbers(scenario, gravity, cargo)
+    baseline = pd_of(scenario, numbers, engine=engine, metrics=table)
+    count = len(gravity) * len(cargo)
+    goals = [
+        objective_at(scenario, settings, {n: float(v[p]) for n, v in baseline.items()}, table) for p in range(count)
+    ]
+    space, dtype = spaces.space(scenario, settings, law), np.dtype(settings.precision).type
+    problem = Problem(scenario, space, _rows(goals), dtype=dtype, engine=engine, metrics=table, law=law)
+    return OperatingPoints(problem, settings, goals, numbers, tuple(gravity), tuple(cargo))
+
+
+def run(asked: OperatingPoints, *, out: Path | None = None, progress: Told | None = None) -> xr.Dataset:
+    """Tune the gains of all operating points; arguments and result as of `schedule`."""
+    problem, settings, points = asked.problem, asked.search, len(asked.goals)
+    space, rng = problem.space, np.random.default_rng(settings.seed)
+    own = tune.start_of(problem)
+    identity = {
+        **tune.search_identity(problem, settings), "operating_points": [list(asked.gravity), list(asked.cargo)],
+    }  # fmt: skip
+    rounds = Rounds(1 + sum(ITERATIONS) + 2, progress, out, identity)
 
     best, merit = np.tile(own, (points, 1)), np.full(points, np.inf)
 
@@ -106,59 +153,22 @@ def schedule(
     drawn = np.concatenate([own[None], space.draw_tied(rng, CANDIDATES - 1)])
     places = np.repeat(np.arange(points), CANDIDATES)
     theta = np.tile(drawn, (points, 1))
-    take(theta, rounds.evaluate(at(places), theta, "random points"), places)
+    take(theta, rounds.evaluate(asked.at(places), theta, "random points"), places)
 
     here = np.arange(points)
     pairs = np.repeat(here, points), np.tile(here, points)  # operating point, whose gains
     for number, iterations in enumerate(ITERATIONS):
         ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
-        walks, phase = at(here), f"descent {number + 1} of {len(ITERATIONS)}"
+        walks, phase = asked.at(here), f"descent {number + 1} of {len(ITERATIONS)}"
         task = Task(walks, settings, own)
         moves = gradient.descend(task, best.copy(), ties, iterations, rng, phase, np.full(points, 0.5 * 0.6**number))
         for step in rounds.descend(walks, moves):
             take(step.theta, step.found, here)
         theta = best[pairs[1]]
-        crossed = rounds.evaluate(at(pairs[0]), theta, "gains of the neighbours")
+        crossed = rounds.evaluate(asked.at(pairs[0]), theta, "gains of the neighbours")
         take(theta, crossed, pairs[0])
     transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(points, points)
-    return _dataset(scenario, settings, problem, numbers, gravity, cargo, best, merit, transfer, rounds.env_steps)
-
-
-_VARIED = ("gravity", "cargo_mass")
-
-
-def goals(
-    scenario: mc.Scenario,
-    settings: Search,
-    gravity: Sequence[float] = GRAVITIES,
-    cargo: Sequence[float] = CARGO,
-    engine: str = DEFAULT_ENGINE,
-    metrics: mc.MetricTable = mc.METRICS,
-) -> list[Objective]:
-    """Return the objectives of all operating points, the cargo running fastest; pd walks at each first.
-
-    Raises:
-        ConfigError: see `schedule`.
-    """
-    for name, values, least in (("gravity", gravity, 0.0), ("cargo", cargo, -1e-12)):
-        if not len(values) or not np.isfinite(values).all() or min(values) <= least or (np.diff(values) <= 0).any():
-            raise ConfigError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
-    search_settings.check_metrics(settings, metrics)
-    baseline = _baseline(scenario, tuple(gravity), tuple(cargo), engine, metrics)
-    points = range(len(gravity) * len(cargo))
-    return [objective_at(scenario, settings, {n: float(v[p]) for n, v in baseline.items()}, metrics) for p in points]
-
-
-@functools.lru_cache(maxsize=8)
-def _baseline(
-    scenario: mc.Scenario,
-    gravity: tuple[float, ...],
-    cargo: tuple[float, ...],
-    engine: str,
-    metrics: mc.MetricTable,
-) -> dict[str, np.ndarray]:
-    """Return the metrics of pd at all operating points (P,) with their smooth companions."""
-    return pd_of(scenario, _numbers(scenario, gravity, cargo), engine=engine, metrics=metrics)
+    return _dataset(asked, best, merit, transfer, rounds.env_steps)
 
 
 def objective_at(
@@ -182,7 +192,7 @@ def objective_at(
 def _rows(rows: Sequence[Objective]) -> Objective:
     """Return one objective for a batch whose rows have their own."""
 
-    def joined(kind: type[_Part], items: Sequence[_Part]) -> _Part:
+    def joined(kind: type[_Row], items: Sequence[_Row]) -> _Row:
         merged: dict[str, Any] = {name: tuple(getattr(item, name) for item in items) for name in kind._fields}
         same = {name: values[0] for name, values in merged.items() if isinstance(values[0], str)}
         same |= {name: merged[name][0] for name in ("weight", "margin", "larger_is_better") if name in merged}
@@ -206,33 +216,20 @@ def _numbers(scenario: mc.Scenario, gravity: Sequence[float], cargo: Sequence[fl
 
 
 def _dataset(
-    scenario: mc.Scenario,
-    settings: Search,
-    problem: Problem,
-    numbers: mc.Parameters,
-    gravity: Sequence[float],
-    cargo: Sequence[float],
-    theta: np.ndarray,
-    merit: np.ndarray,
-    transfer: np.ndarray,
-    spent: int,
+    asked: OperatingPoints, theta: np.ndarray, merit: np.ndarray, transfer: np.ndarray, spent: int
 ) -> xr.Dataset:
-    space, table = problem.space, problem.metrics
-    shape = (len(gravity), len(cargo))
+    problem = asked.problem
+    scenario, space, table, law = problem.scenario, problem.space, problem.metrics, problem.law
+    shape = (len(asked.gravity), len(asked.cargo))
     gains = to_gains64(space, theta)
-    values = {n: np.broadcast_to(getattr(gains, n), (len(theta), 6)) for n in GAINS}
-    extra = {n: getattr(gains, n) for n in ("kp", "kd") if getattr(gains, n) is not None}
-    own = gains_of(scenario)
     pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
-    walks = {
-        "tuned": (scenario, mc.Gains(**values, **extra)),
-        "config": (scenario, own),
-        "pd": (pd, own),
-    }
+    walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
+    walkers = {"tuned": (scenario, gains, law), "config": (scenario, None, law), "pd": (pd, None, None)}
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
-    metrics = [mc.rollout_metrics(s, g, numbers, **how) for s, g in walks.values()]
-    data: dict[str, Any] = {name: (("gravity", "cargo", "six"), values[name].reshape(*shape, 6)) for name in GAINS}
-    data |= {name: (("gravity", "cargo"), v.reshape(shape)) for name, v in extra.items()}
+    metrics = [mc.rollout_metrics(s, g, asked.numbers, law=own, **how) for s, g, own in walkers.values()]
+    values = {name: value.reshape(*shape, *value.shape[1:]) for name, value in by_name(gains).items()}
+    tuned = labelled(values, ("gravity", "cargo"), law)
+    data: dict[str, Any] = dict(tuned)
     data["value"] = (("gravity", "cargo"), np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
     data["feasible"] = (("gravity", "cargo"), (merit < 1e3).reshape(shape), {"units": "1"})
     data["transfer"] = (("gravity", "cargo", "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
@@ -242,18 +239,23 @@ def _dataset(
         values_of = np.stack([m[metric.name].reshape(shape) for m in metrics])
         data[metric.name] = (("walk", "gravity", "cargo"), values_of, dataset.metric_attributes(metric))
     coordinates = {
-        "gravity": ("gravity", np.asarray(gravity, float), {"units": "G", "long_name": "gravity"}),
-        "cargo": ("cargo", np.asarray(cargo, float), {"units": "kg", "long_name": "mass of the cargo"}),
-        "gravity_of": np.asarray(gravity, float),
-        "cargo_of": np.asarray(cargo, float),
-        "walk": list(walks),
-        "six": SIX,
+        "gravity": ("gravity", np.asarray(asked.gravity, float), {"units": "G", "long_name": "gravity"}),
+        "cargo": ("cargo", np.asarray(asked.cargo, float), {"units": "kg", "long_name": "mass of the cargo"}),
+        "gravity_of": np.asarray(asked.gravity, float),
+        "cargo_of": np.asarray(asked.cargo, float),
+        "walk": list(walkers),
     }
-    attrs = {"title": "gain schedule", "search": settings.to_yaml(), "env_steps": spent, "space": " ".join(space.names)}
-    return xr.Dataset(data, coordinates, {**attrs, **dataset.provenance(scenario)})
+    attrs = {"title": "gain schedule", "search": asked.search.to_yaml(), "env_steps": spent}
+    attrs |= {"space": " ".join(space.names), "gains": " ".join(tuned), "searched": " ".join(space.gains)}
+    return xr.Dataset(data, coordinates | axes_of(tuned), {**attrs, **dataset.provenance(scenario)})
 
 
-def lookup(table: xr.Dataset, gravity: float, cargo: float) -> mc.Gains:
+def gain_names(table: xr.Dataset) -> list[str]:
+    """Return the names of the gains that a schedule holds."""
+    return list(table.attrs["gains"].split())
+
+
+def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:
     """Return the gains between the operating points: logarithms, linear in log gravity and in cargo, held at the ends.
 
     Arguments:
@@ -267,10 +269,10 @@ def lookup(table: xr.Dataset, gravity: float, cargo: float) -> mc.Gains:
         logs = np.log(values.reshape(table.sizes["gravity"], table.sizes["cargo"], -1))
         loads, levels = table["cargo"].values, np.log(table["gravity"].values)
         at_cargo = [[np.interp(cargo, loads, logs[g, :, i]) for i in range(logs.shape[2])] for g in range(len(logs))]
-        return np.exp([np.interp(math.log(gravity), levels, column) for column in np.transpose(at_cargo)])
+        found = np.exp([np.interp(math.log(gravity), levels, column) for column in np.transpose(at_cargo)])
+        return found if values.ndim > 2 else found[0]
 
-    extra = {name: between(name)[0] for name in ("kp", "kd") if name in table}
-    return mc.Gains(**{name: between(name) for name in GAINS}, **extra)
+    return spaces.as_gains({name: between(name) for name in gain_names(table)})
 
 
 def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
@@ -292,10 +294,9 @@ def rows(table: xr.Dataset) -> list[dict[str, Any]]:
         for c in range(table.sizes["cargo"]):
             point = table.isel(gravity=g, cargo=c)
             row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
-            for name in (*GAINS, "kp", "kd"):
-                if name in point:
-                    values = np.unique(np.round(point[name].values.ravel(), 12))
-                    row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
+            for name in gain_names(table):
+                values = np.unique(np.round(point[name].values.ravel(), 12))
+                row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
             row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
             for name in ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation"):
                 row[name] = {walk: float(point[name].sel(walk=walk)) for walk in table["walk"].values.tolist()}
@@ -304,22 +305,27 @@ def rows(table: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def to_csv(table: xr.Dataset) -> str:
-    """Return the schedule as CSV: one line per operating point, six columns per gain."""
+    """Return the schedule as CSV: one line per operating point, a column per axis of each gain."""
     text = io.StringIO()
-    columns = [f"{name}_{axis}" for name in GAINS for axis in SIX] + [n for n in ("kp", "kd") if n in table]
-    names = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")
+    gains = {name: [f"{name}_{axis}" for axis in _axes(table[name])] or [name] for name in gain_names(table)}
+    metrics = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")
     walks = table["walk"].values.tolist()
-    head = ["gravity_G", "cargo_kg", *columns, "feasible", *(f"{name}_{walk}" for name in names for walk in walks)]
+    columns = [column for names in gains.values() for column in names]
+    head = ["gravity_G", "cargo_kg", *columns, "feasible", *(f"{name}_{walk}" for name in metrics for walk in walks)]
     text.write(",".join(head) + "\n")
     for g, level in enumerate(table["gravity"].values):
         for c, load in enumerate(table["cargo"].values):
             point = table.isel(gravity=g, cargo=c)
-            values = [level, load, *np.concatenate([point[name].values for name in GAINS])]
-            values += [point[name].item() for name in ("kp", "kd") if name in table]
-            tail = [point[name].sel(walk=walk).item() for name in names for walk in walks]
+            values = [level, load, *np.concatenate([point[name].values.ravel() for name in gains])]
+            tail = [point[name].sel(walk=walk).item() for name in metrics for walk in walks]
             cells = [f"{v:.6g}" for v in values] + [str(int(point["feasible"]))] + [f"{v:.6g}" for v in tail]
             text.write(",".join(cells) + "\n")
     return text.getvalue()
+
+
+def _axes(gain: xr.DataArray) -> list[str]:
+    """Return the names of a gain's axes, none for one of a single number."""
+    return [] if gain.ndim == 2 else [str(axis) for axis in gain[gain.dims[-1]].values]
 
 
 def to_yaml(table: xr.Dataset) -> str:

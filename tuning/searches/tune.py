@@ -97,16 +97,27 @@ def tune(
         Unidentifiable: with `out`, an objective or method that cannot be told from another; see
             `tuning.searches.identity`.
     """
-    if isinstance(method, str):
-        settings["method"], method = method, None
-    elif method is not None:
-        settings["method"], method = OWN_METHOD, as_method(method)
-    search = changed(search, settings)
-    if method is None and search.method == OWN_METHOD:
-        raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
+    search, own_method = settled(search, method, settings)
     problem = problem_of(scenario, search, objective, numbers, engine, law=law, metrics=metrics)
+    return run(problem, search, own_method, out=out, progress=progress)
+
+
+def run(
+    problem: Problem,
+    search: Search,
+    method: Method | None = None,
+    *,
+    out: Path | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Result:
+    """Search a problem from start to end; what `tune` says of its arguments holds here.
+
+    Raises:
+        ConfigError: a method that asks for no points of the space.
+        OutputError: the folder cannot be written, or holds an unfinished search for something else.
+    """
     task = Task(problem, search, start_of(problem))
-    kept = None if out is None else Parts(out, search_identity(problem, search, objective, method))
+    kept = None if out is None else Parts(out, search_identity(problem, search, method))
     chosen = method or METHODS[search.method]
     rounds_in_all, points = chosen.rounds(task), chosen.run(task)
     arrays: dict[str, list[np.ndarray]] = {}
@@ -136,9 +147,23 @@ def tune(
             raise
         interrupted = True
     joined = {name: np.concatenate(values) for name, values in arrays.items()}
-    return result.from_history(
-        scenario, search, problem.space, joined, law=law, metrics=problem.metrics, interrupted=interrupted
-    )
+    return result.from_history(problem, search, joined, interrupted=interrupted)
+
+
+def settled(
+    search: Search | None, method: str | Method | Callable[[Task], Points] | None, settings: Mapping[str, Any]
+) -> tuple[Search, Method | None]:
+    """Return the settings of a search, and the method where it is no shipped one.
+
+    Raises:
+        ConfigError: settings that make no sense, or a method that is none.
+    """
+    own = None if method is None or isinstance(method, str) else as_method(method)
+    named = {} if method is None else {"method": OWN_METHOD if own else method}
+    search = changed(search, {**settings, **named})
+    if own is None and search.method == OWN_METHOD:
+        raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
+    return search, own
 
 
 def changed(search: Search | None, settings: Mapping[str, Any]) -> Search:
@@ -175,7 +200,7 @@ def problem_of(
         target = objectives.objective(scenario, search, evaluation.baseline(scenario, engine, table), function, table)
     members = 1 if numbers is None else math.prod(batch_shape(numbers))
     dtype = np.dtype(search.precision).type
-    return Problem(scenario, space, target, numbers, members, dtype, engine, metrics=table, law=law)
+    return Problem(scenario, space, target, numbers, members, dtype, engine, metrics=table, law=law, judge=function)
 
 
 def complete(metrics: Iterable[mc.Metric]) -> mc.MetricTable:
@@ -254,9 +279,7 @@ def restored(stored: dict[str, np.ndarray], theta: np.ndarray, out: Path | None)
     return Evaluation(**fields, metrics=metrics)
 
 
-def search_identity(
-    problem: Problem, search: Search, function: Judge | None = None, method: Method | None = None
-) -> dict[str, Any]:
+def search_identity(problem: Problem, search: Search, method: Method | None = None) -> dict[str, Any]:
     """Return all that determines a search, bit by bit."""
     versions: dict[str, str | None] = {}
     for name, distribution in {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}.items():
@@ -269,7 +292,7 @@ def search_identity(
         "law": None if problem.law is None else identity.identity(problem.law, "law"),
         "search": search.to_yaml(),
         "method": None if method is None else identity.identity(method, "method"),
-        "objective": None if function is None else identity.identity(function, "objective"),
+        "objective": None if problem.judge is None else identity.identity(problem.judge, "objective"),
         "numbers": None if problem.numbers is None else identity.identity(problem.numbers, "numbers"),
         "metrics": identity.of_metrics(problem.metrics),
         "engine": problem.engine,

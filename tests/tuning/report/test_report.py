@@ -272,11 +272,15 @@ def test_the_page_of_a_front(swept, named):
     flat = swept[1].stack(front=("stiffness", "damping"), create_index=False)
     six = {name: ("front", flat[name].values) for name in ("stiffness", "damping")}
     front = flat[list(mc.METRICS.names)].drop_vars(["stiffness", "damping"]).assign(six)
-    front = front.assign_attrs(better="force_variation", against="base_deviation")
+    traded = ("base_deviation", "force_variation")
+    references = {f"reference_{name}": ("reference", [0.1, 0.2]) for name in traded}
+    front = front.assign(references).assign_coords(reference=["config", "pd"])
+    front = front.assign_attrs(better=traded[1], against=traded[0], searched="stiffness damping")
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
-    table = page.Table("The front", ["", "a"], [("", [["knee", "1"]])], 1)
-    made = pareto_page.page(front, 4, kept, named[1], table, named[0], origin=ORIGIN, seed=0, pictures={})
+    made = pareto_page.page(front, 4, kept, named[1], named[0], origin=ORIGIN, seed=0, pictures={})
     assert "The front of 9 points bends at" in page.render(made)
+    rows = made.tables[0].sections[0][1]
+    assert [row[0] for row in rows] == [""] * 4 + ["knee"] + [""] * 4 and len(rows[0]) == 5
     points = made.explorers[0]["points"]
     assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == 4
 

@@ -87,8 +87,8 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path):
     other = scenario.with_overrides(["contact.damping=21"])
     for differs, arguments, options in (
         ("scenario", (other, STIFFNESS, DAMPING), {}),
-        ("axes", (scenario, STIFFNESS * 2, DAMPING), {}),
-        ("axes", (scenario, STIFFNESS, DAMPING * 2), {}),
+        ("axes.stiffness", (scenario, STIFFNESS * 2, DAMPING), {}),
+        ("axes.damping", (scenario, STIFFNESS, DAMPING * 2), {}),
         ("dtype", (scenario, STIFFNESS, DAMPING), {"dtype": np.float64}),
         ("batch_size", (scenario, STIFFNESS, DAMPING), {"batch_size": 2}),
     ):

@@ -1,5 +1,7 @@
 """The Pareto front: what is on it, and a search that goes on after an interrupt with the same result."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,12 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
+from tuning.gains import law_file
 from tuning.report import ensemble_pictures
+from tuning.report.pareto import front_table
 from tuning.searches import pareto
+
+LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
 
 
 @pytest.fixture
@@ -32,6 +38,23 @@ def test_knee_is_furthest_from_the_line_between_the_ends():
 def test_one_metric_twice_is_refused():
     with pytest.raises(ConfigError, match="against"):
         pareto.front(mc.Scenario(), better="travel", against="travel")
+
+
+@pytest.mark.slow
+def test_a_front_of_a_law_of_ones_own(few):
+    """Its gains, of six axes and of one, are those of the walks on the front."""
+    law = law_file.load(f"{LAW}:Filtered")
+    scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.2", "disturbance.cargo.start=0.05"])
+    front = pareto.front(scenario, points=2, law=law)
+    assert front.attrs["searched"].split() == ["stiffness", "damping", "cutoff", "share"]
+    assert front["cutoff"].dims == ("front", "six") and front["share"].dims == ("front",)
+    assert front["cutoff"].attrs["units"] == "Hz"
+    gains = pareto.gains_of(front, 0)
+    alone = mc.metrics(mc.rollout(scenario, gains, law=law))
+    assert alone["force_variation"] == pytest.approx(front["force_variation"].values[0], rel=1e-6)
+    own = mc.metrics(mc.rollout(scenario, law=law))["force_variation"]
+    assert front["reference_force_variation"].sel(reference="config").item() == pytest.approx(own, rel=1e-6)
+    assert len(front_table(front, 0).columns) == 7
 
 
 def test_front_and_resume(few, tmp_path):

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
+from tuning.gains import law_file
 from tuning.report import ensemble_pictures
 from tuning.searches import schedule
+
+LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +54,20 @@ def test_metrics_are_those_of_the_operating_point(scenario, table):
         metrics = mc.metrics(alone)
         for name in ("force_variation", "peak_foot_force", "base_deviation"):
             assert point[name].sel(walk=walk).item() == pytest.approx(metrics[name], rel=1e-6), (walk, name)
+
+
+@pytest.mark.slow
+def test_a_schedule_of_a_law_of_ones_own(scenario, few):
+    law = law_file.load(f"{LAW}:Filtered")
+    table = made(scenario, law=law)
+    assert table["cutoff"].dims == ("gravity", "cargo", "six") and table["share"].dims == ("gravity", "cargo")
+    there = scenario.with_overrides({"gravity": [0, 0, -9.81], "disturbance.cargo.mass": 1.0})
+    alone = mc.metrics(mc.rollout(there, schedule.lookup(table, 1.0, 1.0), law=law))
+    tuned = table["force_variation"].sel(walk="tuned", gravity=1.0, cargo=1.0).item()
+    assert tuned == pytest.approx(alone["force_variation"], rel=1e-6)
+    [head, *_] = schedule.to_csv(table).splitlines()
+    assert "cutoff_rz" in head and ",share," in head
+    assert ensemble_pictures.plot_schedule(table).axes
 
 
 def test_no_operating_point_would_rather_have_the_gains_of_another(table):

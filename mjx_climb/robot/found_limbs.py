@@ -1,0 +1,190 @@
+"""The limbs of a robot in its file: rows of joints from one base outwards, each ending in a foot."""
+
+import collections
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.description import JOINTS, RobotError
+from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
+
+MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
+_ARM, _FINGER = 3, 3  # joints: several short branches beyond so many are fingers
+_FOOT = re.compile(
+    r"foot|feet|toe|grip|hand|palm|wheel|claw|magnet|hoof|(?<![a-z])(ee|end|tip|tool|tcp)(?![a-z])", re.IGNORECASE
+)
+
+
+class Note(NamedTuple):
+    """What became of something in the file."""
+
+    kind: str  # taken, changed or ignored
+    what: str
+    why: str
+
+
+class Chain(NamedTuple):
+    """A row of joints from the base outwards that may be a limb."""
+
+    joints: tuple[int, ...]
+    foot: str
+    at: tuple[float, float, float]  # m, in the frame of `foot`
+    named: bool  # what it ends in is called a foot, or the like
+
+
+def base_of(path: str, model: mujoco.MjModel) -> int:
+    """Return the floating body, or the first one from the root outwards, that most rows of joints start at.
+
+    Raises:
+        RobotError: a file without bodies.
+    """
+    if model.nbody < 2:
+        raise RobotError(f"{path}: expected a robot, got a file without bodies")
+    part = rigid_parts(model)
+    free = [int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)]
+    if free:
+        return max(free, key=lambda body: len(_beyond(model, part, body)))
+    for body in range(1, model.nbody):
+        if part[body] == body and len(set(_beyond(model, part, body))) >= MIN_LIMBS:
+            return body
+    return 1
+
+
+def limbs_of(
+    path: str, described: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: list[Note]
+) -> dict[str, Chain]:
+    """Return the limbs by name, in the order of the file.
+
+    Raises:
+        RobotError: fewer than two.
+    """
+    chains = [_footed(described, model, chain) for chain in _chains(model, base)]
+    driven = driven_joints(described)
+    if driven:
+        chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
+    return _named(model, _limbs(path, model, chains, notes))
+
+
+def rigid_parts(model: mujoco.MjModel) -> np.ndarray:
+    """Return for each body the first body of the rigid part that it belongs to."""
+    part = np.arange(model.nbody)
+    for body in range(2, model.nbody):
+        if not model.body_jntnum[body] and model.body_parentid[body] != 0:
+            part[body] = part[model.body_parentid[body]]
+    return part
+
+
+def _beyond(model: mujoco.MjModel, part: np.ndarray, body: int) -> list[int]:
+    """Return the jointed bodies that hang on a rigid part."""
+    return [b for b in range(1, model.nbody) if model.body_jntnum[b] and part[model.body_parentid[b]] == body != b]
+
+
+def _chains(model: mujoco.MjModel, base: int) -> list[list[int]]:
+    """Return rows of bodies from the base outwards, at each fork along the longest branch, as far as to fingers."""
+    part = rigid_parts(model)
+
+    def count(row: list[int]) -> int:
+        return int(model.body_jntnum[row].sum())
+
+    def longest(body: int, before: int) -> list[int]:
+        joints = before + int(model.body_jntnum[body])
+        branches = [longest(b, joints) for b in _beyond(model, part, body)]
+        fingers = len(branches) > 1 and joints >= _ARM and all(count(branch) <= _FINGER for branch in branches)
+        return [body] if fingers else [body, *max(branches, key=count, default=[])]
+
+    return [longest(body, 0) for body in _beyond(model, part, part[base])]
+
+
+def _footed(described: mujoco.MjSpec, model: mujoco.MjModel, bodies: list[int]) -> Chain:
+    """Return a row of joints with its foot: a site or body called so, or else the far end of its last link."""
+    joints = [int(model.body_jntadr[b]) + n for b in bodies for n in range(model.body_jntnum[b])]
+    part = rigid_parts(model)
+    data = at_zero(model)
+    last = [b for b in range(model.nbody) if part[b] == bodies[-1]]
+    anchor = data.xanchor[joints[-1]]
+    sites = [s for s in range(model.nsite) if model.site_bodyid[s] in last and model.site(s).name]
+    places = [(model.site(s).name, data.site_xpos[s]) for s in sites]
+    places += [(model.body(b).name, data.xpos[b]) for b in last if b != bodies[-1] and model.body(b).name]
+    called = [place for place in places if _FOOT.search(place[0])]
+    body = described.body(model.body(bodies[-1]).name)
+    ends = [end for geom in body.geoms for end in _ends(geom)]
+    if called or (places and not ends):
+        name, _ = max(called or places, key=lambda place: float(np.linalg.norm(place[1] - anchor)))
+        return Chain(tuple(joints), name, (0.0, 0.0, 0.0), bool(called))
+    local = data.xmat[bodies[-1]].reshape(3, 3).T @ (anchor - data.xpos[bodies[-1]])
+    end = max(ends, key=lambda point: float(np.linalg.norm(point - local)), default=2 * model.body_ipos[bodies[-1]])
+    at = tuple(round(float(v), 5) for v in end)
+    return Chain(tuple(joints), model.body(bodies[-1]).name, (at[0], at[1], at[2]), bool(ends))
+
+
+def _ends(geom: mujoco.MjsGeom) -> list[np.ndarray]:
+    """Return the points of a plain shape that may be the tip of a limb, in its body's frame."""
+    if np.isfinite(geom.fromto).all():
+        return [np.array(geom.fromto[:3]), np.array(geom.fromto[3:])]
+    if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return [np.array(geom.pos)]
+    if geom.type in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
+        axis = np.empty(3)
+        mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, geom.size[1]]), np.array(geom.quat))
+        return [geom.pos - axis, geom.pos + axis]
+    return []
+
+
+def at_zero(model: mujoco.MjModel) -> mujoco.MjData:
+    """Return the robot with its joints at zero."""
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[np.isin(model.jnt_type, JOINTS)]] = 0
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def driven_joints(described: mujoco.MjSpec) -> set[str]:
+    """Return the joints that an actuator drives; none where the file has no actuators."""
+    return {actuator.target for actuator in described.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT}
+
+
+def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: list[Note]) -> list[Chain]:
+    """Return the rows that are limbs: those that end in feet, or else those of the commonest number of joints."""
+    for number, chain in enumerate(chains):
+        if len(chain.joints) > MOST_JOINTS:
+            notes.append(
+                Note("changed", f"{len(chain.joints)} joints in a row", f"the last beyond {MOST_JOINTS} are held")
+            )
+            chains[number] = chain._replace(joints=chain.joints[:MOST_JOINTS])
+    able = [chain for chain in chains if len(chain.joints) >= FEWEST_JOINTS]
+    feet = [chain for chain in able if chain.named]
+    found = feet if len(feet) >= MIN_LIMBS else able
+    counts = collections.Counter(len(chain.joints) for chain in found)
+    if len(counts) > 1 and (common := counts.most_common(1)[0])[1] >= 3:
+        found = [chain for chain in found if len(chain.joints) == common[0]]
+    if len(found) < MIN_LIMBS:
+        expected = f"{MIN_LIMBS} limbs or more, rows of {FEWEST_JOINTS} joints or more from the base"
+        raise RobotError(f"{path}: expected {expected}, got {len(found)}")
+    if len(found) > MAX_LIMBS:
+        notes.append(Note("ignored", f"{len(found) - MAX_LIMBS} limbs", f"more than {MAX_LIMBS}: held"))
+    return found[:MAX_LIMBS]
+
+
+def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
+    """Return the limbs by what the names of their joints have in common, at the beginning or at the end."""
+
+    def words(chain: Chain) -> list[list[str]]:
+        return [[w for w in re.split(r"[_\-. /]+", model.joint(j).name) if w] for j in chain.joints]
+
+    def common(rows: list[list[str]]) -> list[str]:
+        shared = []
+        for column in zip(*rows, strict=False):
+            if len(set(column)) > 1:
+                break
+            shared.append(column[0])
+        return shared
+
+    beginnings = ["_".join(common(words(chain))) for chain in limbs]
+    ends = ["_".join(common([row[::-1] for row in words(chain)])[::-1]) for chain in limbs]
+    bodies = [model.body(model.jnt_bodyid[chain.joints[0]]).name for chain in limbs]
+    for names in (beginnings, ends, bodies):
+        if all(names) and len(set(names)) == len(names) and not any("." in name for name in names):
+            return dict(zip(names, limbs, strict=True))
+    return {f"limb{n + 1}": chain for n, chain in enumerate(limbs)}

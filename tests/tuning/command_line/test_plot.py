@@ -1,0 +1,72 @@
+"""Pictures drawn again from a folder: chosen metrics, formats, size and style; one line for what cannot be."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from PIL import Image
+
+from mjx_climb.files import dataset
+from tuning.command_line import main
+
+
+@pytest.fixture
+def plot(capsys):
+    def run(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            main(["plot", *map(str, arguments)])
+        said = capsys.readouterr()
+        return ended.value.code, [line.rpartition("/")[2] for line in said.out.split()], said.err.strip()
+
+    return run
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The grid and the table of a sweep."""
+    axes = {"stiffness": [1e2, 1e3, 1e4], "damping": [1e1, 1e2]}
+    about = {"units": "N", "long_name": "peak foot force", "larger_is_better": 0}
+    forces = xr.DataArray(np.arange(6.0).reshape(3, 2) + 1, axes, list(axes), attrs=about)
+    failed = xr.zeros_like(forces, bool).drop_attrs()
+    dataset.save(xr.Dataset({"peak_foot_force": forces, "diverged": failed}), tmp_path / "sweep.nc")
+    gains = {"inertia": 1.0, "damping": 50.0, "stiffness": 5e3}
+    table = {
+        "config": {"gains": gains, "metrics": {"peak_foot_force": 2.0}},
+        "pd": {"gains": None, "metrics": {"peak_foot_force": 4.0}},
+        "grid": {"walks": 6},
+    }
+    (tmp_path / "comparison.json").write_text(json.dumps(table))
+    return tmp_path
+
+
+def test_a_metric_is_drawn_as_it_is_asked_for(plot, folder, tmp_path):
+    (tmp_path / "large.mplstyle").write_text("axes.labelsize: 20")
+    out = tmp_path / "out"
+    asked = ("--metric", "peak_foot_force", "--figures", "png,svg", "--size", "100x80", "--dpi", 127, "--out", out)
+    assert plot(folder, *asked) == (0, ["maps-peak_foot_force.png", "maps-peak_foot_force.svg"], "")
+    with Image.open(out / "maps-peak_foot_force.png") as picture:
+        assert picture.size == (500, 400)
+    plain = (out / "maps-peak_foot_force.svg").read_text()
+    assert plot(folder, *asked, "--style", tmp_path / "large.mplstyle")[0] == 0
+    assert (out / "maps-peak_foot_force.svg").read_text() != plain
+    assert plot(folder) == (0, ["maps.png"], "") and (folder / "maps.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--metric", "speed"], "--metric: expected one of peak_foot_force, got 'speed'"),
+        (["--figures", "png,jpg"], "--figures: expected some of png, svg, pdf, got 'jpg'"),
+        (["--size", "big"], "--size: expected WxH in mm, as 180x120, got 'big'"),
+        (["--style", "nowhere.mplstyle"], "--style: expected a style sheet of matplotlib's, got 'nowhere.mplstyle'"),
+    ],
+)
+def test_what_cannot_be_drawn_gets_one_line(plot, folder, arguments, message):
+    code, out, err = plot(folder, *arguments)
+    assert (code, out) == (2, []) and message in err and "\n" not in err
+
+
+def test_a_folder_without_a_result_is_refused(plot, tmp_path):
+    assert plot(tmp_path)[0] == 2
+    assert "expected a folder with a result" in plot(tmp_path)[2]

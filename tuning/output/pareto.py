@@ -1,0 +1,103 @@
+"""A Pareto front, and what it leaves in a folder: the front with its gains, a picture, the knee, and the report."""
+
+import dataclasses
+import os
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb import plots
+from mjx_climb.files import dataset
+from mjx_climb.rollouts.given import AnyGains
+from tuning.gains import gains_file
+from tuning.output.folder import complete, made_from, write_config
+from tuning.output.stages import Stage, silent
+from tuning.report import ensemble_pictures, page
+from tuning.report import pareto as pages
+from tuning.report.numbers import to_json
+from tuning.searches import finished_parts, pareto
+from tuning.searches.pareto import Trade
+
+FILES = "report.html, front.nc, front.png, gains.yaml, summary.json, config.yaml, search.yaml"
+
+
+@dataclasses.dataclass(frozen=True)
+class Front:
+    """A Pareto front of two metrics, and what was searched for it."""
+
+    data: xr.Dataset  # see `tuning.searches.pareto.front`
+    trade: Trade
+
+    @property
+    def knee(self) -> int:
+        """The index of the point where the front bends, the furthest from the line between its ends."""
+        return pareto.knee(self.data[self.trade.against].values, self.data[self.trade.better].values)
+
+    @property
+    def gains(self) -> AnyGains:
+        """The gains at the knee."""
+        return pareto.gains_of(self.data, self.knee)
+
+    @property
+    def summary(self) -> str:
+        """The front, its knee, and the metrics of the config's gains and of pd, as JSON."""
+        metrics = self.trade.against, self.trade.better
+        names = (*metrics, *self.data.attrs["gains"].split())
+        rows = [{n: self.data[n].values[i] for n in names} for i in range(self.data.sizes["front"])]
+        references = {
+            name: {n: self.data[f"reference_{n}"].sel(reference=name).item() for n in metrics}
+            for name in ("config", "pd")
+        }
+        return to_json({"front": rows, "knee": self.knee, **references})
+
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: page.Origin | None = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
+    ) -> None:
+        """Draw the front, walk what the report shows, and write what `mjx-climb pareto` writes.
+
+        Arguments:
+            folder: where to; it is made. Rounds that `tuning.pareto(out=folder)` kept there are removed.
+            origin: what the report says of where it comes from.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
+            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        folder, (problem, search, better, against) = Path(folder), self.trade
+        scenario = write_config(problem.scenario, folder)
+        dataset.write_text_atomically(folder / "search.yaml", search.to_yaml())
+        dataset.save(made_from(self.data, scenario), folder / "front.nc")
+        dataset.write_text_atomically(folder / "summary.json", self.summary + "\n")
+        again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} --out again"
+        origin = complete(origin, "tuning.pareto(...)", again, scenario, folder)
+        comment = f"mjx-climb pareto {origin.name}: {better} against {against}, the knee of the front"
+        gains_file.save(self.gains, folder / "gains.yaml", comment, problem.law)
+        with stage("drawing", compiles=False):
+            plots.save_figure(ensemble_pictures.plot_front(self.data), folder / "front", {"png", *figures})
+        with stage("report"):
+            page.write(self._page(scenario, origin, folder), folder)
+        finished_parts.clear(folder)
+
+    def _page(self, scenario: mc.Scenario, origin: page.Origin, folder: Path) -> page.Page:
+        problem, data = self.trade.problem, self.data
+        how: dict[str, Any] = {"law": problem.law, "engine": problem.engine}
+        names = data.attrs["gains"].split()
+        on_front = {name: data[name].values for name in names}
+        pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+        walks = {"pd": mc.rollout(pd, engine=problem.engine), "config": mc.rollout(scenario, **how)}
+        return pages.page(
+            data, self.knee, mc.rollout_histories(scenario, on_front, metrics=problem.metrics, **how), walks, scenario,
+            origin=origin,
+            seed=self.trade.search.seed,
+            pictures={"The front, and all that was walked on the way.": folder / "front.png"},
+            about=problem.metrics,
+        )  # fmt: skip

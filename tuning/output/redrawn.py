@@ -1,0 +1,122 @@
+"""The pictures of a result, drawn again from its folder: nothing is walked."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from mjx_climb import plots
+from mjx_climb.files import dataset
+from mjx_climb.scenario.messages import ConfigError
+from tuning.output import swept
+from tuning.report import ensemble_pictures, search_pictures
+from tuning.report.comparison import Compared
+from tuning.report.explorer import axes_of
+from tuning.searches import result
+
+Drawn = Iterator[tuple[str, Figure]]
+
+
+def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
+    """Yield every picture of a folder and what its file is called, without an ending.
+
+    Arguments:
+        folder: of a walk, a sweep, or any search.
+        metrics: the maps, or the panels of an ensemble, that are wanted; where there are none, what the result drew.
+
+    Raises:
+        ConfigError: no result there, or none of a metric.
+    """
+    there = [name for name in _DRAWN if (folder / name).is_file()]
+    if not there:
+        raise ConfigError(f"{folder}: expected a folder with a result ({', '.join(_DRAWN)}), got none")
+    of_metrics = [name for name in there if name in _OF_METRICS]
+    if metrics and not of_metrics:
+        raise ConfigError(f"{folder}: expected a result with maps or an ensemble to draw metrics of, got {there[0]}")
+    for name in of_metrics if metrics else there:
+        yield from _DRAWN[name](folder, metrics)
+
+
+def _walk(folder: Path, _: Sequence[str]) -> Drawn:
+    trajectory = dataset.load_trajectory(folder / "trajectory.nc")
+    yield "walk", plots.plot_walk(trajectory)
+    yield "feet", plots.plot_feet(trajectory)
+
+
+def _sweep(folder: Path, metrics: Sequence[str]) -> Drawn:
+    yield from _maps(dataset.load(folder / "sweep.nc"), _compared(folder / "comparison.json"), metrics, "maps")
+
+
+def _map(folder: Path, metrics: Sequence[str]) -> Drawn:
+    yield from _maps(dataset.load(folder / "map.nc"), _compared(folder / "summary.json"), metrics, "map")
+
+
+def _maps(data: xr.Dataset, compared: Compared, metrics: Sequence[str], sheet: str) -> Drawn:
+    """Yield the sheet of all maps, or a map of each metric."""
+    if not metrics:
+        yield sheet, swept.sheet(data, compared)
+    x, y = axes_of(data)
+    for name in metrics:
+        _check(name, data, (x, y))
+        baseline = compared["pd"][1].get(name) if "pd" in compared else None
+        yield (
+            f"{sheet}-{name}",
+            plots.plot_map(data, name, swept.marks(data, compared), baseline=baseline, x=x, y=y),
+        )
+
+
+def _search(folder: Path, _: Sequence[str]) -> Drawn:
+    history = dataset.load(folder / "search.nc")
+    if "law" in history.attrs:
+        return  # its file is not here
+    found = result.load(folder / "search.nc")
+    yield "convergence", search_pictures.plot_convergence(found)
+    if (folder / "map.nc").is_file():
+        yield "path", search_pictures.plot_path(found, dataset.load(folder / "map.nc"))
+
+
+def _judged(folder: Path, metrics: Sequence[str]) -> Drawn:
+    judged = dataset.load(folder / "judged.nc")
+    for name in metrics:
+        _check(name, judged, ("gains", "member"))
+    drawn = ensemble_pictures.plot_judged(judged, metrics) if metrics else ensemble_pictures.plot_judged(judged)
+    yield "judged", drawn
+
+
+def _front(folder: Path, _: Sequence[str]) -> Drawn:
+    yield "front", ensemble_pictures.plot_front(dataset.load(folder / "front.nc"))
+
+
+def _schedule(folder: Path, _: Sequence[str]) -> Drawn:
+    yield "schedule", ensemble_pictures.plot_schedule(dataset.load(folder / "schedule.nc"))
+
+
+_DRAWN: dict[str, Callable[[Path, Sequence[str]], Drawn]] = {
+    "trajectory.nc": _walk, "sweep.nc": _sweep, "map.nc": _map, "search.nc": _search, "judged.nc": _judged,
+    "front.nc": _front, "schedule.nc": _schedule,
+}  # fmt: skip
+_OF_METRICS = ("sweep.nc", "map.nc", "judged.nc")
+
+
+def _check(metric: str, data: xr.Dataset, dims: tuple[str, str]) -> None:
+    known = [str(name) for name, values in data.items() if set(values.dims) == set(dims) and values.dtype.kind in "fi"]
+    if metric not in known:
+        raise ConfigError(f"--metric: expected one of {', '.join(known)}, got {metric!r}")
+
+
+def _compared(file: Path) -> Compared:
+    """Return gains and metrics of the walks that a summary holds; none where it cannot be read."""
+    try:
+        found: dict[str, Any] = json.loads(file.read_text())
+    except (OSError, ValueError):
+        return {}
+    walks = {name: entry for name, entry in found.items() if isinstance(entry, dict) and "metrics" in entry}
+    return {name: (_numbers(entry.get("gains")), entry["metrics"]) for name, entry in walks.items()}
+
+
+def _numbers(gains: dict[str, Any] | None) -> dict[str, Any] | None:
+    return None if gains is None else {name: np.asarray(value) for name, value in gains.items() if value is not None}
