@@ -43,7 +43,7 @@ def kept(function: Callable[..., _Result], identity: Identity, options: dict[str
     """
     plain = jax.jit(function, static_argnums=0, compiler_options=options)
     programs: dict[Hashable, Callable[..., _Result]] = {}
-    alone = threading.Lock()  # shares of a batch come from several threads
+    alone: dict[Hashable, threading.Lock] = {}  # shares of a batch come from several threads
 
     def program(structure: Hashable, *trees: Any) -> _Result:
         leaves, tree = jax.tree.flatten(trees)
@@ -52,7 +52,7 @@ def kept(function: Callable[..., _Result], identity: Identity, options: dict[str
             return traced
         key = structure, tree, tuple(_kind(leaf) for leaf in leaves), _settings()
         if key not in programs:
-            with alone:
+            with alone.setdefault(key, threading.Lock()):
                 if key not in programs:
                     known = identity(structure, *trees)
                     file = None if known is None else _file(function, known, key[1:], options)

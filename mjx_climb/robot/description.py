@@ -10,6 +10,7 @@ from mjx_climb.mujoco_import import mujoco
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
+FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
 SPECK = 1e-10  # kg, kg m^2: of links without a mass, as many a file has them between two joints
 _DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes")
 
@@ -25,12 +26,16 @@ def described(file: str) -> mujoco.MjSpec:
     joint `hip` becomes hinges `hip_x`, `hip_y`, `hip_z` about the body's own axes.
 
     Raises:
-        RobotError: a file that MuJoCo does not read.
+        RobotError: a file that MuJoCo does not read, or numbers that no joint and no body can have.
     """
+    mujoco.set_mju_user_warning(lambda message: None)  # what is wrong is said once, by what is raised
     try:
         spec = mujoco.MjSpec.from_file(file)
     except (ValueError, OSError, mujoco.FatalError) as error:
         raise unreadable(file, error) from None
+    finally:
+        mujoco.set_mju_user_warning(None)
+    _possible(file, spec)
     taken = {body.name for body in spec.bodies}
     for body in spec.bodies:
         for number, child in enumerate(body.bodies):
@@ -50,6 +55,29 @@ def described(file: str) -> mujoco.MjSpec:
         for key in spec.keys:
             spec.delete(key)
     return spec
+
+
+def _possible(file: str, spec: mujoco.MjSpec) -> None:
+    """Refuse what MuJoCo takes for something else: limits the wrong way round for none, a mass below zero for none."""
+    urdf = file.lower().endswith(".urdf")
+    for joint in spec.joints:
+        lower, upper = joint.range
+        numbers = {"armature": joint.armature, "damping": joint.damping[0], "stiffness": joint.stiffness[0],
+                   "frictionloss": joint.frictionloss}  # fmt: skip
+        if lower > upper and (urdf or joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE):
+            expected, got = "limits in ascending order", f"{lower:g} to {upper:g}"
+        elif below := [name for name, value in numbers.items() if value < 0]:
+            expected, got = f"{below[0]} of zero or more", f"{numbers[below[0]]:g}"
+        else:
+            continue
+        raise RobotError(f"{line_of(file, joint.name)}: joint {joint.name!r}: expected {expected}, got {got}")
+    for body in spec.bodies:
+        if not body.explicitinertial:
+            continue
+        if body.mass < 0 or (np.isfinite(body.inertia).all() and min(body.inertia) < 0):
+            got = f"{body.mass:g} kg, {', '.join(f'{moment:g}' for moment in body.inertia)} kg m^2"
+            place = line_of(file, body.name)
+            raise RobotError(f"{place}: link {body.name!r}: expected a mass and moments of zero or more, got {got}")
 
 
 def _free(name: str, taken: set[str]) -> str:
@@ -141,7 +169,7 @@ def unreadable(file: str, error: Exception) -> RobotError:
     """Return what MuJoCo says of a file in one line, beginning with the line of the file that it is about."""
     reason = " ".join((str(error) or "an empty one").split())
     place = file
-    if found := re.search(r"line (\d+)", reason):
+    if found := re.search(r"[Ll]ine (?:number=)?(\d+)", reason):
         place = f"{file}:{found[1]}"
     elif found := re.search(r"[Ee]lement name '([^']+)'", reason):
         place = line_of(file, found[1])

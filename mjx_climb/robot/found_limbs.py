@@ -12,6 +12,7 @@ from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
 _ARM, _FINGER = 3, 3  # joints: several short branches beyond so many are fingers
+_ALIKE = 2  # joints by which limbs of one robot may differ, where three or more have as many
 _FOOT = re.compile(
     r"foot|feet|toe|grip|hand|palm|wheel|claw|magnet|hoof|(?<![a-z])(ee|end|tip|tool|tcp)(?![a-z])", re.IGNORECASE
 )
@@ -146,7 +147,7 @@ def driven_joints(described: mujoco.MjSpec) -> set[str]:
 
 
 def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: list[Note]) -> list[Chain]:
-    """Return the rows that are limbs: those that end in feet, or else those of the commonest number of joints."""
+    """Return the rows that are limbs: those that end in feet, of about the commonest number of joints."""
     for number, chain in enumerate(chains):
         if len(chain.joints) > MOST_JOINTS:
             notes.append(
@@ -158,7 +159,7 @@ def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: list[No
     found = feet if len(feet) >= MIN_LIMBS else able
     counts = collections.Counter(len(chain.joints) for chain in found)
     if len(counts) > 1 and (common := counts.most_common(1)[0])[1] >= 3:
-        found = [chain for chain in found if len(chain.joints) == common[0]]
+        found = [chain for chain in found if abs(len(chain.joints) - common[0]) <= _ALIKE]
     if len(found) < MIN_LIMBS:
         expected = f"{MIN_LIMBS} limbs or more, rows of {FEWEST_JOINTS} joints or more from the base"
         raise RobotError(f"{path}: expected {expected}, got {len(found)}")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, PASSIVE, SPECK, RobotError, bare, compiled, line_of
+from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, bare, compiled, line_of
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import Limb, RobotFile
 
@@ -344,7 +344,12 @@ def _add_limb(
         body = body.add_body(name=f"{limb}_{names[n]}", pos=at_foot)
         limits = dict(range=[-np.pi, np.pi], limited=mujoco.mjtLimited.mjLIMITED_TRUE)
         body.add_joint(
-            name=f"{limb}_{names[n]}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1.0, **limits
+            name=f"{limb}_{names[n]}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
+            armature=1.0,
+            group=FILLING,
+            **limits,
         )
         _weigh(body, _Link(_PAD[0], np.zeros(3), _PAD[1] * np.eye(3)))
         at_foot = np.zeros(3)

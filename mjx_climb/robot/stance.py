@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import PASSIVE, RobotError, compiled
+from mjx_climb.robot.description import FILLING, PASSIVE, RobotError, compiled
 from mjx_climb.robot.found_limbs import Chain, at_zero
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.robot.robot_file import unposed
@@ -17,8 +17,8 @@ _SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out an
 _WELL = 0.15  # of a joint's range to its limits: a stance that will do
 _MET = 1e-9  # m
 _SAMPLES, _HEIGHTS, _TRIED = 3000, 15, 4  # postures at random, heights looked at, postures tried at each
+_LOW = 0.2  # of a limb's reach: a base nearer to the ground is for robots that cannot stand higher
 _OUTWARD = 0.3  # what a reach further out is worth, in shares of a joint's range
-_PADDING = 2e-9  # kg, of links that only fill up a limb
 _IN_SPACE = 3  # driven joints of a limb that can put its foot anywhere
 
 
@@ -116,7 +116,7 @@ class _Posed(NamedTuple):
     @property
     def driven(self) -> np.ndarray:
         """Which joints are driven, (L, N); those that only fill up a limb are not."""
-        mask: np.ndarray = (self.model.jnt_group[1:] != PASSIVE) & (self.model.body_mass[2:] > _PADDING)
+        mask = ~np.isin(self.model.jnt_group[1:], (PASSIVE, FILLING))
         return np.reshape(mask, (len(self.rows), -1))
 
 
@@ -206,7 +206,7 @@ def _sampled(posed: _Posed, away: np.ndarray, reach: float) -> Stance | None:
     depths = -feet[..., 2]
     best, most = None, -np.inf
     low, high = (float(np.quantile(depths, share)) for share in (0.02, 0.98))
-    for height in np.linspace(low, high, _HEIGHTS):
+    for height in np.linspace(max(low, min(_LOW * reach, high)), high, _HEIGHTS):
         if height <= 0:
             continue
         found = [

@@ -5,8 +5,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
@@ -78,18 +76,18 @@ def rollout_histories(
 
 def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
     """Return `LINES` of one walk, as `rollout_histories` does."""
-    with jax.enable_x64(trajectory.time.dtype == np.float64):
-        lines = _lines(jax.tree.map(jnp.asarray, to_samples(trajectory)))
-        return {name: np.asarray(value)[0] for name, value in _extremes(lines).items()}
+    lines = _lines(to_samples(trajectory))  # by NumPy: nothing is compiled
+    return {name: np.asarray(value)[0] for name, value in _extremes(lines).items()}
 
 
 def _lines(sample: Sample) -> dict[str, Array]:
     """Return `LINES` of a sample, (B,), or of samples stacked over time, (T, B)."""
     offset = sample.base_position - sample.base_reference
+    sqrt = offset.__array_namespace__().sqrt  # JAX's in a walk, NumPy's after it
     return {
-        "foot_force_history": jnp.sqrt((sample.foot_force**2).sum(-3)).max(-2),
-        "base_deviation_history": jnp.sqrt((offset**2).sum(-2)),
-        "joint_torque_history": jnp.abs(sample.joint_torque).max((-3, -2)),
+        "foot_force_history": sqrt((sample.foot_force**2).sum(-3)).max(-2),
+        "base_deviation_history": sqrt((offset**2).sum(-2)),
+        "joint_torque_history": abs(sample.joint_torque).max((-3, -2)),
     }
 
 
@@ -97,8 +95,12 @@ def _extremes(lines: Mapping[str, Array]) -> dict[str, Array]:
     """Return the least and the largest value of lines (T, B) in each stretch, (B, 2, stretches)."""
     steps = len(next(iter(lines.values())))
     count, length = stretches(steps)
-    rows = jnp.arange(count * length).clip(max=steps - 1).reshape(count, length)
-    return {name: jnp.stack([v[rows].min(1), v[rows].max(1)]).transpose(2, 0, 1) for name, v in lines.items()}
+    rows = np.arange(count * length).clip(max=steps - 1).reshape(count, length)
+    found = {}
+    for name, line in lines.items():
+        array = line.__array_namespace__()
+        found[name] = array.stack([line[rows].min(1), line[rows].max(1)]).transpose(2, 0, 1)
+    return found
 
 
 def _histories_of(structure: Structure, law: Law, numbers: Parameters) -> Metrics:

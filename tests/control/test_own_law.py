@@ -14,6 +14,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance, law_of
+from mjx_climb.files.dataset import OutputError
 from tuning.gains import gains_file, law_file
 from tuning.searches import grid
 from tuning.searches.tune import tune
@@ -70,6 +71,7 @@ def test_one_robot_and_a_batch_walk_alike(scenario, law):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_slopes_along_own_gains_agree_with_central_differences(scenario, law):
     """Along the cut-off of one axis and the share, for two robots."""
     gains = {"cutoff": np.array([[20.0], [50.0]]) * np.ones(6), "share": np.array([0.9, 0.5])}
@@ -101,10 +103,19 @@ def test_swept_over_its_own_gain(scenario, law, tmp_path):
         grid.sweep(scenario, axes={"nothing": [1.0], "share": [1.0]}, law=law)
 
 
+def stop(now):
+    raise KeyboardInterrupt
+
+
 def test_tuned_over_all_of_its_gains_saved_and_read_back(scenario, law, tmp_path):
-    found = tune(
-        scenario, law=law, also=("inertia",), method="cmaes", starts=4, iterations=2, precision="float64", out=tmp_path
-    )
+    how = {"also": ("inertia",), "method": "cmaes", "starts": 4, "iterations": 2, "precision": "float64"}
+    undisturbed = tune(scenario, law=law, **how)
+    assert tune(scenario, law=law, out=tmp_path, progress=stop, **how).interrupted
+    with pytest.raises(OutputError, match="another that differs in law"):
+        tune(scenario, law=Filtered(damping=1e2, stiffness=3e3, share=0.9), out=tmp_path, **how)
+    found = tune(scenario, law=law, out=tmp_path, **how)
+    for name in ("theta", "value", "force_variation"):
+        np.testing.assert_array_equal(found.history[name], undisturbed.history[name])
     assert list(found.history["coordinate"].values) == ["inertia", "damping", "stiffness", "cutoff", "share"]
     alone = mc.rollout_metrics(scenario, found.gains, law=law, smooth=True, dtype=np.float64)
     np.testing.assert_allclose(found.metrics["force_variation"], alone["force_variation"], rtol=1e-9)

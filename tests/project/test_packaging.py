@@ -83,7 +83,10 @@ def test_the_wheel_holds_every_module_and_asset(built, checkout):
     wanted = {path for pattern in (*ASSETS, "mjx_climb/**/*.py", "tuning/**/*.py") for path in checkout.glob(pattern)}
     assert {path.relative_to(checkout).as_posix() for path in wanted} < set(inside)
     configs = {name for name in inside if name.startswith("mjx_climb/configs/")}
-    assert configs == {f"mjx_climb/configs/{path.name}" for path in (checkout / "configs").iterdir()}
+    assert configs == {
+        f"mjx_climb/configs/{path.relative_to(checkout / 'configs').as_posix()}"
+        for path in (checkout / "configs").rglob("*.*")
+    }
     assert {name.split("/")[0].split("-")[0] for name in inside} == {"mjx_climb", "tuning"}
 
 
@@ -118,7 +121,8 @@ def test_installed_code_finds_its_own_files(programs, tmp_path):
         f"home = Path({str(programs.parent)!r})\n"
         "places = [mjx_climb.__file__, tuning.__file__, shipped.config_path('case_2.yaml'), self_check.STORED]\n"
         "assert all(home in Path(place).parents for place in places), places\n"
-        "assert shipped.names() == ['case_1_1', 'case_1_2', 'case_2']\n"
+        "assert 'case_1_1' in shipped.names() and 'lemur_like_cliff' in shipped.names()\n"
+        "load_robot(mjx_climb.load_scenario(shipped.config_path('lemur_like_cliff.yaml')).robot)\n"
         "ensemble.load(shipped.found(Path('ensemble')))\n"
         "[load_robot(name) for name in ('hubrobo_v3_2', 'hubrobo_v2_2')]\n"
         "assert self_check.load()['walk']\n"

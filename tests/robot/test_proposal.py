@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.checks.time_step import check_time_step, largest_time_step
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.proposal import propose
 from tests.robot import climbers
@@ -99,7 +99,13 @@ def test_a_urdf_with_odd_numbers(tmp_path):
     np.testing.assert_allclose(robot.joint_upper[0], np.pi)
 
 
-@pytest.mark.parametrize(("limbs", "joints"), [(6, 3), (4, 7), (2, 7), (3, 4)])
+FEW = {(6, 3), (2, 7), (4, 2)}
+MANY = [(limbs, joints) for limbs in range(2, 9) for joints in range(2, 8)]
+
+
+@pytest.mark.parametrize(
+    ("limbs", "joints"), [pytest.param(*shape, marks=() if shape in FEW else pytest.mark.slow) for shape in MANY]
+)
 def test_any_number_of_limbs(tmp_path, limbs, joints):
     """The limbs of a climber are found, it stands with its joints off their limits, and one limb swings at a time."""
     file = tmp_path / "climber.xml"
@@ -109,6 +115,60 @@ def test_any_number_of_limbs(tmp_path, limbs, joints):
     assert (len(robot.limbs), robot.joints) == (limbs, joints)
     assert (robot.stance_joints > robot.joint_lower).all() and (robot.stance_joints < robot.joint_upper).all()
     assert len(scenario.gait.sequence) == limbs and scenario.gait.duty >= 1 - 1 / limbs
+    assert (scenario.contact.rotational_stiffness > 0) == (limbs <= 3)
+
+
+def six_limbs():
+    """Return a URDF of six limbs of three joints, armed with nothing: no armature, no damping, no limits."""
+    text, _ = urdf(1)
+    text = re.sub(r'<limit lower="[^"]*" upper="[^"]*"', "<limit", text).replace("revolute", "continuous")
+    for side, y in (("L", 1), ("R", -1)):
+        limb = re.findall(rf'<link name="{side}F_\w+".*?(?=<link name="(?!{side}F)|$)', text, re.DOTALL)[0]
+        middle = limb.replace(f"{side}F_", f"{side}M_").replace("</robot>", "")
+        middle = re.sub(r'(name="' + side + r'M_yaw".*?<origin xyz=")[^"]*(" rpy=")[^"]*',
+                        rf"\g<1>0 {0.08 * y} 0\g<2>0 0 {y * np.pi / 2}", middle, flags=re.DOTALL)  # fmt: skip
+        text = text.replace("</robot>", middle + "</robot>")
+    return text
+
+
+def oddities():
+    """Return files as odd as public ones, by name: suffix and text."""
+    text, _ = urdf(2)
+    odd = re.sub(r'izz="[^"]*"', 'izz="0.9"', text, count=1).replace('lower="-1.2" upper="1.2"', 'lower="-9" upper="9"')
+    motors = "".join(f'<motor joint="L{n}_{k}"/>' for n in range(4) for k in range(3))
+    passive = climbers.mjcf(4, 4).replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
+    hip = '<joint name="L0_1" type="hinge" axis="0 -1 0" range="-20 100" />'
+    two = climbers.mjcf(4, 3)
+    assert hip in two
+    return {
+        "a dog": ("xml", dog()),
+        "inertias of no body": ("urdf", odd),
+        "six limbs without limits": ("urdf", six_limbs()),
+        "passive ankles": ("xml", passive),
+        "two joints in a body": ("xml", two.replace(hip, hip + '<joint name="L0_r" axis="1 0 0" range="-20 20"/>')),
+        "a ball for a hip": ("xml", two.replace(hip, '<joint name="L0_1" type="ball" range="0 80"/>')),
+        "joints without names": ("xml", re.sub(r'joint name="L\d_\d"', "joint", two)),
+        "a weightless link": ("xml", two.replace('mass="0.15" diaginertia="1e-4 1.2e-4 1e-4"',
+                                                  'mass="0" diaginertia="0 0 0"', 1)),
+        "two joints a limb": ("xml", climbers.mjcf(4, 2)),
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", oddities())
+def test_odd_files_walk_on_a_slope(tmp_path, name):
+    """Each walks a cycle up 30 degrees under lunar gravity, all grippers holding."""
+    suffix, text = oddities()[name]
+    file = tmp_path / f"robot.{suffix}"
+    file.write_text(text)
+    proposed = propose(file).sections
+    scenario = mc.Scenario.model_validate({**proposed, "time_step": 0.001})
+    scenario = scenario.with_overrides({"time_step": min(0.001, largest_time_step(scenario))})
+    cycle = scenario.gait.cycle
+    walk = mc.rollout(scenario.with_overrides({"gravity": [-0.81, 0.0, -1.403], "duration": cycle}))
+    measured = mc.metrics(walk)
+    assert not measured["diverged"] and not walk.detached.any()
+    assert measured["travel"] == pytest.approx(scenario.gait.stride, abs=0.3 * scenario.gait.stride)
 
 
 def test_the_command_leaves_a_config_that_runs(tmp_path, capsys):

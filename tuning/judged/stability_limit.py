@@ -15,6 +15,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -25,6 +26,8 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.kept_programs import kept
+from mjx_climb.compilation.machine import source_digest
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
@@ -32,6 +35,7 @@ from mjx_climb.hardware.control_period import period_steps
 from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.batches import batch_last, flattened, own_axes, rows_of
 from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.rollouts.identity import identity
 from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.walk import control_loop, gait
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
@@ -96,7 +100,7 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
         some, there = _rows(flat, axes, np.zeros(1, int))
         kinds_of = tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves((some, there)))
         states = _states(walk, jax.tree.structure((some, there)), kinds_of)
-        run, column = _program(walk, batch * states), np.repeat(np.arange(states), batch)
+        run, column = _program(batch * states, walk.in_pieces), np.repeat(np.arange(states), batch)
         for start in range(0, count, batch):
             rows = np.minimum(np.arange(start, start + batch), count - 1)
             given = _rows(flat, axes, np.tile(rows, states))
@@ -105,7 +109,7 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
             # held: all further steps are alike; on a line to the next target each is another
             kinds = period.max() if walk.stages.linear else min(period.max(), 2)
             at = [np.tile(first + min(k, kinds - 1), states) for k in range(kinds)]
-            matrices = [np.asarray(run(*given, step, column)).reshape(states, states, batch) for step in at]
+            matrices = [np.asarray(run(walk, *given, step, column)).reshape(states, states, batch) for step in at]
             radii.append(_radii(np.stack(matrices).transpose(0, 3, 1, 2), period)[: count - start])
     return np.concatenate(radii).reshape(shape)
 
@@ -185,11 +189,17 @@ def over_map(
     return whole.assign_coords({name: walks[name] for name in names})  # with their units
 
 
-@functools.lru_cache(maxsize=8)
-def _program(shape: Structure, batch: int) -> Callable[[Law, mc.Parameters, np.ndarray, np.ndarray], jax.Array]:
-    options = mc.compiler_options(batch, in_pieces=shape.in_pieces, backend="cpu")
+@functools.cache
+def _program(batch: int, in_pieces: bool) -> Callable[..., jax.Array]:
+    options = mc.compiler_options(batch, in_pieces=in_pieces, backend="cpu")
     options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
-    return jax.jit(functools.partial(_columns, shape), compiler_options=options)
+    return kept(_columns, _identity, options)
+
+
+def _identity(shape: Structure, law: Law, *others: Any) -> str | None:
+    """Return what a program of this module depends on, its own code too; see `mjx_climb.rollouts.identity`."""
+    known = identity(shape, law, *others)
+    return None if known is None else known + source_digest(Path(__file__).parent)
 
 
 def _calm(scenario: mc.Scenario, numbers: mc.Parameters | None) -> mc.Parameters:

@@ -15,6 +15,7 @@ from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
+from tuning.problem.evaluation import under_pd
 from tuning.report import ensemble_pictures, page
 from tuning.report import pareto as pages
 from tuning.report.numbers import to_json
@@ -92,8 +93,7 @@ class Front:
         how: dict[str, Any] = {"law": problem.law, "engine": problem.engine}
         names = data.attrs["gains"].split()
         on_front = {name: data[name].values for name in names}
-        pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
-        walks = {"pd": mc.rollout(pd, engine=problem.engine), "config": mc.rollout(scenario, **how)}
+        walks = {"pd": mc.rollout(under_pd(scenario), engine=problem.engine), "config": mc.rollout(scenario, **how)}
         return pages.page(
             data, self.knee, mc.rollout_histories(scenario, on_front, metrics=problem.metrics, **how), walks, scenario,
             origin=origin,

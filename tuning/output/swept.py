@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 
 import mjx_climb as mc
 from mjx_climb import plots
+from mjx_climb.compilation import devices
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset, scenario_files
 from mjx_climb.rollouts.given import AnyGains
@@ -20,6 +22,7 @@ from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
+from tuning.problem.evaluation import under_pd
 from tuning.report import page
 from tuning.report import sweep as pages
 from tuning.report.comparison import Compared, gains_of
@@ -117,20 +120,22 @@ def judge(found: Swept, stage: Stage = silent) -> Judged:
     """Walk what the grid is compared with, and work out its limit of stability."""
     best = grid.best_cell(found.data)
     config = "paper" if _is_the_papers(found) else "config"
-    pd = found.scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    pd = under_pd(found.scenario)
     walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {"pd": (pd, None), config: (found.scenario, found.law)}
     if found.gains is not None:
         walkers[GIVEN] = found.walker()
     if best is not None:
         walkers["best"] = found.walker({name: best[name].item() for name in found.axes})
-    walks = {}
-    for name, (scenario, law) in walkers.items():
-        with stage(name):
-            walks[name] = mc.rollout(scenario, law=law, engine=found.engine)
-    walks = dict(reversed(list(walks.items())))
-    with stage("stability limit"):
-        scenario, law = found.walker()
-        radius = stability_limit.over_map(scenario, found.data, law=law, engine=found.engine)
+    scenario, law = found.walker()
+    # side by side: most of the time goes to the compiler, which has a program of its own for each
+    with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
+        limit = pool.submit(stability_limit.over_map, scenario, found.data, law=law, engine=found.engine)
+        walking = {
+            name: pool.submit(mc.rollout, walker, law=own, engine=found.engine)
+            for name, (walker, own) in reversed(walkers.items())
+        }
+        walks = {name: each.result() for name, each in walking.items()}
+        radius = limit.result()
     compared = {name: (gains_of(walk), mc.metrics(walk, found.metrics)) for name, walk in walks.items()}
     data = found.data.assign(spectral_radius=radius)
     failed = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())

@@ -18,7 +18,7 @@ from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
-from tuning.problem.evaluation import Problem
+from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
@@ -132,7 +132,7 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
             problem, found.search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
         )
     walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {
-        "pd": (retuned_pd.under_pd(scenario), None),
+        "pd": (under_pd(scenario), None),
         "config": (scenario, problem.law),
         "tuned": (verification.tuned(found), found.law),
     }

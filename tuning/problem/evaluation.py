@@ -135,13 +135,18 @@ def _judged_slopes(
     return sloped, reported
 
 
+def under_pd(scenario: mc.Scenario) -> mc.Scenario:
+    """Return the scenario with pd in place of its law."""
+    return scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+
+
 @functools.lru_cache(maxsize=8)
 def baseline(
     scenario: mc.Scenario, engine: str = DEFAULT_ENGINE, metrics: mc.MetricTable = mc.METRICS
 ) -> dict[str, float]:
     """Return the metrics of pd in float64 with nothing torn off, and their smooth companions."""
     enable_cache()
-    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    pd = under_pd(scenario)
     with jax.enable_x64(True):
         simulate = mc.simulator(pd, metrics=metrics, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
         numbers = jax.tree.map(np.asarray, mc.parameters(pd))

@@ -21,7 +21,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
 from tuning.gains.labels import axes_of, labelled
 from tuning.problem import objectives
-from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.evaluation import Evaluation, Problem, under_pd
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Search
 from tuning.problem.spaces import as_gains, to_gains64
@@ -232,8 +232,7 @@ def _dataset(asked: Trade, archive: _Archive, limits: np.ndarray, env_steps: int
     costs = [np.where(stays, s * exact[name], np.inf) for s, name in zip(signs, (against, better), strict=True)]
     on = nondominated(*costs)
     on = on[np.isfinite(costs[1][on])]
-    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
-    own = [mc.rollout_metrics(scenario, law=law, **how), mc.rollout_metrics(pd, **how)]
+    own = [mc.rollout_metrics(scenario, law=law, **how), mc.rollout_metrics(under_pd(scenario), **how)]
     chosen = {name: values[on] for name, values in by_name(gains).items()}
     gains_on = labelled(chosen, ("front",), law)
     data: dict[str, Any] = dict(gains_on)

@@ -6,21 +6,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import mjx_climb as mc
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
-from tuning.problem.evaluation import Problem
+from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT
 from tuning.searches import finished_parts, tune
 from tuning.searches.result import Result
 
 NAME = "retuned_pd"  # in tables and files
-
-
-def under_pd(scenario: mc.Scenario) -> mc.Scenario:
-    """Return the scenario with pd in place of its law."""
-    return scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
 
 
 def search(

@@ -22,10 +22,10 @@ from tuning.problem import ensemble as ensembles
 from tuning.problem import objectives
 from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble, Worst
-from tuning.problem.evaluation import Problem
+from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Metrics, Score
 from tuning.problem.search import WEIGHTS, Search
-from tuning.searches import retuned_pd, tune
+from tuning.searches import tune
 from tuning.searches.result import Result
 
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}
@@ -159,7 +159,7 @@ def pd_of(
 ) -> dict[str, np.ndarray]:
     """Return what a search sees of pd in the walks that `numbers` (with leading batch axes) holds: in float32."""
     ones = np.ones(6)
-    pd = retuned_pd.under_pd(scenario)
+    pd = under_pd(scenario)
     return mc.rollout_metrics(
         pd, mc.Gains(ones, ones, ones), numbers, metrics=metrics, dtype=np.float32, engine=engine, smooth=True
     )
@@ -273,9 +273,9 @@ def walked(
 ) -> xr.Dataset:
     """Walk several gains, and pd, through the members of an ensemble; see `judge`."""
     numbers, table = ensembles.draw(scenario, ensemble), tune.complete(metrics)
-    under_pd = retuned_pd.under_pd(scenario)
+    without = under_pd(scenario)
     own = {"kp": scenario.control.kp, "kd": scenario.control.kd}
-    kinds = [(scenario, law, dict(gains)), (under_pd, None, {**pd, "pd": own})]
+    kinds = [(scenario, law, dict(gains)), (without, None, {**pd, "pd": own})]
     total = ensemble.members * sum(len(some) for *_, some in kinds)
     parts, done = [], 0
     for place, whose, some in kinds:

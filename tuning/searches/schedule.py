@@ -26,7 +26,7 @@ from tuning.gains.gains_file import by_name
 from tuning.gains.labels import axes_of, labelled
 from tuning.problem import objectives, spaces
 from tuning.problem import search as search_settings
-from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.evaluation import Evaluation, Problem, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Search
 from tuning.problem.spaces import to_gains64
@@ -222,7 +222,7 @@ def _dataset(
     scenario, space, table, law = problem.scenario, problem.space, problem.metrics, problem.law
     shape = (len(asked.gravity), len(asked.cargo))
     gains = to_gains64(space, theta)
-    pd = scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    pd = under_pd(scenario)
     walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
     walkers = {"tuned": (scenario, gains, law), "config": (scenario, None, law), "pd": (pd, None, None)}
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}

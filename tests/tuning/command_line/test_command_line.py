@@ -1,6 +1,7 @@
 """The program: what it prints, writes and returns, and how it refuses."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -82,6 +83,9 @@ BAD = [
     ("run {config} --engine bullet", "--engine: expected one of"),
     ("run {config} --gains nowhere.yaml", "nowhere.yaml: expected a readable file"),
     ("run {config} --gains {files}/gains.yaml", "inertia: expected a value, got none"),
+    ("run {config} --metric nowhere.py:mine", "nowhere.py: expected a file of Python, got none"),
+    ("tune {config} --metric mine", "metric: expected FILE.py:NAME, got 'mine'"),
+    ("run {config} --figures gif", "--figures: expected some of png, svg, pdf, got 'gif'"),
     ("run {config} --out {files}/file", "{files}/file"),
     ("run {config} --compare pid", "'pid'"),
     ("run {config} --compare base_admittance", "--compare: expected a controller other than the walk's own"),
@@ -203,6 +207,20 @@ def test_run_writes_and_prints(call, tmp_path):
     with xr.open_dataset(tmp_path / "trajectory.nc", engine="h5netcdf") as walk:
         assert walk.sizes["time"] == 200
         assert np.linalg.norm(walk["foot_force"], axis=-1).max() == pytest.approx(metrics["peak_foot_force"])
+
+
+def test_run_takes_metrics_of_ones_own(call, tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "from mjx_climb.walk.metrics import largest\n"
+        'highest = largest("highest_base", "m", "highest base", lambda s, _: s.base_position[2])\n'
+    )
+    metric = f"{tmp_path / 'mine.py'}:highest"
+    code, out, _ = call("run", CONFIG, *SHORT, "--controller", "pd", "--metric", metric, "--out", tmp_path / "out")
+    assert code == 0
+    value = strict_json((tmp_path / "out" / "metrics.json").read_text())["highest_base"]
+    with xr.open_dataset(tmp_path / "out" / "trajectory.nc", engine="h5netcdf") as walk:
+        assert value == pytest.approx(walk["base_position"].values[:, 2].max())
+    assert re.search(rf"highest_base +{value:.4g} +m\b", out)
 
 
 def test_run_says_who_let_go(call, tmp_path):

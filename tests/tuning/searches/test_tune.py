@@ -221,6 +221,7 @@ def test_a_grid_of_twelve_gains_is_refused(scenario):
 # Results
 
 
+@pytest.mark.slow
 def test_a_search_betters_pd_and_can_be_repeated_from_its_file(scenario, tmp_path):
     found = tune(scenario, iterations=3, limits={"base_deviation": 0.02})
     assert found.value < 1

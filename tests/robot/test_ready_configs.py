@@ -1,0 +1,38 @@
+"""The robots that come with configs: each stands, and walks its habitat with all grippers holding."""
+
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario.shipped import config_path
+
+READY = {  # limbs, joints of each
+    "hubrobo_v3_2_cliff": (4, 3),
+    "hubrobo_v2_2_ceiling": (4, 3),
+    "limbero_like_cliff": (4, 4),
+    "hexapod_ceiling": (6, 3),
+    "lemur_like_cliff": (4, 7),
+    "station_arms_handrail": (3, 7),
+}
+
+
+@pytest.mark.parametrize("name", READY)
+def test_a_ready_config_stands(name):
+    scenario = mc.load_scenario(config_path(f"{name}.yaml"))
+    robot = load_robot(scenario.robot)
+    assert (len(robot.limbs), robot.joints) == READY[name]
+    check_time_step(scenario)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", READY)
+def test_a_ready_config_walks(name):
+    """Its whole walk: all grippers hold, it gets where the gait leads, and no joint passes a limit."""
+    scenario = mc.load_scenario(config_path(f"{name}.yaml"))
+    walk = mc.rollout(scenario)
+    measured = mc.metrics(walk)
+    assert not measured["diverged"] and not walk.detached.any()
+    way = scenario.gait.stride * scenario.duration / scenario.gait.cycle
+    assert measured["travel"] == pytest.approx(way, rel=0.2)
+    assert measured["joint_limit_margin"] > 0
