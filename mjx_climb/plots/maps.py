@@ -179,8 +179,8 @@ def _draw_map(
         hatched: dict[str, Any] = {"facecolor": "none", "hatch": "/////", "linewidth": 0}
         for chosen, color in ((failed & ~dark, "0.15"), (failed & dark, "0.85")):
             cells = [
-                Rectangle((x_edges[i], y_edges[j]), x_edges[i + 1] - x_edges[i], y_edges[j + 1] - y_edges[j])
-                for j, i in zip(*np.nonzero(chosen), strict=True)
+                Rectangle((x_edges[i], y_edges[j]), x_edges[end] - x_edges[i], y_edges[j + 1] - y_edges[j])
+                for j, i, end in _runs(chosen)
             ]
             if cells:
                 panel.add_collection(
@@ -227,6 +227,15 @@ def _draw_map(
     if baseline is not None and not flags:
         _mark_on_bar(bar, float(baseline), baseline_name)
     return handles, _label(variable, metric), bar
+
+
+def _runs(chosen: np.ndarray) -> list[tuple[int, int, int]]:
+    """Return the row, the first column and the one after the last of all that are chosen side by side."""
+    padded = np.pad(chosen.astype(int), ((0, 0), (1, 1)))
+    steps = np.diff(padded, axis=1)
+    rows, starts = np.nonzero(steps == 1)
+    ends = np.nonzero(steps == -1)[1]
+    return list(zip(rows.tolist(), starts.tolist(), ends.tolist(), strict=True))
 
 
 def _draw_stability_limit(panel: Axes, radius: xr.DataArray) -> bool:

@@ -108,28 +108,31 @@ def test_make_targets_exist(page):
 
 @every_page
 def test_code_uses_names_that_exist(page, monkeypatch):
-    """Imports resolve (also of a script beside the page), names of `mjx_climb` are there, and calls of them bind."""
     monkeypatch.syspath_prepend(page.parent)
     for block in fences(page, "python"):
-        tree = ast.parse(block)
-        names = {}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Import):
-                names |= {alias.asname or alias.name: importlib.import_module(alias.name) for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
-                module = importlib.import_module(node.module)
-                for alias in node.names:
-                    if not hasattr(module, alias.name):
-                        importlib.import_module(f"{node.module}.{alias.name}")
-                    names[alias.name] = getattr(module, alias.name)
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in names:
-                assert hasattr(names[node.value.id], node.attr), ast.unparse(node)
-        for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-            function = called(call, names)
-            if function is not None and not any(isinstance(argument, ast.Starred) for argument in call.args):
-                keywords = {keyword.arg: None for keyword in call.keywords if keyword.arg}
-                inspect.signature(function).bind(*call.args, **keywords)
+        check_names(block)
+
+
+def check_names(source: str) -> None:
+    """Imports resolve (also of a script beside the page), names of modules are there, and calls of ours bind."""
+    tree, names = ast.parse(source), {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.asname or alias.name: importlib.import_module(alias.name) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                if not hasattr(module, alias.name):
+                    importlib.import_module(f"{node.module}.{alias.name}")
+                names[alias.asname or alias.name] = getattr(module, alias.name)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in names:
+            assert hasattr(names[node.value.id], node.attr), ast.unparse(node)
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        function = called(call, names)
+        if function is not None and not any(isinstance(argument, ast.Starred) for argument in call.args):
+            keywords = {keyword.arg: None for keyword in call.keywords if keyword.arg}
+            inspect.signature(function).bind(*call.args, **keywords)
 
 
 def called(call: ast.Call, names: dict):

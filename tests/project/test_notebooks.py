@@ -10,6 +10,8 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 from nbformat.v4 import new_code_cell, new_notebook
 
+from tests.project.test_docs import check_names
+
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 LARGEST = 600_000  # bytes
@@ -26,11 +28,15 @@ def code_cells(notebook):
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
+def plain(source: str) -> str:
+    """Return code without lines of magic."""
+    return "\n".join(line for line in source.splitlines() if not line.startswith("%"))
+
+
 def private_names(source: str) -> list[str]:
     """Return what code imports, reads or calls that begins with an underscore; lines of magic do not count."""
-    plain = "\n".join(line for line in source.splitlines() if not line.startswith("%"))
     names = []
-    for node in ast.walk(ast.parse(plain)):
+    for node in ast.walk(ast.parse(plain(source))):
         if isinstance(node, ast.Attribute):
             names.append(node.attr)
         elif isinstance(node, ast.alias):
@@ -62,7 +68,7 @@ def test_private_names_are_seen(source, found):
 
 def test_the_stories_are_there():
     stories = {"stiffness_damping_maps", "two_readings_of_eq_3", "gradient_against_grid", "robust_tuning"}
-    stories.add("a_policy_that_learns")
+    stories |= {"delay_in_the_loop", "a_policy_that_learns"}
     assert stories <= {path.stem for path in NOTEBOOKS}
 
 
@@ -72,12 +78,8 @@ def test_public_names_only(path):
 
 
 @every_notebook
-def test_what_is_imported_is_there(path):
-    plain = "\n".join(cell.source for cell in code_cells(read(path)))
-    lines = [line for line in plain.splitlines() if not line.startswith("%")]
-    imports = [node for node in ast.parse("\n".join(lines)).body if isinstance(node, ast.Import | ast.ImportFrom)]
-    assert imports
-    exec(compile(ast.Module(imports, []), path.name, "exec"), {})
+def test_code_uses_names_that_exist(path):
+    check_names("\n".join(plain(cell.source) for cell in code_cells(read(path))))
 
 
 @every_notebook

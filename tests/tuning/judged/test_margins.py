@@ -8,7 +8,8 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from tuning.judged import margins
+from tuning.gains.gains_file import by_name
+from tuning.judged import linear_margins, margins, stability_limit
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "hardware_walks.json").read_text())
 GAINS = mc.Gains(1.0, 150.0, 3e3, kp=np.asarray(20.0), kd=np.asarray(0.1))
@@ -53,7 +54,7 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
     scenario = case("case_1_2", "virtual_model", hardware)
     margins.find(scenario, GAINS)
     (_, gains, given), (law, _, pd) = walks[:2]
-    assert isinstance(law, PD) and set(gains) == {"inertia", "damping", "stiffness"}
+    assert isinstance(law, PD) and set(by_name(gains)) == {"inertia", "damping", "stiffness"}
     changed = {
         0: (given.force_delay, 0.002), 1: (given.command_delay, 0.0), 2: (given.control_period, 0.005),
         3: (given.kp, 20.0),
@@ -86,6 +87,43 @@ def test_gains_of_no_use_on_the_hardware_itself_are_said_to_be_so_once(walks, ca
     found = margins.find(case("case_1_2", "virtual_model", {"hardware.force_sensor.delay": delay}), GAINS)
     lines = margins.warnings(found)
     assert len(lines) == len(expected) and all(map(str.startswith, lines, expected))
+
+
+@pytest.mark.parametrize(
+    ("radius", "expected"),
+    [
+        ([0.9, 0.98, 1.02, 1.1], 1.5),
+        ([0.9, 0.9, 0.9, 0.9], 3.0),
+        ([1.1, 0.9, 0.9, 0.9], None),
+        ([0.9, 1.0, np.inf, 2.0], 1.0),
+    ],
+)
+def test_the_linear_margin_is_where_the_radius_crosses_one(radius, expected):
+    assert linear_margins.crossing(np.arange(4.0), np.array(radius)) == (expected and pytest.approx(expected))
+
+
+@pytest.mark.slow
+def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
+    """A loop that is hardly unstable takes longer than eight seconds to tear a gripper off."""
+    scenario, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 100.0, 2e3)
+    margin = margins.Margin(0.0, 5.96e-3, 4.25e-3, 0.03)  # of walks
+    found = linear_margins.find(scenario, gains, {"force_delay": margin})["force_delay"]
+    assert found.up_to == pytest.approx(margin.holds, rel=0.15) and found.up_to < found.tried
+    radius = stability_limit.spectral_radius(
+        scenario, gains, margins.changes(margins.own_numbers(scenario), "force_delay",
+                                         found.up_to * np.array([0.95, 1.05]), {"kp": 50.0, "kd": 0.2})
+    )  # fmt: skip
+    assert radius[0] < 1 < radius[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["pd", "end_effector"])
+def test_gains_of_any_law_have_margins(case, law):
+    """Six values of a law of three, and those of one without any."""
+    scenario = case("case_1_2", law, {"duration": 0.05, "disturbance.cargo.start": 0.01})
+    found = margins.find(scenario, mc.Gains(*(np.ones(6) * value for value in (1.0, 200.0, 5e3)), kp=np.asarray(40.0)))
+    assert found.holds and found.walks["force_variation"].shape == (2, 4, 2 * margins.POINTS)
+    assert np.isfinite(found.walks["force_variation"]).all()
 
 
 @pytest.mark.slow
