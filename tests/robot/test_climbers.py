@@ -223,3 +223,33 @@ def test_a_walk_is_that_of_mujoco(climber, name):
     ours = np.concatenate([base, walk.joint_angles.reshape(scenario.steps, -1)], axis=1)
     np.testing.assert_allclose(ours, replayed(walk), atol=1e-7)
     assert np.ptp(walk.joint_angles, axis=0).max() > 0.01
+
+
+@pytest.mark.slow
+def test_the_gradient_of_a_walk_of_an_odd_shape(climber):
+    """Three limbs of four joints, the last on springs, grips that hold turns: slopes are central differences."""
+    springs = {f"L{limb}_3": {"stiffness": 2.0, "damping": 0.02} for limb in range(3)}
+    keys = {
+        "gravity": list(MOON), "duration": 0.1, "gait.cycle": 0.4, "gait.stride": 0.01, "gait.step_height": 0.005,
+        "contact.stiffness": 2e3, "contact.rotational_stiffness": 5.0, "contact.rotational_damping": 0.01,
+        "time_step": 0.0005,
+    }  # fmt: skip
+    scenario = climber(3, 4, keys, change=lambda robot: robot.update(springs=springs), attributes='damping="0.05"')
+    gains = mc.Gains(
+        np.ones((1, 6)), np.full((1, 6), 1e2), np.full((1, 6), 3e3), kp=np.full(1, 50.0), kd=np.full(1, 0.2)
+    )
+    rates = mc.Gains(
+        np.zeros((2, 1, 6)), np.stack([np.full((1, 6), 1e2), np.zeros((1, 6))]),
+        np.stack([np.full((1, 6), 3e3), np.zeros((1, 6))]), kp=np.array([[0.0], [50.0]]), kd=np.array([[0.0], [0.2]]),
+    )  # fmt: skip
+    walk = {"dtype": np.float64, "smooth": True}
+    _, slopes = mc.rollout_slopes(scenario, gains, rates, **walk)
+    step, moved = 1e-5, []
+    for sign in (1, -1):
+        there = jax.tree.map(lambda g, r, sign=sign: g + sign * step * r[:, 0], gains, rates)
+        moved.append(mc.rollout_metrics(scenario, there, **walk))
+    for name in ("peak_foot_force", "force_variation", "base_deviation", "travel", "cost_of_transport"):
+        differences = (moved[0][name] - moved[1][name]) / (2 * step)
+        size = 1e-4 * np.abs(differences).max()
+        np.testing.assert_allclose(slopes[name][:, 0], differences, rtol=1e-4, atol=size, err_msg=name)
+        assert np.abs(differences).max() > 0

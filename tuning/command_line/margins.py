@@ -11,6 +11,7 @@ from tuning.command_line.ending import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from tuning.judged.linear_margins import Stable
     from tuning.judged.margins import Margin
 
 
@@ -29,17 +30,19 @@ def margins(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-margins"),
     ] = None,
+    figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
     """Find how late, slow and weak a robot's hardware may be before gains fail.
 
     Makes force delay, command delay, control period and joint gains worse, one at a time, on top of the scenario's own
-    hardware, and says up to where no gripper is torn off, and up to where the force varies less than under pd on the
-    same hardware. Warns where that is less than twice what the hardware has.
+    hardware, and says up to where no gripper is torn off, up to where the force varies less than under pd on the same
+    hardware, and up to where the linearised loop is stable. Warns where walks bear less than twice what the hardware
+    has.
 
     Writes to DIR the margins (margins.json), all walks (margins.nc), and the force variation over each quantity, for
-    the gains, pd and the config's own gains (margins.png).
+    the gains, pd and the config's own gains (margins, in the formats of --figures).
 
     \b
     Examples:
@@ -51,6 +54,7 @@ def margins(
         from mjx_climb.files import dataset, scenario_files
         from tuning.command_line import progress, report
         from tuning.gains import gains_file, law_file
+        from tuning.judged import linear_margins
         from tuning.judged import margins as judged
         from tuning.output import margins as output
 
@@ -61,6 +65,7 @@ def margins(
         if retuned_pd is not None:
             others["retuned pd"] = judged.Walker(PD(), _joint_gains(retuned_pd))
         engine = options.engine_from(engine)
+        formats = options.figures_from(figures)
         out = out or Path("results") / f"{config.stem}-margins"
         scenario = scenario_files.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
@@ -70,26 +75,32 @@ def margins(
         meter = progress.Meter(console)
         with meter.stage("margins") as told:
             found = judged.find(scenario, given, law=own, others=others, engine=engine, progress=told)
+        with meter.stage("linearised loop", unit="quantities") as told:
+            stable = linear_margins.find(scenario, given, found.margins, law=own, engine=engine, progress=told)
         with meter.stage("drawing", compiles=False):
-            text = output.write(found, out, "config" if gains is None else gains.stem)
+            text = output.write(found, stable, out, "config" if gains is None else gains.stem, formats)
 
         tables = console if json else report.console(file=stdout)
-        tables.print(margins_table(found.margins))
+        tables.print(margins_table(found.margins, stable))
         for line in judged.warnings(found):
             tables.print(f"warning: {line}", soft_wrap=True)
-        console.print(f"written to {out}: {output.FILES}, config.yaml", soft_wrap=True)
+        console.print(
+            f"written to {out}: {output.FILES}, {', '.join(f'margins.{kind}' for kind in formats)}, config.yaml",
+            soft_wrap=True,
+        )
         if json:
             print(text, file=stdout)
 
 
-def margins_table(margins: "dict[str, Margin]") -> "Table":
-    """Return margins beside the scenario's hardware."""
+def margins_table(margins: "dict[str, Margin]", stable: "dict[str, Stable]") -> "Table":
+    """Return margins beside the scenario's hardware: by walks, and of the linearised loop."""
     from tuning.command_line.report import plain_table
     from tuning.judged.margins import QUANTITIES, in_words, with_unit
 
-    table = plain_table("", "hardware", "holds up to", "better than pd up to")
+    table = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to")
     for name, margin in margins.items():
-        reached = [in_words(name, margin, value) for value in (margin.holds, margin.better)]
+        reached = [in_words(name, margin.worst, value) for value in (margin.holds, margin.better)]
+        reached.append(in_words(name, stable[name].tried, stable[name].up_to))
         table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
     return table
 

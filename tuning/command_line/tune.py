@@ -115,9 +115,9 @@ def tune(
     compares it with the config's gains, pd, and pd with kp and kd searched for the same: what no force sensor gives.
 
     Writes to DIR the gains (gains.yaml, for run and sweep), everything judged (search.nc), the settings (config.yaml,
-    search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks), and all of it
-    to look through in a browser (report.html). Finished rounds are kept: after Ctrl-C, which ends with the best so far,
-    or worse, the same command goes on.
+    search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence, path, walks, margins), and
+    all of it to look through in a browser (report.html). Finished rounds are kept: after Ctrl-C, which ends with the
+    best so far, or worse, the same command goes on.
 
     With --ensemble every set of gains walks through all members (pushes, cargo, slope, grip stiffness, robot mass drawn
     from a seed, and hardware where the file says so), mean and worst count, the peak pulling force with them, and a

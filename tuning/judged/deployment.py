@@ -2,10 +2,7 @@
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from tuning.gains.gains_file import by_name
 from tuning.judged import margins, stability_limit
-
-_ROUNDING = 1e-9
 
 
 def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = DEFAULT_ENGINE) -> list[str]:
@@ -22,12 +19,12 @@ def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = 
             hardware of the scenario.
     """
     radius = float(stability_limit.spectral_radius(scenario, gains, engine=engine).max())
-    if radius > 1 + _ROUNDING:
+    if radius > 1 + stability_limit.ROUNDING:
         raise mc.ConfigError(
             f"{source}: expected gains that are stable on the config's hardware, got a disturbance about the stance "
             f"that grows by {radius:.6f} a time step"
         )
-    found = margins.find(scenario, by_name(gains), engine=engine)
+    found = margins.find(scenario, gains, engine=engine)
     if not found.holds:
         raise mc.ConfigError(
             f"{source}: expected gains that hold on the config's hardware, got a walk that loses a gripper or diverges"

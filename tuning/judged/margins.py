@@ -8,7 +8,7 @@ then another one, between the last walks that were good and the first that were 
 import dataclasses
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -92,7 +92,7 @@ def find(
         engine: the dynamics.
         progress: called with the number of walks done and of all.
     """
-    joint = {name: getattr(scenario.control, name) for name in _JOINT}
+    joint = joint_gains(scenario, {})
     walkers = {"given": Walker(law, gains), "pd": Walker(PD(), joint), **others}
     grid = np.stack([values_of(scenario, name) for name in QUANTITIES])
     total = 2 * len(walkers) * grid.size
@@ -140,12 +140,12 @@ def _up_to(quantity: str, reached: float | None) -> str:
     return "at no value" if reached is None else f"up to {with_unit(quantity, reached)} only"
 
 
-def in_words(quantity: str, margin: Margin, reached: float | None) -> str:
-    """Return what a margin reaches, with its unit: "7.03 ms", "30 ms or more", "none"."""
+def in_words(quantity: str, worst: float, reached: float | None) -> str:
+    """Return what a margin reaches of the `worst` value tried, with its unit: "7.03 ms", "30 ms or more", "none"."""
     if reached is None:
         return "none"
     beyond = " or less" if QUANTITIES[quantity].scales else " or more"
-    return with_unit(quantity, reached) + (beyond if reached == margin.worst else "")
+    return with_unit(quantity, reached) + (beyond if reached == worst else "")
 
 
 def with_unit(quantity: str, value: float) -> str:
@@ -186,28 +186,55 @@ def values_of(scenario: mc.Scenario, quantity: str) -> np.ndarray:
         values = max(longest, 2 * FACTOR * own) * np.linspace(0, 1, POINTS) ** 2
     for wanted in (own, needed(quantity, own)):  # what is asked of gains is walked itself
         values[np.abs(values - wanted).argmin()] = wanted
-    return _whole_steps(values, step) if quantity == "control_period" else values
+    return whole_steps(values, step) if quantity == "control_period" else values
 
 
-def _whole_steps(values: np.ndarray, step: float) -> np.ndarray:
-    return np.maximum(np.round(values / step), 1) * step
+def whole_steps(periods: np.ndarray, step: float) -> np.ndarray:
+    """Return the nearest periods of one time step or more, s."""
+    return np.maximum(np.round(periods / step), 1) * step
+
+
+def own_numbers(scenario: mc.Scenario) -> mc.Parameters:
+    """Return the numbers of a scenario in double precision."""
+    with jax.enable_x64(True):
+        numbers: mc.Parameters = jax.tree.map(np.asarray, mc.parameters(scenario))
+    return numbers
+
+
+def joint_gains(scenario: mc.Scenario, gains: AnyGains) -> dict[str, float]:
+    """Return kp and kd that gains come with, the scenario's where they have none."""
+    values = by_name(gains)
+    return {name: float(np.asarray(values.get(name, getattr(scenario.control, name)))) for name in _JOINT}
+
+
+def without_joint(gains: AnyGains) -> AnyGains:
+    """Return gains without kp and kd, which then are those of the walk's numbers."""
+    if isinstance(gains, mc.Gains):
+        return dataclasses.replace(gains, kp=None, kd=None)
+    return {name: value for name, value in by_name(gains).items() if name not in _JOINT}
+
+
+def changes(own: mc.Parameters, quantity: str, values: np.ndarray, joint: Mapping[str, float]) -> mc.Parameters:
+    """Return numbers with one quantity changed to values (N,), on joints with the gains `joint`."""
+    changed: dict[str, Any] = {name: np.asarray(value) for name, value in joint.items()}
+    for name in QUANTITIES[quantity].parameters:
+        changed[name] = values * joint[name] if QUANTITIES[quantity].scales else values
+    return dataclasses.replace(own, **changed)
 
 
 def _walked(scenario: mc.Scenario, walker: Walker, values: np.ndarray, engine: str) -> xr.Dataset:
     """Return what walks are worth on hardware with one quantity (Q, N) changed at a time."""
-    with jax.enable_x64(True):
-        own = jax.tree.map(np.asarray, mc.parameters(scenario))
-    gains = by_name(walker.gains)
-    joint = {name: gains.pop(name, getattr(own, name)) for name in _JOINT}
-    numbers: dict[str, np.ndarray] = {}
-    for place, quantity in enumerate(QUANTITIES.values()):
-        for name in quantity.parameters:
-            before = numbers.get(name, np.full(values.shape, joint.get(name, getattr(own, name))))
-            before[place] = before[place] * values[place] if quantity.scales else values[place]
-            numbers[name] = before
+    own, joint = own_numbers(scenario), joint_gains(scenario, walker.gains)
+    each = [changes(own, name, row, joint) for name, row in zip(QUANTITIES, values, strict=True)]
+    varied = {name for quantity in QUANTITIES.values() for name in quantity.parameters}
+    batch = {
+        name: np.stack([np.broadcast_to(getattr(numbers, name), values.shape[1]) for numbers in each])
+        for name in varied
+    }
     found = mc.rollout_metrics(
-        scenario, gains, dataclasses.replace(own, **numbers), law=walker.law, metrics=_METRICS, engine=engine
-    )
+        scenario, without_joint(walker.gains), dataclasses.replace(own, **batch), law=walker.law, metrics=_METRICS,
+        engine=engine,
+    )  # fmt: skip
     dimensions = ("quantity", "point")
     walks = xr.Dataset({name: (dimensions, value) for name, value in found.items()}, {"quantity": list(QUANTITIES)})
     return walks.assign(value=(dimensions, values))
@@ -237,7 +264,7 @@ def _between(scenario: mc.Scenario, walks: xr.Dataset) -> np.ndarray:
         bad = min(max(int(np.argmin([*good, False])), 1), len(values) - 1)
         finer.insert(-1, np.linspace(values[bad - 1], values[bad], points + 2)[1:-1])
     found = np.concatenate(finer)
-    return _whole_steps(found, scenario.time_step) if quantity == "control_period" else found
+    return whole_steps(found, scenario.time_step) if quantity == "control_period" else found
 
 
 def _ordered(coarse: xr.Dataset, fine: xr.Dataset, quantity: str) -> xr.Dataset:

@@ -41,6 +41,7 @@ from mjx_climb.walk import control_loop, gait
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
 from mjx_climb.walk.step import Carry, Structure, Walk, advance, begin, prepare, structure
 
+ROUNDING = 1e-9  # a radius above 1 by less is 1
 _ENTRIES = 64 * 50**2  # of the matrices of one compiled batch, about
 _LARGEST_BATCH = 64  # gain sets
 _FINEST = 48  # values along an axis of a map

@@ -11,7 +11,8 @@ import mjx_climb as mc
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.walk.metrics import FAILURES
 from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
-from tuning.judged import maps, stability_limit
+from tuning.judged import maps, margins, stability_limit
+from tuning.judged.margins import Margin
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Score
@@ -41,6 +42,7 @@ class Verification:
     grid_value: float | None  # best of an isotropic grid
     grid_gains: dict[str, float] | None
     spectral_radius: float  # of the closed loop; above 1 a small disturbance grows
+    margins: dict[str, Margin]  # by quantity of hardware; empty where nobody looked for them
     warnings: list[str]
 
     @property
@@ -89,6 +91,7 @@ def verify(
     *,
     metrics: Mapping[str, Any] | None = None,
     walks: xr.Dataset | None = None,
+    hardware: margins.Found | None = None,
 ) -> Verification:
     """Test a result.
 
@@ -97,6 +100,7 @@ def verify(
         problem: as of `map_of`.
         metrics: of its walk alone in float64, where the caller has them already.
         walks: what `map_of` gave, for the agreement with a grid.
+        hardware: what `tuning.judged.margins.find` gave for the result.
     """
     problem = dataclasses.replace(problem or _problem_of(found), dtype=np.float64)
     space, objective = problem.space, problem.objective
@@ -133,7 +137,9 @@ def verify(
         grid_value=None if best is None else float(best["objective"]),
         grid_gains=None if best is None else {n: float(best[n]) for n in _axes(best)},
         spectral_radius=radius,
-        warnings=_warnings(found, problem, around, shape, best, radius, alone),
+        margins={} if hardware is None else hardware.margins,
+        warnings=_warnings(found, problem, around, shape, best, radius, alone)
+        + ([] if hardware is None else margins.warnings(hardware)),
     )
 
 

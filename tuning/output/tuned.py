@@ -11,9 +11,10 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import plots
+from mjx_climb.control import PD
 from mjx_climb.files import dataset
 from tuning.gains import gains_file
-from tuning.judged import maps, verification
+from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.stages import Stage, silent
@@ -22,19 +23,21 @@ from tuning.problem.objectives import Goal
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
+from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
 from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
 from tuning.searches.retuned_pd import Worth
 
 FILES = (
-    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence.png, path.png, walks.png, "
+    "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence.png, path.png, walks.png, margins.png, "
     "config.yaml, search.yaml"
 )
 CAPTIONS = {
     "convergence": "How the search converged.",
     "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
     "path": "The way of the search over the map; the red line is the limit of stability.",
+    "margins": "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges.",
 }
 
 
@@ -44,6 +47,7 @@ class Judged(NamedTuple):
     walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
     compared: Compared  # tuned, retuned_pd, config, pd
     over: xr.Dataset | None  # the map around it
+    hardware: margins.Found  # on worse hardware
     checked: Verification
     outcome: list[str]  # of the tests, in lines
     summary: str  # all of it, JSON
@@ -141,8 +145,13 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
     metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
     with stage("map") as told:
         over = verification.map_of(found, problem, progress=told)
+    with stage("margins") as told:
+        rivals = _rivals(problem.law, retuned)
+        hardware = margins.find(
+            scenario, found.gains, law=found.law, others=rivals, engine=problem.engine, progress=told
+        )
     with stage("verification"):
-        checked = verification.verify(found, problem, metrics=metrics["tuned"], walks=over)
+        checked = verification.verify(found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware)
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
     outcome, worth = outcome_of(checked, found), None
@@ -153,7 +162,7 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
         outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
-    return Judged(walks, compared, over, checked, outcome, _summary(found, checked, compared, worth))
+    return Judged(walks, compared, over, hardware, checked, outcome, _summary(found, checked, compared, worth))
 
 
 def _draw(found: Result, judged: Judged, folder: Path, formats: Collection[str]) -> dict[str, Path]:
@@ -161,6 +170,7 @@ def _draw(found: Result, judged: Judged, folder: Path, formats: Collection[str])
     drawn = {
         "convergence": search_pictures.plot_convergence(found),
         "walks": plots.plot_comparison(judged.walks),
+        "margins": plot_margins(judged.hardware, "tuned"),
     }
     if judged.over is not None:
         drawn["path"] = search_pictures.plot_path(found, judged.over)
@@ -173,6 +183,12 @@ def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
     """Return the gains of a walk, those of the joint loop last; None where its controller has none."""
     gains, control = gains_of(walk), walk.scenario.control
     return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
+
+
+def _rivals(law: mc.Law | None, retuned: Result | None) -> dict[str, margins.Walker]:
+    """Return who walks beside a result and pd on worse hardware: the config's own gains, and pd retuned."""
+    rivals = {"config": margins.Walker(law, {})}
+    return rivals if retuned is None else rivals | {"retuned pd": margins.Walker(PD(), _joint(retuned))}
 
 
 def _joint(retuned: Result) -> dict[str, float]:
@@ -214,5 +230,8 @@ def outcome_of(checked: Verification, found: Result) -> list[str]:
     lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
     if checked.grid_value is not None:
         lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
+    for name, margin in checked.margins.items():
+        holds, better = (margins.in_words(name, margin.worst, reached) for reached in (margin.holds, margin.better))
+        lines.append(f"margin, {margins.QUANTITIES[name].title}: holds up to {holds}, better than pd up to {better}")
     lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
     return lines + [f"warning: {line}" for line in checked.warnings]

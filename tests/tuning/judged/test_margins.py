@@ -8,7 +8,10 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from tuning.judged import margins
+from tuning.command_line import main
+from tuning.gains import gains_file
+from tuning.gains.gains_file import by_name
+from tuning.judged import linear_margins, margins, stability_limit
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "hardware_walks.json").read_text())
 GAINS = mc.Gains(1.0, 150.0, 3e3, kp=np.asarray(20.0), kd=np.asarray(0.1))
@@ -53,7 +56,7 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
     scenario = case("case_1_2", "virtual_model", hardware)
     margins.find(scenario, GAINS)
     (_, gains, given), (law, _, pd) = walks[:2]
-    assert isinstance(law, PD) and set(gains) == {"inertia", "damping", "stiffness"}
+    assert isinstance(law, PD) and set(by_name(gains)) == {"inertia", "damping", "stiffness"}
     changed = {
         0: (given.force_delay, 0.002), 1: (given.command_delay, 0.0), 2: (given.control_period, 0.005),
         3: (given.kp, 20.0),
@@ -88,6 +91,43 @@ def test_gains_of_no_use_on_the_hardware_itself_are_said_to_be_so_once(walks, ca
     assert len(lines) == len(expected) and all(map(str.startswith, lines, expected))
 
 
+@pytest.mark.parametrize(
+    ("radius", "expected"),
+    [
+        ([0.9, 0.98, 1.02, 1.1], 1.5),
+        ([0.9, 0.9, 0.9, 0.9], 3.0),
+        ([1.1, 0.9, 0.9, 0.9], None),
+        ([0.9, 1.0, np.inf, 2.0], 1.0),
+    ],
+)
+def test_the_linear_margin_is_where_the_radius_crosses_one(radius, expected):
+    assert linear_margins.crossing(np.arange(4.0), np.array(radius)) == (expected and pytest.approx(expected))
+
+
+@pytest.mark.slow
+def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
+    """A loop that is hardly unstable takes longer than eight seconds to tear a gripper off."""
+    scenario, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 100.0, 2e3)
+    margin = margins.Margin(0.0, 5.96e-3, 4.25e-3, 0.03)  # of walks
+    found = linear_margins.find(scenario, gains, {"force_delay": margin})["force_delay"]
+    assert found.up_to == pytest.approx(margin.holds, rel=0.15) and found.up_to < found.tried
+    radius = stability_limit.spectral_radius(
+        scenario, gains, margins.changes(margins.own_numbers(scenario), "force_delay",
+                                         found.up_to * np.array([0.95, 1.05]), {"kp": 50.0, "kd": 0.2})
+    )  # fmt: skip
+    assert radius[0] < 1 < radius[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["pd", "end_effector"])
+def test_gains_of_any_law_have_margins(case, law):
+    """Six values of a law of three, and those of one without any."""
+    scenario = case("case_1_2", law, {"duration": 0.05, "disturbance.cargo.start": 0.01})
+    found = margins.find(scenario, mc.Gains(*(np.ones(6) * value for value in (1.0, 200.0, 5e3)), kp=np.asarray(40.0)))
+    assert found.holds and found.walks["force_variation"].shape == (2, 4, 2 * margins.POINTS)
+    assert np.isfinite(found.walks["force_variation"]).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["soft", "damped"])
 def test_margins_are_those_of_the_independent_program(case, name):
@@ -102,3 +142,36 @@ def test_margins_are_those_of_the_independent_program(case, name):
             assert (value <= found[quantity].holds) == held, entry
             better = held and there["force_variation"] < pd["force_variation"]
             assert (value <= found[quantity].better) == better, entry
+
+
+def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, capsys):
+    """JSON alone on standard output; the linearised loop's margins stand beside those of walks."""
+    gains = gains_file.save(GAINS, tmp_path / "soft.yaml")
+    monkeypatch.setattr(
+        stability_limit, "spectral_radius",
+        lambda scenario, gains, numbers, *, law, engine: 0.99 + 1.25 * np.broadcast_to(numbers.force_delay, 9),
+    )  # fmt: skip
+    out = tmp_path / "out"
+    with pytest.raises(SystemExit) as ended:
+        main(["margins", "case_1_2", "--gains", str(gains), "--retuned-pd", str(gains), "--json", "--out", str(out),
+              "--set", "hardware.force_sensor.delay=4e-3"])  # fmt: skip
+    said, told = capsys.readouterr()
+    assert ended.value.code == 0
+    found = json.loads(said)
+    assert found == json.loads((out / "margins.json").read_text())
+    assert found["margins"]["force_delay"]["stable"]["up_to"] == pytest.approx(8e-3)
+    assert found["margins"]["force_delay"]["needed"] == 8e-3 and found["own_hardware"] == {
+        "holds": True,
+        "better": True,
+    }
+    assert [line.startswith("force delay: gains stay better than pd") for line in found["warnings"]] == [True]
+    assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
+        "config.yaml", "margins.json", "margins.nc", "margins.png"
+    }  # fmt: skip
+
+
+def test_retuned_pd_needs_joint_gains(tmp_path, capsys):
+    gains = gains_file.save(mc.Gains(1.0, 2.0, 3.0), tmp_path / "gains.yaml")
+    with pytest.raises(SystemExit) as ended:
+        main(["margins", "case_1_2", "--retuned-pd", str(gains)])
+    assert ended.value.code == 2 and "has no kp and no kd" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import pytest
 
 import mjx_climb as mc
 from tuning.gains import gains_file
+from tuning.judged import margins
 from tuning.searches import result
 from tuning.tune import tune
 
@@ -30,14 +31,16 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     found = tune(scenario, objective=judge, starts=2, iterations=2, out=tmp_path)
     written = found.write(tmp_path, stage=stage)
     names = {file.name for file in tmp_path.iterdir()}
-    pictures = {f"{name}.png" for name in ("convergence", "path", "walks")}
+    pictures = {f"{name}.png" for name in ("convergence", "path", "walks", "margins")}
     files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
     assert names == files | pictures
     walked = ["pd", "config", "tuned", "retuned_pd"]
-    assert stages == ["retuned pd", *walked, "map", "verification", "drawing", "report"]
+    assert stages == ["retuned pd", *walked, "map", "margins", "verification", "drawing", "report"]
     summary = json.loads(written.summary)
     torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
     assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
+    assert set(summary["verification"]["margins"]) == set(margins.QUANTITIES)
+    assert sum(line.startswith("margin, ") for line in written.outcome) == len(margins.QUANTITIES)
     assert summary["force_sensor"]["in_words"] == written.outcome[0]
     assert list(summary["retuned_pd"]["gains"]) == ["kp", "kd"] and list(written.compared) == [
         "tuned", "retuned_pd", "config", "pd"
