@@ -63,7 +63,7 @@ def _draw(panel: Axes, walks: xr.Dataset, quantity: str, colors: dict[str, str])
             panel.plot(values[end], min(np.nan_to_num(variation[end], nan=top), top), _TORN if torn else _DIVERGED,
                        color=plots.RED, mec=color, mew=0.8, ms=6, clip_on=False, zorder=4)  # fmt: skip
     low = float(walks["force_variation"].where(sound).min())
-    if reference.max() > _WIDE * reference.min():
+    if low > 0 and reference.max() > _WIDE * reference.min():
         panel.set_yscale("log")
         panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         panel.yaxis.set_minor_formatter(NullFormatter())

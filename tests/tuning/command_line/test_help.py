@@ -80,7 +80,7 @@ def test_shells_complete_options_and_their_values(shell):
     [
         ("mjx-climb ", COMMANDS),
         ("mjx-climb sw", ["sweep"]),
-        ("mjx-climb run ", ["case_1_1", "case_1_2", "case_2", "mine.yaml"]),
+        ("mjx-climb run ", [*shipped.names(), "mine.yaml"]),
         ("mjx-climb run m", ["mine.yaml"]),
         ("mjx-climb run case_2 --engine ", list(completion.ENGINES)),
         ("mjx-climb run case_2 --controller base", ["base_admittance"]),

@@ -8,6 +8,8 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD
+from tuning.command_line import main
+from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
 from tuning.judged import linear_margins, margins, stability_limit
 
@@ -140,3 +142,36 @@ def test_margins_are_those_of_the_independent_program(case, name):
             assert (value <= found[quantity].holds) == held, entry
             better = held and there["force_variation"] < pd["force_variation"]
             assert (value <= found[quantity].better) == better, entry
+
+
+def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, capsys):
+    """JSON alone on standard output; the linearised loop's margins stand beside those of walks."""
+    gains = gains_file.save(GAINS, tmp_path / "soft.yaml")
+    monkeypatch.setattr(
+        stability_limit, "spectral_radius",
+        lambda scenario, gains, numbers, *, law, engine: 0.99 + 1.25 * np.broadcast_to(numbers.force_delay, 9),
+    )  # fmt: skip
+    out = tmp_path / "out"
+    with pytest.raises(SystemExit) as ended:
+        main(["margins", "case_1_2", "--gains", str(gains), "--retuned-pd", str(gains), "--json", "--out", str(out),
+              "--set", "hardware.force_sensor.delay=4e-3"])  # fmt: skip
+    said, told = capsys.readouterr()
+    assert ended.value.code == 0
+    found = json.loads(said)
+    assert found == json.loads((out / "margins.json").read_text())
+    assert found["margins"]["force_delay"]["stable"]["up_to"] == pytest.approx(8e-3)
+    assert found["margins"]["force_delay"]["needed"] == 8e-3 and found["own_hardware"] == {
+        "holds": True,
+        "better": True,
+    }
+    assert [line.startswith("force delay: gains stay better than pd") for line in found["warnings"]] == [True]
+    assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
+        "config.yaml", "margins.json", "margins.nc", "margins.png"
+    }  # fmt: skip
+
+
+def test_retuned_pd_needs_joint_gains(tmp_path, capsys):
+    gains = gains_file.save(mc.Gains(1.0, 2.0, 3.0), tmp_path / "gains.yaml")
+    with pytest.raises(SystemExit) as ended:
+        main(["margins", "case_1_2", "--retuned-pd", str(gains)])
+    assert ended.value.code == 2 and "has no kp and no kd" in capsys.readouterr().err

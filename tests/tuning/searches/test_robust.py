@@ -126,9 +126,9 @@ def test_joint_gains_are_searched_where_there_is_hardware(scenario):
     assert names == [("damping", "stiffness"), ("damping", "stiffness", "kp", "kd")]
     assert spaces.space(late, search.make({"joint_gains": False})).size == 2
     drawn = ensembles.make({"hardware": {"force_delay": (0.0, 0.01)}})
-    assert robust.settled(search.Search(), drawn).joint_gains
-    assert not robust.settled(search.make({"joint_gains": False}), drawn).joint_gains
-    assert robust.settled(search.Search(), Ensemble()).joint_gains is None
+    assert robust.settled(search.Search(), {}, drawn).joint_gains
+    assert not robust.settled(None, {"joint_gains": False}, drawn).joint_gains
+    assert robust.settled(search.Search(), {}, Ensemble()).joint_gains is None
 
 
 def test_sections_that_are_null_leave_the_scenario(scenario):
