@@ -50,6 +50,7 @@ def test_the_script_is_short_and_the_page_shows_it():
     assert text in (SCRIPT.parent / "laws.md").read_text()
 
 
+@pytest.mark.slow
 def test_an_open_filter_is_eq_3_and_a_closed_one_is_not(scenario, law):
     """The filter passes everything at 1e6 Hz; at 1 Hz next to nothing, which is the walk of pd."""
     cutoff = np.array([1e6, 1e-6])[:, None] * np.ones(6)
@@ -107,6 +108,7 @@ def stop(now):
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_tuned_over_all_of_its_gains_saved_and_read_back(scenario, law, tmp_path):
     how = {"also": ("inertia",), "method": "cmaes", "starts": 4, "iterations": 2, "precision": "float64"}
     undisturbed = tune(scenario, law=law, **how)

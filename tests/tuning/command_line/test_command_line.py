@@ -291,6 +291,7 @@ def test_sweep_writes_grid_maps_and_config(swept):
     assert mc.load_scenario(out / "config.yaml") == mc.load_scenario(CONFIG, ["duration=0.2"])
 
 
+@pytest.mark.slow
 def test_a_sweep_from_python_writes_what_the_command_writes(swept, monkeypatch, tmp_path):
     monkeypatch.setattr(plots, "save_figure", lambda figure, stem, _: stem.with_suffix(".png").write_bytes(b""))
     scenario = mc.load_scenario(CONFIG, ["duration=0.2"])

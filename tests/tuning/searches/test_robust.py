@@ -191,6 +191,7 @@ def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
     assert float(score.penalty[1]) > float(score.penalty[0])
 
 
+@pytest.mark.slow
 def test_search_and_judgement(scenario):
     """Forces are late in every walk: the joint loop is searched and judged with the admittance."""
     late = {"force_delay": (0.002, 0.005)}

@@ -238,6 +238,7 @@ def test_a_search_betters_pd_and_can_be_repeated_from_its_file(scenario, tmp_pat
     np.testing.assert_array_equal(again.history["value"], read.history["value"])
 
 
+@pytest.mark.slow
 def test_an_objective_of_the_users_own(scenario):
     found = tune(scenario, objective=lambda m: m["peak_joint_torque"], iterations=2, limits={"base_deviation": 0.02})
     assert found.value == pytest.approx(found.metrics["peak_joint_torque"])
