@@ -62,6 +62,7 @@ def test_an_open_filter_is_eq_3_and_a_closed_one_is_not(scenario, law):
     assert abs(ours["force_variation"][0] / ours["force_variation"][1] - 1) > 1e-3
 
 
+@pytest.mark.slow
 def test_one_robot_and_a_batch_walk_alike(scenario, law):
     walk = mc.rollout(scenario, law=law)
     batch = mc.rollout_metrics(scenario, law=law, dtype=np.float64)
@@ -136,6 +137,7 @@ class Other(VirtualModelAdmittance):
     """The shipped law under another name."""
 
 
+@pytest.mark.slow
 def test_another_class_of_the_same_name_walks_as_itself(scenario, law):
     """In one session the program of a law that was replaced is not taken for that of the new one."""
     again = from_script()

@@ -194,7 +194,7 @@ def test_any_target_has_an_answer(target, direction):
 NUMBERS = jax.tree.map(np.asarray, mc.parameters(Scenario()))
 place = arrays(float, (3, 4, 1), elements=st.floats(-0.1, 0.1, allow_subnormal=False))
 flags = arrays(bool, (4, 1))
-contacts = st.builds(Contact, grip_point=place, touching=flags, detached=flags, reach=st.just(()))
+contacts = st.builds(Contact, grip_point=place, touching=flags, detached=flags, reach=st.just(()), attitude=st.just(()))
 gripped = jax.jit(grip)
 
 

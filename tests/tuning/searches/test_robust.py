@@ -138,6 +138,7 @@ def test_sections_that_are_null_leave_the_scenario(scenario):
         np.testing.assert_allclose(getattr(drawn, name), getattr(own, name), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_mass_scale_is_a_robot_of_other_mass(scenario):
     """With all forces, masses and inertias twice as large the motion is the same."""
     numbers = jax.tree.map(np.asarray, mc.parameters(scenario.with_overrides({"gravity": [0, 0, -1.635]})))
@@ -263,6 +264,7 @@ def test_what_a_force_sensor_is_worth():
     assert "not to be compared" in lost.in_words
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, tmp_path):
     how = {"method": "cmaes", "starts": 4, "iterations": 2}
 
@@ -278,6 +280,7 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
     xr.testing.assert_equal(resumed.history, robust.search(scenario, ensemble, **how).history)
 
 
+@pytest.mark.slow
 def test_slopes_of_the_robust_objective(scenario, ensemble):
     """Forward derivatives through all members and the worst of them agree with central differences."""
     settings = search.make({"weights": {"force_variation": 1.0, "peak_pull_force": 1.0}, "precision": "float64"})
