@@ -71,6 +71,7 @@ def numbers_of(scenario, robots, seed=3):
     return dataclasses.replace(own, **changes)
 
 
+@pytest.mark.slow
 def test_each_robot_of_a_batch_walks_as_it_does_alone(scenario):
     """To rounding: its noise is the same, whatever its neighbours."""
     numbers = numbers_of(scenario, 8)
@@ -108,6 +109,7 @@ def test_neutral_numbers_change_nothing(scenario):
         assert found[name][1] != ideal[name]
 
 
+@pytest.mark.slow
 def test_engines_agree_on_hardware(scenario):
     numbers = numbers_of(scenario, 2)
     limb, mjx = (mc.rollout_metrics(scenario, numbers=numbers, dtype=np.float64, engine=e) for e in ("limb", "mjx"))

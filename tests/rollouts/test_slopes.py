@@ -33,6 +33,7 @@ def test_directions_have_the_gains_that_the_gains_have(scenario, of_gains, of_di
         mc.rollout_slopes(scenario, gains, mc.Gains(six, six, six, **rates))
 
 
+@pytest.mark.slow
 def test_slopes_of_a_batch_agree_with_central_differences(scenario):
     """Every robot under every member's numbers, along directions of its own."""
     rng = np.random.default_rng(0)
