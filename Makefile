@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: sweep test test-slow lint types docs clean .venv
+.PHONY: sweep test test-slow test-nightly lint types docs clean .venv
 
 # The main job: search the paper's case 1.2 for better gains.
 sweep: .venv/.installed
@@ -14,8 +14,12 @@ test: .venv/.installed-test
 
 # Those that compare speeds run alone.
 test-slow: .venv/.installed-test
-	$(PYTEST) -n 2 --dist loadfile -m "slow and not timing"
+	$(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
 	$(PYTEST) -m timing
+
+# Every notebook, robot and shape from start to end: an hour.
+test-nightly: .venv/.installed-test
+	$(PYTEST) -n 2 --dist loadfile -m nightly
 
 lint: .venv/.installed-dev
 	$(BIN)/ruff check .

@@ -105,6 +105,7 @@ def test_kept_as_run_with_pictures_and_nothing_of_the_machine(path):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @every_notebook
 def test_runs_in_a_clean_kernel(path):
     execute(read(path))

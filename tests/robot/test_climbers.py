@@ -195,11 +195,10 @@ WALKS = {
     ),
 }  # fmt: skip
 QUICK = ("four of four with damping and armature",)
+LONG = (pytest.mark.slow, pytest.mark.nightly)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in WALKS]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else LONG) for name in WALKS])
 def test_a_walk_is_that_of_mujoco(climber, name):
     """Two seconds (0.4 s in the default suite) on a lunar slope, all grippers holding: MuJoCo under the same law."""
     limbs, joints, gait = WALKS[name]

@@ -155,6 +155,7 @@ def oddities():
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", oddities())
 def test_odd_files_walk_on_a_slope(tmp_path, name):
     """Each walks a cycle up 30 degrees under lunar gravity, all grippers holding."""

@@ -26,6 +26,7 @@ def test_a_ready_config_stands(name):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", READY)
 def test_a_ready_config_walks(name):
     """Its whole walk: all grippers hold, it gets where the gait leads, and no joint passes a limit."""

@@ -103,6 +103,7 @@ def from_python(search, folder):
     return tuning.robust(scenario, drawn, starts=2, iterations=3, out=folder, **asked)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("search", ["pareto", "schedule", "ensemble"])
 def test_a_search_from_python_writes_what_the_command_writes(search, quiet, tmp_path):
     found = from_python(search, tmp_path)

@@ -57,6 +57,7 @@ def test_a_front_of_a_law_of_ones_own(few):
     assert len(front_table(front, 0).columns) == 7
 
 
+@pytest.mark.slow
 def test_front_and_resume(few, tmp_path):
     scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3", "disturbance.cargo.start=0.1"])
     whole = pareto.front(scenario, points=3)
