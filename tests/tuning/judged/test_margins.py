@@ -106,14 +106,17 @@ def test_the_linear_margin_is_where_the_radius_crosses_one(radius, expected):
 
 @pytest.mark.slow
 def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
-    """A loop that is hardly unstable takes longer than eight seconds to tear a gripper off."""
+    """A loop that is hardly unstable takes longer than eight seconds to tear a gripper off.
+
+    A delay between two steps mixes two samples, which calms: within a step the radius goes up and down about 1.
+    """
     scenario, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 100.0, 2e3)
     margin = margins.Margin(0.0, 5.96e-3, 4.25e-3, 0.03)  # of walks
     found = linear_margins.find(scenario, gains, {"force_delay": margin})["force_delay"]
     assert found.up_to == pytest.approx(margin.holds, rel=0.15) and found.up_to < found.tried
     radius = stability_limit.spectral_radius(
         scenario, gains, margins.changes(margins.own_numbers(scenario), "force_delay",
-                                         found.up_to * np.array([0.95, 1.05]), {"kp": 50.0, "kd": 0.2})
+                                         found.up_to * np.array([0.8, 1.2]), {"kp": 50.0, "kd": 0.2})
     )  # fmt: skip
     assert radius[0] < 1 < radius[1]
 
