@@ -248,7 +248,7 @@ def test_the_page_of_a_search(swept, named):
     checked = verification.Verification(
         metrics={}, value=0.9, search_value=0.9, broken_limits=[], binding_limits=[], less={"damping": None},
         more={"damping": 0.02}, shape={"damping": "cliff"}, slopes={"damping": 0.1}, grid_value=None,
-        grid_gains=None, spectral_radius=0.99, warnings=[],
+        grid_gains=None, spectral_radius=0.99, margins={}, warnings=[],
     )  # fmt: skip
     scores = swept[1]["force_variation"] / mc.metrics(pd)["force_variation"]
     over = swept[1].assign(objective=scores, feasible=scores < 2)
