@@ -13,7 +13,6 @@ from mjx_climb.scenario.model import Limb, RobotFile
 
 LINKS = ("coxa", "femur", "tibia")  # of a limb of three joints
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
-_TINY = 2 * SPECK
 _REACH = 1.0  # m, of a sliding joint without limits, either way
 _NO_INERTIA = np.zeros((3, 3))
 _SHORT = 1e-3  # m, links too short to draw
@@ -65,7 +64,7 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     _sprung(source, file, chains)
     axes = data.xmat[base].reshape(3, 3)
     body = _link(file, data, np.flatnonzero(part == base))
-    if body.mass <= _TINY:
+    if not body.mass:
         raise _error(source, "file", f"a mass of the base link {file.body(base).name!r}", "none", file.body(base).name)
 
     spec = _scene()
@@ -212,14 +211,15 @@ def _sprung(source: RobotFile, file: mujoco.MjModel, chains: dict[str, list[int]
 
 
 def _link(file: mujoco.MjModel, data: mujoco.MjData, bodies: np.ndarray) -> _Link:
-    """Return several bodies as one."""
-    mass = file.body_mass[bodies]
+    """Return several bodies as one, those without a mass left out."""
+    weighed = bodies[file.body_mass[bodies] > SPECK]
+    if not len(weighed):
+        return _Link(0.0, data.xpos[bodies[0]].copy(), _NO_INERTIA)
+    mass = file.body_mass[weighed]
     total = mass.sum()
-    if total <= _TINY:
-        return _Link(0.0, data.xpos[bodies[0]].copy(), np.zeros((3, 3)))
-    center = mass @ data.xipos[bodies] / total
+    center = mass @ data.xipos[weighed] / total
     inertia = np.zeros((3, 3))
-    for body in bodies:
+    for body in weighed:
         axes, r = data.ximat[body].reshape(3, 3), data.xipos[body] - center
         inertia += axes @ np.diag(file.body_inertia[body]) @ axes.T
         inertia += file.body_mass[body] * (r @ r * np.eye(3) - np.outer(r, r))
@@ -332,8 +332,8 @@ def _add_limb(
         if file.jnt_actfrclimited[joint]:
             moved.actfrcrange, moved.actfrclimited = file.jnt_actfrcrange[joint], mujoco.mjtLimited.mjLIMITED_TRUE
         link = links[n]
-        if link.mass <= _TINY:
-            if all(other.mass <= _TINY for other in links[n:]) and not file.dof_armature[dof]:
+        if not link.mass:
+            if all(not other.mass for other in links[n:]) and not file.dof_armature[dof]:
                 raise _error(source, f"limbs.{limb}.joints", "links that have a mass", f"none at {name!r}", name)
             link = _Link(_PAD[0], origin, _PAD[1] * np.eye(3))
         _weigh(body, link._replace(center=axes.T @ (link.center - origin), inertia=axes.T @ link.inertia @ axes))

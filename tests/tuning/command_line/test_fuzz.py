@@ -17,6 +17,7 @@ from mjx_climb.rendering import backend
 from tests.fuzz import Case, case
 from tuning.benchmarks import measure
 from tuning.command_line import diagnosis, main
+from tuning.judged import deployment
 from tuning.problem import evaluation
 
 ROOT = Path(__file__).parents[3]
@@ -38,6 +39,7 @@ def valid_input_stops_here(monkeypatch):
         (evaluation, ("baseline",)),
         (tuning.searches.robust, ("pd_of",)),
         (tuning.searches.schedule, ("pd_of",)),
+        (deployment, ("check",)),
         (measure, ("measure",)),
         (diagnosis, ("examine",)),
     ):
