@@ -135,7 +135,7 @@ def _across(axis: np.ndarray, link: np.ndarray) -> np.ndarray:
     """Return a link turned square to an axis, as long as before."""
     across = link - axis * (axis @ link)
     length = np.linalg.norm(across)
-    return across * (np.linalg.norm(link) / length) if length > 0 else across
+    return np.asarray(across * (np.linalg.norm(link) / length) if length > 0 else across)
 
 
 def _ends(geom: mujoco.MjsGeom) -> list[np.ndarray]:
