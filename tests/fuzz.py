@@ -44,7 +44,9 @@ RANGES = ["--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2"]
 COMMANDS = {  # with every option that takes a value, {config} and so on for files
     "run": "{config} --controller pd --set control.damping=2e3 --gains {gains} --engine mjx --compare base_admittance "
     "--snapshots --at 0.5,1 --size 640x480 --json",
-    "sweep": "{config} --stiffness 1e3:1e5:3 --damping 1e2:1e3:2 --gains {gains} --batch-size 4 --set control.kd=0.1",
+    "sweep": "{config} --stiffness 1e3:1e5:3 --damping 1e2:1e3:2 --gains {gains} --batch-size 4 --shard 2/3 "
+    "--set control.kd=0.1",
+    "merge": "taken",
     "tune": "{config} --method grid --space split --starts 3 --iterations 2 --seed 1 --weight force_variation=1 "
     "--limit base_deviation=0.01 --bound damping=1:10 --pin stiffness.rotation=3 --search {search} --gains {gains}",
     "pareto": "{config} --better force_variation --against base_deviation --points 3 --space split --search {search}",
@@ -77,6 +79,7 @@ WORDS = (
     "disturbance.pushes.0.start=1", "gait={}", "1:0:5", "1:2:1", "1:2", "1:2:3:4", "nan:1:3", "1:inf:3", "0:1:3", "::",
     "1:2:1e9", "1e3:1e2:4", "-1:1:3", "1:1.0000000001:9", "1:2:\u0663", "640x", "0x0", "99999x2", "641x480",
     "damping=1:2:3", "damping=x", "damping=nan:1", "stiffness.q=1", "nothing=1", "base_deviation=inf", "diverged=1",
+    "0/3", "4/3", "1/1/1",
     "a\nb", "a\tb", "a\x1b[31mb", "\udc80", "a\0b", "/", ".", "..", "/dev/null", "/proc/nowhere/x", "b" * 300,
 )  # fmt: skip
 

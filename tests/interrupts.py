@@ -24,6 +24,7 @@ SHORT = [CASE, "--set", "duration=0.1"]
 COMMANDS = {  # {gains} stands for a gains file
     "run": ["run", *SHORT, "--compare", "pd"],
     "sweep": ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2", "--batch-size", "1"],
+    "shard": ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2", "--shard", "1/2"],
     "tune": ["tune", *SHORT, "--starts", "2", "--iterations", "3"],
     "ensemble": ["tune", *SHORT, "--ensemble", "ensemble", "--members", "2", "--starts", "2", "--iterations", "2"],
     "pareto": ["pareto", *SHORT, "--points", "2"],
@@ -35,7 +36,7 @@ COMMANDS = {  # {gains} stands for a gains file
     "doctor": ["doctor"],
     "bench": ["bench", "--quick", "--batch", "64"],
 }
-IN_A_FOLDER = ("run", "sweep", "tune", "ensemble", "pareto", "schedule", "margins", "reproduce")
+IN_A_FOLDER = ("run", "sweep", "shard", "tune", "ensemble", "pareto", "schedule", "margins", "reproduce")
 GAINS = "inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n"
 
 FINE = ("interrupted", "ended before", "before the program's first line")

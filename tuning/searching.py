@@ -9,18 +9,20 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains.gains_file import replaced
+from tuning.output import swept
 from tuning.output.pareto import Front
 from tuning.output.robust import JUDGES, Robust
 from tuning.output.schedule import Scheduled
 from tuning.output.swept import Swept
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
-from tuning.searches import grid
+from tuning.searches import grid, shards
 from tuning.searches import pareto as fronts
 from tuning.searches import robust as robust_search
 from tuning.searches import schedule as schedules
 from tuning.searches import tune as searches
 from tuning.searches.judged_rounds import Told
+from tuning.searches.shards import made
 
 Folder = str | os.PathLike[str]
 
@@ -67,6 +69,62 @@ def sweep(
         out=_path(out),
     )  # fmt: skip
     return Swept(data, scenario, law, gains, table, engine)
+
+
+def sweep_shard(
+    scenario: mc.Scenario,
+    axes: grid.Axes,
+    shard: tuple[int, int],
+    *,
+    out: Folder,
+    law: mc.Law | None = None,
+    gains: AnyGains | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    batch_size: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Walk a shard of what `sweep` walks, with the same arguments, for `merge`; `mjx-climb sweep --shard 3/16`.
+
+    Arguments:
+        scenario, axes, law, gains, metrics, engine, batch_size: as of `sweep`.
+        shard: which one, from 1, and how many there are.
+        out: the folder below which all shards are kept, each in a folder of its own. A shard that was interrupted goes
+            on from there.
+        progress: called with the number of walks of the shard that are done, and the number of its walks.
+
+    Returns:
+        The shard's own folder.
+
+    Raises:
+        ConfigError: no such shard, or more shards than walks.
+        ValueError: axes that are no lists of positive numbers, or no gains of the law.
+        OutputError: `out` cannot be written, or holds shards of something else.
+    """
+    part, folder = made(*shard), Path(out)
+    walked, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
+    how: dict[str, Any] = {"axes": axes, "law": own, "batch_size": batch_size, "engine": engine, "metrics": metrics}
+    grid.claim(walked, out=folder, shard=part, **how)
+    swept.keep_beside(part, folder, scenario, law, gains, {"again": "the same call of tuning.sweep_shard for {shard}"})
+    grid.sweep_shard(walked, part, out=folder, progress=progress, **how)
+    return part.folder(folder)
+
+
+def merge(folders: Sequence[Folder], *, law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS) -> Swept:
+    """Return the sweep whose shards some folders hold, as `sweep` returns it: on CPUs bit by bit.
+
+    `merge([folder]).write(folder)` is `mjx-climb merge`.
+
+    Arguments:
+        folders: those of the shards, or one that holds them all; nothing in them is changed.
+        law: the user's own, where the shards had one.
+        metrics: those of the shards, where they had others than the shipped ones.
+
+    Raises:
+        ConfigError: no shards there, shards of different things, or not all of them: in one line which are missing
+            and what would finish them.
+    """
+    return swept.merged(shards.find([Path(folder) for folder in folders]), law, mc.MetricTable(metrics))
 
 
 def pareto(

@@ -35,6 +35,23 @@ def share_size(robots: int, limit: int | None) -> int:
     return min(share, limit or share)
 
 
+def walking_with(robots: range, whole: int) -> range:
+    """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits.
+
+    A robot's last bits depend on its place in a share, as vector units finish a row of robots one by one. So whole
+    shares walk, and enough of them for the same program; indices beyond the batch stand for its last robot. A GPU's
+    program holds the whole batch: there robots walk alone, and are the same to rounding only.
+    """
+    if jax.default_backend() != "cpu":
+        return robots
+    share = share_size(whole, None)
+    begin = robots.start // share * share
+    count = -(-(robots.stop - begin) // share) * share
+    while share_size(count, None) != share:
+        count += 1
+    return range(begin, begin + count)
+
+
 def spread(
     walk: Callable[[np.ndarray, SingleDeviceSharding], Mapping[str, jax.Array | np.ndarray]],
     robots: int,

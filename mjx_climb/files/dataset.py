@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import datetime
 import importlib.metadata
 import json
 import os
@@ -118,8 +117,8 @@ class OutputError(ValueError):
 def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     """Return a walk as labelled arrays: every variable has units and a long name.
 
-    The attributes hold the resolved scenario (YAML), the gains (JSON), versions, git revision and time of
-    creation.
+    The attributes hold the resolved scenario (YAML), the gains (JSON), versions and git revision: the same walk gives
+    the same file.
     """
     data = {
         name: (dims, getattr(trajectory, name), {"units": units, "long_name": text})
@@ -225,7 +224,6 @@ def provenance(scenario: Scenario) -> dict[str, str]:
             attrs[f"{name}_version"] = importlib.metadata.version(distribution)
     if revision := _git_revision():
         attrs["git_revision"] = revision
-    attrs["created"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     return attrs
 
 

@@ -45,7 +45,8 @@ def dog():
 {weight("0.02 0 0", 6.9, "0.1 0.1 0.02")}<site name="imu"/>{"".join(legs)}
 <body pos="0.25 0 0.1"><joint name="neck" axis="0 1 0"/>{weight("0.05 0 0", 0.3, "1e-3 1e-3 1e-3")}
 </body></body></worldbody><actuator>{"".join(motors)}</actuator><sensor><gyro site="imu"/></sensor>
-<keyframe><key name="home" qpos="0 0 0.27 1 0 0 0 {"0 0.9 -1.8 " * 4} 0.1"/></keyframe></mujoco>"""
+<keyframe><key name="home" qpos="0 0 0.27 1 0 0 0 {"0 0.9 -1.8 " * 4} 0.1"
+  ctrl="{"0 0.9 -1.8 " * 4}"/></keyframe></mujoco>"""
 
 
 def scenario_of(proposal):
@@ -81,18 +82,38 @@ def test_a_dog_as_it_is_published(tmp_path):
     np.testing.assert_array_equal(loaded.torque_limit[..., 0], np.repeat([[np.inf], [np.inf], [45]], 4, axis=1))
 
 
+def test_the_end_of_a_link_that_the_file_does_not_have(tmp_path):
+    """Without a foot, a shape or a centre of mass it is as long as the one before, square to the joint, and told."""
+    text, _ = urdf(1)
+    text = re.sub(r'<link name="\w+_toe"/>|<joint name="\w+_ankle".*?</joint>', "", text)
+    text = re.sub(r'(<link name="\w+_shank"><inertial><origin) xyz="[^"]*"', r'\1 xyz="0 0 0"', text)
+    file = tmp_path / "endless.urdf"
+    file.write_text(text)
+    proposal = propose(file)
+    assert "changed ends of last links not in the file" in told(proposal)
+    limb = proposal.sections["robot"]["limbs"]["LH"]
+    thigh = [float(v) for v in re.search(r'name="LH_knee".*?xyz="([^"]*)"', text)[1].split()]
+    assert limb["foot"] == "LH_shank"
+    assert np.linalg.norm(limb["at"]) == pytest.approx(np.linalg.norm(thigh), abs=2e-5)
+    assert limb["at"][2] == 0.0  # the knee's axis
+
+
 def test_a_urdf_with_odd_numbers(tmp_path):
     """Inertias that no body can have are mended and named; limits beyond a turn are none."""
     text, _ = urdf(1)
     text = re.sub(r'izz="[^"]*"', 'izz="0.9"', text, count=1).replace(
         'lower="-1.2" upper="1.2"', 'lower="-9.4" upper="9.4"'
     )
+    for link, moments, off in (("LH_shank", 1, 1), ("RH_shank", 0, 1e-20)):
+        inertia = " ".join(f'{axes}="{moments if axes[1] == axes[2] else off}"'
+                           for axes in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))  # fmt: skip
+        text = re.sub(rf'(<link name="{link}">.*?<inertia) [^>]*/>', rf"\1 {inertia}/>", text, count=1)
     file = tmp_path / "odd.urdf"
     file.write_text(text)
     proposal = propose(file)
     assert set(proposal.sections["robot"]["limbs"]) == {"LF", "LH", "RH", "RF"}
     assert proposal.sections["robot"]["limbs"]["LH"]["foot"] == "LH_toe"
-    assert "changed inertias that no body can have" in told(proposal)
+    assert "changed moments of inertia no body can have those of 'trunk', 'LH_shank': made equal" in told(proposal)
     assert "changed stance" in told(proposal)
     assert proposal.sections["gait"]["sequence"] == ["LH", "LF", "RH", "RF"]
     robot = load_robot(scenario_of(proposal).robot)

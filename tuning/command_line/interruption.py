@@ -46,7 +46,7 @@ class Watch:
         self._woken.close()
 
     def finish(self) -> None:
-        """Stop listening and ignore both signals: Python takes handlers away before it ends, and the default is death."""
+        """Stop listening and ignore both signals: Python takes handlers away before it ends; the default is death."""
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         signal.set_wakeup_fd(-1)

@@ -85,6 +85,14 @@ Figures = Annotated[
     str,
     typer.Option(metavar="LIST", help=f"Formats of the pictures, with commas: some of {', '.join(FORMATS)}."),
 ]
+Shard = Annotated[
+    str | None,
+    typer.Option(
+        metavar="I/N",
+        help="Walk this shard alone, as 3/16, for merge; 1/1: all.",
+        show_default="a Slurm array's task",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
@@ -94,6 +102,18 @@ ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # 
 def typed() -> str:
     """Return the command as it was typed, for others to read."""
     return shlex.join(["mjx-climb", *map(_without_folder, ARGUMENTS.get())])
+
+
+def typed_but(option: str, value: str) -> str:
+    """Return the command as it was typed, to be run again from the same folder, with this value of an option."""
+    kept: list[str] = []
+    words = iter(ARGUMENTS.get())
+    for word in words:
+        if word == option:
+            next(words, None)
+        elif not word.startswith(f"{option}="):
+            kept.append(word)
+    return f"{shlex.join(['mjx-climb', *kept])} {option} {value}"
 
 
 def _without_folder(argument: str) -> str:

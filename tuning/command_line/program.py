@@ -17,6 +17,7 @@ from tuning.command_line import (
     export,
     interruption,
     margins,
+    merge,
     options,
     pareto,
     plot,
@@ -43,6 +44,7 @@ app = typer.Typer(
 )
 app.command("run", short_help="Walk one robot through a scenario.")(walk.run)
 app.command("sweep", short_help="Walk a grid of stiffness and damping, and map it.")(sweep.sweep)
+app.command("merge", short_help="Put the shards of a sweep together.")(merge.merge)
 app.command("tune", short_help="Search the gains of the controller.")(tune.tune)
 app.command("pareto", short_help="Search the front of two metrics.")(pareto.pareto)
 app.command("schedule", short_help="Tune gains for pairs of gravity and cargo.")(schedule.schedule)

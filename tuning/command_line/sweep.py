@@ -1,21 +1,24 @@
 """`mjx-climb sweep`: a grid of stiffness and damping."""
 
 import math
+import shlex
 import time
 from collections.abc import Iterable, Mapping
+from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tuning.command_line import options
+from tuning.command_line import launcher, options
 from tuning.command_line.ending import InputError, kept_in
 
 if TYPE_CHECKING:
     import numpy as np
+    from rich.console import Console
 
     import mjx_climb as mc
-    from tuning.output.swept import Judged
+    from tuning.output.swept import Judged, Swept
 
 LARGEST_AXIS = 100_000
 SMALLEST, LARGEST = 1e-30, 1e30  # what single precision holds, with room for squares of moderate gains
@@ -60,6 +63,7 @@ def sweep(
         int | None,
         typer.Option(min=1, metavar="N", help="Robots that walk at a time.", show_default="parts of a few seconds"),
     ] = None,
+    shard: options.Shard = None,
     figures: options.Figures = "png",
     json: options.Json = False,
     engine: options.Engine = None,
@@ -75,19 +79,24 @@ def sweep(
     Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
     gives the inertia and the joint gains of the grid, and a further walk to compare with.
 
+    With --shard, or as a task of a Slurm array, a sweep is spread over machines: each walks its part of the grid into
+    a folder below DIR, and `mjx-climb merge DIR` writes what one machine would have written.
+
     \b
     Examples:
       mjx-climb sweep case_1_2 --stiffness 1e2:1e6:16 --damping 1e0:1e5:16
       mjx-climb sweep case_2 --stiffness 1e3:1e5:8 --damping 1e1:1e4:8 --gains best.yaml
+      mjx-climb sweep case_2 --stiffness 1e2:1e6:128 --damping 1e0:1e5:128 --shard 3/16
       mjx-climb sweep case_2 --law my_law.py:Filtered --axis cutoff=1:100:8 --damping 1e1:1e4:8
     """
     axes = axes_from(stiffness, damping, axis)
+    part, which = launcher.shard_from(shard)
     with options.reserved_stdout() as stdout:
         import tuning
         from tuning.command_line import progress, report
         from tuning.gains.gains_file import replaced
         from tuning.output import swept
-        from tuning.searches import grid
+        from tuning.searches import grid, shards
 
         begin = time.perf_counter()
         scenario = options.scenario_from(config, controller, changes, hardware)
@@ -104,31 +113,52 @@ def sweep(
             raise InputError(str(error).replace("axes.", "--axis ", 1)) from None
         out = out or Path("results") / f"{config.stem}-sweep"
         walked, walking = (scenario, user_law) if values is None else replaced(scenario, user_law, values)
-        how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "metrics": table, "out": out}
-        there = grid.claim(walked, axes=axes, law=walking, **how)
+        how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "metrics": table}
+        again = _again(stiffness, damping, axis, batch_size) + options.own_options(law, metric)
+        again += " --gains gains.yaml" if law and gains else ""
+        again += f"{options.engine_option(engine)} --out again"
+        one = None if part is None else shards.made(*part)
+        there = grid.claim(walked, axes=axes, law=walking, out=out, shard=one, **how)
         console = report.console(stderr=True)
-        console.print(_announcement(walked, axes, there), soft_wrap=True)
+        console.print(_announcement(walked, axes, which, there), soft_wrap=True)
         console.print(progress.cache_state(), soft_wrap=True)
         meter = progress.Meter(console)
 
+        if one is not None:
+            told = {"again": options.typed_but("--shard", shards.SHARD), "name": config.stem, "repeat": again}
+            swept.keep_beside(one, out, scenario, user_law, values, told)
+            own = len(one.rows(math.prod(map(len, axes.values()))))
+            with kept_in(one.folder(out), f"of {own} walks", there) as kept, meter.stage("grid") as show:
+                grid.sweep_shard(walked, one, out=out, axes=axes, law=walking, progress=kept.told(show), **how)
+            text = f"{one.folder(out)} is whole; once all {one.count} are: mjx-climb merge {shlex.quote(str(out))}"
+            console.print(text, soft_wrap=True)
+            if json:
+                print(dumps({"shard": one.number, "of": one.count, "walks": own}), file=stdout)
+            return
+
         walks = math.prod(map(len, axes.values()))
         with kept_in(out, f"of {walks} walks", there) as kept:
-            with meter.stage("grid") as told:
-                found = tuning.sweep(scenario, axes, law=user_law, gains=values, progress=kept.told(told), **how)
-            again = _again(stiffness, damping, axis, batch_size) + options.own_options(law, metric)
-            again += " --gains gains.yaml" if law and gains else ""
-            again += f"{options.engine_option(engine)} --out again"
+            with meter.stage("grid") as show:
+                found = tuning.sweep(
+                    scenario, axes, law=user_law, gains=values, progress=kept.told(show), out=out, **how
+                )
             origin = options.origin(config.stem, again)
             judged = found.write(out, origin=origin, figures=formats, stage=meter.stage)
 
-        tables = console if json else report.console(file=stdout)
-        tables.print(report.comparison_table(judged.compared, "pd", tables.width, table, user_law))
-        for line in _outcome(judged, axes):
-            tables.print(line)
+        print_result(found, judged, console if json else report.console(file=stdout))
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(f"written to {out} in {seconds}: {swept.FILES}", soft_wrap=True)
         if json:
             print(judged.summary, file=stdout)
+
+
+def print_result(found: "Swept", judged: "Judged", console: "Console") -> None:
+    """Print the table and the outcome of a sweep."""
+    from tuning.command_line import report
+
+    console.print(report.comparison_table(judged.compared, "pd", console.width, found.metrics, found.law))
+    for line in _outcome(judged, found.axes):
+        console.print(line)
 
 
 def _outcome(judged: "Judged", axes: Iterable[str]) -> list[str]:
@@ -205,13 +235,14 @@ def log_range(option: str, text: str) -> "np.ndarray":
     return values
 
 
-def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", kept: int) -> str:
+def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", which: str, kept: int) -> str:
     import jax
 
     walks = math.prod(map(len, axes.values()))
     sizes = " x ".join(f"{len(values)} {name}" for name, values in axes.items())
     text = f"{walks} walks ({sizes}) of {scenario.steps} steps"
     text += f" on {jax.devices()[0].device_kind}"
+    text += f"; {which}" if which else ""
     return text + (f"; {kept} are there already" if kept else "")
 
 

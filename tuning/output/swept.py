@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,9 +28,11 @@ from tuning.report import sweep as pages
 from tuning.report.comparison import Compared, gains_of
 from tuning.report.explorer import axes_of
 from tuning.report.numbers import to_json
-from tuning.searches import finished_parts, grid
+from tuning.searches import finished_parts, grid, shards
+from tuning.searches.shards import Shard
 
 FILES = "report.html, sweep.nc, maps.png, comparison.json, config.yaml"
+OWN_GAINS = "gains.yaml"
 GIVEN = "gains file"  # the name of a walk with gains that are not the config's
 # inertia, damping and stiffness of cases 1.1, 1.2 and 2
 PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
@@ -84,7 +86,7 @@ class Swept:
         dataset.save(judged.data, folder / "sweep.nc")
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
         if found.law is not None and found.gains is not None:  # config.yaml has no place for them
-            gains_file.save(found.gains, folder / "gains.yaml", "of the sweep in this folder", found.law)
+            gains_file.save(found.gains, folder / OWN_GAINS, "of the sweep in this folder", found.law)
         with stage("drawing", compiles=False):
             plots.save_figure(sheet(judged.data, judged.compared), folder / "maps", {"png", *figures})
         histories = judged.data
@@ -102,6 +104,40 @@ class Swept:
         """Return scenario and law of the grid, with further gains in place of theirs."""
         walked = (self.scenario, self.law) if self.gains is None else replaced(self.scenario, self.law, self.gains)
         return walked if gains is None else replaced(*walked, gains)
+
+
+def keep_beside(
+    shard: Shard, out: Path, scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains | None, about: Mapping[str, str]
+) -> None:
+    """Leave in the folder of a shard what `merged` needs beside its walks, before these begin.
+
+    Arguments:
+        shard, out: which shard, and the folder below which it is kept.
+        scenario, law, gains: as of `Swept`.
+        about: `again`, see `tuning.searches.shards.tell`; what else the report is to say.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    folder = shard.folder(out)
+    write_config(scenario, folder)
+    if gains is not None:
+        gains_file.save(gains, folder / OWN_GAINS, "of the sweep in this folder", law)
+    shards.tell(out, shard, about)
+
+
+def merged(found: Sequence[shards.Kept], law: mc.Law | None, metrics: mc.MetricTable) -> Swept:
+    """Return the sweep whose shards these are.
+
+    Raises:
+        ConfigError: shards of another law, other metrics or versions, or not all of them.
+    """
+    folder = found[0].folder
+    scenario = mc.load_scenario(folder / "config.yaml")
+    gains = gains_file.load(folder / OWN_GAINS, law) if (folder / OWN_GAINS).is_file() else None
+    walked, walking = (scenario, law) if gains is None else replaced(scenario, law, gains)
+    data = grid.merged(found, walked, walking, metrics)
+    return Swept(data, scenario, law, gains, metrics, found[0].identity["engine"])
 
 
 class Judged(NamedTuple):

@@ -4,7 +4,7 @@ import io
 import json
 import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from mjx_climb.files.dataset import OutputError, write_bytes_atomically, write_text_atomically
 
 FOLDER = "parts"
+IDENTITY = "identity.json"
 
 
 class Parts:
@@ -25,11 +26,11 @@ class Parts:
             OutputError: the folder cannot be written, or holds parts of another computation.
         """
         self.folder = Path(out) / FOLDER
-        file = self.folder / "identity.json"
+        file = self.folder / IDENTITY
         wanted = json.loads(json.dumps(identity))
         stored = _read(file)
         if stored is not None and stored != wanted:
-            differs = ", ".join(_differences(stored, wanted)) or "its keys"
+            differs = ", ".join(differences(stored, wanted)) or "its keys"
             raise OutputError(
                 f"{out}: expected no unfinished sweep but this one, got another that differs in {differs} "
                 f"(repeat its command to finish it, remove {self.folder}, or choose another --out)"
@@ -65,14 +66,16 @@ def clear(out: Path) -> None:
     shutil.rmtree(Path(out) / FOLDER, ignore_errors=True)
 
 
-def _differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator[str]:
+def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
     """Return the keys that differ, and where they hold mappings of the same keys which of these, as axes.damping."""
+    found = []
     for key, value in wanted.items():
         other = stored.get(key)
         if isinstance(value, Mapping) and isinstance(other, Mapping) and set(value) == set(other):
-            yield from (f"{key}.{inner}" for inner in _differences(other, value))
+            found += [f"{key}.{inner}" for inner in differences(other, value)]
         elif other != value:
-            yield key
+            found.append(key)
+    return found
 
 
 def _read(file: Path) -> dict[str, Any] | None:

@@ -1,15 +1,17 @@
 """Grid search: every pair of values of two gains, the same on all of their axes, walked in batches of one program."""
 
+import dataclasses
 import hashlib
 import importlib.metadata
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import xarray as xr
+import yaml
 from numpy.typing import ArrayLike, DTypeLike
 
 import mjx_climb as mc
@@ -20,11 +22,13 @@ from mjx_climb.files.dataset import PACKAGES, larger_is_better, sweep_dataset
 from mjx_climb.robot.constants import model_path
 from mjx_climb.rollouts.histories import LINES, stretches
 from tuning.problem.spaces import JOINT
-from tuning.searches import identity
+from tuning.searches import identity, shards
 from tuning.searches.finished_parts import Parts
+from tuning.searches.shards import Shard
 
 Axes = Mapping[str, ArrayLike]  # two gains by name
 
+KIND = "sweep"  # of shards
 HISTORIES = 256  # walks up to which a grid keeps time histories
 
 # robots per part and environment steps per part: some seconds on two cores, and on one accelerator
@@ -41,34 +45,127 @@ def default_batch_size(walks: int, steps: int, platform: str | None = None) -> i
         platform: "cpu" or an accelerator's name; JAX's default where None.
     """
     least, most, budget = _CPU if (platform or jax.default_backend()) == "cpu" else _ACCELERATOR
-    size = min(max(budget // steps, least), most)
-    return math.ceil(walks / math.ceil(walks / size))
+    return shards.even(walks, min(max(budget // steps, least), most))
 
 
 def claim(
     scenario: mc.Scenario,
-    stiffness: np.ndarray | None = None,
-    damping: np.ndarray | None = None,
+    stiffness: ArrayLike | None = None,
+    damping: ArrayLike | None = None,
+    *,
+    out: Path,
+    shard: Shard | None = None,
+    **how: Any,
+) -> int:
+    """Prepare the folder of a sweep, or of a shard, and return how many of its walks are there already.
+
+    Arguments are those of `sweep` and `sweep_shard`.
+
+    Raises:
+        ConfigError: more shards than walks.
+        OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
+        RobotError: no such robot.
+    """
+    grid = of(scenario, stiffness, damping, **how)
+    if shard is not None:
+        return shards.claim(grid, out, shard)[1]
+    return min(Parts(out, grid.identity()).count() * grid.size, grid.rows)
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """What a sweep walks; `of` makes one of the arguments of `sweep`. A row is one pair of gains."""
+
+    scenario: mc.Scenario
+    law: mc.Law | None
+    axes: Mapping[str, np.ndarray]
+    size: int  # robots that walk at a time
+    dtype: DTypeLike
+    engine: str
+    metrics: mc.MetricTable
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many values each axis has."""
+        return tuple(values.size for values in self.axes.values())
+
+    @property
+    def rows(self) -> int:
+        """How many walks."""
+        return math.prod(self.shape)
+
+    @property
+    def keeps_histories(self) -> bool:
+        """Whether the grid is small enough to keep time histories."""
+        return self.rows <= HISTORIES
+
+    def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the metrics of some rows, and their time histories where they are kept."""
+        lengths = (law_of(self.scenario) if self.law is None else self.law).AXES
+        places = np.unravel_index(rows, self.shape)
+        values = {name: own[place] for (name, own), place in zip(self.axes.items(), places, strict=True)}
+        gains = {name: own[:, None] if lengths.get(name) else own for name, own in values.items()}
+        walk = mc.rollout_histories if self.keeps_histories else mc.rollout_metrics
+        return walk(self.scenario, gains, law=self.law, metrics=self.metrics, dtype=self.dtype, engine=self.engine)
+
+    def name(self, row: int) -> str:
+        """Return a pair of gains in words."""
+        places = np.unravel_index(row, self.shape)
+        pairs = zip(self.axes.items(), places, strict=True)
+        return " ".join(f"{name} {own[place]:.4g}" for (name, own), place in pairs)
+
+    def dataset(self, arrays: Mapping[str, np.ndarray]) -> xr.Dataset:
+        """Return what all rows gave, labelled, over both gains."""
+        whole = {name: value.reshape(*self.shape, *value.shape[1:]) for name, value in arrays.items()}
+        table = {name: whole[name] for name in self.metrics.names}
+        data = sweep_dataset(table, _labelled(self.axes, self.law), self.scenario, self.metrics)
+        data = data.assign(_histories(whole, self.scenario, tuple(self.axes)))
+        return data.assign_attrs(engine=self.engine, dtype=np.dtype(self.dtype).name, batch_size=self.size)
+
+    def identity(self) -> dict[str, Any]:
+        """Return all that determines the numbers of a sweep, bit by bit."""
+        versions: dict[str, str | None] = {}
+        for name, distribution in PACKAGES.items():
+            try:
+                versions[name] = importlib.metadata.version(distribution)
+            except importlib.metadata.PackageNotFoundError:
+                versions[name] = None
+        return {
+            "kind": KIND,
+            "scenario": yaml.safe_load(scenario_files.identity(self.scenario)),
+            "law": None if self.law is None else identity.identity(self.law, "law"),
+            "axes": {name: values.tolist() for name, values in self.axes.items()},
+            "dtype": np.dtype(self.dtype).name,
+            "engine": self.engine,
+            "metrics": identity.of_metrics(self.metrics),
+            "batch_size": self.size,
+            "histories": self.keeps_histories,
+            "platform": jax.default_backend(),
+            "robot_model": hashlib.sha256(model_path(self.scenario.robot).read_bytes()).hexdigest(),
+            "versions": versions,
+        }
+
+
+def of(
+    scenario: mc.Scenario,
+    stiffness: ArrayLike | None = None,
+    damping: ArrayLike | None = None,
     *,
     axes: Axes | None = None,
     law: mc.Law | None = None,
-    out: Path,
     batch_size: int | None = None,
     dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
     metrics: Iterable[mc.Metric] = mc.METRICS,
-) -> int:
-    """Prepare the folder of a sweep and return how many of its walks are there already; arguments as of `sweep`.
+) -> Grid:
+    """Return what `sweep` walks, whose arguments these are.
 
     Raises:
-        OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
-        RobotError: no such robot.
+        ValueError: axes that are no lists of positive numbers, or no gains of the law.
     """
     lists = checked_axes(scenario, law, stiffness, damping, axes)
-    walks = math.prod(values.size for values in lists.values())
-    size = batch_size or default_batch_size(walks, scenario.steps)
-    found = Parts(out, _identity(scenario, law, lists, size, dtype, engine, metrics)).count()
-    return min(found * size, walks)
+    size = batch_size or default_batch_size(math.prod(values.size for values in lists.values()), scenario.steps)
+    return Grid(scenario, law, lists, size, dtype, engine, mc.MetricTable(metrics))
 
 
 def checked_axes(
@@ -149,41 +246,42 @@ def sweep(
         ValueError: axes that are no lists of positive numbers, or no gains of the law.
         OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
     """
-    table = mc.MetricTable(metrics)
-    lists = checked_axes(scenario, law, stiffness, damping, axes)
-    shape = tuple(values.size for values in lists.values())
-    walks = math.prod(shape)
-    size = batch_size or default_batch_size(walks, scenario.steps)
-    kept = None if out is None else Parts(out, _identity(scenario, law, lists, size, dtype, engine, metrics))
+    how: dict[str, Any] = {"batch_size": batch_size, "dtype": dtype, "engine": engine, "metrics": metrics}
+    grid = of(scenario, stiffness, damping, axes=axes, law=law, **how)
+    kept = None if out is None else Parts(out, grid.identity())
+    return grid.dataset(shards.walk(grid, kept, progress))
 
-    lengths = (law_of(scenario) if law is None else law).AXES
-    mesh = zip(lists, np.meshgrid(*lists.values(), indexing="ij"), strict=True)
-    varied = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
-    count = math.ceil(walks / size)
-    walk = mc.rollout_histories if walks <= HISTORIES else mc.rollout_metrics
-    found = {} if kept is None else {number: kept.load(number) for number in range(count)}
-    parts = {number: part for number, part in found.items() if part is not None}
-    done = sum(min(size, walks - number * size) for number in parts)
-    if progress is not None:
-        progress(done, walks)
-    for number in range(count):
-        if number in parts:
-            continue
-        # the last part is filled up with its last robot: every part has the shape that was compiled
-        rows = np.minimum(np.arange(number * size, (number + 1) * size), walks - 1)
-        gains = {name: values[rows] for name, values in varied.items()}
-        part = walk(scenario, gains, law=law, metrics=table, dtype=dtype, engine=engine)
-        parts[number] = part
-        if kept is not None:
-            kept.save(number, part)
-        done += min(size, walks - number * size)
-        if progress is not None:
-            progress(done, walks)
-    whole = {name: np.concatenate([parts[n][name] for n in range(count)])[:walks] for name in parts[0]}
-    whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
-    dataset = sweep_dataset({name: whole[name] for name in table.names}, _labelled(lists, law), scenario, table)
-    dataset = dataset.assign(_histories(whole, scenario, tuple(lists)))
-    return dataset.assign_attrs(engine=engine, dtype=np.dtype(dtype).name, batch_size=size)
+
+def sweep_shard(
+    scenario: mc.Scenario,
+    shard: Shard,
+    *,
+    out: Path,
+    progress: Callable[[int, int], None] | None = None,
+    **how: Any,
+) -> None:
+    """Walk a shard of the grid and keep it below `out`; it goes on where it stopped. Arguments are those of `sweep`.
+
+    Raises:
+        ConfigError: more shards than walks.
+        ValueError, OutputError: as of `sweep`; or `out` holds shards of another number.
+    """
+    grid = of(scenario, **how)
+    shards.walk(grid, shards.claim(grid, out, shard)[0], progress, shard)
+
+
+def merged(
+    found: Sequence[shards.Kept], scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable
+) -> xr.Dataset:
+    """Return what `sweep` returns, from the shards of a grid of this scenario and law.
+
+    Raises:
+        ConfigError: shards of something else, or not all of them.
+    """
+    told = found[0].identity
+    how = {"batch_size": told["batch_size"], "dtype": told["dtype"], "engine": told["engine"], "metrics": metrics}
+    grid = of(scenario, axes=told["axes"], law=law, **how)
+    return grid.dataset(shards.joined(grid, found))
 
 
 def _histories(
@@ -215,34 +313,3 @@ def best_cell(dataset: xr.Dataset, objective: str = "force_variation") -> xr.Dat
         return None
     values = -values if larger_is_better(dataset[objective]) else values
     return dataset.isel(values.argmin(dim=...))
-
-
-def _identity(
-    scenario: mc.Scenario,
-    law: mc.Law | None,
-    axes: Mapping[str, np.ndarray],
-    size: int,
-    dtype: DTypeLike,
-    engine: str,
-    metrics: Iterable[mc.Metric],
-) -> dict[str, Any]:
-    """Return all that determines the numbers of a sweep, bit by bit."""
-    versions: dict[str, str | None] = {}
-    for name, distribution in PACKAGES.items():
-        try:
-            versions[name] = importlib.metadata.version(distribution)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = None
-    return {
-        "scenario": scenario_files.identity(scenario),
-        "law": None if law is None else identity.identity(law, "law"),
-        "axes": {name: values.tolist() for name, values in axes.items()},
-        "dtype": np.dtype(dtype).name,
-        "engine": engine,
-        "metrics": identity.of_metrics(mc.MetricTable(metrics)),
-        "batch_size": size,
-        "histories": math.prod(values.size for values in axes.values()) <= HISTORIES,
-        "platform": jax.default_backend(),
-        "robot_model": hashlib.sha256(model_path(scenario.robot).read_bytes()).hexdigest(),
-        "versions": versions,
-    }

@@ -86,7 +86,7 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path):
     grid.claim(scenario, STIFFNESS, DAMPING, out=tmp_path)
     other = scenario.with_overrides(["contact.damping=21"])
     for differs, arguments, options in (
-        ("scenario", (other, STIFFNESS, DAMPING), {}),
+        ("scenario.contact.damping", (other, STIFFNESS, DAMPING), {}),
         ("axes.stiffness", (scenario, STIFFNESS * 2, DAMPING), {}),
         ("axes.damping", (scenario, STIFFNESS, DAMPING * 2), {}),
         ("dtype", (scenario, STIFFNESS, DAMPING), {"dtype": np.float64}),
