@@ -25,7 +25,7 @@ def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
     """Return joint angles within the limits that put the feet at `feet` (L, 3) m, in the frame of the base.
 
     Of several postures the one whose joints are nearest the middle of their ranges, in the mean of squares over these;
-    of limbs of three joints the one whose knee is, and the others only where knees are alike. Joints that nothing drives
+    of limbs of three joints the one whose knee is, and the others only where knees are alike. Joints nothing drives
     are where their springs are slack.
     """
     data = mujoco.MjData(model)
