@@ -12,6 +12,7 @@ from mjx_climb.quantities.swing_reaction import Reaction, heights, reaction
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
+_NODES = 12  # in each half of a swing: the sums to four digits
 _ROUNDS = 8
 _ENOUGH = 1e-3  # by which a round lowers the sum of squares, relative
 _TRIED = 0.5 ** np.arange(8)  # shares of a Gauss-Newton step
@@ -25,9 +26,14 @@ def swing_path(scenario: Scenario) -> np.ndarray:
     """Return what a scenario's `gait.swing` adds to the cubic swings, (L, 3, K), in step heights; K is 0 for `cubic`.
 
     Axes: ahead, left, up; shapes as `mjx_climb.quantities.swing.added_shapes`. For `low_reaction` the integral of the
-    squared reaction on the base is as small as these shapes make it (a local minimum, from the cubic): see
+    squared reaction on the base is as small as these shapes make it (a local minimum, from the cubic), on flat ground: see
     `mjx_climb.quantities.swing_reaction`. Limbs that lift off together are judged by the sum of their reactions. Feet
     stay above the ground and as high as the cubic in the middle, joints within their limits or those of the cubic.
+
+    It is worked out for the scenario's own stride, step height and timing. In `Parameters` it is one value for all
+    robots of a batch, in step heights: other step heights scale it, headings turn it, and it is zero at both ends, so
+    that other strides, cycles and grounds get a sound swing, if not their best. For these give the parameters a batch
+    of `swing_path`, one from each scenario.
     """
     limbs = len(scenario.gait.lift_off)
     if scenario.gait.swing == "cubic":
@@ -44,7 +50,7 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
     lower, upper = robot.joint_lower[..., 0].T, robot.joint_upper[..., 0].T
 
     def walked(paths: np.ndarray, near: np.ndarray | None = None) -> Reaction:
-        return reaction(name, gait, turned, paths, near)
+        return reaction(name, gait, turned, paths, near, _NODES)
 
     path = np.zeros((limbs, 3, COUNT))
     now = walked(path)
@@ -84,7 +90,8 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
 def _residuals(walked: Reaction) -> np.ndarray:
     """Return forces and moments over the length, weighted for the integral of their squares, (S, ..., L, 6)."""
     wrench = np.concatenate([walked.force, walked.moment / walked.length], axis=-1)
-    return wrench * np.sqrt(walked.weight).reshape(-1, *[1] * (wrench.ndim - 1))
+    weighted: np.ndarray = wrench * np.sqrt(walked.weight).reshape(-1, *[1] * (wrench.ndim - 1))
+    return weighted
 
 
 def _sum_of_squares(walked: Reaction, path: np.ndarray, weight: float, group: np.ndarray) -> np.ndarray:

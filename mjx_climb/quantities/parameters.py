@@ -24,7 +24,7 @@ _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
 _Vector = Real[_Values, "... 3"] | Real[_Values, "3 _"]
 _Footholds = Real[_Values, "... L N"]
-_SwingPaths = Real[_Values, "... L 3 K"] | Real[_Values, "L 3 K _"]
+_SwingPaths = Real[_Values, "... limbs 3 K"] | Real[_Values, "limbs 3 K _"]
 _Pushes = Real[_Values, "... pushes 3"] | Real[_Values, "pushes 3 _"]
 _PushTimes = Real[_Values, "... pushes"] | Real[_Values, "pushes _"]
 
@@ -82,7 +82,9 @@ class Parameters:
     duty: _Scalar  # 1
     heading: _Scalar  # rad
     foothold_height: _Footholds  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
-    swing_path: _SwingPaths  # (L, 3, K) step heights, added to each limb's swing, see `low_reaction`; K = 0: cubics alone
+    swing_path: (
+        _SwingPaths  # (L, 3, K) step heights, added to each limb's swing, see `low_reaction`; K = 0: cubics alone
+    )
     cargo_mass: _Scalar  # kg
     cargo_start: _Scalar  # s
     cargo_stop: _Scalar  # s

@@ -12,7 +12,8 @@ _Phase = TypeVar("_Phase", Array, np.ndarray)
 
 def rest_to_rest(phase: _Phase) -> _Phase:
     """Return the cubic from 0 to 1 with zero slope at both ends; its curvature is zero in the middle."""
-    return phase * phase * (3 - 2 * phase)
+    risen: _Phase = phase * phase * (3 - 2 * phase)
+    return risen
 
 
 def lift(phase: _Phase) -> _Phase:
@@ -23,10 +24,10 @@ def lift(phase: _Phase) -> _Phase:
 def added_shapes(phase: _Phase) -> tuple[list[_Phase], list[_Phase]]:
     """Return the shapes that may be added to a swing: `COUNT` for each horizontal axis, and as many for the height.
 
-    All are zero with zero slope at both ends; those for the height are zero in the middle as well. The first is the
-    lift itself: to add it sideways tilts the arc.
+    All are zero with zero slope and curvature at both ends, so that a foot leaves its foothold and comes to the next in
+    the direction of the cubic; those for the height are zero in the middle as well.
     """
     across = 2 * phase - 1
-    bump = (1 - across * across) ** 2
-    horizontal = [lift(phase)] + [bump * across**k for k in range(COUNT - 1)]
+    bump = (1 - across * across) ** 3
+    horizontal = [bump * across**k if k else bump for k in range(COUNT)]
     return horizontal, [across * shape for shape in horizontal]

@@ -15,7 +15,7 @@ from mjx_climb.quantities.swing import added_shapes, lift, rest_to_rest
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
-_NODES = 12  # in each half of a swing
+_NODES = 32  # in each half of a swing, for eight digits
 _POSE = 6  # joints of a limb that can put its foot anywhere, turned in any way
 _STEPS = 300  # of Newton, at most
 _SETTLED = 1e-12  # rad, or m
@@ -54,13 +54,19 @@ def swing_reaction(scenario: Scenario, swing_path: np.ndarray) -> Reaction:
 
 
 def reaction(
-    name: str | RobotFile, gait: Gait, turned: bool, swing_path: np.ndarray, near: np.ndarray | None = None
+    name: str | RobotFile,
+    gait: Gait,
+    turned: bool,
+    swing_path: np.ndarray,
+    near: np.ndarray | None = None,
+    nodes: int = _NODES,
 ) -> Reaction:
     """Return `swing_reaction` of a robot and a gait; with `turned` feet of six joints or more keep their attitudes.
 
-    `near` (S, ..., L, N) are joint angles near those asked for, the rest stance where None.
+    `near` (S, ..., L, N) are joint angles near those asked for, the rest stance where None; `nodes` is the number of
+    samples in each half of the swing.
     """
-    robot, (phase, derivative, weight) = load_robot(name), _samples()
+    robot, (phase, derivative, weight) = load_robot(name), _samples(nodes)
     span = (1 - gait.duty) * gait.cycle
     lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
     stance = _limb_arrays(robot.stance_joints)
@@ -99,16 +105,15 @@ def reaction(
 
 
 @functools.cache
-def _samples() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _samples(nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return phases (S,), the matrix (S, S) that differentiates by phase within each half, and weights (S,)."""
-    last = _NODES - 1
-    nodes = -np.cos(np.pi * np.arange(_NODES) / last)
-    values = chebyshev.chebvander(nodes, last)
-    slopes = np.stack([chebyshev.chebval(nodes, chebyshev.chebder(one)) for one in np.eye(_NODES)], axis=1)
-    order = np.arange(_NODES)
+    order = np.arange(nodes)
+    points = -np.cos(np.pi * order / (nodes - 1))
+    values = chebyshev.chebvander(points, nodes - 1)
+    slopes = np.stack([chebyshev.chebval(points, chebyshev.chebder(one)) for one in np.eye(nodes)], axis=1)
     integrals = np.where(order % 2 == 0, 2 / (1 - np.where(order == 1, 0, order) ** 2), 0.0)
     derivative, weight = slopes @ np.linalg.inv(values), np.linalg.solve(values.T, integrals)
-    phase = (nodes + 1) / 4  # a half is a quarter as long as from -1 to 1
+    phase = (points + 1) / 4  # a half is a quarter as long as from -1 to 1
     return np.concatenate([phase, phase + 0.5]), 4 * np.kron(np.eye(2), derivative), np.tile(weight, 2) / 4
 
 
@@ -123,7 +128,8 @@ def _added(phase: np.ndarray, swing_path: np.ndarray) -> np.ndarray:
 def heights(phase: np.ndarray, swing_path: np.ndarray) -> np.ndarray:
     """Return how high swings are at some phases, (S, ..., L), in step heights."""
     added = _added(phase, swing_path)[..., 2]
-    return added + _per_sample(lift(phase), added)
+    height: np.ndarray = added + _per_sample(lift(phase), added)
+    return height
 
 
 def _per_sample(values: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -158,7 +164,7 @@ def _turned(orientation: np.ndarray) -> np.ndarray:
     """Return the rotation matrix of a unit quaternion wxyz."""
     w, x, y, z = orientation
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
 
 
 def _placed(robot: Robot, joints: np.ndarray) -> _Placed:
@@ -197,9 +203,7 @@ def _postures(
     for _ in range(_STEPS):
         placed = _placed(robot, joints)
         axis = placed.rotation[..., 2]
-        column = np.where(
-            slides[..., None], axis, np.cross(axis, placed.foot[..., None, :] - placed.position, axis=-1)
-        )
+        column = np.where(slides[..., None], axis, np.cross(axis, placed.foot[..., None, :] - placed.position, axis=-1))
         left = target - placed.foot
         if attitude is not None:
             now = placed.rotation[..., -1, :, :]

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.dynamics.spatial import quaternion_about_z, quaternion_multiply, rotate, rotation_about_z
@@ -65,7 +66,7 @@ def plan(
     )
 
 
-def _turned(heading: Array, step_height: Array, swing_path: Array) -> Array:
+def _turned(heading: Array, step_height: Array | np.ndarray, swing_path: Array) -> Array:
     """Return what is added to the swings (L, 3, K, B) m along the axes of the world, from step heights ahead."""
     if not swing_path.shape[2]:
         return swing_path
