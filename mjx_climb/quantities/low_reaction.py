@@ -26,8 +26,8 @@ def swing_path(scenario: Scenario) -> np.ndarray:
     """Return what a scenario's `gait.swing` adds to the cubic swings, (L, 3, K), in step heights; K is 0 for `cubic`.
 
     Axes: ahead, left, up; shapes as `mjx_climb.quantities.swing.added_shapes`. For `low_reaction` the integral of the
-    squared reaction on the base is as small as these shapes make it (a local minimum, from the cubic), on flat ground: see
-    `mjx_climb.quantities.swing_reaction`. Limbs that lift off together are judged by the sum of their reactions. Feet
+    squared reaction on the base is as small as these shapes make it (a local minimum, from the cubic), on flat ground:
+    see `mjx_climb.quantities.swing_reaction`. Limbs that lift off together are judged by the sum of their reactions. Feet
     stay above the ground and as high as the cubic in the middle, joints within their limits or those of the cubic.
 
     It is worked out for the scenario's own stride, step height and timing. In `Parameters` it is one value for all

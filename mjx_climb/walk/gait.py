@@ -71,7 +71,7 @@ def _turned(heading: Array, step_height: Array | np.ndarray, swing_path: Array) 
     if not swing_path.shape[2]:
         return swing_path
     along = rotate(heading[:, :, None, None], jnp.moveaxis(swing_path, 1, 0))
-    return step_height * jnp.moveaxis(along, 0, 1)
+    return jnp.asarray(step_height) * jnp.moveaxis(along, 0, 1)
 
 
 def schedule(plan: Plan, step: Array) -> Schedule:
