@@ -27,8 +27,8 @@ def swing_path(scenario: Scenario) -> np.ndarray:
 
     Axes: ahead, left, up; shapes as `mjx_climb.quantities.swing.added_shapes`. For `low_reaction` the integral of the
     squared reaction on the base is as small as these shapes make it (a local minimum, from the cubic), on flat ground:
-    see `mjx_climb.quantities.swing_reaction`. Limbs that lift off together are judged by the sum of their reactions. Feet
-    stay above the ground and as high as the cubic in the middle, joints within their limits or those of the cubic.
+    see `mjx_climb.quantities.swing_reaction`. Limbs that lift off together are judged by the sum of their reactions.
+    Feet stay above the ground and as high as the cubic in the middle, joints within their limits or those of the cubic.
 
     It is worked out for the scenario's own stride, step height and timing. In `Parameters` it is one value for all
     robots of a batch, in step heights: other step heights scale it, headings turn it, and it is zero at both ends, so
