@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         VERMILLION,
     )
     from mjx_climb.plots.feet import plot_feet
-    from mjx_climb.plots.maps import color_scale, comparable, failed_walks, plot_map, plot_maps
+    from mjx_climb.plots.maps import color_scale, comparable, failed_walks, plot_map, plot_maps, stability_lines
     from mjx_climb.plots.saving import FORMATS, save_figure
     from mjx_climb.plots.styling import COLUMN, legend, legend_below, over_style, style
     from mjx_climb.plots.time_panels import thin
@@ -55,6 +55,7 @@ _PUBLIC = {
         "failed_walks",
         "plot_map",
         "plot_maps",
+        "stability_lines",
     ),
     "saving": ("FORMATS", "save_figure"),
     "styling": (
@@ -111,6 +112,7 @@ __all__ = [
     "plot_maps",
     "plot_walk",
     "save_figure",
+    "stability_lines",
     "style",
     "thin",
 ]

@@ -10,4 +10,5 @@ SERIES = (("0.65", 1.8), (VERMILLION, 0.8), (BLUE, 0.8), (GREEN, 0.8), (ORANGE, 
 RED = "#D00000"  # what must not be passed: a torn gripper, on maps the baseline and the limit of stability
 CARGO, PUSH = "#F6F0E1", "#DCE9F4"
 GREY = "#BDBDBD"
+SAME = "#EDEDED"  # a map on which all walks are equal
 HELD = "#DDEFD9"  # on a map of detachments, the walks without any

@@ -47,9 +47,12 @@ def plot_feet(trajectory: Trajectory) -> Figure:
     layout = ConstrainedLayoutEngine(h_pad=0.02, w_pad=0.02, hspace=0.03)
     low, high = planned.min((0, 1)) - 50, planned.max((0, 1)) + 50
     width = COLUMN - (1.3 if scenario.ground.map is not None else 0.6)  # inch, of a panel
-    tall = width * (high[1] - low[1]) / (high[0] - low[0])
-    figure = Figure(figsize=(COLUMN, 2.2 + tall), layout=layout)
-    side, above = figure.subplots(2, 1, sharex=True, height_ratios=[1.3, tall])
+    # a robot that falls leaves the picture
+    top = 1e3 * (trajectory.base_reference[:, 2].max() + scenario.gait.step_height)
+    bottom = planned[..., 2].min() - 0.1 * top
+    tall, flat = (width * size / (high[0] - low[0]) for size in (high[1] - low[1], top - bottom))
+    figure = Figure(figsize=(COLUMN, 0.9 + flat + tall), layout=layout)
+    side, above = figure.subplots(2, 1, sharex=True, height_ratios=[flat, tall])
     if scenario.ground.map is not None:
         _draw_relief(figure, above, scenario.ground.map, along)
     side.axhline(0, color=GREY, linewidth=0.6, zorder=0.5)
@@ -73,12 +76,11 @@ def plot_feet(trajectory: Trajectory) -> Figure:
     if lost := detachments(trajectory)[:1]:
         words = f"{lost[0][1]} torn off, {lost[0][0]:.2f} s"
         side.annotate(words, (0.02, 0.95), xycoords="axes fraction", va="top", color=RED, fontsize=6.5, gid="failure")
-    # a robot that falls leaves the picture
-    top = 1e3 * (trajectory.base_reference[:, 2].max() + scenario.gait.step_height)
-    side.set_ylim(planned[..., 2].min() - 0.1 * top, top)
+    side.set_ylim(bottom, top)
     above.set_xlim(low[0], high[0])
     above.set_ylim(low[1], high[1])
-    above.set_aspect("equal", adjustable="box")
+    for panel in (side, above):
+        panel.set_aspect("equal", adjustable="box")
     side.set_ylabel("height [mm]")
     above.set_ylabel("to the left [mm]")
     above.set_xlabel("ahead [mm]")

@@ -18,7 +18,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from mjx_climb.files.dataset import larger_is_better
-from mjx_climb.plots.colors import BLACK, GREY, HELD, LIMB_COLORS, RED
+from mjx_climb.plots.colors import BLACK, GREY, HELD, LIMB_COLORS, RED, SAME
 from mjx_climb.plots.styling import COLUMN, legend_below, styled
 from mjx_climb.walk.metrics import FAILURES
 
@@ -143,6 +143,7 @@ def _draw_map(
     values = comparable(dataset, metric).transpose(y, x).values.astype(float)
     x_edges, y_edges = (_log_edges(dataset[name].values) for name in (x, y))
     flags = variable.attrs.get("flag_meanings", "").split()
+    known = np.unique(values[np.isfinite(values)])
     colormap: Colormap
     norm: Normalize
     if flags:
@@ -155,7 +156,7 @@ def _draw_map(
         )
     else:
         larger = larger_is_better(variable)
-        colormap = mpl.colormaps["viridis" if larger else "viridis_r"]
+        colormap = mpl.colormaps["viridis" if larger else "viridis_r"] if known.size != 1 else ListedColormap([SAME])
         norm, extend = color_scale(values, failed, baseline, larger)
     panel.set_facecolor(GREY)
     mesh = panel.pcolormesh(
@@ -206,7 +207,10 @@ def _draw_map(
         }
         panel.plot([at_x], [at_y], **look, zorder=4, label=name)
         handles.append(Line2D([], [], **look, label=name))
-    if "spectral_radius" in dataset and _draw_stability_limit(panel, _grid(dataset, "spectral_radius", x, y)):
+    lines = stability_lines(dataset, x, y)
+    for line in lines:
+        panel.plot(*line.T, color=RED, linewidth=1.0, zorder=3, gid="stability limit")
+    if lines:
         handles.append(Line2D([], [], color=RED, linewidth=1.0, label="stability limit"))
     # a mark beside the grid is shown too
     panel.set_xlim(*_span(x_edges, [mark[0] for mark in marks.values()]))
@@ -217,6 +221,10 @@ def _draw_map(
     if flags:
         bar.set_ticks(codes.tolist(), labels=flags)
         bar.ax.minorticks_off()
+    elif known.size == 1:
+        bar.set_ticks([])
+        text = f"all cells: {known[0]:.4g}"
+        panel.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", gid="constant")
     elif (
         isinstance(norm, LogNorm) and mesh.get_clim()[1] < 1e3 * mesh.get_clim()[0]
     ):  # so few decades want ticks between them
@@ -224,7 +232,7 @@ def _draw_map(
         bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
         bar.minorformatter = NullFormatter()
         bar.update_ticks()
-    if baseline is not None and not flags:
+    if baseline is not None and not flags and known.size != 1:
         _mark_on_bar(bar, float(baseline), baseline_name)
     return handles, _label(variable, metric), bar
 
@@ -238,15 +246,19 @@ def _runs(chosen: np.ndarray) -> list[tuple[int, int, int]]:
     return list(zip(rows.tolist(), starts.tolist(), ends.tolist(), strict=True))
 
 
-def _draw_stability_limit(panel: Axes, radius: xr.DataArray) -> bool:
-    """Draw where a radius (y, x) passes 1 and return whether it does; rows and columns without values are left out."""
-    y, x = radius.dims
-    radius = radius.dropna(x, how="all").dropna(y, how="all")
+def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping") -> list[np.ndarray]:
+    """Return the limit of stability over two gains, lines of points (N, 2): where the `spectral_radius` passes 1.
+
+    None where the dataset has no such variable, or all is on one side; rows and columns without values are left out.
+    """
+    if "spectral_radius" not in dataset:
+        return []
+    radius = _grid(dataset, "spectral_radius", x, y).dropna(x, how="all").dropna(y, how="all")
     excess = np.clip((radius.values - 1) * 1e3, -1, 1)  # beyond the limit it grows without bounds
     if min(excess.shape) < 2 or not (excess > 0).any() or not (excess <= 0).any():
-        return False
-    panel.contour(radius[x], radius[y], excess, [0.0], colors=[RED], linewidths=1.0, zorder=3)
-    return True
+        return []
+    lines = Figure().subplots().contour(np.log(radius[x]), np.log(radius[y]), excess, [0.0]).allsegs[0]
+    return [np.exp(line) for line in lines if len(line) > 1]
 
 
 def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:

@@ -76,18 +76,36 @@ def thin(time: np.ndarray, values: np.ndarray, points: int = 1500) -> tuple[np.n
 
 def mark_events(axes: Sequence[Axes], trajectory: Trajectory) -> None:
     """Shade disturbances and mark changes of grip in every panel; name the disturbances above the first."""
-    changes = grip_changes(trajectory)
-    for start, stop, label, color in disturbances(trajectory):
+    changes, windows = grip_changes(trajectory), disturbances(trajectory)
+    for (start, stop, label, color), level in zip(windows, _levels(axes[0], windows), strict=True):
         for panel in axes:
             panel.axvspan(start, stop, color=color, linewidth=0, zorder=0, gid="disturbance")
         place: dict[str, Any] = {"xy": ((start + stop) / 2, 1), "xycoords": axes[0].get_xaxis_transform()}
         text = axes[0].annotate(
-            label, **place, xytext=(0, 2), textcoords="offset points", ha="center", va="bottom", fontsize=6.5
+            label,
+            **place,
+            xytext=(0, 2 + 8 * level),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=6.5,
         )
         text.set_gid("disturbance label")
     for panel in axes:
         for change in changes:
             panel.axvline(change, color="0.7", linewidth=0.4, linestyle=(0, (4, 2)), zorder=0.5, gid="grip change")
+
+
+def _levels(panel: Axes, windows: Sequence[tuple[float, float, str, str]]) -> list[int]:
+    """Return the line on which each disturbance is named: its own where the words of another are in its way."""
+    start, end = panel.get_xlim()
+    letter = 3.9 / (0.8 * 72 * COLUMN) * (end - start)  # s, that a letter of the labels takes of the panel
+    placed: list[tuple[int, float, float]] = []  # line, middle and half the width of each so far, s
+    for first, last, label, _ in windows:
+        middle, half = (first + last) / 2, 0.5 * letter * (len(label) + 1)
+        busy = {line for line, other, width in placed if abs(other - middle) < half + width}
+        placed.append((next(line for line in range(len(windows)) if line not in busy), middle, half))
+    return [line for line, *_ in placed]
 
 
 def mark_failure(

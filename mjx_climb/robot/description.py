@@ -12,7 +12,8 @@ JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
 FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
 SPECK = 1e-10  # kg, kg m^2: of links without a mass, as many a file has them between two joints
-_DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes")
+_ROUNDING = 1e-6  # of the largest moment of inertia
+_DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes", "hfields")
 
 
 class RobotError(ValueError):
@@ -104,7 +105,7 @@ def bare(file: str) -> mujoco.MjSpec:
     """Return the description in a file without shapes of weighed bodies, looks, actuators, sensors and tendons.
 
     A URDF has its inertias written down, and so have many an MJCF's bodies: their shapes, and the files of meshes, do
-    not matter. Moments of inertia that no body can have are mended as MuJoCo mends them (`balanceinertia`), and links
+    not matter. Moments of inertia that no body can have are made equal, as MuJoCo does (`balanceinertia`), and links
     without a mass get a speck of one.
 
     Raises:
@@ -116,9 +117,13 @@ def bare(file: str) -> mujoco.MjSpec:
     for kind in _DROPPED:
         for part in getattr(spec, kind):
             spec.delete(part)
+    for key in spec.keys:
+        key.ctrl, key.act = [], []
     for equality in spec.equalities:
         if equality.type == mujoco.mjtEq.mjEQ_TENDON:
             spec.delete(equality)
+    for body in spec.bodies:
+        _mend(body)
     lowest, highest = spec.compiler.inertiagrouprange
     from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     for geom in spec.geoms:
@@ -131,9 +136,44 @@ def bare(file: str) -> mujoco.MjSpec:
     for part in (*(mesh for mesh in spec.meshes if mesh.name not in used), *spec.materials, *spec.textures):
         spec.delete(part)
     spec.compiler.fusestatic = False
-    spec.compiler.balanceinertia = True
     spec.compiler.boundmass = spec.compiler.boundinertia = SPECK
     return spec
+
+
+def impossible(body: mujoco.MjsBody) -> bool:
+    """Return whether no body can have these moments of inertia: a principal one is above the sum of the others."""
+    moments = _moments(body)
+    least, middle, most = np.linalg.eigvalsh(moments)
+    return bool(most > SPECK and np.diag(moments).min() >= 0 and least + middle < (1 - _ROUNDING) * most)
+
+
+def _mend(body: mujoco.MjsBody) -> None:
+    """Make moments equal that no body can have, and lift those of points, rods and plates off what MuJoCo refuses."""
+    if not body.explicitinertial:
+        return
+    moments = _moments(body)
+    least, middle, most = np.linalg.eigvalsh(moments)
+    if np.abs(moments).max() <= SPECK:
+        mended = SPECK * np.eye(3)
+    elif impossible(body):
+        mended = np.eye(3) * np.trace(moments) / 3
+    elif abs(least) <= _ROUNDING * most and (least <= 0 or least + middle < most):
+        mended = moments + 2 * _ROUNDING * most * np.eye(3)
+    else:
+        return
+    if np.isfinite(body.fullinertia[0]):
+        body.fullinertia = [*np.diag(mended), mended[0, 1], mended[0, 2], mended[1, 2]]
+    else:
+        body.inertia = np.diag(mended)
+
+
+def _moments(body: mujoco.MjsBody) -> np.ndarray:
+    """Return the written inertia of a body, (3, 3) kg m^2; zeros where there is none."""
+    if not body.explicitinertial:
+        return np.zeros((3, 3))
+    xx, yy, zz, xy, xz, yz = body.fullinertia if np.isfinite(body.fullinertia[0]) else (*body.inertia, 0, 0, 0)
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return matrix if np.isfinite(matrix).all() else np.zeros((3, 3))
 
 
 def _limit_torques(spec: mujoco.MjSpec) -> None:

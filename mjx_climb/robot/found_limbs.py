@@ -13,6 +13,7 @@ from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
 _ARM, _FINGER = 3, 3  # joints: several short branches beyond so many are fingers
 _ALIKE = 2  # joints by which limbs of one robot may differ, where three or more have as many
+_SHORT = 1e-3  # m: a last link that ends as near to its joint has no end
 _FOOT = re.compile(
     r"foot|feet|toe|grip|hand|palm|wheel|claw|magnet|hoof|(?<![a-z])(ee|end|tip|tool|tcp)(?![a-z])", re.IGNORECASE
 )
@@ -33,6 +34,7 @@ class Chain(NamedTuple):
     foot: str
     at: tuple[float, float, float]  # m, in the frame of `foot`
     named: bool  # what it ends in is called a foot, or the like
+    guessed: bool = False  # the file does not say where the last link ends
 
 
 def base_of(path: str, model: mujoco.MjModel) -> int:
@@ -65,7 +67,11 @@ def limbs_of(
     driven = driven_joints(described)
     if driven:
         chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
-    return _named(model, _limbs(path, model, chains, notes))
+    limbs = _named(model, _limbs(path, model, chains, notes))
+    if guessed := [repr(chain.foot) for chain in limbs.values() if chain.guessed]:
+        why = f"not in the file ({', '.join(guessed)}): as long as the links before; correct robot.limbs' `at`"
+        notes.append(Note("changed", "ends of last links", why))
+    return limbs
 
 
 def rigid_parts(model: mujoco.MjModel) -> np.ndarray:
@@ -114,10 +120,22 @@ def _footed(described: mujoco.MjSpec, model: mujoco.MjModel, bodies: list[int]) 
     if called or (places and not ends):
         name, _ = max(called or places, key=lambda place: float(np.linalg.norm(place[1] - anchor)))
         return Chain(tuple(joints), name, (0.0, 0.0, 0.0), bool(called))
-    local = data.xmat[bodies[-1]].reshape(3, 3).T @ (anchor - data.xpos[bodies[-1]])
+    axes = data.xmat[bodies[-1]].reshape(3, 3)
+    local = axes.T @ (anchor - data.xpos[bodies[-1]])
     end = max(ends, key=lambda point: float(np.linalg.norm(point - local)), default=2 * model.body_ipos[bodies[-1]])
-    at = tuple(round(float(v), 5) for v in end)
-    return Chain(tuple(joints), model.body(bodies[-1]).name, (at[0], at[1], at[2]), bool(ends))
+    turns = model.jnt_type[joints[-1]] == mujoco.mjtJoint.mjJNT_HINGE
+    guessed = not ends and turns and bool(np.linalg.norm(end - local) < _SHORT)
+    if guessed:
+        end = local + axes.T @ _across(data.xaxis[joints[-1]], anchor - data.xanchor[joints[-2 if joints[1:] else -1]])
+    at = tuple(round(float(v), 5) + 0.0 for v in end)  # no -0.0
+    return Chain(tuple(joints), model.body(bodies[-1]).name, (at[0], at[1], at[2]), bool(ends), guessed)
+
+
+def _across(axis: np.ndarray, link: np.ndarray) -> np.ndarray:
+    """Return a link turned square to an axis, as long as before."""
+    across = link - axis * (axis @ link)
+    length = np.linalg.norm(across)
+    return np.asarray(across * (np.linalg.norm(link) / length) if length > 0 else across)
 
 
 def _ends(geom: mujoco.MjsGeom) -> list[np.ndarray]:

@@ -1,13 +1,12 @@
 """What a robot's file suggests for a scenario: base, limbs, feet, stance, a gait in proportion, what was left out."""
 
 import os
-import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, SPECK, bare, compiled, described
+from mjx_climb.robot.description import JOINTS, SPECK, bare, compiled, described, impossible
 from mjx_climb.robot.found_limbs import Chain, Note, base_of, driven_joints, limbs_of
 from mjx_climb.robot.stance import Stance, checked, judge, keyframe, of_keyframe, searched, section_of, stretched
 
@@ -20,6 +19,7 @@ _LOOP = {"kp": 50.0, "kd": 0.2}
 _HOLDS_TURNS = {"rotational_stiffness": 30.0, "rotational_damping": 0.06}  # N m/rad, N m s/rad
 _STANDING = 3  # feet on the ground that keep a robot from swinging about them
 _HALVINGS = 5  # of a stride that is too long
+_NAMED = 5  # links in a note
 _MISSED = 0.02  # of the reach, by which limbs of two joints may miss their footholds
 
 
@@ -47,7 +47,7 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
     proportions = _proportions(mass, reach)
     held = _held(model, base, limbs, notes)
     springs = _springs(model, limbs, driven_joints(full), proportions["control"], notes)
-    _looks(full, model, base, path, notes)
+    _looks(full, model, base, notes)
 
     key = keyframe(model)
     section = section_of(path, model, limbs, held, springs)
@@ -119,7 +119,7 @@ def _springs(
     return springs
 
 
-def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, path: str, notes: list[Note]) -> None:
+def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: list[Note]) -> None:
     """Note what the file holds and the dynamics do not need, and what was mended."""
     if meshes := len(full.meshes) - model.nmesh:
         notes.append(Note("ignored", f"{meshes} meshes", "looks: masses and inertias are written down"))
@@ -137,15 +137,9 @@ def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, path: str, not
     for body in np.flatnonzero(model.body_jntnum > 0):
         if model.body_mass[body] <= SPECK:
             notes.append(Note("changed", f"link {model.body(body).name!r}", "has no mass: it gets a speck of one"))
-    unmended = bare(path)
-    unmended.compiler.balanceinertia = False
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            unmended.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        notes.append(Note("changed", "inertias that no body can have", f"their moments are made equal ({reason[:80]})"))
+    if names := [repr(body.name) for body in full.bodies if impossible(body)]:
+        which = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+        notes.append(Note("changed", "moments of inertia", f"no body can have those of {which}: made equal"))
 
 
 def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: list[Note]) -> None:

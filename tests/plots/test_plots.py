@@ -159,6 +159,7 @@ def test_feet_are_drawn_on_the_ground_that_the_scenario_has(walk, tmp_path):
     assert side.get_ylim()[0] < -20
     np.testing.assert_allclose(find(above, "foothold")[0].get_xdata()[0], 1e3 * walk.foot_position[0, 0, 0], atol=1)
     assert (side.get_ylabel(), above.get_xlabel()) == ("height [mm]", "ahead [mm]")
+    assert side.get_aspect() == above.get_aspect() == 1
     flat = plots.plot_feet(walk)
     assert {bar.get_ydata()[0] for bar in find(flat.axes[0], "foothold")} == {0.0}
 
@@ -268,6 +269,22 @@ def test_sheet_of_maps(tmp_path):
     assert {"none", "LF", "LH", "RH", "RF", "pd \N{UPWARDS ARROW}"} <= set(texts(figure))
     paths = plots.save_figure(figure, tmp_path / "out" / "sheet.v1", dpi=50)
     assert [path.name for path in paths] == ["sheet.v1.png"]
+
+
+def test_a_map_without_a_difference_says_so_in_no_colour():
+    same = grid().assign(missed=(("stiffness", "damping"), np.zeros((4, 3)), {"units": "1"}))
+    figure = plots.plot_map(same, "missed", baseline=0.0)
+    assert "all cells: 0" in texts(figure) and not find(figure, "baseline")
+    shades = figure.axes[0].collections[0].to_rgba([0.0])[0, :3]
+    assert np.ptp(shades) == 0
+
+
+def test_the_limit_of_stability_runs_between_the_cells_on_both_sides_of_it():
+    log = np.log10(grid()["stiffness"]) + 0 * grid()["damping"]
+    (line,) = plots.stability_lines(grid().assign(spectral_radius=1 + 1e-4 * (log - 3.25)))
+    np.testing.assert_allclose(np.log10(line[:, 0]), 3.25)
+    np.testing.assert_allclose(sorted(line[:, 1]), [1e0, 1e2, 1e4])
+    assert plots.stability_lines(grid().assign(spectral_radius=0 * log)) == plots.stability_lines(grid()) == []
 
 
 def test_files_are_small(walk, tmp_path):

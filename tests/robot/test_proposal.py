@@ -1,15 +1,19 @@
 """`mjx-climb robot`: files with the oddities of public ones become scenarios that hold what is in them."""
 
+import dataclasses
 import re
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step, largest_time_step
+from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.proposal import propose
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
 from tuning.command_line import main
@@ -45,7 +49,8 @@ def dog():
 {weight("0.02 0 0", 6.9, "0.1 0.1 0.02")}<site name="imu"/>{"".join(legs)}
 <body pos="0.25 0 0.1"><joint name="neck" axis="0 1 0"/>{weight("0.05 0 0", 0.3, "1e-3 1e-3 1e-3")}
 </body></body></worldbody><actuator>{"".join(motors)}</actuator><sensor><gyro site="imu"/></sensor>
-<keyframe><key name="home" qpos="0 0 0.27 1 0 0 0 {"0 0.9 -1.8 " * 4} 0.1"/></keyframe></mujoco>"""
+<keyframe><key name="home" qpos="0 0 0.27 1 0 0 0 {"0 0.9 -1.8 " * 4} 0.1"
+  ctrl="{"0 0.9 -1.8 " * 4}"/></keyframe></mujoco>"""
 
 
 def scenario_of(proposal):
@@ -81,22 +86,74 @@ def test_a_dog_as_it_is_published(tmp_path):
     np.testing.assert_array_equal(loaded.torque_limit[..., 0], np.repeat([[np.inf], [np.inf], [45]], 4, axis=1))
 
 
+def test_the_end_of_a_link_that_the_file_does_not_have(tmp_path):
+    """Without a foot, a shape or a centre of mass it is as long as the one before, square to the joint, and told."""
+    text, _ = urdf(1)
+    text = re.sub(r'<link name="\w+_toe"/>|<joint name="\w+_ankle".*?</joint>', "", text)
+    text = re.sub(r'(<link name="\w+_shank"><inertial><origin) xyz="[^"]*"', r'\1 xyz="0 0 0"', text)
+    file = tmp_path / "endless.urdf"
+    file.write_text(text)
+    proposal = propose(file)
+    assert "changed ends of last links not in the file" in told(proposal)
+    limb = proposal.sections["robot"]["limbs"]["LH"]
+    thigh = [float(v) for v in re.search(r'name="LH_knee".*?xyz="([^"]*)"', text)[1].split()]
+    assert limb["foot"] == "LH_shank"
+    assert np.linalg.norm(limb["at"]) == pytest.approx(np.linalg.norm(thigh), abs=2e-5)
+    assert limb["at"][2] == 0.0  # the knee's axis
+
+
 def test_a_urdf_with_odd_numbers(tmp_path):
     """Inertias that no body can have are mended and named; limits beyond a turn are none."""
     text, _ = urdf(1)
     text = re.sub(r'izz="[^"]*"', 'izz="0.9"', text, count=1).replace(
         'lower="-1.2" upper="1.2"', 'lower="-9.4" upper="9.4"'
     )
+    for link, moments, off in (("LH_shank", 1, 1), ("RH_shank", 0, 1e-20)):
+        inertia = " ".join(f'{axes}="{moments if axes[1] == axes[2] else off}"'
+                           for axes in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))  # fmt: skip
+        text = re.sub(rf'(<link name="{link}">.*?<inertia) [^>]*/>', rf"\1 {inertia}/>", text, count=1)
     file = tmp_path / "odd.urdf"
     file.write_text(text)
     proposal = propose(file)
     assert set(proposal.sections["robot"]["limbs"]) == {"LF", "LH", "RH", "RF"}
     assert proposal.sections["robot"]["limbs"]["LH"]["foot"] == "LH_toe"
-    assert "changed inertias that no body can have" in told(proposal)
+    assert "changed moments of inertia no body can have those of 'trunk', 'LH_shank': made equal" in told(proposal)
     assert "changed stance" in told(proposal)
     assert proposal.sections["gait"]["sequence"] == ["LH", "LF", "RH", "RF"]
     robot = load_robot(scenario_of(proposal).robot)
     np.testing.assert_allclose(robot.joint_upper[0], np.pi)
+
+
+def either_way():
+    """Return a dog without limits or keyframe: its knees bend either way, and are straight at zero."""
+    return re.sub(r"<keyframe>.*?</keyframe>", "", re.sub(r' range="[^"]*"', "", dog()), flags=re.DOTALL)
+
+
+def test_knees_that_bend_either_way_stay_on_one(tmp_path):
+    """Of postures with a foot in one place the inverse kinematics gives the rest stance's."""
+    file = tmp_path / "dog.xml"
+    file.write_text(either_way())
+    robot = load_robot(scenario_of(propose(file)).robot)
+    stance = jnp.asarray(robot.stance_joints)
+    assert np.abs(stance[0]).max() < 0.5  # hips are not swung over the back
+    for rest in (stance, -stance.at[0].multiply(-1)):
+        other = dataclasses.replace(robot, stance_joints=np.asarray(rest))
+        found = inverse_kinematics(limb_geometry(other), limb_frames(other, None, rest).foot)
+        np.testing.assert_allclose(found.joint_angles, rest, atol=1e-9)
+
+
+def test_a_posture_without_closed_form(tmp_path):
+    """A hip swung over the back is a stance of its own: found by steps from it."""
+    file = tmp_path / "dog.xml"
+    file.write_text(either_way())
+    robot = load_robot(scenario_of(propose(file)).robot)
+    over = jnp.asarray(robot.stance_joints) + jnp.array([2.4, 1.8, 0.0])[:, None, None]
+    other = dataclasses.replace(robot, stance_joints=np.asarray(over))
+    feet = limb_frames(other, None, over).foot
+    closed = inverse_kinematics(limb_geometry(robot), feet)
+    np.testing.assert_allclose(limb_frames(robot, None, closed.joint_angles).foot, feet, atol=1e-9)
+    assert float(jnp.abs(closed.joint_angles - over).max()) > 1.0
+    np.testing.assert_allclose(inverse_kinematics(limb_geometry(other), feet).joint_angles, over, atol=1e-9)
 
 
 FEW = {(6, 3), (2, 7), (4, 2)}
@@ -142,6 +199,7 @@ def oddities():
     assert hip in two
     return {
         "a dog": ("xml", dog()),
+        "knees that bend either way": ("xml", either_way()),
         "inertias of no body": ("urdf", odd),
         "six limbs without limits": ("urdf", six_limbs()),
         "passive ankles": ("xml", passive),

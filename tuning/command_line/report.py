@@ -8,14 +8,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from tuning.report.numbers import axis_values, change, gain, number, to_json, unit
+from tuning.report.numbers import axis_values, change, gain, number, to_json, unit, words
 
 if TYPE_CHECKING:
     import mjx_climb as mc
     from tuning.report import page
     from tuning.report.comparison import Compared
 
-__all__ = ["change", "gain", "number", "to_json", "unit"]
+__all__ = ["change", "gain", "number", "to_json", "unit", "words"]
 
 WIDTH = 100  # of tables in a file
 
@@ -69,7 +69,7 @@ def walk_table(metrics: Mapping[str, Any], about: "mc.MetricTable | None" = None
     """Return the table of one walk."""
     table = plain_table("metric", "value", "unit")
     for name, value in metrics.items():
-        table.add_row(name, number(value), unit(name, about))
+        table.add_row(words(name, about), number(value), unit(name, about))
     return table
 
 
@@ -102,7 +102,7 @@ def comparison_table(
         add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == list(units)[-1])
     for key, base in metrics[baseline].items():
         changes = {name: change(metrics[name][key], base) for name in compared}
-        add(key, unit(key, about), {name: number(metrics[name][key]) for name in walks}, changes)
+        add(words(key, about), unit(key, about), {name: number(metrics[name][key]) for name in walks}, changes)
     return table
 
 

@@ -214,7 +214,7 @@ def metrics_grid(found: Mapping[str, Reproduction]) -> Grid:
             if metric == "detached_at":
                 stated = ["fails", "holds"] if case.published.baseline_fails else ["", ""]
             cells = [_cell(metric, metrics) for metrics in case.metrics.values()]
-            rows.append([metric, report.unit(metric), *stated, *cells])
+            rows.append([report.words(metric), report.unit(metric), *stated, *cells])
         sections.append((f"case {name}: {case.published.title}", rows))
     return Grid(columns, sections)
 

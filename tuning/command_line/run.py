@@ -55,6 +55,7 @@ def run(
         from mjx_climb.files import dataset, scenario_files
         from mjx_climb.robot.constants import load_robot
         from tuning.command_line import interruption, progress, report
+        from tuning.report import remarks
         from tuning.report.comparison import gains_of
 
         scenario = options.scenario_from(config, controller, changes, hardware)
@@ -97,15 +98,17 @@ def run(
         tables = console if json else report.console(file=stdout)
         if baseline is None:
             tables.print(report.walk_table(metrics, table))
-            tables.print(report.verdict(trajectory, metrics))
+            lines = [report.verdict(trajectory, metrics), *remarks.weightless({name: metrics})]
         else:
             both = [
                 (n, walk, mc.metrics(walk, table)) for n, walk in zip(reversed(names), reversed(walks), strict=True)
             ]
             compared = {name: (gains_of(walk), values) for name, walk, values in both}
             tables.print(report.comparison_table(compared, baseline.control.controller, tables.width, table, own))
-            for name, walk, values in both:
-                tables.print(f"{name}: {report.verdict(walk, values)}")
+            lines = [f"{name}: {report.verdict(walk, values)}" for name, walk, values in both]
+            lines += remarks.weightless({name: values for name, _, values in both})
+        for line in lines:
+            tables.print(line, soft_wrap=True)
         console.print(f"written to {out}: {', '.join(files)}", soft_wrap=True)
         if json:
             print(text, file=stdout)

@@ -163,12 +163,15 @@ def print_result(found: "Swept", judged: "Judged", console: "Console") -> None:
 
 def _outcome(judged: "Judged", axes: Iterable[str]) -> list[str]:
     """Return in lines what is best."""
+    from tuning.report.remarks import remarks
+
     walks = judged.data["diverged"].size
+    lines = remarks({name: metrics for name, (_, metrics) in judged.compared.items()})
     if judged.best is None:
-        return [f"no walk of the grid held: all {walks} detached or diverged"]
+        return [f"no walk of the grid held: all {walks} detached or diverged", *lines]
     best = ", ".join(f"{name} {judged.best[name].item():.4g}" for name in axes)
     edges = [f"the best lies on the edge of the grid: widen {_option(name)}" for name in judged.at_edge]
-    return [f"best: {best} ({judged.failed} of {walks} walks detached or diverged)", *edges]
+    return [f"best: {best} ({judged.failed} of {walks} walks detached or diverged)", *edges, *lines]
 
 
 def axes_from(stiffness: str | None, damping: str | None, axis: list[str] | None) -> "dict[str, np.ndarray]":

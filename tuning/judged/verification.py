@@ -154,6 +154,25 @@ def _shape(change: np.ndarray) -> str:
     return "plateau" if np.abs(change).max() < PLATEAU else "slope"
 
 
+def _cliff(goal: Goal, around: Evaluation, less: int, more: int) -> str:
+    """Return in words what breaks off on both sides of a gain: rows `less` and `more` further on."""
+    sides = []
+    for side, row in (("less", less), ("more", less + more)):
+        broken = [
+            mc.METRICS.in_words(limit.metric)
+            for limit in goal.limits
+            if np.max(objectives.violation(limit, around.metrics[limit.metric][row])) > 0
+        ]
+        jump = float(around.value[row] - around.value[0])
+        if not np.isfinite(around.value[row]):
+            sides.append(f"{side}: the walk diverges")
+        elif broken:
+            sides.append(f"{side}: {' and '.join(broken)} beyond the limit")
+        elif jump > CLIFF:
+            sides.append(f"{side}: objective {jump:+.2f}")
+    return ", ".join(sides)
+
+
 def broken_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     """Return in words which limits a walk breaks, by its metrics as `mjx_climb.metrics` gives them."""
     if metrics["diverged"]:
@@ -164,7 +183,7 @@ def broken_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     for limit in objective.limits:
         value = metrics[limit.metric]
         if value is not None and objectives.violation(limit, value) > 0:
-            broken.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
+            broken.append(f"{mc.METRICS.in_words(limit.metric)} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
     return broken
 
 
@@ -176,7 +195,7 @@ def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     for limit in objective.limits:
         value = metrics[limit.metric]
         if value is not None and -objectives.BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
-            near.append(f"{limit.metric} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
+            near.append(f"{mc.METRICS.in_words(limit.metric)} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
     return near
 
 
@@ -205,7 +224,9 @@ def _warnings(
             lines.append(f"{name}: no metric responds to it here (less than {UNRESPONSIVE:.1%} for {STEP:.0%})")
     cliffs = [name for name, kind in shape.items() if kind == "cliff"]
     if cliffs:
-        lines.append(f"cliff within {STEP:.0%} of {', '.join(cliffs)}: a limit breaks or the objective jumps")
+        rows = {name: 1 + space.names.index(name) for name in cliffs}
+        why = [f"{name} ({_cliff(problem.objective, around, row, space.size)})" for name, row in rows.items()]
+        lines.append(f"cliff within {STEP:.0%} of {', '.join(why)}")
     if best is not None and float(best["objective"]) < found.value - 1e-4:
         where = ", ".join(f"{name} {float(best[name]):.4g}" for name in _axes(best))
         lines.append(f"a coarse grid found better: {float(best['objective']):.4f} at {where}")

@@ -25,6 +25,7 @@ from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
 from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
+from tuning.report.remarks import remarks
 from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
 from tuning.searches.retuned_pd import Worth
@@ -162,6 +163,7 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
         outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
+    outcome += remarks(metrics) + _turns(found, walks["tuned"])
     return Judged(walks, compared, over, hardware, checked, outcome, _summary(found, checked, compared, worth))
 
 
@@ -177,6 +179,18 @@ def _draw(found: Result, judged: Judged, folder: Path, formats: Collection[str])
     for name, figure in drawn.items():
         plots.save_figure(figure, folder / name, formats)
     return {CAPTIONS[name]: folder / f"{name}.png" for name in drawn}
+
+
+def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
+    """Return what isotropic gains mean for rotations: nothing much, where the law shifts the base."""
+    if found.search.space != "isotropic" or not np.any(walk.base_displacement):
+        return []
+    moved = np.linalg.norm(walk.base_displacement.reshape(-1, 2, 3), axis=-1)
+    shift, turn = 1e3 * np.nanmax(moved, axis=0)
+    return [
+        "one number for N/m and N m/rad alike makes rotations far stiffer at the feet than translations: the law "
+        f"shifts the base by up to {shift:.2g} mm and turns it by {turn:.2g} mrad; --space split tunes both"
+    ]
 
 
 def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
@@ -204,9 +218,14 @@ def _scored(target: Goal, metrics: Mapping[str, Any]) -> dict[str, float]:
     return {"objective": score, "force_variation": np.nan if variation is None else float(variation)}
 
 
-def _summary(found: Result, checked: Verification, compared: Compared, worth: Worth | None) -> str:
+def _summary(found: Tuned, checked: Verification, compared: Compared, worth: Worth | None) -> str:
     summary: dict[str, Any] = {
-        name: {"gains": gains, "metrics": metrics} for name, (gains, metrics) in compared.items()
+        name: {
+            "gains": gains,
+            "metrics": metrics,
+            "broken_limits": verification.broken_limits(found.problem.objective, metrics),
+        }
+        for name, (gains, metrics) in compared.items()
     }
     summary["search"] = {
         **found.search.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,

@@ -130,10 +130,11 @@ def violation(limit: Limit, value: Array | np.ndarray) -> Array | np.ndarray:
 
 
 def in_words(limit: Limit) -> str:
-    """Return "base_deviation at most 0.005 m (set by the user)"."""
+    """Return "base deviation at most 0.005 (set by the user)"."""
     value = np.asarray(limit.value)
     text = f"{value:.4g}" if value.ndim == 0 else f"{value.min():.4g} to {value.max():.4g}"
-    return f"{limit.metric} at {'least' if limit.larger_is_better else 'most'} {text} ({limit.reason})"
+    end = "least" if limit.larger_is_better else "most"
+    return f"{mc.METRICS.in_words(limit.metric)} at {end} {text} ({limit.reason})"
 
 
 def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:

@@ -8,6 +8,7 @@ from tuning.gains.gains_file import by_name
 from tuning.gains.labels import labels
 from tuning.report.numbers import axis_values, change, gain, number, plain_unit, unit
 from tuning.report.page import Table
+from tuning.report.remarks import failed
 
 Values = Mapping[str, Any]
 Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
@@ -50,7 +51,7 @@ def table(compared: Compared, caption: str, about: MetricTable = METRICS, law: L
     for key, value in compared[first][1].items():
         theirs = [compared[name][1][key] for name in others]
         changes = [change(value, base) for base in theirs]
-        rows.append([key, unit(key, about), number(value), *changes, *map(number, theirs)])
+        rows.append([about.in_words(key), unit(key, about), number(value), *changes, *map(number, theirs)])
     return Table(caption, columns, [("", gains), ("", rows)])
 
 
@@ -85,23 +86,18 @@ def against(metric: str, value: float | None, others: Values, about: MetricTable
 
 def held(metrics: Values) -> str:
     """Return in words whether the grippers held."""
-    failures = []
-    if metrics["detached_limb"] is not None:
-        failures.append(f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s")
-    if metrics["diverged"]:
-        failures.append("the simulation diverges")
-    if failures:
-        return ", ".join(failures)
+    if failures := failed(metrics):
+        return failures
     if missed := metrics.get("missed_grips"):
         return f"every grip holds, but {missed} missed the ground"
     return "every gripper holds"
 
 
 def worsened(metrics: Values, baseline: Values, about: MetricTable = METRICS, least: float = 5.0) -> list[str]:
-    """Return what got worse than under the baseline by at least so many per cent, as "base_deviation +414 %"."""
+    """Return what got worse than under the baseline by at least so many per cent, as "base deviation +414 %"."""
     found = []
     for name, value in metrics.items():
         percent = change(value, baseline[name])
         if percent and (-float(percent) if about[name].larger_is_better else float(percent)) >= least:
-            found.append(f"{name} {percent} %")
+            found.append(f"{about.in_words(name)} {percent} %")
     return found

@@ -25,6 +25,7 @@ def explorer(
     *,
     baseline: str = "pd",
     shown: tuple[str, ...] | None = None,
+    opens_on: str | None = None,
     points: Mapping[str, Any] | None = None,
     about: mc.MetricTable = mc.METRICS,
 ) -> dict[str, Any]:
@@ -36,6 +37,7 @@ def explorer(
         metrics: of the walks, as `mjx_climb.walk.metrics` gives them.
         baseline: the walk that all others are compared with; disturbances and grip changes are its own.
         shown: walks that are drawn at first; all where None.
+        opens_on: the walk whose numbers stand beside the points at first; the points' own beginning where None.
         points: many walks to choose from, see `grid_points`.
         about: the metrics themselves.
     """
@@ -44,6 +46,7 @@ def explorer(
     return {
         "title": title,
         "baseline": baseline,
+        "opens_on": opens_on,
         "metrics": _metric_texts(about),
         "lines": [
             {"name": name, "label": text, "unit": SCALES.get(unit, (1, unit))[1], "factor": SCALES.get(unit, (1, 0))[0]}
@@ -117,6 +120,7 @@ def grid_points(
         "scales": scales,
         "failed": [_failure({n: listed[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
+        "limit": [line.tolist() for line in plots.stability_lines(grid, *axes)],
         "begin": begin[x] * shown.sizes[y] + begin[y],
         "stored": stored,
         "histories": {name: packed(kept[name].transpose(*axes, "extreme", "stretch").values) for name in LINES},

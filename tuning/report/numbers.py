@@ -58,6 +58,13 @@ def unit(name: str, about: "MetricTable | None" = None) -> str:
     return plain_unit((about or METRICS)[name].unit)
 
 
+def words(name: str, about: "MetricTable | None" = None) -> str:
+    """Return what a metric, one of `about` or of the shipped ones, is called for people."""
+    from mjx_climb import METRICS
+
+    return (about or METRICS).in_words(name)
+
+
 def plain_unit(text: str) -> str:
     """Return a unit for people: nothing for a number without one."""
     return "" if text.strip() == "1" else text.strip()

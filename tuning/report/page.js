@@ -59,6 +59,17 @@
     return { at, ticks: ticks.filter((_, i) => i % every === 0) };
   }
 
+  // On which line each disturbance is named: its own where the words of another are in its way. `pixel` is in s.
+  function labelLines(windows, pixel) {
+    const placed = [];
+    for (const [from, to, label] of windows) {
+      const [middle, half] = [(from + to) / 2, 0.5 * pixel * 6.5 * (label.length + 1)];
+      const busy = placed.filter((each) => Math.abs(each.middle - middle) < half + each.half).map((each) => each.line);
+      placed.push({ line: windows.findIndex((_, line) => !busy.includes(line)), middle, half });
+    }
+    return placed.map((each) => each.line);
+  }
+
   // An empty drawing as wide as its place.
   function canvas(place, height, label, interactive = false) {
     const width = Math.max(260, Math.round(place.clientWidth));
@@ -93,12 +104,13 @@
     return make("path", { d: MARKS[number % MARKS.length], transform: `translate(${x} ${y})`, class: "mark" }, make("title", {}, label));
   }
 
-  function legend(entries) {
+  function legend(entries, limited = false) {
     const row = make("div", { class: "controls hint" });
     for (const [number, text] of entries) {
       const icon = make("svg", { width: 20, height: 20, viewBox: "-10 -10 20 20", "aria-hidden": "true" }, make("path", { d: MARKS[number % MARKS.length], class: "mark" }));
       row.append(make("label", {}, icon, text));
     }
+    if (limited) row.append(make("label", {}, make("span", { class: "swatch limit-swatch" }), "limit of stability"));
     return row;
   }
 
@@ -123,7 +135,8 @@
       if (this.points) {
         this.texts = { ...data.metrics, ...this.points.texts };
         this.histories = mapped(this.points.histories, unpacked);
-        this.cell = this.pointed = this.points.begin;
+        // no cell is chosen where the page opens on a walk of its own
+        this.cell = this.pointed = data.opens_on ? null : this.points.begin;
         this.metric = "objective" in this.points.scales ? "objective" : "force_variation" in this.points.scales ? "force_variation" : Object.keys(this.points.scales)[0];
         this.trade = { x: this.points.trade ? this.points.trade[0] : "base_deviation", y: this.points.trade ? this.points.trade[1] : "force_variation" };
         this.buildPoints(place);
@@ -156,7 +169,7 @@
           make("div", { class: "controls screen" }, selector("Map of", options, this.metric, (name) => ((this.metric = name), this.drawMap(map), this.mapTitle()))),
           (this.heading = make("p", { class: "title" })),
           map,
-          legend(points.marks.map((m) => [this.symbol(m.name), m.name])),
+          legend(points.marks.map((m) => [this.symbol(m.name), m.name]), points.limit.length > 0),
           make("p", { class: "hint screen" }, "Brighter is better, and colours end where the bar does; hatched walks lost a gripper or diverged. Point at a cell for its numbers, click it for its walk over time; arrow keys move, Enter chooses."),
         );
         this.drawings.push(() => this.drawMap(map));
@@ -173,7 +186,7 @@
       trade.append(front, legend(this.data.walks.map((walk) => [this.symbol(walk.name), walk.name])),
         make("p", { class: "hint" }, "Each dot is a walk that held; the line joins those that none beats in both."));
       this.drawings.push(redraw);
-      const right = make("div", {}, make("h3", {}, points.axes ? "Cell" : "Point"), readout);
+      const right = make("div", {}, make("h3", {}, this.data.opens_on ? "Numbers" : points.axes ? "Cell" : "Point"), readout);
       if (points.axes) right.append(trade);
       place.append(make("div", { class: "columns" }, points.axes ? left : trade, right));
       if (points.left_out) place.append(make("p", { class: "hint" }, `This page shows ${points.count} of ${points.count + points.left_out} walks, evenly chosen; the data file holds all.`));
@@ -189,23 +202,26 @@
       this.heading.textContent = named(this.texts[this.metric]);
     }
 
-    // All numbers of one cell.
+    // All numbers of one cell, or those of the walk that the page opens on where there is none.
     say(cell) {
       this.pointed = cell;
       const { points, base } = this;
+      const walk = cell === null && this.walks.find((each) => each.name === this.data.opens_on);
       const gains = Object.entries(points.gains).map(([name, values]) => `${name} ${format(values[cell])}`).join(", ");
-      const table = make("table", { "data-cell": cell }, make("caption", {}, gains));
+      const table = make("table", { "data-cell": cell ?? "" }, make("caption", {}, walk ? walk.name : gains));
       table.append(make("thead", {}, make("tr", {}, ...["", "value", base.name, `vs ${base.name} %`].map((t) => make("th", { scope: "col" }, t)))));
       const body = make("tbody");
       for (const [name, values] of Object.entries(points.values)) {
+        if (walk && !(name in walk.metrics)) continue;
         const text = this.texts[name];
+        const value = walk ? walk.metrics[name] : values[cell];
         const reference = base.metrics[name];
         body.append(make("tr", { "data-metric": name },
-          make("th", { scope: "row", class: "word" }, named(text)), make("td", {}, format(values[cell])),
-          make("td", {}, name in base.metrics ? format(reference) : ""), make("td", {}, change(values[cell], reference))));
+          make("th", { scope: "row", class: "word" }, named(text)), make("td", {}, format(value)),
+          make("td", {}, name in base.metrics ? format(reference) : ""), make("td", {}, change(value, reference))));
       }
       table.append(body);
-      const failed = points.failed[cell];
+      const { failed } = walk || { failed: points.failed[cell] };
       this.readout.replaceChildren(make("div", { class: "wide" }, table), make("p", failed ? { class: "failed" } : {}, failed ? failed.text : "all grippers held"));
       if (this.outline) this.outline();
     }
@@ -242,9 +258,11 @@
       const left = (cell) => box.left + w * Math.floor(cell / ys.length);
       const top = (cell) => box.bottom - h * ((cell % ys.length) + 1);
       const values = points.values[metric];
+      const known = new Set(values.filter((v) => typeof v === "number"));
+      const plain = known.size === 1 ? "#ededed" : null; // a colour would tell nothing
       for (let cell = 0; cell < points.count; cell++) {
         const at = { x: left(cell), y: top(cell), width: w + 0.3, height: h + 0.3 };
-        const fill = typeof values[cell] === "number" ? this.color(metric, values[cell]) : "#bdbdbd";
+        const fill = typeof values[cell] === "number" ? plain || this.color(metric, values[cell]) : "#bdbdbd";
         svg.append(make("rect", { ...at, fill, "data-cell": cell }));
         if (points.failed[cell]) svg.append(make("rect", { ...at, fill: `url(#${failing})`, "pointer-events": "none" }));
       }
@@ -267,17 +285,21 @@
       const x = { at: along(xs, box.left, w), ticks: powers(xs) };
       const y = { at: along(ys, box.bottom, -h), ticks: powers(ys) };
       axes(svg, box, x, y, ...points.axes.map((axis) => `${axis.label} [${axis.unit}]`), false);
+      const lines = points.limit.map((line) => "M" + line.map(([a, b]) => `${x.at(a).toFixed(1)} ${y.at(b).toFixed(1)}`).join("L"));
+      if (lines.length) svg.append(make("path", { d: lines.join(""), class: "limit" }, make("title", {}, "limit of stability")));
       points.marks.forEach((m) => {
         const [mx, my] = [x.at(m.at[0]), y.at(m.at[1])];
         const inside = mx >= box.left - w && mx <= box.right + w && my >= box.top - h && my <= box.bottom + h;
         if (inside) svg.append(mark(this.symbol(m.name), mx, my, m.name));
       });
-      this.drawBar(svg, { ...box, left: box.right + 10, right: box.right + 22 });
+      if (plain) svg.append(make("text", { x: (box.left + box.right) / 2, y: (box.top + box.bottom) / 2, "text-anchor": "middle", class: "constant" }, `all cells: ${format([...known][0])}`));
+      else this.drawBar(svg, { ...box, left: box.right + 10, right: box.right + 22 });
       const frames = ["halo", "pointed", "chosen"].map((name) => make("rect", { class: name, width: w, height: h }));
       svg.append(...frames);
       this.outline = () => {
         frames.forEach((frame, i) => {
           const cell = i < 2 ? this.pointed : this.cell;
+          frame.setAttribute("visibility", cell === null ? "hidden" : "visible");
           frame.setAttribute("x", left(cell));
           frame.setAttribute("y", top(cell));
         });
@@ -287,12 +309,13 @@
       svg.addEventListener("pointerover", (event) => of(event) !== undefined && this.say(Number(of(event))));
       svg.addEventListener("click", (event) => of(event) !== undefined && this.choose(Number(of(event))));
       svg.addEventListener("keydown", (event) => {
-        const [i, j] = [Math.floor(this.pointed / ys.length), this.pointed % ys.length];
+        const from = this.pointed ?? points.begin;
+        const [i, j] = [Math.floor(from / ys.length), from % ys.length];
         const to = { ArrowLeft: [i - 1, j], ArrowRight: [i + 1, j], ArrowUp: [i, j + 1], ArrowDown: [i, j - 1], Enter: [i, j], " ": [i, j] }[event.key];
         if (!to) return;
         event.preventDefault();
         const [a, b] = [Math.min(xs.length - 1, Math.max(0, to[0])), Math.min(ys.length - 1, Math.max(0, to[1]))];
-        if (event.key === "Enter" || event.key === " ") this.choose(this.pointed);
+        if (event.key === "Enter" || event.key === " ") this.choose(from);
         else this.say(a * ys.length + b);
       });
     }
@@ -378,7 +401,7 @@
       this.chosenKey = make("label", { class: "chosen-key" });
       if (this.points) keys.append(this.chosenKey);
       this.instant = instant;
-      place.append(make("h3", { class: "walks" }, this.points ? "The chosen cell over time" : "Over time"), keys,
+      place.append(make("h3", { class: "walks" }, this.points && !this.data.opens_on ? "The chosen cell over time" : "Over time"), keys,
         make("div", { class: "charts" }, ...this.charts.map((chart) => chart.place)), instant, this.caption);
       this.drawings.push(() => this.drawCharts());
     }
@@ -393,7 +416,7 @@
     // The cell nearest to the chosen one that has a history.
     storedCell() {
       const { points, cell } = this;
-      if (!points.stored.length) return null;
+      if (cell === null || !points.stored.length) return null;
       const rows = points.axes ? points.axes[1].values.length : 1;
       const far = (c) => Math.hypot(Math.floor(c / rows) - Math.floor(cell / rows), (c % rows) - (cell % rows));
       return points.stored.reduce((a, b) => (far(b) < far(a) ? b : a));
@@ -425,8 +448,10 @@
 
     drawChart(place, line, series) {
       const { count, stretch, end } = this.data.time;
-      const { svg, width, height } = canvas(place, 250, `${line.label} over time: ${series.map((s) => s.name).join(", ")}`);
-      const box = { left: GAP.left - 4, right: width - GAP.right, top: 40, bottom: height - GAP.bottom };
+      const lines_ = labelLines(this.data.windows, end / Math.max(260, place.clientWidth));
+      const extra = 12 * Math.max(0, ...lines_);
+      const { svg, width, height } = canvas(place, 250 + extra, `${line.label} over time: ${series.map((s) => s.name).join(", ")}`);
+      const box = { left: GAP.left - 4, right: width - GAP.right, top: 40 + extra, bottom: height - GAP.bottom };
       const drawn = series.map((s) => {
         const values = s.lines[line.name];
         let whole = 0; // stretches before the state stopped being finite
@@ -441,12 +466,12 @@
       if (limit !== null && limit < 2 * top) top = Math.max(top, 1.05 * limit);
       const x = scale(0, end, box.left, box.right);
       const y = scale(0, 1.05 * top, box.bottom, box.top);
-      for (const [from, to, label] of this.data.windows) {
+      this.data.windows.forEach(([from, to, label], number) => {
         const tone = label.startsWith("cargo") ? "cargo" : "push";
         svg.append(make("rect", { x: x.at(from), y: box.top, width: x.at(to) - x.at(from), height: box.bottom - box.top, fill: `var(--${tone})` }, make("title", {}, label)));
         const middle = Math.min(box.right - 30, Math.max(box.left + 30, x.at((from + to) / 2)));
-        svg.append(make("text", { x: middle, y: box.top - 4, "text-anchor": "middle", class: "small soft" }, label));
-      }
+        svg.append(make("text", { x: middle, y: box.top - 4 - 12 * lines_[number], "text-anchor": "middle", class: "small soft" }, label));
+      });
       svg.append(make("text", { x: 0, y: 14, class: "title" }, `${line.label} [${line.unit}]`));
       axes(svg, box, x, y, "time [s]", "");
       for (const t of this.data.grips) svg.append(make("line", { x1: x.at(t), x2: x.at(t), y1: box.top, y2: box.bottom, stroke: "var(--soft)", "stroke-width": 0.6, "stroke-dasharray": "4 3" }));

@@ -18,7 +18,7 @@ ROWS = 20
 def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS) -> Table:
     """Return some twenty points of a front, the knee among them, with the config's gains and pd below."""
     shown_metrics, names = (front.attrs["against"], front.attrs["better"]), front.attrs["searched"].split()
-    columns = ["", *(f"{name} {unit(name, about)}".strip() for name in shown_metrics), *names]
+    columns = ["", *(f"{about.in_words(name)} {unit(name, about)}".strip() for name in shown_metrics), *names]
     count, on = front.sizes["front"], []
     for i in sorted({*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), knee}):
         gains = {name: front[name].values[i] for name in names}
@@ -59,11 +59,11 @@ def page(
     metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
     at_knee = {n: front[n].values[knee].item() for n in (better, against)}
     texts = [
-        f"{n.replace('_', ' ')} {comparison.against(n, value, {w: m[n] for w, m in metrics.items()}, about)}"
+        f"{about.in_words(n)} {comparison.against(n, value, {w: m[n] for w, m in metrics.items()}, about)}"
         for n, value in at_knee.items()
     ]
     return Page(
-        title=f"What {better} costs in {against}: {origin.name}",
+        title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}",
         origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
         notes=[],

@@ -65,6 +65,6 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
             values = {n: float(summed[metric].sel(gains=n, statistic=statistic)) for n in names}
             cells = [number(v) for v in values.values()]
             cells.insert(1, change(values[names[0]], values["config"]))
-            rows.append([metric, unit(metric, metrics), label, *cells])
+            rows.append([metrics.in_words(metric), unit(metric, metrics), label, *cells])
         sections.append(("", rows))
     return Table("On the walks of a fresh draw", columns, sections, 3)

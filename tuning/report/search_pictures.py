@@ -1,14 +1,19 @@
 """Pictures of a search: how it converged, and its way over the map of stiffness and damping."""
 
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from mjx_climb import plots
 from tuning.gains.gains_file import by_name
+from tuning.report.numbers import axis_values
 from tuning.searches.result import Result
 
 
@@ -41,36 +46,82 @@ def plot_convergence(found: Result) -> Figure:
 def plot_path(found: Result, walks: xr.Dataset) -> Figure:
     """Draw the way of every start over a map with an `objective`, see `tuning.judged.maps`, and the limit of stability.
 
-    Gains that differ between the axes appear as their geometric means.
+    The map and its limit are of gains that are the same on all axes. Where a search told axes apart, translations and
+    rotations go their own ways, the geometric means of theirs, and the result has a mark for each axis.
     """
-    names = [str(name) for name in found.history["coordinate"].values]
-    theta = found.history["theta"].values
-    ways = {}
     x, y = (str(name) for name in walks["diverged"].dims)
-    for kind in (x, y):
-        columns = [i for i, name in enumerate(names) if name.split(".")[0] == kind]
-        ways[kind] = np.exp(theta[:, columns].mean(1))
-    control = found.scenario.control
-
-    def mean(gain: ArrayLike) -> float:
-        return float(np.exp(np.mean(np.log(gain))))
-
-    tuned = by_name(found.gains)
-    marks = {"tuned": (mean(tuned[x]), mean(tuned[y]))}
-    if found.law is None:
-        marks["config"] = mean(getattr(control, x)), mean(getattr(control, y))
+    tuned, control = by_name(found.gains), found.scenario.control
+    apart = any("." in str(name) for name in found.history["coordinate"].values)
+    config = None if found.law else [np.array([_mean(getattr(control, name))]) for name in (x, y)]
+    marks = {} if apart else {"tuned": (_mean(tuned[x]), _mean(tuned[y]))}
+    if config and not apart:
+        marks["config"] = config[0].item(), config[1].item()
+    title = "map and limit: the same gains on all axes" if apart else None
     with plots.style():
-        figure = plots.plot_map(walks, "objective", marks, baseline=1.0, x=x, y=y)
-        panel = figure.axes[0]
-        phases = found.history["phase"].values.astype(str)
-        descending = np.isin(phases, ["descent", "axes tied", "axes free"])
-        for row in np.unique(found.history["row"].values[descending]):
-            way = descending & (found.history["row"].values == row)
-            panel.plot(ways[x][way], ways[y][way], "-", color="0.1", linewidth=0.7, zorder=3)
-        panel.plot(ways[x][~descending], ways[y][~descending], ".", color="0.1", markersize=2, zorder=3)
-        handles: list[Artist] = [handle for handle in figure.legends[0].legend_handles if handle is not None]
-        handles.append(Line2D([], [], color="0.1", linewidth=0.7, label="descents"))
-        handles.append(Line2D([], [], color="0.1", marker=".", markersize=2, linestyle="none", label="other points"))
-        figure.legends[0].remove()
-        plots.legend_below(figure, handles if descending.any() else [*handles[:-2], handles[-1]], 3)
+        figure = plots.plot_map(walks, "objective", marks, baseline=1.0, x=x, y=y, title=title)
+        handles: list[Artist] = []
+        for legend in figure.legends:
+            handles += [handle for handle in legend.legend_handles if handle is not None]
+            legend.remove()
+        for axes, look in _AXES.items() if apart else {"": _AXES["translations"]}.items():
+            handles += _draw_ways(figure.axes[0], found, (x, y), axes, look)
+        if config and apart:
+            handles.append(_mark(figure.axes[0], config, "o", "0.1", "config"))
+        plots.legend_below(figure, handles, 3)
     return figure
+
+
+class _Look(NamedTuple):
+    """How the ways of some axes are drawn."""
+
+    color: str
+    marker: str  # of the result
+    axes: slice  # of six
+    coordinates: tuple[str, ...]  # what follows the gain in the names of a space
+
+
+_AXES = {
+    "translations": _Look("0.1", "*", slice(0, 3), ("translation", "x", "y", "z")),
+    "rotations": _Look(plots.PURPLE, "P", slice(3, 6), ("rotation", "rx", "ry", "rz")),
+}
+
+
+def _draw_ways(panel: Axes, found: Result, gains: tuple[str, str], axes: str, look: _Look) -> list[Artist]:
+    """Draw descents and other points, of some axes also the result; return the handles of the legend."""
+    history, tuned = found.history, by_name(found.gains)
+    names = [str(name) for name in history["coordinate"].values]
+    ways = []
+    for gain in gains:
+        columns = [i for i, name in enumerate(names) if name in (gain, *(f"{gain}.{c}" for c in look.coordinates))]
+        own = axis_values(tuned[gain])[look.axes]
+        searched = np.exp(history["theta"].values[:, columns].mean(1)) if columns else None
+        ways.append(np.full(history.sizes["point"], _mean(own)) if searched is None else searched)
+    descending = np.isin(history["phase"].values.astype(str), ["descent", "axes tied", "axes free"])
+    handles: list[Artist] = []
+    for row in np.unique(history["row"].values[descending]):
+        way = descending & (history["row"].values == row)
+        panel.plot(ways[0][way], ways[1][way], "-", color=look.color, linewidth=0.7, zorder=3)
+    if descending.any():
+        text = f"descents, {axes}" if axes else "descents"
+        handles.append(Line2D([], [], color=look.color, linewidth=0.7, label=text))
+    dots: dict[str, Any] = {"color": look.color, "marker": ".", "markersize": 2, "linestyle": "none"}
+    panel.plot(ways[0][~descending], ways[1][~descending], **dots, zorder=3)
+    handles.append(Line2D([], [], **dots, label="other points"))
+    if axes:
+        points = [axis_values(tuned[gain])[look.axes] for gain in gains]
+        handles[-1:] = [_mark(panel, points, look.marker, look.color, f"tuned, {axes}")]
+    return handles
+
+
+def _mark(panel: Axes, points: Sequence[np.ndarray], marker: str, color: str, label: str) -> Artist:
+    """Mark points (x, y) and return the handle of the legend."""
+    look: dict[str, Any] = {
+        "marker": marker, "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": color,
+        "markeredgewidth": 0.9, "markersize": 9 if marker == "*" else 6,
+    }  # fmt: skip
+    panel.plot(*points, **look, zorder=4, gid=label)
+    return Line2D([], [], **look, label=label)
+
+
+def _mean(gain: ArrayLike) -> float:
+    return float(np.exp(np.mean(np.log(gain))))

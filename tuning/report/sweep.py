@@ -11,6 +11,7 @@ from mjx_climb.rollouts.histories import LINES
 from tuning.report import comparison
 from tuning.report.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, grid_points
 from tuning.report.page import Origin, Page
+from tuning.report.remarks import remarks
 from tuning.searches import grid
 
 
@@ -70,6 +71,7 @@ def page(
         notes = [f"{failed} of the {count} walks lost a gripper or diverged."]
         if worse := comparison.worsened(won, metrics["pd"], about):
             notes.append(f"Worse than pd: {', '.join(worse)}.")
+    notes += [f"{line[0].upper()}{line[1:]}." for line in remarks(metrics)]
     kept = histories["diverged"].size
     if kept < count:
         notes.append(f"The page holds the time histories of {kept} of the cells; a click shows the nearest of them.")

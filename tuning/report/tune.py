@@ -44,9 +44,11 @@ def page(
     parts = []
     for metric in [m for m, weight in search.weights.items() if weight]:
         others = {walk: metrics[walk][metric] for walk in ("pd", "config")}
-        parts.append(f"{metric.replace('_', ' ')} {comparison.against(metric, tuned[metric], others, found.judged_by)}")
+        parts.append(
+            f"{found.judged_by.in_words(metric)} {comparison.against(metric, tuned[metric], others, found.judged_by)}"
+        )
     limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
-    scores = {"objective": {"tuned": checked.value}}
+    scores = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
     points = None
     if over is not None:
         control = found.scenario.control
@@ -64,14 +66,15 @@ def page(
     return Page(
         title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
         origin=origin,
-        verdict=f"Tuned gains score {scores['objective']['tuned']:.4f} of pd's 1: {'; '.join(parts)}; {limits}.",
+        verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(parts)}; {limits}.",
         notes=[*outcome, *_worse(tuned, metrics["pd"], found.judged_by)],
         scenario=found.scenario,
         explorers=[
             explorer(
                 title if points else "Walks",
                 dict(reversed(list(walks.items()))),
-                metrics,
+                {walk: {**numbers, **scores.get(walk, {})} for walk, numbers in metrics.items()},
+                opens_on="tuned",
                 points=points,
                 about=found.judged_by,
             )

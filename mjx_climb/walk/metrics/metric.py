@@ -33,9 +33,9 @@ class Metric:
     and keeps its shapes and types. Samples from the one on that is not finite never get here.
     """
 
-    name: str  # in mappings, in tables, of files
+    name: str  # in mappings, options and files
     unit: str  # "1" where there is none
-    long_name: str  # on pictures
+    long_name: str  # for people: on pictures, in tables
     larger_is_better: bool
     init: Callable[[Array], Any]  # of zeros (B,): the running value before the first sample
     update: Callable[[Any, Sample, Context], Any]  # the running value with one more sample

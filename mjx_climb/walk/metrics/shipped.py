@@ -1,4 +1,4 @@
-"""The metrics that come with the simulator, one table in one place."""
+"""The metrics that come with the simulator, one table in one place; each reads as its name is written."""
 
 from typing import NamedTuple
 
@@ -107,12 +107,12 @@ METRICS = MetricTable(
     (
         peak("peak_foot_force", "N", "peak foot force", foot_forces),
         Metric(
-            "force_variation", "N", "variation of the largest foot force", larger_is_better=False,
+            "force_variation", "N", "force variation", larger_is_better=False,
             init=lambda zero: _Variation(zero, zero),
             update=_more_variation,
             finish=lambda running, _: running.total,
         ),
-        peak("peak_pull_force", "N", "peak pulling force", pull_forces),
+        peak("peak_pull_force", "N", "peak pull force", pull_forces),
         peak("peak_joint_torque", "N m", "peak joint torque", lambda sample, _: jnp.abs(sample.joint_torque)),
         Metric(
             "cost_of_transport", "1", "cost of transport", larger_is_better=False,
@@ -124,32 +124,32 @@ METRICS = MetricTable(
             "travel", "m", "travel", larger_is_better=True, init=_no_way, update=_longer_way, finish=_travel
         ),
         peak(
-            "base_deviation", "m", "largest deviation of the base",
+            "base_deviation", "m", "base deviation",
             lambda sample, _: norm(sample.base_position - sample.base_reference),
         ),
-        smallest("min_tsm", "m", "smallest tumble stability margin", lambda sample, _: sample.tsm, scale=0.01),
-        smallest("min_gia_margin", "m/s^2", "smallest GIA margin", lambda sample, _: sample.gia_margin, scale=1.0),
-        smallest("joint_limit_margin", "rad", "smallest margin to a joint limit", joint_limit_margins, scale=0.1),
+        smallest("min_tsm", "m", "min TSM", lambda sample, _: sample.tsm, scale=0.01),
+        smallest("min_gia_margin", "m/s^2", "min GIA margin", lambda sample, _: sample.gia_margin, scale=1.0),
+        smallest("joint_limit_margin", "rad", "joint limit margin", joint_limit_margins, scale=0.1),
         Metric(
-            "detached_at", "s", "time of the first detachment", larger_is_better=True,
+            "detached_at", "s", "detached at", larger_is_better=True,
             init=lambda zero: jnp.full_like(zero, jnp.nan),
             update=_first_detachment,
             finish=lambda running, _: running,
         ),
         Metric(
-            "detached_limb", "1", "limb that detached first", larger_is_better=False,  # its place among the limbs
+            "detached_limb", "1", "detached limb", larger_is_better=False,  # its place among the limbs
             init=lambda zero: jnp.full(zero.shape, -1, jnp.int32),
             update=_first_limb,
             finish=lambda running, _: running,
         ),
         Metric(
-            "missed_grips", "1", "grips that missed the ground", larger_is_better=False,
+            "missed_grips", "1", "missed grips", larger_is_better=False,
             init=lambda zero: jnp.zeros(zero.shape, jnp.int32),
             update=lambda running, sample, _: running + sample.missed.sum(0, dtype=jnp.int32),
             finish=lambda running, _: running,
         ),
         Metric(
-            "diverged", "1", "the simulation diverged", larger_is_better=False,
+            "diverged", "1", "diverged", larger_is_better=False,
             init=lambda zero: (),
             update=lambda running, *_: running,
             finish=lambda _, context: jnp.asarray(context.diverged),

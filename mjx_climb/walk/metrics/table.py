@@ -35,6 +35,10 @@ class MetricTable(Sequence[Metric]):
         """The names in order."""
         return tuple(metric.name for metric in self._metrics)
 
+    def in_words(self, name: str) -> str:
+        """Return what a metric is called for people, on pictures, in tables and in sentences."""
+        return self[name].long_name if name in self.names else name.replace("_", " ")
+
     @property
     def with_companions(self) -> "MetricTable":
         """The table with the smooth companions of its metrics behind them, as a search walks it."""

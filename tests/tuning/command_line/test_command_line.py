@@ -197,7 +197,7 @@ def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):
 def test_run_writes_and_prints(call, tmp_path):
     code, out, err = call("run", CONFIG, *SHORT, "--controller", "pd", "--out", tmp_path)
     assert code == 0
-    assert "peak_foot_force" in out
+    assert "peak foot force" in out
     assert "N m" in out
     assert out.rstrip().endswith("held all the way")
     assert "compil" in err
@@ -282,7 +282,7 @@ def test_sweep_prints_json_alone_on_stdout(swept):
     assert found["pd"]["gains"] is None
     assert found["config"]["gains"] == {"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}
     assert all(list(found[name]["metrics"]) == list(mc.METRICS.names) for name in ("best", "config", "pd"))
-    for word in ("compil", "cache", "6 of 6 walks", "paper", "force_variation", str(out)):
+    for word in ("compil", "cache", "6 of 6 walks", "paper", "force variation", str(out)):
         assert word in done.stderr
 
 

@@ -187,8 +187,8 @@ def test_all_claims_are_judged_and_shown():
     assert "detachment_actual" in found["1.1"].verdicts["virtual_model"]
     assert "detachment_actual" not in found["2"].verdicts["virtual_model"]
     markdown = reproduce.as_markdown(found)
-    assert "| detached_at | s | fails | holds | 0.5 | 0.5 | holds | holds | holds |" in markdown
-    assert "| cost_of_transport |  | 8.88e4 | 6.86e4 |" in markdown
+    assert "| detached at | s | fails | holds | 0.5 | 0.5 | holds | holds | holds |" in markdown
+    assert "| cost of transport |  | 8.88e4 | 6.86e4 |" in markdown
     assert "in the paper from 8.88e+04 to 6.86e+04 (-22.7 %)" in markdown
     assert "Virtual model: yes: the reaction force oscillates less" in markdown
     plain = json.loads(report.to_json(reproduce.as_json(found["1.1"])))

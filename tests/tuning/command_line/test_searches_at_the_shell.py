@@ -84,7 +84,7 @@ def test_a_limit_that_fresh_walks_break_is_named_and_what_the_force_sensor_is_wo
     """A tenth of a millimetre is asked of a base that sags further by itself."""
     told = json.loads((quiet("ensemble") / "printed.json").read_text())
     page = (quiet("ensemble") / "report.html").read_text()
-    asked = "base_deviation at most 0.0001 (set by the user)"
+    asked = "base deviation at most 0.0001 (set by the user)"
     assert told["robust"]["broken_limits"][asked] == told["pd"]["broken_limits"][asked] == 1.0
     assert f"100.0% of the fresh walks break {asked}" in page
     worth, scores = told["force_sensor"], [told[name]["objective"] for name in ("robust", "retuned_pd", "pd")]

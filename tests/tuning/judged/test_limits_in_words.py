@@ -14,10 +14,10 @@ HELD = {"diverged": False, "detached_limb": None, "detached_at": None}
 @pytest.mark.parametrize(
     "pull, margin, broken, binding",
     [
-        (39.18, 0.4, [], ["peak_pull_force 39.18, limit 40 (holding limit of the grippers)"]),
-        (30.0, 0.002, [], ["joint_limit_margin 0.002, limit 0 (joint limits)"]),
+        (39.18, 0.4, [], ["peak pull force 39.18, limit 40 (holding limit of the grippers)"]),
+        (30.0, 0.002, [], ["joint limit margin 0.002, limit 0 (joint limits)"]),
         (30.0, 0.4, [], []),
-        (41.0, -0.01, ["peak_pull_force 41, limit 40", "joint_limit_margin -0.01, limit 0"], []),
+        (41.0, -0.01, ["peak pull force 41, limit 40", "joint limit margin -0.01, limit 0"], []),
         (None, 0.4, [], []),
     ],
 )

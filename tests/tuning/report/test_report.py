@@ -251,7 +251,8 @@ def test_the_page_of_a_search(swept, named):
         grid_gains=None, spectral_radius=0.99, margins={}, warnings=[],
     )  # fmt: skip
     scores = swept[1]["force_variation"] / mc.metrics(pd)["force_variation"]
-    over = swept[1].assign(objective=scores, feasible=scores < 2)
+    radius = 1 + 1e-4 * (np.log10(swept[1]["stiffness"]) - 3.1) + 0 * swept[1]["damping"]
+    over = swept[1].assign(objective=scores, feasible=scores < 2, spectral_radius=radius)
     for grid in (over, None):
         made = tune.page(found, checked, grid, walks, compared_of(walks, gains), outcome=["a line"], origin=ORIGIN,
                          pictures={})  # fmt: skip
@@ -265,6 +266,33 @@ def test_the_page_of_a_search(swept, named):
     points = cells.explorers[0]["points"]
     assert points["begin"] == int(np.argmin(scores.values))
     assert {"objective", "feasible"} < set(points["values"])
+    assert cells.explorers[0]["opens_on"] == "tuned"
+    assert {round(np.log10(x), 6) for x, _ in points["limit"][0]} == {3.1}
+    tuned = next(walk["metrics"] for walk in cells.explorers[0]["walks"] if walk["name"] == "tuned")
+    assert tuned["objective"] == 0.9
+
+
+@pytest.mark.slow
+def test_the_page_of_a_search_opens_on_its_result(chromium, swept, named, tmp_path):
+    grid = swept[1]
+    scores = grid["force_variation"] / 10
+    walks = {name: named[1][name] for name in ("config", "pd")} | {"tuned": named[1]["config"]}
+    found = result.Result(
+        named[0], search.Search(), mc.Gains(1.0, 1e2, 1e3), np.zeros(2), 0.9, True, {}, 1000, 500, False, xr.Dataset()
+    )
+    checked = verification.Verification({}, 0.9, 0.9, [], [], {}, {}, {}, {}, None, None, 0.99, {}, [])
+    over = grid.assign(objective=scores, feasible=scores < 2)
+    gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
+    ordered = {name: walks[name] for name in ("tuned", "config", "pd")}
+    made = tune.page(found, checked, over, ordered, compared_of(ordered, gains), outcome=[], origin=ORIGIN, pictures={})
+    chromium.get(page.write(made, tmp_path).as_uri())
+    assert find(chromium, ".readout caption").text == "tuned"
+    assert find(chromium, ".readout tr[data-metric='objective'] td").text == "0.9"
+    assert not chromium.find_elements("css selector", ".chart path[data-series=cell]")
+    point_at(chromium, ".map rect[data-cell='2']").click().perform()
+    assert find(chromium, ".readout table").get_attribute("data-cell") == "2"
+    assert chromium.find_elements("css selector", ".chart path[data-series=cell]")
+    assert chromium.get_log("browser") == []
 
 
 @pytest.mark.slow
@@ -322,4 +350,4 @@ def test_words_say_which_way_a_metric_went():
     assert comparison.against("peak_foot_force", 3.0, {"pd": 4.0, "paper": None}) == "3 N, 25.0 % below pd"
     metrics = {"force_variation": 1.0, "base_deviation": 2.0, "min_tsm": 0.5}
     worse = comparison.worsened(metrics, {"force_variation": 2.0, "base_deviation": 1.0, "min_tsm": 1.0})
-    assert worse == ["base_deviation +100 %", "min_tsm -50.0 %"]
+    assert worse == ["base deviation +100 %", "min TSM -50.0 %"]

@@ -1,0 +1,36 @@
+"""What a reader should know beside the numbers of walks: which failed, and which number is not what it seems."""
+
+from collections.abc import Mapping
+from typing import Any
+
+Walks = Mapping[str, Mapping[str, Any]]  # metrics by walk
+
+LONG = 10.0  # m; a TSM beyond it is no length of a robot
+
+
+def remarks(walks: Walks) -> list[str]:
+    """Return all remarks on walks, a line each."""
+    return failures(walks) + weightless(walks)
+
+
+def failures(walks: Walks) -> list[str]:
+    """Return which walks failed, and how."""
+    lost = {name: failed(metrics) for name, metrics in walks.items()}
+    return [f"{name} failed ({how}): its numbers compare with no other's" for name, how in lost.items() if how]
+
+
+def weightless(walks: Walks) -> list[str]:
+    """Return what a TSM stands for where hardly anything has weight."""
+    if all((metrics.get("min_tsm") or 0.0) <= LONG for metrics in walks.values()):
+        return []
+    return ["min TSM is a moment over the weight, with next to no weight it is no length: see min GIA margin"]
+
+
+def failed(metrics: Mapping[str, Any]) -> str:
+    """Return in words how a walk failed, nothing where it did not."""
+    found = []
+    if metrics["detached_limb"] is not None:
+        found.append(f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s")
+    if metrics["diverged"]:
+        found.append("the simulation diverges")
+    return ", ".join(found)
