@@ -10,6 +10,7 @@ from mjx_climb.robot.description import PASSIVE
 _ITERATIONS = 60
 _PATIENCE = 10  # iterations in which no limb comes nearer: those that are not there will not be
 _STARTS = 5  # of femur and tibia each, spread over their limits
+_OTHERS = 1e-3  # rad of the knee, that the other joints of a limb of three count for
 _OTHER_STARTS = 15  # of limbs of another number of joints
 
 
@@ -23,9 +24,9 @@ class LimbJoints(NamedTuple):
 def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
     """Return joint angles within the limits that put the feet at `feet` (L, 3) m, in the frame of the base.
 
-    Of several postures of limbs of three joints the one whose knee is nearest the middle of its range, as in the closed
-    form; of others the one whose joints are, in the mean of squares over their ranges. Joints that nothing drives are
-    where their springs are slack.
+    Of several postures the one whose joints are nearest the middle of their ranges, in the mean of squares over these;
+    of limbs of three joints the one whose knee is, and the others only where knees are alike. Joints nothing drives
+    are where their springs are slack.
     """
     data = mujoco.MjData(model)
     lower, upper = model.jnt_range[1:].reshape(len(feet), -1, 2).transpose(2, 0, 1)
@@ -39,7 +40,9 @@ def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
         angles, missed = _newton(model, data, start, feet, driven)
         missed = np.where(((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all(1), missed, np.inf)
         off = np.abs(angles - middle)
-        bent = off[:, 2] if off.shape[1] == 3 else ((off / half) ** 2).mean(1)
+        bent = ((off / half) ** 2).mean(1)
+        if off.shape[1] == 3:
+            bent = off[:, 2] + _OTHERS * bent
         reached = missed < 1e-9
         better = np.where(reached, (errors >= 1e-9) | (bent < bend - 1e-9), missed < errors)
         best[better], errors[better], bend[better] = angles[better], missed[better], bent[better]

@@ -6,6 +6,7 @@ The closed form is that of a yaw joint and two parallel pitch joints, all link o
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -24,6 +25,7 @@ _PULL = 0.05  # of the way to the rest posture in a step, where that does not mo
 _LONGEST_STEP = 0.3  # rad, or m
 POSE = 6  # joints of a limb that can put its foot anywhere, turned in any way
 _MET = 1e-4  # m, from a target that counts as reached
+_SAME = 1e-3  # rad, between two ways to one posture
 
 
 class LimbGeometry(NamedTuple):
@@ -40,7 +42,7 @@ class LimbGeometry(NamedTuple):
     tibia_angle: np.ndarray  # (L, 1) rad, elevation of the line to the foot at joint zero
     femur_sign: np.ndarray  # (L, 1), +1 where a positive joint angle raises
     tibia_sign: np.ndarray  # (L, 1)
-    knee_sign: np.ndarray  # (L, 1), sign of the knee's bend within the joint limits
+    knee_sign: np.ndarray  # (L, 1), sign of the knee's bend in the rest stance
 
 
 class JointSolution(NamedTuple):
@@ -60,7 +62,9 @@ class Chain(NamedTuple):
 def limb_geometry(robot: Robot, turned: bool = False) -> LimbGeometry | Chain:
     """Return the geometry of a robot's limbs for `inverse_kinematics`.
 
-    With `turned` the last links of limbs with six driven joints or more keep the attitudes of the rest stance.
+    Limbs that rest in a posture that is not the closed form's, with the foot on the far side of the first joint's axis
+    for example, have none. With `turned` the last links of limbs with six driven joints or more keep the attitudes of
+    the rest stance.
     """
     driven = robot.joints if robot.driven is None else int(robot.driven.sum(0).min())
     if turned and driven >= POSE:
@@ -84,7 +88,7 @@ def limb_geometry(robot: Robot, turned: bool = False) -> LimbGeometry | Chain:
         # a rotation about the plane's own -y raises
         femur_sign, tibia_sign = (-(plane.T @ axis)[1] for axis in (femur_axis, tibia_axis))
         elevation = [np.arctan2(v[2], v[0]) for v in (knee - femur_origin, foot - knee)]
-        middle = (robot.joint_lower[2, limb, 0] + robot.joint_upper[2, limb, 0]) / 2
+        bend = elevation[1] - elevation[0] + np.sign(tibia_sign) * np.asarray(robot.stance_joints)[2, limb, 0]
         columns.append(
             LimbGeometry(
                 hip_position=position[0],
@@ -98,10 +102,19 @@ def limb_geometry(robot: Robot, turned: bool = False) -> LimbGeometry | Chain:
                 tibia_angle=elevation[1],
                 femur_sign=np.sign(femur_sign),
                 tibia_sign=np.sign(tibia_sign),
-                knee_sign=np.sign(elevation[1] - elevation[0] + np.sign(tibia_sign) * middle),
+                knee_sign=np.sign(np.sin(bend)),
             )
         )
-    return LimbGeometry(*(np.stack(field, axis=-1)[..., None] for field in zip(*columns, strict=True)))
+    geometry = LimbGeometry(*(np.stack(field, axis=-1)[..., None] for field in zip(*columns, strict=True)))
+    return geometry if _stands(robot, geometry) else Chain(robot)
+
+
+def _stands(robot: Robot, geometry: LimbGeometry) -> bool:
+    """Return whether the closed form gives the rest stance, not another posture with the feet at the same places."""
+    with jax.ensure_compile_time_eval():
+        stance = jnp.asarray(robot.stance_joints)
+        turned = _closed_form(geometry, limb_frames(robot, None, stance).foot).joint_angles - stance
+        return bool(jnp.abs(jnp.sin(turned / 2)).max() < _SAME / 2)
 
 
 def _safe_sqrt(square: Array, floor: float) -> Array:

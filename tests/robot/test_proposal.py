@@ -1,15 +1,19 @@
 """`mjx-climb robot`: files with the oddities of public ones become scenarios that hold what is in them."""
 
+import dataclasses
 import re
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step, largest_time_step
+from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.proposal import propose
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
 from tuning.command_line import main
@@ -120,6 +124,38 @@ def test_a_urdf_with_odd_numbers(tmp_path):
     np.testing.assert_allclose(robot.joint_upper[0], np.pi)
 
 
+def either_way():
+    """Return a dog without limits or keyframe: its knees bend either way, and are straight at zero."""
+    return re.sub(r"<keyframe>.*?</keyframe>", "", re.sub(r' range="[^"]*"', "", dog()), flags=re.DOTALL)
+
+
+def test_knees_that_bend_either_way_stay_on_one(tmp_path):
+    """Of postures with a foot in one place the inverse kinematics gives the rest stance's."""
+    file = tmp_path / "dog.xml"
+    file.write_text(either_way())
+    robot = load_robot(scenario_of(propose(file)).robot)
+    stance = jnp.asarray(robot.stance_joints)
+    assert np.abs(stance[0]).max() < 0.5  # hips are not swung over the back
+    for rest in (stance, -stance.at[0].multiply(-1)):
+        other = dataclasses.replace(robot, stance_joints=np.asarray(rest))
+        found = inverse_kinematics(limb_geometry(other), limb_frames(other, None, rest).foot)
+        np.testing.assert_allclose(found.joint_angles, rest, atol=1e-9)
+
+
+def test_a_posture_without_closed_form(tmp_path):
+    """A hip swung over the back is a stance of its own: found by steps from it."""
+    file = tmp_path / "dog.xml"
+    file.write_text(either_way())
+    robot = load_robot(scenario_of(propose(file)).robot)
+    over = jnp.asarray(robot.stance_joints) + jnp.array([2.4, 1.8, 0.0])[:, None, None]
+    other = dataclasses.replace(robot, stance_joints=np.asarray(over))
+    feet = limb_frames(other, None, over).foot
+    closed = inverse_kinematics(limb_geometry(robot), feet)
+    np.testing.assert_allclose(limb_frames(robot, None, closed.joint_angles).foot, feet, atol=1e-9)
+    assert float(jnp.abs(closed.joint_angles - over).max()) > 1.0
+    np.testing.assert_allclose(inverse_kinematics(limb_geometry(other), feet).joint_angles, over, atol=1e-9)
+
+
 FEW = {(6, 3), (2, 7), (4, 2)}
 MANY = [(limbs, joints) for limbs in range(2, 9) for joints in range(2, 8)]
 
@@ -163,6 +199,7 @@ def oddities():
     assert hip in two
     return {
         "a dog": ("xml", dog()),
+        "knees that bend either way": ("xml", either_way()),
         "inertias of no body": ("urdf", odd),
         "six limbs without limits": ("urdf", six_limbs()),
         "passive ankles": ("xml", passive),
