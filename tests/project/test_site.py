@@ -40,7 +40,9 @@ def test_the_search_works_from_disk(site, tmp_path):
         field.click()
         field.send_keys("capture distance")
         found = WebDriverWait(driver, 60).until(
-            lambda page: [e.get_attribute("href") for e in page.find_elements("css selector", ".md-search-result__link")]
+            lambda page: [
+                e.get_attribute("href") for e in page.find_elements("css selector", ".md-search-result__link")
+            ]
         )
         assert any("physics.html" in link or "scenarios.html" in link for link in found)
     finally:
