@@ -120,7 +120,8 @@ def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> J
     summed = robust.summary(walks).assign(objective=robust.scores(walks, goal), broken=broken)
     outcome, worth = _limits_in_words(broken, robust.binding(seen, goal, "robust")), None
     if retuned is not None:
-        worth = retuned_pd.worth(_scored(summed, "robust"), _scored(summed, retuned_pd.NAME), retuned)
+        ours, theirs = _scored(summed, "robust"), _scored(summed, retuned_pd.NAME)
+        worth = retuned_pd.worth(ours, theirs, retuned.gains, feasible=retuned.feasible)
         outcome.insert(0, worth.in_words)
     if not found.feasible:
         outcome.append("warning: no gains kept every limit in every member of the search")
@@ -167,4 +168,6 @@ def _plain(summed: xr.Dataset, found: Robust, worth: Worth | None) -> dict[str, 
         "env_steps": found.env_steps,
         "gains": by_name(found.gains),
     }
-    return {**result, "search": search} | ({} if worth is None else {"force_sensor": worth._asdict()})
+    return {**result, "search": search} | (
+        {} if worth is None else {"force_sensor": worth.changes | {"in_words": worth.in_words}}
+    )

@@ -145,7 +145,7 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
     if retuned is not None:
         compared[retuned_pd.NAME] = (_joint(retuned), metrics[retuned_pd.NAME])
         ours, theirs = (_scored(problem.objective, metrics[name]) for name in ("tuned", retuned_pd.NAME))
-        worth = retuned_pd.worth(ours, theirs, retuned)
+        worth = retuned_pd.worth(ours, theirs, retuned.gains, feasible=retuned.feasible)
         outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
@@ -215,7 +215,7 @@ def _summary(found: Tuned, checked: Verification, compared: Compared, worth: Wor
         "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
     }  # fmt: skip
     if worth is not None:
-        summary["force_sensor"] = worth._asdict()
+        summary["force_sensor"] = worth.changes | {"in_words": worth.in_words}
     summary["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
     return to_json(summary)
 
