@@ -9,11 +9,11 @@ from typing import Any
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
-from tuning.output.folder import complete, made_from, write_config
+from tuning.output.folder import complete, made_from
+from tuning.output.found import draw, write_asked
 from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import under_pd
 from tuning.report import ensemble_pictures, page
@@ -87,26 +87,20 @@ class Front:
     ) -> None:
         """Draw the front, walk what the report shows, and write what `mjx-climb pareto` writes.
 
-        Arguments:
-            folder: where to; it is made. Rounds that `tuning.pareto(out=folder)` kept there are removed.
-            origin: what the report says of where it comes from.
-            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
-            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+        The arguments are those of `tuning.output.swept.Swept.write`.
 
         Raises:
             OutputError: a file cannot be written.
         """
         folder, (problem, search, better, against) = Path(folder), self.trade
-        scenario = write_config(problem.scenario, folder)
-        dataset.write_text_atomically(folder / "search.yaml", search.to_yaml())
+        scenario = write_asked(problem.scenario, search, folder)
         dataset.save(made_from(self.data, scenario), folder / "front.nc")
         dataset.write_text_atomically(folder / "summary.json", self.summary + "\n")
         again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} --out again"
         origin = complete(origin, "tuning.pareto(...)", again, scenario, folder)
         comment = f"mjx-climb pareto {origin.name}: {better} against {against}, the knee of the front"
         gains_file.save(self.gains, folder / "gains.yaml", comment, problem.law)
-        with stage("drawing", compiles=False):
-            plots.save_figure(ensemble_pictures.plot_front(self.data), folder / "front", {"png", *figures})
+        draw({"front": lambda: ensemble_pictures.plot_front(self.data)}, folder, {"png", *figures}, stage)
         with stage("report"):
             page.write(self._page(scenario, origin, folder), folder)
         finished_parts.clear(folder)

@@ -21,6 +21,7 @@ from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
 from tuning.output.folder import complete, made_from, write_config
+from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import under_pd
 from tuning.report import page
@@ -68,9 +69,9 @@ class Swept:
         """Walk the best, the scenario's own gains and pd, and write what `mjx-climb sweep` writes.
 
         Arguments:
-            folder: where to; it is made. Parts that `tuning.sweep(out=folder)` kept there are removed.
+            folder: where to; it is made. What the search kept there with `out=folder` is removed.
             origin: what the report says of where it comes from.
-            figures: formats of the sheet of maps, of `mjx_climb.plots.FORMATS`; the report holds it as PNG anyway.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
         Returns:
@@ -88,8 +89,7 @@ class Swept:
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
         if found.law is not None and found.gains is not None:  # config.yaml has no place for them
             gains_file.save(found.gains, folder / OWN_GAINS, "of the sweep in this folder", found.law)
-        with stage("drawing", compiles=False):
-            plots.save_figure(sheet(judged.data, judged.compared), folder / "maps", {"png", *figures})
+        draw({"maps": lambda: sheet(judged.data, judged.compared)}, folder, {"png", *figures}, stage)
         histories = judged.data
         if judged.data["diverged"].size > grid.HISTORIES:
             with stage("histories"):
