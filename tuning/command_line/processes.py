@@ -47,16 +47,16 @@ class OneOfSeveral(Alone):
 
     def __init__(self, process: launcher.Process, temporary: Path):
         self.said = f"{process.of} processes, {process.said}"
-        self.walking = False
+        self.heard = False  # what the others had to say before they walk
         self._number, self._temporary = process.number, temporary
 
     def folder(self, out: Path) -> Path:
         return out if self._number == 0 else self._temporary / "out"
 
     def begin(self, kept: Path, scenario: "mc.Scenario") -> None:
+        self.heard = True
         asked = repr((options.ARGUMENTS.get(), scenario.to_yaml()))
         self.agree(hashlib.sha256(asked.encode()).digest())
-        self.walking = True
         archive = _from_first(_packed(kept / "parts") if self._number == 0 else b"")
         if self._number and archive:
             with tarfile.open(fileobj=io.BytesIO(archive)) as files:
@@ -93,7 +93,7 @@ def joined(apart: bool = False) -> Iterator[Alone]:
     if process is None:
         yield Alone()
         return
-    with tempfile.TemporaryDirectory(prefix="mjx_climb-") as temporary:
+    with tempfile.TemporaryDirectory(prefix="mjx_climb-") as temporary, _own_output():
         _meet(process)
         team = OneOfSeveral(process, Path(temporary))
         if process.number:
@@ -101,7 +101,7 @@ def joined(apart: bool = False) -> Iterator[Alone]:
         try:
             yield team
         except Exception as error:
-            if not team.walking and not interruption.requested():  # the others wait to hear
+            if not team.heard and not interruption.requested():  # the others wait to hear
                 with contextlib.suppress(InputError):
                     team.agree(bytes(32), user_error(error) or f"{type(error).__name__}: {error}")
             raise
@@ -121,35 +121,31 @@ def leave(code: int) -> None:
 def _meet(process: launcher.Process) -> None:
     import jax
 
-    with _standard_output_closed():  # Gloo says hello there
-        try:
-            jax.distributed.initialize(process.address, process.of, process.number, initialization_timeout=PATIENCE)
-            jax.devices()
-        except (RuntimeError, ValueError) as error:
-            reason = str(error).partition("\n")[0]
-            raise InputError(
-                f"'{process.said}': expected {process.of} processes that meet, got {reason} "
-                f"(JAX_NUM_PROCESSES=1 lets each walk alone)"
-            ) from None
+    jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM for itself
+    try:
+        jax.distributed.initialize(process.address, process.of, process.number, initialization_timeout=PATIENCE)
+        jax.devices()
+    except (RuntimeError, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(
+            f"'{process.said}': expected {process.of} processes that meet, got {reason} "
+            f"(JAX_NUM_PROCESSES=1 lets each walk alone)"
+        ) from None
 
 
 @contextlib.contextmanager
-def _standard_output_closed() -> Iterator[None]:
+def _own_output() -> Iterator[None]:
+    """Keep standard output for this program: libraries that connect processes greet each other there."""
     sys.stdout.flush()
-    kept = os.dup(1)
-    try:
+    with open(os.dup(1), "w") as own, contextlib.redirect_stdout(own):
         _to_nowhere(1)
         yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
 
 
 def _be_silent() -> None:
-    sys.stdout.flush()
     sys.stderr.flush()
-    for stream in (1, 2):
-        _to_nowhere(stream)
+    _to_nowhere(sys.stdout.fileno())
+    _to_nowhere(2)
 
 
 def _to_nowhere(stream: int) -> None:
