@@ -71,15 +71,12 @@ def shard_from(text: str | None) -> tuple[tuple[int, int] | None, str]:
         InputError: no shard, or an array whose tasks are not numbered one by one.
     """
     if text is not None:
-        return _only_of_several(_typed(text)), f"shard {text}"
+        shard = _typed(text)
+        return (None, "all shards") if shard == (1, 1) else (shard, f"shard {text}")
     if f"{_ARRAY}ID" not in os.environ:
         return None, ""
     number, count = _of_array(os.environ)
-    return _only_of_several((number, count)), f"shard {number}/{count}, this task of a Slurm array"
-
-
-def _only_of_several(shard: tuple[int, int]) -> tuple[int, int] | None:
-    return None if shard == (1, 1) else shard
+    return (number, count), f"shard {number}/{count}, this task of a Slurm array"
 
 
 def _typed(text: str) -> tuple[int, int]:
@@ -99,9 +96,9 @@ def _of_array(environment: Mapping[str, str]) -> tuple[int, int]:
         values[name] = int(text)
     steps, rest = divmod(values["ID"] - values["MIN"], max(values["STEP"], 1))
     last = values["MIN"] + (values["COUNT"] - 1) * values["STEP"]
-    if rest or last != values["MAX"] or not 0 <= steps < values["COUNT"]:
+    if rest or last != values["MAX"] or not 0 <= steps < values["COUNT"] or values["COUNT"] == 1:
         raise InputError(
-            f"{_ARRAY}ID: expected an array of tasks without gaps, got {values['COUNT']} tasks from {values['MIN']} to "
-            f"{values['MAX']}: which shard each one walks, as 3/16, is for --shard to say"
+            f"{_ARRAY}ID: expected several tasks without gaps, got {values['COUNT']} from {values['MIN']} to "
+            f"{values['MAX']}: which shard this one walks, as 3/16, or 1/1 for all, is for --shard to say"
         )
     return steps + 1, values["COUNT"]
