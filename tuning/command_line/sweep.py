@@ -168,7 +168,8 @@ def _outcome(judged: "Judged", axes: Iterable[str]) -> list[str]:
     from tuning.report.remarks import remarks
 
     walks = judged.data["diverged"].size
-    lines = remarks({name: metrics for name, (_, metrics) in judged.compared.items()})
+    lines = [] if judged.worth is None else [judged.worth.in_words]
+    lines += remarks({name: metrics for name, (_, metrics) in judged.compared.items()})
     if judged.best is None:
         return [f"no walk of the grid held: all {walks} detached or diverged", *lines]
     best = ", ".join(f"{name} {judged.best[name].item():.4g}" for name in axes)

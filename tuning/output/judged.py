@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
 from tuning.output.folder import complete, made_from, write_config
+from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ensemble import Ensemble
@@ -70,8 +70,7 @@ class Judged:
         dataset.write_text_atomically(folder / "ensemble.yaml", self.ensemble.to_yaml())
         dataset.save(made_from(self.walks, scenario), folder / "judged.nc")
         dataset.write_text_atomically(folder / "summary.json", verdict.summary + "\n")
-        with stage("drawing", compiles=False):
-            plots.save_figure(ensemble_pictures.plot_judged(self.walks), folder / "judged", {"png", *figures})
+        draw({"judged": lambda: ensemble_pictures.plot_judged(self.walks)}, folder, {"png", *figures}, stage)
         with stage("report", compiles=False):
             origin = complete(origin, "tuning.judge(...)", "tuning.judge(...)", scenario, folder)
             shown = page.Page(
