@@ -115,12 +115,17 @@ def _gathered(
 ) -> dict[int, dict[str, np.ndarray]]:
     """Return the shares of all processes, from those of this one; each process has at least one."""
     like = next(iter(parts.values()))
-    table = {name: np.zeros((shares, *value.shape), value.dtype) for name, value in like.items()}
+    sizes = {name: value.nbytes for name, value in like.items()}
+    table = np.zeros((shares, sum(sizes.values())), np.uint8)  # bytes: JAX would round double precision
     for number, part in parts.items():
-        for name, value in part.items():
-            table[name][number] = value
-    everyone = multihost_utils.process_allgather(table)
-    owners = [_of(devices, number).process_index for number in range(shares)]
+        table[number] = np.concatenate([np.frombuffer(value.tobytes(), np.uint8) for value in part.values()])
+    everyone = np.asarray(multihost_utils.process_allgather(table))
+    own = [everyone[_of(devices, number).process_index, number] for number in range(shares)]
+    ends = np.cumsum(list(sizes.values()))
     return {
-        n: {name: np.asarray(value[owner, n]) for name, value in everyone.items()} for n, owner in enumerate(owners)
+        number: {
+            name: row[end - sizes[name] : end].copy().view(value.dtype).reshape(value.shape)
+            for (name, value), end in zip(like.items(), ends, strict=True)
+        }
+        for number, row in enumerate(own)
     }

@@ -11,10 +11,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     interruption.watch()
     import sys
 
-    from tuning.command_line import program
+    from tuning.command_line import processes, program
 
     try:
         code = program.run(sys.argv[1:] if arguments is None else arguments)
     finally:
         interruption.finish()
+    processes.leave(code)
     sys.exit(code)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mjx_climb.scenario import shipped
-from tuning.command_line import completion, launcher, options
+from tuning.command_line import completion, launcher, options, processes
 from tuning.command_line.ending import InputError, kept_in
 
 if TYPE_CHECKING:
@@ -63,8 +63,8 @@ def judge(
       mjx-climb judge case_1_2 --gains results/case_1_2-tune/gains.yaml --members 512
       mjx-climb judge case_2 --gains a.yaml --gains b.yaml --ensemble mine.yaml --members 100000 --shard 3/16
     """
-    part, which = launcher.shard_from(shard)
-    with options.reserved_stdout() as stdout:
+    with processes.joined(apart=shard is not None) as team, options.reserved_stdout() as stdout:
+        part, which = launcher.shard_from(shard)
         from tuning.command_line import progress, report
         from tuning.output import judged
         from tuning.problem import ensemble as ensembles
@@ -79,7 +79,7 @@ def judge(
         drawn = ensembles.load(shipped.found(ensemble), members=members)
         formats = options.figures_from(figures)
         draw = judged.draw_of(scenario, rivals, drawn, user_law, table, options.engine_from(engine))
-        out = out or Path("results") / f"{config.stem}-judge"
+        out = team.folder(out or Path("results") / f"{config.stem}-judge")
         one = None if part is None else shards.made(*part)
         if one is None:
             parts, rows = finished_parts.Parts(out, draw.identity()), range(members)
@@ -90,11 +90,12 @@ def judge(
         there = shards.there(draw, parts, rows)
         console = report.console(stderr=True)
         text = f"{len(rows)} members, {len(rivals) + 1} walks of {scenario.steps} steps each"
-        text += f"; {which}" if which else ""
-        console.print(text + (f"; {there} are there already" if there else ""), soft_wrap=True)
+        said = [which, team.said, f"{there} are there already" if there else ""]
+        console.print("; ".join([text, *filter(None, said)]), soft_wrap=True)
         console.print(progress.cache_state(), soft_wrap=True)
         meter = progress.Meter(console)
         place = out if one is None else one.folder(out)
+        team.begin(place, scenario)
         with kept_in(place, f"of {len(rows)} members", there) as kept:
             with meter.stage("fresh draw", unit="members") as show:
                 arrays = shards.walk(draw, parts, kept.told(show), one)

@@ -52,8 +52,9 @@ def test_which_shard_a_process_walks(text, environment, shard, monkeypatch):
         ("5/4", {}, "--shard: expected I/N"),
         ("1", {}, "--shard: expected I/N"),
         ("1/4/2", {}, "--shard: expected I/N"),
-        (None, array(MIN="1", MAX="9"), "expected an array of tasks without gaps"),
-        (None, array(ID="9"), "expected an array of tasks without gaps"),
+        (None, array(MIN="1", MAX="9"), "expected several tasks without gaps"),
+        (None, array(ID="9"), "expected several tasks without gaps"),
+        (None, array(ID="3", MIN="3", MAX="3", COUNT="1"), "expected several tasks without gaps, got 1 from 3 to 3"),
         (None, array(COUNT=""), "SLURM_ARRAY_TASK_COUNT: expected a whole number"),
     ],
 )
