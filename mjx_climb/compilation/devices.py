@@ -21,6 +21,10 @@ _CPU_SHARES = {1: 1, 8: 2, 64: 16}  # up to so many robots: shares of so many; f
 _FULL_SHARE = 64  # more would leave a core's cache
 
 
+class LostProcess(RuntimeError):
+    """Another process ended while this one waited for its share; in one line, what JAX says."""
+
+
 def host() -> jax.Device:
     """Return the CPU, where small programs in double precision run: for a GPU they compile long, and libraries fail."""
     return jax.local_devices(backend="cpu")[0]
@@ -119,7 +123,11 @@ def _gathered(
     table = np.zeros((shares, sum(sizes.values())), np.uint8)  # bytes: JAX would round double precision
     for number, part in parts.items():
         table[number] = np.concatenate([np.frombuffer(value.tobytes(), np.uint8) for value in part.values()])
-    everyone = np.asarray(multihost_utils.process_allgather(table))
+    try:
+        everyone = np.asarray(multihost_utils.process_allgather(table))
+    except (RuntimeError, ValueError) as error:  # ValueError: Gloo's, between CPUs
+        reason = str(error).partition("\n")[0]
+        raise LostProcess(f"another process of this computation has ended: {reason}") from error
     own = [everyone[_of(devices, number).process_index, number] for number in range(shares)]
     ends = np.cumsum(list(sizes.values()))
     return {

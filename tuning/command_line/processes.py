@@ -107,15 +107,21 @@ def joined(apart: bool = False) -> Iterator[Alone]:
             raise
 
 
-def leave(code: int) -> None:
-    """End this process at once where others would wait for it, or it for them, when something went wrong."""
-    if code and "jax" in sys.modules:
-        import jax
+def several() -> bool:
+    """Return whether this process walks beside others."""
+    if "jax" not in sys.modules:
+        return False
+    import jax
 
-        if jax.distributed.is_initialized():
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)
+    return jax.distributed.is_initialized()
+
+
+def leave(code: int) -> None:
+    """End this process at once where others would wait for it, or it for them, as something went wrong."""
+    if code and several():
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
 
 
 def _meet(process: launcher.Process) -> None:
@@ -155,7 +161,7 @@ def _to_nowhere(stream: int) -> None:
 
 
 def _packed(folder: Path) -> bytes:
-    """Return the files of a folder as an archive, nothing where there is no folder."""
+    """Return a folder with all below it as an archive, nothing where there is none."""
     if not folder.is_dir():
         return b""
     buffer = io.BytesIO()

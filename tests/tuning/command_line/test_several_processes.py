@@ -163,3 +163,15 @@ def test_interrupted_processes_end_and_say_what_is_kept(tmp_path):
     assert first[0] == 130, first
     assert "of 6 walks are kept" in first[2].splitlines()[-1]
     assert second[0] != 0 and not second[1] + second[2]
+
+
+@pytest.mark.slow
+def test_a_process_that_dies_ends_the_other_with_a_line(tmp_path):
+    long = [*SWEEP[:-1], "1", "--set", "duration=8", "--out", tmp_path]
+    running = together(long, long)
+    while not list(tmp_path.glob("parts/part-*.npz")) and running[0].poll() is None:
+        time.sleep(0.01)
+    running[1].kill()
+    first, _ = ends(running)
+    assert first[:2] == (2, ""), first
+    assert first[2].splitlines()[-1].startswith("mjx-climb: error: another process of this computation has ended: ")
