@@ -52,6 +52,8 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "pareto": "{config} --better force_variation --against base_deviation --points 3 --space split --search {search}",
     "schedule": "{config} --gravity 1e-6,1/6,1 --cargo 0,0.5 --space split --search {search}",
     "margins": "{config} --gains {gains} --retuned-pd {gains} --controller pd --hardware ideal --set control.kd=0.1",
+    "judge": "{config} --gains {gains} --ensemble {ensemble} --members 8 --controller base_admittance --shard 1/2 "
+    "--set control.kd=0.1",
     "export": "{gains} --format ros2_control --update-rate 500 --name admittance",
     "schema": "",
     "bench": "--batch 64 --quick",

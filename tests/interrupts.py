@@ -31,12 +31,13 @@ COMMANDS = {  # {gains} stands for a gains file
     "schedule": ["schedule", *SHORT, "--gravity", "0.1,1", "--cargo", "0.5"],
     "reproduce": ["reproduce"],
     "margins": ["margins", *SHORT, "--gains", "{gains}"],
+    "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4"],
     "export": ["export", "{gains}", "--update-rate", "500"],
     "schema": ["schema"],
     "doctor": ["doctor"],
     "bench": ["bench", "--quick", "--batch", "64"],
 }
-IN_A_FOLDER = ("run", "sweep", "shard", "tune", "ensemble", "pareto", "schedule", "margins", "reproduce")
+IN_A_FOLDER = ("run", "sweep", "shard", "tune", "ensemble", "pareto", "schedule", "margins", "judge", "reproduce")
 GAINS = "inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n"
 
 FINE = ("interrupted", "ended before", "before the program's first line")

@@ -1,17 +1,17 @@
 """Searches for admittance gains, and the command line on top of them.
 
-`tuning.sweep`, `pareto`, `schedule`, `robust`, and in `tuning.tune` `tune`: what they return writes by
-`.write(folder)` what the command writes. `sweep_shard` and `merge` sweep on several machines. Names are imported when
-they are first used, so that the command line starts at once.
+`tuning.sweep`, `pareto`, `schedule`, `robust`, `judge`, and in `tuning.tune` `tune`: what they return writes by
+`.write(folder)` what the command writes. `sweep_shard`, `judge_shard` and `merge` are for several machines. Names are
+imported when they are first used, so that the command line starts at once.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tuning.searching import merge, pareto, robust, schedule, sweep, sweep_shard
+    from tuning.searching import judge, judge_shard, merge, pareto, robust, schedule, sweep, sweep_shard
 
-__all__ = ["merge", "pareto", "robust", "schedule", "sweep", "sweep_shard"]
+__all__ = ["judge", "judge_shard", "merge", "pareto", "robust", "schedule", "sweep", "sweep_shard"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,7 @@
 """The searches from Python beside `tuning.tune`: each returns what can be written as the command of its name does."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +9,20 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains.gains_file import replaced
-from tuning.output import swept
+from tuning.output import judged, swept
+from tuning.output.judged import Judged
 from tuning.output.pareto import Front
 from tuning.output.robust import JUDGES, Robust
 from tuning.output.schedule import Scheduled
 from tuning.output.swept import Swept
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
-from tuning.searches import grid, shards
+from tuning.searches import draw, grid, shards
 from tuning.searches import pareto as fronts
 from tuning.searches import robust as robust_search
 from tuning.searches import schedule as schedules
 from tuning.searches import tune as searches
+from tuning.searches.finished_parts import Parts
 from tuning.searches.judged_rounds import Told
 from tuning.searches.shards import made
 
@@ -110,8 +112,10 @@ def sweep_shard(
     return part.folder(folder)
 
 
-def merge(folders: Sequence[Folder], *, law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS) -> Swept:
-    """Return the sweep whose shards some folders hold, as `sweep` returns it: on CPUs bit by bit.
+def merge(
+    folders: Sequence[Folder], *, law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS
+) -> Swept | Judged:
+    """Return what shards in some folders were part of, as `sweep` or `judge` return it: on CPUs bit by bit.
 
     `merge([folder]).write(folder)` is `mjx-climb merge`.
 
@@ -124,7 +128,76 @@ def merge(folders: Sequence[Folder], *, law: mc.Law | None = None, metrics: Iter
         ConfigError: no shards there, shards of different things, or not all of them: in one line which are missing
             and what would finish them.
     """
-    return swept.merged(shards.find([Path(folder) for folder in folders]), law, mc.MetricTable(metrics))
+    kept, table = shards.find([Path(folder) for folder in folders]), mc.MetricTable(metrics)
+    if kept[0].identity["kind"] == draw.KIND:
+        return judged.merged(kept, law, table)
+    return swept.merged(kept, law, table)
+
+
+def judge(
+    scenario: mc.Scenario,
+    gains: Mapping[str, AnyGains],
+    ensemble: Ensemble,
+    *,
+    members: int = JUDGES,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    out: Folder | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Judged:
+    """Judge gains on walks that no search over the ensemble has seen, beside the scenario's own and pd.
+
+    `judge(scenario, gains, ensemble).write(folder)` is `mjx-climb judge`.
+
+    Arguments:
+        scenario: what walks where, under an admittance law.
+        gains: by name.
+        ensemble: what the walks may meet; drawn again with another seed.
+        members: walks of each set of gains.
+        law: whose gains they are, where it is not the scenario's.
+        metrics, engine: as of `sweep`.
+        out: a folder that keeps each finished part, so that what was interrupted goes on from there, bit by bit.
+        progress: called with the number of members that have walked and the number in all.
+
+    Raises:
+        ConfigError: an ensemble that the scenario does not allow.
+        OutputError: `out` cannot be written, or holds unfinished walks of something else.
+    """
+    drawn, table = ensemble.model_copy(update={"members": members}), mc.MetricTable(metrics)
+    walks = judged.draw_of(scenario, judged.rivals(scenario, gains, law), drawn, law, table, engine)
+    kept = None if out is None else Parts(Path(out), walks.identity())
+    return Judged(walks.dataset(shards.walk(walks, kept, progress)), scenario, drawn, table)
+
+
+def judge_shard(
+    scenario: mc.Scenario,
+    gains: Mapping[str, AnyGains],
+    ensemble: Ensemble,
+    shard: tuple[int, int],
+    *,
+    out: Folder,
+    members: int = JUDGES,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Walk a shard of what `judge` walks, with the same arguments, for `merge`; `mjx-climb judge --shard 3/16`.
+
+    What `sweep_shard` says of `shard`, `out`, `progress` and its result holds here.
+
+    Raises:
+        ConfigError: no such shard, more shards than members, or an ensemble that the scenario does not allow.
+        OutputError: `out` cannot be written, or holds shards of something else.
+    """
+    part, folder = made(*shard), Path(out)
+    drawn, table = ensemble.model_copy(update={"members": members}), mc.MetricTable(metrics)
+    walks = judged.draw_of(scenario, judged.rivals(scenario, gains, law), drawn, law, table, engine)
+    kept = shards.claim(walks, folder, part)
+    judged.keep_beside(part, folder, walks, drawn, {"again": "the same call of tuning.judge_shard for {shard}"})
+    shards.walk(walks, kept, progress, part)
+    return part.folder(folder)
 
 
 def pareto(

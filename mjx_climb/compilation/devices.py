@@ -21,6 +21,10 @@ _CPU_SHARES = {1: 1, 8: 2, 64: 16}  # up to so many robots: shares of so many; f
 _FULL_SHARE = 64  # more would leave a core's cache
 
 
+class LostProcess(RuntimeError):
+    """Another process ended while this one waited for its share; in one line, what JAX says."""
+
+
 def host() -> jax.Device:
     """Return the CPU, where small programs in double precision run: for a GPU they compile long, and libraries fail."""
     return jax.local_devices(backend="cpu")[0]
@@ -115,12 +119,21 @@ def _gathered(
 ) -> dict[int, dict[str, np.ndarray]]:
     """Return the shares of all processes, from those of this one; each process has at least one."""
     like = next(iter(parts.values()))
-    table = {name: np.zeros((shares, *value.shape), value.dtype) for name, value in like.items()}
+    sizes = {name: value.nbytes for name, value in like.items()}
+    table = np.zeros((shares, sum(sizes.values())), np.uint8)  # bytes: JAX would round double precision
     for number, part in parts.items():
-        for name, value in part.items():
-            table[name][number] = value
-    everyone = multihost_utils.process_allgather(table)
-    owners = [_of(devices, number).process_index for number in range(shares)]
+        table[number] = np.concatenate([np.frombuffer(value.tobytes(), np.uint8) for value in part.values()])
+    try:
+        everyone = np.asarray(multihost_utils.process_allgather(table))
+    except (RuntimeError, ValueError) as error:  # ValueError: Gloo's, between CPUs
+        reason = str(error).partition("\n")[0]
+        raise LostProcess(f"another process of this computation has ended: {reason}") from error
+    own = [everyone[_of(devices, number).process_index, number] for number in range(shares)]
+    ends = np.cumsum(list(sizes.values()))
     return {
-        n: {name: np.asarray(value[owner, n]) for name, value in everyone.items()} for n, owner in enumerate(owners)
+        number: {
+            name: row[end - sizes[name] : end].copy().view(value.dtype).reshape(value.shape)
+            for (name, value), end in zip(like.items(), ends, strict=True)
+        }
+        for number, row in enumerate(own)
     }

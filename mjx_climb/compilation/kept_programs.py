@@ -133,8 +133,9 @@ def _made(
     # program is not found there, but for a file that was lost.
     named.__name__ = f"{function.__name__}_{file.name[:12]}"
     jitted = jax.jit(named, static_argnums=0, compiler_options=options)
+    lowered = jitted.lower(structure, *trees)  # which may well take small programs from XLA's cache
     with _hits() as hits:
-        compiled: jax.stages.Compiled = jitted.lower(structure, *trees).compile()
+        compiled: jax.stages.Compiled = lowered.compile()
     if hits:
         return compiled
     with contextlib.suppress(Exception):  # no room, no rights, or a program that cannot be written down: not kept

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import xarray as xr
 
@@ -297,7 +298,9 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     by_name = _from_json(dataset.attrs["gains"], dtype)
     of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
     gains = Gains(**by_name) if of_the_paper else by_name
-    numbers = vars(parameters(scenario_of(dataset), dtype)) | _from_json(dataset.attrs["parameters"], dtype)
+    with jax.enable_x64(dtype == np.float64):
+        own = {name: np.asarray(value) for name, value in vars(parameters(scenario_of(dataset), dtype)).items()}
+    numbers = own | _from_json(dataset.attrs["parameters"], dtype)
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)

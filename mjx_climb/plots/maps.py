@@ -55,7 +55,16 @@ def plot_map(
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
     handles, label, bar = _draw_map(
-        figure, figure.subplots(), dataset, metric, marks or {}, baseline, baseline_name, x, y
+        figure,
+        figure.subplots(),
+        dataset,
+        metric,
+        marks or {},
+        baseline,
+        baseline_name,
+        stability_lines(dataset, x, y),
+        x,
+        y,
     )
     bar.set_label(label)
     legend_below(figure, handles, 3)
@@ -85,11 +94,11 @@ def plot_maps(
         raise ValueError("expected at least one metric to draw")
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
     figure, axes = _sheet(rows, columns)
-    handles = {}
+    handles, limit = {}, stability_lines(dataset, x, y)
     for metric, panel in zip(metrics, axes.flat, strict=False):
         value = (baselines or {}).get(metric)
-        found, label, _ = _draw_map(figure, panel, dataset, metric, marks or {}, value, baseline_name, x, y)
-        panel.set_title(label)
+        found, label, _ = _draw_map(figure, panel, dataset, metric, marks or {}, value, baseline_name, limit, x, y)
+        panel.set_title(label, y=1.0)  # where it is anyway, without a search for it
         handles.update({handle.get_label(): handle for handle in found})
     for number, panel in enumerate(axes.flat):
         if number >= len(metrics):
@@ -134,6 +143,7 @@ def _draw_map(
     marks: Mapping[str, tuple[float, float]],
     baseline: float | None,
     baseline_name: str,
+    limit: Sequence[np.ndarray],
     x: str,
     y: str,
 ) -> tuple[list[Artist], str, Colorbar]:
@@ -207,10 +217,9 @@ def _draw_map(
         }
         panel.plot([at_x], [at_y], **look, zorder=4, label=name)
         handles.append(Line2D([], [], **look, label=name))
-    lines = stability_lines(dataset, x, y)
-    for line in lines:
+    for line in limit:
         panel.plot(*line.T, color=RED, linewidth=1.0, zorder=3, gid="stability limit")
-    if lines:
+    if limit:
         handles.append(Line2D([], [], color=RED, linewidth=1.0, label="stability limit"))
     # a mark beside the grid is shown too
     panel.set_xlim(*_span(x_edges, [mark[0] for mark in marks.values()]))

@@ -34,7 +34,7 @@ _STYLE: dict[Any, Any] = {
     "axes.titlelocation": "left",
     "hatch.linewidth": 0.6,
     "axes.formatter.limits": (-3, 4),
-    "axes.formatter.use_mathtext": True,
+    "axes.formatter.use_mathtext": False,
     "svg.hashsalt": "mjx_climb",
     "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
 }

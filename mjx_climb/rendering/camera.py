@@ -9,7 +9,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering.replay import whole
 from mjx_climb.rollouts.trajectory import Trajectory
 
-AZIMUTH, ELEVATION = 122.0, -27.0  # degrees, at heading zero: ahead of the robot and to its right
+AZIMUTH, ELEVATION = 98.0, -38.0  # degrees, at heading zero: to the robot's right, so high that no limb hides
 MICROGRAVITY = 0.02  # m/s^2; below, there is no down
 MARGIN = 1.12
 TALLEST = 0.6  # m, a robot that flies off leaves the picture

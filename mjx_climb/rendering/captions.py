@@ -1,21 +1,20 @@
 """Words and scales over a picture: controller, case, time, forces, and a legend."""
 
-import functools
 import math
 from collections.abc import Iterable
-from pathlib import Path
 
-import matplotlib
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from mjx_climb.plots.walk_events import detachments
 from mjx_climb.rendering import marks
 from mjx_climb.rendering.camera import MICROGRAVITY, View
+from mjx_climb.rendering.lettering import font
 from mjx_climb.rendering.replay import whole
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import Scenario
 
+BEYOND = 1e4  # N
 WHITE, DIM, DARK, ALARM = (255, 255, 255), (205, 208, 212), (16, 18, 22, 168), (255, 120, 110)
 LAWS = {
     "pd": "pd",
@@ -46,12 +45,6 @@ def case(scenario: Scenario) -> str:
     if pushes:
         parts.append(f"{len(pushes)} push" + "es" * (len(pushes) > 1))
     return ", ".join(parts)
-
-
-@functools.cache
-def _font(pixels: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, pixels)
 
 
 class Caption:
@@ -88,7 +81,7 @@ class Caption:
 
     def _heading(self, draw: ImageDraw.ImageDraw) -> None:
         unit = self._unit
-        title, text = _font(round(1.25 * unit), bold=True), _font(round(0.9 * unit))
+        title, text = font(round(1.25 * unit), bold=True), font(round(0.9 * unit))
         line = case(self._trajectory.scenario)
         width = max(title.getlength(self._label), text.getlength(line)) + 1.2 * unit
         self._box(draw, 0.7 * unit, 0.7 * unit, width, 3.4 * unit)
@@ -100,32 +93,32 @@ class Caption:
         limb = int(self._forces[row].argmax())
         now, peak = self._forces[row, limb], self._forces[: row + 1].max()
         lines = [
-            (f"t = {trajectory.time[row]:.2f} s", WHITE, _font(round(1.25 * unit), bold=True)),
+            (f"t = {trajectory.time[row]:.2f} s", WHITE, font(round(1.25 * unit), bold=True)),
             (
-                f"largest force {_newtons(now)} at {trajectory.limbs[limb]}" if now >= 0.05 else "no force on any foot",
+                f"largest force {newtons(now)} at {trajectory.limbs[limb]}" if now >= 0.05 else "no force on any foot",
                 WHITE,
-                _font(round(unit)),
+                font(round(unit)),
             ),
-            (f"largest so far {_newtons(peak)}", DIM, _font(round(unit))),
+            (f"largest so far {newtons(peak)}", DIM, font(round(unit))),
         ]
         push = float(np.linalg.norm(trajectory.push[row, :3]))
         if push:
             red, green, blue = (int(255 * channel) for channel in marks.PUSH)
-            lines.append((f"push {_newtons(push)}", (red, green, blue), _font(round(unit), bold=True)))
+            lines.append((f"push {newtons(push)}", (red, green, blue), font(round(unit), bold=True)))
         torn = [name for time, name in self._torn if time <= trajectory.time[row]]
         if torn:
-            lines.append((f"{', '.join(torn)} torn off", ALARM, _font(round(unit), bold=True)))
+            lines.append((f"{', '.join(torn)} torn off", ALARM, font(round(unit), bold=True)))
         if row == whole(trajectory) - 1 < trajectory.time.size - 1:
-            lines.append(("diverged", ALARM, _font(round(unit), bold=True)))
+            lines.append(("diverged", ALARM, font(round(unit), bold=True)))
         step = 1.45 * unit
         top = self._size[1] - 1.1 * unit - step * len(lines) - 0.4 * unit
         self._box(draw, 0.7 * unit, top, 16.5 * unit, step * len(lines) + 0.6 * unit)
-        for number, (text, fill, font) in enumerate(lines):
-            draw.text((1.3 * unit, top + 0.3 * unit + number * step), text, fill, font)
+        for number, (words, fill, letters) in enumerate(lines):
+            draw.text((1.3 * unit, top + 0.3 * unit + number * step), words, fill, letters)
 
     def _explain(self, draw: ImageDraw.ImageDraw, pixels_per_meter: float) -> None:
         """Draw the legend: what the arrows' colours and lengths mean."""
-        unit, text = self._unit, _font(round(0.85 * self._unit))
+        unit, text = self._unit, font(round(0.85 * self._unit))
         limit = self._trajectory.scenario.contact.holding_limit
         pushes = bool(self._trajectory.scenario.disturbance.pushes)
         rows = 2 + (2.1 if limit else 1) + pushes
@@ -176,11 +169,14 @@ class Caption:
         draw.line((*start, *(end - 0.6 * unit * way)), WHITE, max(round(0.2 * unit), 2))
         tip = [end, end - 0.9 * unit * way + 0.45 * unit * side, end - 0.9 * unit * way - 0.45 * unit * side]
         draw.polygon([tuple(corner) for corner in tip], WHITE)
-        draw.text(tuple(center + 0.75 * unit * side), "g", WHITE, _font(round(unit), bold=True), anchor="mm")
+        draw.text(tuple(center + 0.75 * unit * side), "g", WHITE, font(round(unit), bold=True), anchor="mm")
 
 
-def _newtons(value: float) -> str:
-    return f"{value:.1f} N" if value < 1000 else f"{value:.1e} N"
+def newtons(value: float) -> str:
+    """Return the size of a force in words."""
+    if value > BEYOND:  # the walk has long failed: no number tells more
+        return f"over {BEYOND / 1e3:g} kN"
+    return f"{value:.1f} N" if value < 1000 else f"{value / 1e3:.1f} kN"
 
 
 def _nice(value: float) -> float:

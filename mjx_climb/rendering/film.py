@@ -11,10 +11,12 @@ from mjx_climb.rendering import marks, surroundings
 from mjx_climb.rendering.camera import Follower
 from mjx_climb.rendering.canvas import Canvas
 from mjx_climb.rendering.captions import Caption, controller
+from mjx_climb.rendering.force_trace import ForceTrace
 from mjx_climb.rendering.replay import pose, row_at
 from mjx_climb.rollouts.trajectory import Trajectory
 
 PATH_STEP = 0.04  # s, between points of a foot's path
+TRACE = 0.16  # of a film's height
 FPS, SIZE, PAIR_SIZE = 25, (1280, 720), (960, 720)
 SNAPSHOTS, SNAPSHOT_SIZE = 4, (800, 600)
 
@@ -27,9 +29,13 @@ class Shot:
         trajectories: Sequence[Trajectory],
         labels: Sequence[str] | None,
         size: tuple[int, int],
+        trace: float,
         stack: contextlib.ExitStack,
     ):
         check(trajectories, labels, size)
+        strip = 2 * round(trace * size[1] / 2)
+        self._traces = [ForceTrace(trajectories, i, (size[0], strip)) for i in range(len(trajectories)) if strip]
+        size = size[0], size[1] - strip
         scenario = trajectories[0].scenario
         names = [controller(t) for t in trajectories] if labels is None else labels
         self._trajectories, self._size = trajectories, size
@@ -63,6 +69,8 @@ class Shot:
                 functools.partial(marks.forces, trajectory=trajectory, row=row, scale=self._scale),
             )
             panels.append(caption.draw(picture, row, view, self._focal / view.distance))
+        if self._traces:
+            panels = [np.concatenate(pair) for pair in zip(panels, (t.at(time) for t in self._traces), strict=True)]
         for panel in panels[1:]:
             panel[:, :2] = 255  # a line between walks
         return np.concatenate(panels, axis=1)
@@ -103,7 +111,8 @@ def frames(
     """Yield the frames of walks, side by side and in sync, each (H, walks W, 3) uint8.
 
     A foot's force is an arrow from the foot: light blue where the ground presses, yellow to red as a pull nears the
-    holding limit. Pushes on the base are pink. Walks share camera and scales.
+    holding limit. Pushes on the base are pink. Walks share camera and scales. Below runs the largest foot force over
+    time, that of the walks beside it in grey.
 
     Arguments:
         trajectories: walks of one robot.
@@ -115,7 +124,7 @@ def frames(
         RenderingError: no OpenGL on this machine.
         ValueError: what cannot be shown.
     """
-    yield from pictures(trajectories, frame_times(trajectories, fps), labels=labels, size=size)
+    yield from pictures(trajectories, frame_times(trajectories, fps), labels=labels, size=size, trace=TRACE)
 
 
 def pictures(
@@ -124,10 +133,11 @@ def pictures(
     *,
     labels: Sequence[str] | None = None,
     size: tuple[int, int] = SIZE,
+    trace: float = 0.0,
 ) -> Iterator[np.ndarray]:
-    """Yield the pictures of walks at some times (s), as `frames` does."""
+    """Yield the pictures of walks at some times (s), as `frames` does; `trace` is the share of the force's trace."""
     with contextlib.ExitStack() as stack:
-        shot = Shot(trajectories, labels, size, stack)
+        shot = Shot(trajectories, labels, size, trace, stack)
         for time in times:
             yield shot.at(float(time))
 

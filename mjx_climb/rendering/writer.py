@@ -44,7 +44,7 @@ def save_video(
     """
     film.check(trajectories, labels, size)
     times = film.frame_times(trajectories, fps)
-    pictures = film.pictures(trajectories, times, labels=labels, size=size)
+    pictures = film.pictures(trajectories, times, labels=labels, size=size, trace=film.TRACE)
     return encode(path, pictures, fps, (size[0] * len(trajectories), size[1]), lambda done: progress(done, times.size))
 
 

@@ -20,9 +20,12 @@ traced = []
 
 def function(structure, values):
     traced.append(structure)
-    return {"sum": jax.numpy.sin(values).sum() * answer, "all": values + structure}
+    with jax.ensure_compile_time_eval():  # a small program that runs while this one is traced
+        answered = jax.numpy.cos(jax.numpy.zeros(3)).max() * answer
+    return {"sum": jax.numpy.sin(values).sum() * answered, "all": values + structure}
 
 enable_cache()
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # as if the machine were slow
 program = kept(function, lambda structure, *trees: identity or None, {})
 with jax.enable_x64(double):
     made = program(3.0, np.arange(shape, dtype=float if double else np.float32))
@@ -55,6 +58,14 @@ def test_the_next_process_neither_traces_nor_gets_another_program(walk):
         assert traced == 1
         assert (values == first[1]) == (change.keys() == {"identity"})
     assert walk(identity="")[0] == 1
+
+
+def test_a_program_is_kept_though_small_ones_in_it_come_from_xlas_cache(walk):
+    """As after an update: XLA's cache is full, and no program is kept yet."""
+    walk()
+    first = walk(identity="after an update")
+    assert first[0] == 1
+    assert walk(identity="after an update") == (0, first[1])
 
 
 @pytest.mark.parametrize(

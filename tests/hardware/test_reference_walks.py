@@ -117,17 +117,18 @@ def deviations(key, walked):
     return found
 
 
-# joints that give 0.2 N m at most saturate under the last push; what follows is not the same, and why is not known
-UNEXPLAINED = ("case_2", "servo.torque_limit=0.2", "measured_pose_paper")
+# Joints that give 0.2 N m at most let the last push press the base 34 mm below the ground and turn joints past 3.5 rad;
+# the open foot then strikes the ground again and again. From there on 2e-6 of kp change the force variation by 8 %.
+BEYOND = ("case_2", "servo.torque_limit=0.2", "measured_pose_paper")
 
 
 @pytest.mark.parametrize("key", list(entries()), ids=" ".join)
 def test_a_walk_is_the_independent_programs(key, walked):
     case, entry, gains = key
     expected, ours = REFERENCE["cases"][case][entry][gains], walked[key]
-    if key == UNEXPLAINED:
-        pytest.xfail("saturated joints")
-    if expected["detached_at"] is None:
+    if key == BEYOND:  # what the push does before the foot strikes is the same
+        assert np.mean(ours["base_deviation"]) == pytest.approx(expected["base_deviation"], rel=0.02)
+    elif expected["detached_at"] is None:
         assert not np.any(ours["diverged"]) and np.isnan(ours["detached_at"]).all()
         worst = deviations(key, walked)
         assert max(share for share, _ in worst.values()) <= 1, worst

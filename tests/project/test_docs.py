@@ -193,3 +193,13 @@ def test_names_that_users_write_are_those_registered():
     assert set(get_args(options.ControllerName)) == {controller for controller, _ in LAWS}
     assert set(get_args(control["reading"].annotation)) == {reading for _, reading in LAWS}
     assert set(search.METHODS) == set(get_args(tune_command.MethodName)) == set(METHODS)
+
+
+def test_the_readme_names_every_command():
+    shown = {arguments[0] for block in fences(ROOT / "README.md", "sh") for arguments in commands(block)}
+    assert shown == set(PROGRAM.commands)
+
+
+def test_what_an_index_shows_needs_no_other_file():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert all(re.match(r"https?:", link) for link in LINK.findall((ROOT / project["readme"]).read_text("utf-8")))

@@ -16,7 +16,18 @@ import pytest
 import mjx_climb as mc
 from mjx_climb import plots, rendering
 from mjx_climb.files.dataset import OutputError
-from mjx_climb.rendering import backend, camera, canvas, film, marks, replay, surroundings, viewer
+from mjx_climb.rendering import (
+    backend,
+    camera,
+    canvas,
+    captions,
+    film,
+    force_trace,
+    marks,
+    replay,
+    surroundings,
+    viewer,
+)
 from mjx_climb.robot.constants import load_model
 from mjx_climb.rollouts.trajectory import Trajectory
 from tuning.command_line import main
@@ -175,6 +186,26 @@ def test_a_torn_limb_and_a_walk_that_diverged_are_shown(gl):
     before, after = picture(walk, time=0.05), picture(walk, time=0.2)
     assert amount(after, np.array([0.82, 0, 0])) > amount(before, np.array([0.82, 0, 0]))
     np.testing.assert_array_equal(picture(walk, time=0.29), picture(walk, time=0.39))
+
+
+def test_the_trace_of_forces_peaks_where_the_walk_does_and_a_line_runs_with_the_film():
+    walk = walk_of()
+    forces = np.zeros_like(walk.foot_force)
+    forces[30, 2, 0], forces[:, 0, 2] = 8.0, 1.0
+    trace = force_trace.ForceTrace([dataclasses.replace(walk, foot_force=forces)], 0, (320, 60))
+    line = np.all(trace.at(0.0) == force_trace.NOW, axis=2).sum(0).argmax()
+    for time in (0.1, 0.15):
+        now = np.all(trace.at(time) == force_trace.NOW, axis=2).sum(0).argmax()
+        assert now == pytest.approx(line + (320 - 1.3 * line) * time / walk.time[-1], abs=1.5)
+    blue = (trace.at(0.0).astype(int)[..., 2] - trace.at(0.0)[..., 0])[:, line + 5 :]
+    peak = np.flatnonzero(blue.max(1) > 60).min()
+    at = (blue[peak] > 60).nonzero()[0].mean() + line + 5
+    assert at == pytest.approx(line + (320 - 1.3 * line) * walk.time[30] / walk.time[-1], abs=3)
+
+
+def test_a_force_beyond_all_measure_is_no_number():
+    assert captions.newtons(4.0e144) == "over 10 kN"
+    assert captions.newtons(2345.0) == "2.3 kN" and captions.newtons(3.14159) == "3.1 N"
 
 
 def test_snapshots_have_a_row_per_walk_and_a_column_per_instant(gl):

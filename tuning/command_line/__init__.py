@@ -10,11 +10,18 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     interruption.watch()
     import sys
+    import traceback
 
-    from tuning.command_line import program
+    from tuning.command_line import processes, program
 
     try:
         code = program.run(sys.argv[1:] if arguments is None else arguments)
+    except Exception:
+        if not processes.several():
+            raise
+        traceback.print_exc()
+        code = 1
     finally:
         interruption.finish()
+    processes.leave(code)
     sys.exit(code)

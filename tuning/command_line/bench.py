@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tuning.benchmarks import commands
 from tuning.command_line import options
 from tuning.command_line.ending import InputError
 
@@ -34,6 +35,17 @@ ROWS = (
 )
 
 
+# name, goals on two cores: with an empty cache, and again
+WAITS = (
+    (commands.IMPORT, "", "1"),
+    (commands.HELP, "", "0.2"),
+    (commands.RUN, "7", "3"),
+    (commands.SWEEP, "20", "5"),
+    (commands.TUNE, "90", "50"),
+)
+QUICK = (commands.IMPORT, commands.HELP, commands.RUN)
+
+
 def bench(
     quick: Annotated[
         bool, typer.Option("--quick", help="A first look, not to be quoted: fewer rounds, some figures left out.")
@@ -41,6 +53,9 @@ def bench(
     batch: Annotated[
         int, typer.Option(min=SMALLEST_BATCH, metavar="N", help="Robots that walk at a time, a multiple of 4.")
     ] = BATCH,
+    with_tune: Annotated[
+        bool, typer.Option("--with-tune", help="Time a search of twelve gains as well, which takes minutes.")
+    ] = False,
     json: options.Json = False,
     engine: options.Engine = None,
 ) -> None:
@@ -48,8 +63,9 @@ def bench(
 
     A batch of robots walks under base admittance in single precision, all metrics worked out. Its peers on the same
     cores: mujoco.rollout of the bare dynamics; this program with the dynamics of MJX; mujoco.batch, and a loop over
-    mj_step, under the same control law and grip in NumPy. Medians of rounds in which all take turns. Needs the machine
-    for itself, and a few minutes.
+    mj_step, under the same control law and grip in NumPy. Medians of rounds in which all take turns. Then what a user
+    waits for, whole commands in processes of their own, with an empty cache and again. Needs the machine for itself,
+    and a few minutes.
 
     \b
     Examples:
@@ -73,9 +89,13 @@ def bench(
             console.print(f"{progress.duration(time.perf_counter() - begin)}: {text}", highlight=False)
 
         result = measure.measure(engine, batch, measure.Plan.quick(batch) if quick else measure.Plan.full(batch), say)
+        names = QUICK if quick else tuple(name for name, *_ in WAITS if name != commands.TUNE)
+        waited = commands.measure((*names, commands.TUNE) if with_tune else names, say)
+        result["waits"] = {name: seconds._asdict() for name, seconds in waited.items()}
         say("done")
         tables = console if json else report.console(file=stdout)
         tables.print(_table(result))
+        tables.print(_waits(waited))
         tables.print(
             f"batch {batch}, engine {engine}, {result['threads']} threads of {result['processor']}, "
             f"JAX on {', '.join(sorted(set(result['devices'])))}; load average at the end {result['load_average']:.1f}",
@@ -96,4 +116,19 @@ def _table(result: Mapping[str, Any]) -> "Table":
         table.add_column(name, justify="right" if name == "value" else "left", no_wrap=True)
     for key, label, unit, goal in ROWS:
         table.add_row(label, report.number(result[key]), unit, goal)
+    return table
+
+
+def _waits(waited: Mapping[str, commands.Waited]) -> "Table":
+    from rich import box
+    from rich.table import Table
+
+    from tuning.command_line import report
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
+    for name in ("command", "cold s", "warm s", "CPU s, cold", "CPU s, warm", "goal, cold", "goal, warm"):
+        table.add_column(name, justify="left" if name == "command" else "right", no_wrap=True)
+    for name, *goals in WAITS:
+        if name in waited:
+            table.add_row(name, *(report.number(seconds) for seconds in waited[name]), *goals)
     return table

@@ -72,6 +72,10 @@ def _message(error: Exception) -> str | None:
         from mjx_climb.files.dataset import OutputError
 
         kinds += [ConfigError, RobotError, OutputError]
+    if "mjx_climb.compilation.devices" in sys.modules:
+        from mjx_climb.compilation.devices import LostProcess
+
+        kinds.append(LostProcess)
     if "mjx_climb.rendering" in sys.modules:
         from mjx_climb.rendering import RenderingError
 

@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,10 +23,10 @@ def merge(
     figures: options.Figures = "png",
     json: options.Json = False,
 ) -> None:
-    """Put the shards of a sweep together, and write what one machine would have written.
+    """Put the shards of a sweep or of judge together, and write what one machine would have written.
 
-    On CPUs the grid (sweep.nc) is the same file, bit for bit. The walks beside it are walked here: best, config's own
-    and pd. Shards of different settings, files or versions are refused, and of one that died it is said which walks are
+    On CPUs sweep.nc and judged.nc are the same files, bit for bit. What stands beside a grid walks here: best, config's
+    own and pd. Shards of different settings, files or versions are refused; of one that died it is said which walks are
     missing and which command finishes it. The shards stay as they are. A law or metrics of one's own are given again.
 
     \b
@@ -37,9 +37,10 @@ def merge(
     with options.reserved_stdout() as stdout:
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
+        from tuning.command_line.judge import print_verdict
         from tuning.command_line.sweep import print_result
-        from tuning.output import swept
-        from tuning.searches import shards
+        from tuning.output import judged, swept
+        from tuning.searches import draw, shards
 
         begin = time.perf_counter()
         formats = options.figures_from(figures)
@@ -49,14 +50,21 @@ def merge(
         if target is None:
             raise InputError("--out: expected a folder for the result, as the shards lie in several places")
         dataset.check_folder(target)
-        found = swept.merged(kept, user_law, table)
-        console = report.console(stderr=True)
-        about = kept[0].about
-        console.print(f"{found.data['diverged'].size} walks of {kept[0].shard.count} shards", soft_wrap=True)
-        origin = options.origin(about.get("name", "the scenario"), about.get("repeat", "tuning.sweep(...)"))
-        judged = found.write(target, origin=origin, figures=formats, stage=progress.Meter(console).stage)
-        print_result(found, judged, console if json else report.console(file=stdout))
+        console, stage = report.console(stderr=True), progress.Meter(report.console(stderr=True)).stage
+        tables, about = console if json else report.console(file=stdout), kept[0].about
+        origin = options.origin(about.get("name", "the scenario"), about.get("repeat", "the same command"))
+        how: dict[str, Any] = {"origin": origin, "figures": formats, "stage": stage}
+        if kept[0].identity["kind"] == draw.KIND:
+            walks = judged.merged(kept, user_law, table)
+            verdict = walks.write(target, **how)
+            print_verdict(walks, verdict, tables)
+            files, summary = judged.FILES, verdict.summary
+        else:
+            found = swept.merged(kept, user_law, table)
+            compared = found.write(target, **how)
+            print_result(found, compared, tables)
+            files, summary = swept.FILES, compared.summary
         seconds = progress.duration(time.perf_counter() - begin)
-        console.print(f"written to {target} in {seconds}: {swept.FILES}", soft_wrap=True)
+        console.print(f"{len(kept)} shards, written to {target} in {seconds}: {files}", soft_wrap=True)
         if json:
-            print(judged.summary, file=stdout)
+            print(summary, file=stdout)

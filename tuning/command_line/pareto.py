@@ -86,6 +86,7 @@ def pareto(
 
         tables = console if json else report.console(file=stdout)
         tables.print(report.from_page(front_table(front.data, front.knee, table)))
+        tables.print(front.worth, soft_wrap=True)
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(f"written to {out} in {seconds}: {output.FILES}", soft_wrap=True)
         if json:

@@ -16,6 +16,7 @@ from tuning.command_line import (
     doctor,
     export,
     interruption,
+    judge,
     margins,
     merge,
     options,
@@ -44,8 +45,9 @@ app = typer.Typer(
 )
 app.command("run", short_help="Walk one robot through a scenario.")(walk.run)
 app.command("sweep", short_help="Walk a grid of stiffness and damping, and map it.")(sweep.sweep)
-app.command("merge", short_help="Put the shards of a sweep together.")(merge.merge)
+app.command("merge", short_help="Put shards of sweep or judge together.")(merge.merge)
 app.command("tune", short_help="Search the gains of the controller.")(tune.tune)
+app.command("judge", short_help="Judge gains on walks that no search saw.")(judge.judge)
 app.command("pareto", short_help="Search the front of two metrics.")(pareto.pareto)
 app.command("schedule", short_help="Tune gains for pairs of gravity and cargo.")(schedule.schedule)
 app.command("plot", short_help="Draw the pictures of a result again.")(plot.plot)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tuning.command_line import launcher, options
+from tuning.command_line import launcher, options, processes
 from tuning.command_line.ending import InputError, kept_in
 
 if TYPE_CHECKING:
@@ -89,9 +89,9 @@ def sweep(
       mjx-climb sweep case_2 --stiffness 1e2:1e6:128 --damping 1e0:1e5:128 --shard 3/16
       mjx-climb sweep case_2 --law my_law.py:Filtered --axis cutoff=1:100:8 --damping 1e1:1e4:8
     """
-    axes = axes_from(stiffness, damping, axis)
-    part, which = launcher.shard_from(shard)
-    with options.reserved_stdout() as stdout:
+    with processes.joined(apart=shard is not None) as team, options.reserved_stdout() as stdout:
+        axes = axes_from(stiffness, damping, axis)
+        part, which = launcher.shard_from(shard)
         import tuning
         from tuning.command_line import progress, report
         from tuning.gains.gains_file import replaced
@@ -111,7 +111,7 @@ def sweep(
             grid.checked_axes(scenario, user_law, None, None, axes)
         except ValueError as error:
             raise InputError(str(error).replace("axes.", "--axis ", 1)) from None
-        out = out or Path("results") / f"{config.stem}-sweep"
+        out = team.folder(out or Path("results") / f"{config.stem}-sweep")
         walked, walking = (scenario, user_law) if values is None else replaced(scenario, user_law, values)
         how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "metrics": table}
         again = _again(stiffness, damping, axis, batch_size) + options.own_options(law, metric)
@@ -120,10 +120,12 @@ def sweep(
         one = None if part is None else shards.made(*part)
         there = grid.claim(walked, axes=axes, law=walking, out=out, shard=one, **how)
         console = report.console(stderr=True)
-        console.print(_announcement(walked, axes, which, there), soft_wrap=True)
+        said = [text for text in (which, team.said) if text]
+        console.print(_announcement(walked, axes, said, there), soft_wrap=True)
         console.print(progress.cache_state(), soft_wrap=True)
         meter = progress.Meter(console)
 
+        team.begin(out if one is None else one.folder(out), walked)
         if one is not None:
             told = {"again": options.typed_but("--shard", shards.SHARD), "name": config.stem, "repeat": again}
             swept.keep_beside(one, out, scenario, user_law, values, told)
@@ -166,7 +168,8 @@ def _outcome(judged: "Judged", axes: Iterable[str]) -> list[str]:
     from tuning.report.remarks import remarks
 
     walks = judged.data["diverged"].size
-    lines = remarks({name: metrics for name, (_, metrics) in judged.compared.items()})
+    lines = [] if judged.worth is None else [judged.worth.in_words]
+    lines += remarks({name: metrics for name, (_, metrics) in judged.compared.items()})
     if judged.best is None:
         return [f"no walk of the grid held: all {walks} detached or diverged", *lines]
     best = ", ".join(f"{name} {judged.best[name].item():.4g}" for name in axes)
@@ -235,15 +238,14 @@ def log_range(option: str, text: str) -> "np.ndarray":
     return values
 
 
-def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", which: str, kept: int) -> str:
+def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", said: list[str], kept: int) -> str:
     import jax
 
     walks = math.prod(map(len, axes.values()))
     sizes = " x ".join(f"{len(values)} {name}" for name, values in axes.items())
     text = f"{walks} walks ({sizes}) of {scenario.steps} steps"
     text += f" on {jax.devices()[0].device_kind}"
-    text += f"; {which}" if which else ""
-    return text + (f"; {kept} are there already" if kept else "")
+    return "; ".join([text, *said, *([f"{kept} are there already"] if kept else [])])
 
 
 def _again(stiffness: str | None, damping: str | None, axis: list[str] | None, batch_size: int | None) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import typer
 
 from mjx_climb.scenario import shipped
-from tuning.command_line import completion, options
+from tuning.command_line import completion, options, processes
 from tuning.command_line.ending import InputError, Interrupted, kept_in
 
 if TYPE_CHECKING:
@@ -137,13 +137,13 @@ def tune(
       mjx-climb tune case_1_1 --method cmaes --space split --pin damping.rotation=50
       mjx-climb tune case_2 --ensemble ensemble --members 16
     """
-    given = {
-        "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains,
-        "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
-        "limits": _mapping("--limit", limit), "also": also and tuple(also),
-        "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
-    }  # fmt: skip
-    with options.reserved_stdout() as stdout:
+    with processes.joined() as team, options.reserved_stdout() as stdout:
+        given = {
+            "method": method, "space": space, "inertia": with_inertia or None, "joint_gains": with_joint_gains,
+            "starts": starts, "iterations": iterations, "seed": seed, "weights": _mapping("--weight", weight),
+            "limits": _mapping("--limit", limit), "also": also and tuple(also),
+            "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
+        }  # fmt: skip
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.problem import ensemble as ensembles
@@ -167,11 +167,14 @@ def tune(
             wanted = robust_search.settled(wanted, {}, drawn)
         options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
         kind = "tune" if drawn is None else "robust"
-        out = out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}"
+        out = team.folder(out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}")
         dataset.check_folder(out)
         console = report.console(stderr=True)
         console.print(progress.cache_state(), soft_wrap=True)
+        if team.said:
+            console.print(team.said, soft_wrap=True)
         meter = progress.Meter(console)
+        team.begin(out, scenario)
         with meter.stage("baseline"), options.weighing(None if weight else search):
             if drawn is None:
                 problem = searches.problem_of(scenario, wanted, engine=engine, law=user_law, metrics=table)

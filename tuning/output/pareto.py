@@ -9,17 +9,17 @@ from typing import Any
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
-from tuning.output.folder import complete, made_from, write_config
+from tuning.output.folder import complete, made_from
+from tuning.output.found import draw, write_asked
 from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import under_pd
 from tuning.report import ensemble_pictures, page
 from tuning.report import pareto as pages
 from tuning.report.numbers import to_json
-from tuning.searches import finished_parts, pareto
+from tuning.searches import finished_parts, pareto, retuned_pd
 from tuning.searches.pareto import Trade
 
 FILES = "report.html, front.nc, front.png, gains.yaml, summary.json, config.yaml, search.yaml"
@@ -43,8 +43,25 @@ class Front:
         return pareto.gains_of(self.data, self.knee)
 
     @property
+    def without(self) -> xr.Dataset | None:
+        """Of the front of pd over kp and kd the point that costs no more than the knee, None where all cost more."""
+        return pareto.without_sensor(self.data, self.knee, self.trade.problem.metrics)
+
+    @property
+    def worth(self) -> str:
+        """What the force sensor is worth at the knee, in words."""
+        better, against = (self.trade.problem.metrics.in_words(n) for n in (self.trade.better, self.trade.against))
+        if self.without is None:
+            return f"pd has more {against} than the knee with any kp and kd of its grid"
+        found = {better: self.data[self.trade.better].values[self.knee].item()}
+        theirs = {better: self.without[f"without_{self.trade.better}"].item()}
+        joint = {name: self.without[f"without_{name}"].item() for name in ("kp", "kd")}
+        larger = self.trade.problem.metrics[self.trade.better].larger_is_better
+        return f"{retuned_pd.worth(found, theirs, joint, larger=larger).in_words}, at no more {against}"
+
+    @property
     def summary(self) -> str:
-        """The front, its knee, and the metrics of the config's gains and of pd, as JSON."""
+        """The front, its knee, the metrics of the config's gains and of pd, and pd's front over kp and kd, as JSON."""
         metrics = self.trade.against, self.trade.better
         names = (*metrics, *self.data.attrs["gains"].split())
         rows = [{n: self.data[n].values[i] for n in names} for i in range(self.data.sizes["front"])]
@@ -52,7 +69,13 @@ class Front:
             name: {n: self.data[f"reference_{n}"].sel(reference=name).item() for n in metrics}
             for name in ("config", "pd")
         }
-        return to_json({"front": rows, "knee": self.knee, **references})
+        columns = ("kp", "kd", *metrics)
+        points = range(self.data.sizes["without"])
+        without = [{n: self.data[f"without_{n}"].values[i] for n in columns} for i in points]
+        sensor = {"in_words": self.worth}
+        return to_json(
+            {"front": rows, "knee": self.knee, **references, "pd_over_kp_and_kd": without, "force_sensor": sensor}
+        )
 
     def write(
         self,
@@ -64,26 +87,20 @@ class Front:
     ) -> None:
         """Draw the front, walk what the report shows, and write what `mjx-climb pareto` writes.
 
-        Arguments:
-            folder: where to; it is made. Rounds that `tuning.pareto(out=folder)` kept there are removed.
-            origin: what the report says of where it comes from.
-            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
-            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+        The arguments are those of `tuning.output.swept.Swept.write`.
 
         Raises:
             OutputError: a file cannot be written.
         """
         folder, (problem, search, better, against) = Path(folder), self.trade
-        scenario = write_config(problem.scenario, folder)
-        dataset.write_text_atomically(folder / "search.yaml", search.to_yaml())
+        scenario = write_asked(problem.scenario, search, folder)
         dataset.save(made_from(self.data, scenario), folder / "front.nc")
         dataset.write_text_atomically(folder / "summary.json", self.summary + "\n")
         again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} --out again"
         origin = complete(origin, "tuning.pareto(...)", again, scenario, folder)
         comment = f"mjx-climb pareto {origin.name}: {better} against {against}, the knee of the front"
         gains_file.save(self.gains, folder / "gains.yaml", comment, problem.law)
-        with stage("drawing", compiles=False):
-            plots.save_figure(ensemble_pictures.plot_front(self.data), folder / "front", {"png", *figures})
+        draw({"front": lambda: ensemble_pictures.plot_front(self.data)}, folder, {"png", *figures}, stage)
         with stage("report"):
             page.write(self._page(scenario, origin, folder), folder)
         finished_parts.clear(folder)
@@ -98,6 +115,7 @@ class Front:
             data, self.knee, mc.rollout_histories(scenario, on_front, metrics=problem.metrics, **how), walks, scenario,
             origin=origin,
             seed=self.trade.search.seed,
+            worth=self.worth,
             pictures={"The front, and all that was walked on the way.": folder / "front.png"},
             about=problem.metrics,
         )  # fmt: skip

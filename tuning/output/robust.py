@@ -2,19 +2,19 @@
 
 import dataclasses
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import xarray as xr
+from matplotlib.figure import Figure
 
-from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.rollouts.given import AnyGains
-from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
-from tuning.output.folder import complete, made_from, write_config
+from tuning.output.folder import complete
+from tuning.output.found import draw, write_gains
 from tuning.output.stages import Stage, silent
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
@@ -62,11 +62,7 @@ class Robust(Result):
     ) -> Judged:
         """Judge the result on a fresh draw, and write what `mjx-climb tune --ensemble` writes.
 
-        Arguments:
-            folder: where to; it is made. Rounds that `tuning.robust(out=folder)` kept there are removed.
-            origin: what the report says of where it comes from.
-            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
-            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+        The arguments are those of `tuning.output.swept.Swept.write`.
 
         Returns:
             The walks of the draw, their means and worst, and the verdict.
@@ -81,31 +77,24 @@ class Robust(Result):
         judged = judge(found, stage, out=folder)
         dataset.save(judged.walks, folder / "judged.nc")
         dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
-        with stage("drawing", compiles=False):
-            plots.save_figure(search_pictures.plot_convergence(found), folder / "convergence", {"png", *figures})
-            plots.save_figure(ensemble_pictures.plot_judged(judged.walks), folder / "judged", {"png", *figures})
+        wanted: dict[str, Callable[[], Figure]] = {
+            "convergence": lambda: search_pictures.plot_convergence(found),
+            "judged": lambda: ensemble_pictures.plot_judged(judged.walks),
+        }
+        drawn = draw(wanted, folder, {"png", *figures}, stage)
         with stage("report", compiles=False):
-            pictures = {text: folder / f"{name}.png" for name, text in CAPTIONS.items()}
+            pictures = {CAPTIONS[name]: file for name, file in drawn.items()}
             page.write(pages.page(found, judged.summed, judged.outcome, origin=origin, pictures=pictures), folder)
         finished_parts.clear(folder)
         return judged
 
     def write_found(self, folder: Path, name: str) -> Self:
-        """Write scenario, settings, gains and all that was judged, without walking anything.
-
-        Returns:
-            The result, of the scenario with the files that it names copied to the folder.
-        """
-        scenario = write_config(self.scenario, folder)
-        found = dataclasses.replace(self, scenario=scenario, history=made_from(self.history, scenario))
+        """Write what `tuning.output.found.write_gains` does and the ensemble, and return what it returns."""
         search, ensemble = self.search, self.ensemble
-        dataset.write_text_atomically(folder / "search.yaml", search.to_yaml())
         dataset.write_text_atomically(folder / "ensemble.yaml", ensemble.to_yaml())
         comment = f"{search.method}, {search.space}, {ensemble.members} members, objective {self.value:.4f} (pd: 1)"
         comment = f"mjx-climb tune {name} --ensemble: {comment}"
-        gains_file.save(self.gains, folder / "gains.yaml", comment, self.problem.law)
-        found.save(folder / "search.nc")
-        return found
+        return write_gains(self, folder, comment, self.problem.law)
 
 
 def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> Judged:
@@ -131,7 +120,8 @@ def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> J
     summed = robust.summary(walks).assign(objective=robust.scores(walks, goal), broken=broken)
     outcome, worth = _limits_in_words(broken, robust.binding(seen, goal, "robust")), None
     if retuned is not None:
-        worth = retuned_pd.worth(_scored(summed, "robust"), _scored(summed, retuned_pd.NAME), retuned)
+        ours, theirs = _scored(summed, "robust"), _scored(summed, retuned_pd.NAME)
+        worth = retuned_pd.worth(ours, theirs, retuned.gains, feasible=retuned.feasible)
         outcome.insert(0, worth.in_words)
     if not found.feasible:
         outcome.append("warning: no gains kept every limit in every member of the search")
@@ -178,4 +168,6 @@ def _plain(summed: xr.Dataset, found: Robust, worth: Worth | None) -> dict[str, 
         "env_steps": found.env_steps,
         "gains": by_name(found.gains),
     }
-    return {**result, "search": search} | ({} if worth is None else {"force_sensor": worth._asdict()})
+    return {**result, "search": search} | (
+        {} if worth is None else {"force_sensor": worth.changes | {"in_words": worth.in_words}}
+    )

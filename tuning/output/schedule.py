@@ -7,10 +7,10 @@ from pathlib import Path
 
 import xarray as xr
 
-from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.given import AnyGains
-from tuning.output.folder import made_from, write_config
+from tuning.output.folder import made_from
+from tuning.output.found import draw, write_asked
 from tuning.output.stages import Stage, silent
 from tuning.report import ensemble_pictures
 from tuning.searches import finished_parts, schedule
@@ -35,20 +35,15 @@ class Scheduled:
     ) -> None:
         """Draw the schedule, and write what `mjx-climb schedule` writes.
 
-        Arguments:
-            folder: where to; it is made. Rounds that `tuning.schedule(out=folder)` kept there are removed.
-            figures: formats of the picture, of `mjx_climb.plots.FORMATS`.
-            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+        The arguments are those of `tuning.output.swept.Swept.write`; there is no report.
 
         Raises:
             OutputError: a file cannot be written.
         """
         folder = Path(folder)
-        scenario = write_config(self.points.problem.scenario, folder)
-        dataset.write_text_atomically(folder / "search.yaml", self.points.search.to_yaml())
+        scenario = write_asked(self.points.problem.scenario, self.points.search, folder)
         dataset.save(made_from(self.data, scenario), folder / "schedule.nc")
         dataset.write_text_atomically(folder / "schedule.csv", schedule.to_csv(self.data))
         dataset.write_text_atomically(folder / "schedule.yaml", schedule.to_yaml(self.data))
-        with stage("drawing", compiles=False):
-            plots.save_figure(ensemble_pictures.plot_schedule(self.data), folder / "schedule", figures)
+        draw({"schedule": lambda: ensemble_pictures.plot_schedule(self.data)}, folder, figures, stage)
         finished_parts.clear(folder)

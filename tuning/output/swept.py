@@ -21,6 +21,7 @@ from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
 from tuning.output.folder import complete, made_from, write_config
+from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import under_pd
 from tuning.report import page
@@ -28,7 +29,8 @@ from tuning.report import sweep as pages
 from tuning.report.comparison import Compared, gains_of
 from tuning.report.explorer import axes_of
 from tuning.report.numbers import to_json
-from tuning.searches import finished_parts, grid, shards
+from tuning.searches import finished_parts, grid, retuned_pd, shards
+from tuning.searches.retuned_pd import Worth
 from tuning.searches.shards import Shard
 
 FILES = "report.html, sweep.nc, maps.png, comparison.json, config.yaml"
@@ -67,9 +69,9 @@ class Swept:
         """Walk the best, the scenario's own gains and pd, and write what `mjx-climb sweep` writes.
 
         Arguments:
-            folder: where to; it is made. Parts that `tuning.sweep(out=folder)` kept there are removed.
+            folder: where to; it is made. What the search kept there with `out=folder` is removed.
             origin: what the report says of where it comes from.
-            figures: formats of the sheet of maps, of `mjx_climb.plots.FORMATS`; the report holds it as PNG anyway.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
 
         Returns:
@@ -87,8 +89,7 @@ class Swept:
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
         if found.law is not None and found.gains is not None:  # config.yaml has no place for them
             gains_file.save(found.gains, folder / OWN_GAINS, "of the sweep in this folder", found.law)
-        with stage("drawing", compiles=False):
-            plots.save_figure(sheet(judged.data, judged.compared), folder / "maps", {"png", *figures})
+        draw({"maps": lambda: sheet(judged.data, judged.compared)}, folder, {"png", *figures}, stage)
         histories = judged.data
         if judged.data["diverged"].size > grid.HISTORIES:
             with stage("histories"):
@@ -145,10 +146,11 @@ class Judged(NamedTuple):
 
     data: xr.Dataset  # the grid, with the limit of stability
     best: xr.Dataset | None  # its cell, None where all failed
-    walks: Mapping[str, mc.Trajectory]  # best, gains file, config (or paper) and pd, as far as there are such
+    walks: Mapping[str, mc.Trajectory]  # best, pd retuned, gains file, config (or paper), pd: as far as there are such
     compared: Compared  # gains and metrics of these
     failed: int  # walks of the grid
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
+    worth: Worth | None  # of a force sensor: the best against pd retuned
     summary: str  # all of it, JSON
 
 
@@ -165,19 +167,36 @@ def judge(found: Swept, stage: Stage = silent) -> Judged:
     scenario, law = found.walker()
     # side by side: most of the time goes to the compiler, which has a program of its own for each
     with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
+        rival = pool.submit(retuned_pd.on_grid, found.scenario, engine=found.engine)
         limit = pool.submit(stability_limit.over_map, scenario, found.data, law=law, engine=found.engine)
         walking = {
             name: pool.submit(mc.rollout, walker, law=own, engine=found.engine)
             for name, (walker, own) in reversed(walkers.items())
         }
+        joint = rival.result()
         walks = {name: each.result() for name, each in walking.items()}
+        if joint is not None:
+            retuned = pd.with_overrides({f"control.{name}": value for name, value in joint.items()})
+            walks[retuned_pd.NAME] = mc.rollout(retuned, engine=found.engine)
         radius = limit.result()
+    order = [name for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walks]
+    walks = {name: walks[name] for name in order}
     compared = {name: (gains_of(walk), mc.metrics(walk, found.metrics)) for name, walk in walks.items()}
+    worth = None
+    if joint is not None:
+        compared[retuned_pd.NAME] = joint, compared[retuned_pd.NAME][1]
+        worth = None if best is None else _worth(compared, joint)
     data = found.data.assign(spectral_radius=radius)
     failed = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
     edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
-    summary = _summary(compared, {"walks": data["diverged"].size, "failed": failed, "best_at_edge_of": edges})
-    return Judged(data, best, walks, compared, failed, edges, summary)
+    summary = _summary(compared, worth, {"walks": data["diverged"].size, "failed": failed, "best_at_edge_of": edges})
+    return Judged(data, best, walks, compared, failed, edges, worth, summary)
+
+
+def _worth(compared: Compared, joint: Mapping[str, float]) -> Worth:
+    name = "force_variation"  # what the best cell has least of
+    found, without = ({name: compared[walk][1][name]} for walk in ("best", retuned_pd.NAME))
+    return retuned_pd.worth(found, without, joint)
 
 
 def _is_the_papers(found: Swept) -> bool:
@@ -185,12 +204,13 @@ def _is_the_papers(found: Swept) -> bool:
     return found.law is None and (control.inertia, control.damping, control.stiffness) in PAPER
 
 
-def _summary(compared: Compared, counts: Mapping[str, Any]) -> str:
+def _summary(compared: Compared, worth: Worth | None, counts: Mapping[str, Any]) -> str:
     walks = {
         "config" if name == "paper" else name: {"gains": gains, "metrics": metrics}
         for name, (gains, metrics) in compared.items()
     }
-    return to_json({"best": None} | walks | {"grid": counts})
+    sensor = {} if worth is None else {"force_sensor": worth.changes | {"in_words": worth.in_words}}
+    return to_json({"best": None} | walks | sensor | {"grid": counts})
 
 
 def sheet(data: xr.Dataset, compared: Compared) -> Figure:
@@ -221,7 +241,10 @@ def _histories(found: Swept, judged: Judged) -> xr.Dataset:
 def _page(found: Swept, judged: Judged, histories: xr.Dataset, origin: page.Origin, folder: Path) -> page.Page:
     return pages.page(
         judged.data, histories, judged.walks, judged.compared, marks(judged.data, judged.compared), found.walker()[0],
-        warnings=[f"The best lies on the edge of the grid: widen {name}." for name in judged.at_edge],
+        warnings=[
+            *([] if judged.worth is None else [f"{judged.worth.in_words[0].upper()}{judged.worth.in_words[1:]}."]),
+            *(f"The best lies on the edge of the grid: widen {name}." for name in judged.at_edge),
+        ],
         origin=origin,
         pictures={CAPTION: folder / "maps.png"},
         about=found.metrics,

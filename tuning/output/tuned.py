@@ -2,12 +2,13 @@
 
 import dataclasses
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
 import mjx_climb as mc
 from mjx_climb import plots
@@ -16,7 +17,8 @@ from mjx_climb.files import dataset
 from tuning.gains import gains_file
 from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
-from tuning.output.folder import complete, made_from, write_config
+from tuning.output.folder import complete
+from tuning.output.found import draw, write_gains
 from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal
@@ -71,13 +73,7 @@ class Tuned(Result):
     ) -> Judged:
         """Walk, test and draw the result, and write what `mjx-climb tune` writes: gains, map, pictures, report.
 
-        pd is retuned for the same goal beside it.
-
-        Arguments:
-            folder: where to; it is made. Rounds that `tune(out=folder)` kept there are removed.
-            origin: what the report says of where it comes from.
-            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
-            stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+        pd is retuned for the same goal beside it; the arguments are those of `tuning.output.swept.Swept.write`.
 
         Returns:
             The walks, their metrics side by side and the outcome of the tests.
@@ -93,33 +89,23 @@ class Tuned(Result):
         dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
         if judged.over is not None:
             dataset.save(judged.over, folder / "map.nc")
-        with stage("drawing", compiles=False):
-            pictures = _draw(found, judged, folder, {"png", *figures})
+        pictures = draw(_pictures(found, judged), folder, {"png", *figures}, stage)
         with stage("report", compiles=False):
             shown = {name: judged.walks[name] for name in judged.compared}
             written = pages.page(
                 found, judged.checked, judged.over, shown, judged.compared,
                 outcome=[line[0].upper() + line[1:] for line in judged.outcome],
                 origin=origin,
-                pictures=pictures,
+                pictures={CAPTIONS[name]: file for name, file in pictures.items()},
             )  # fmt: skip
             page.write(written, folder)
         finished_parts.clear(folder)
         return judged
 
     def write_found(self, folder: Path, name: str) -> Self:
-        """Write scenario, settings, gains and all that was judged, without walking anything.
-
-        Returns:
-            The result, of the scenario with the files that it names copied to the folder.
-        """
-        scenario = write_config(self.scenario, folder)
-        found = dataclasses.replace(self, scenario=scenario, history=made_from(self.history, scenario))
-        dataset.write_text_atomically(folder / "search.yaml", self.search.to_yaml())
+        """Write what `tuning.output.found.write_gains` does, and return what it returns."""
         comment = f"{self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
-        gains_file.save(self.gains, folder / "gains.yaml", f"mjx-climb tune {name}: {comment}", self.problem.law)
-        found.save(folder / "search.nc")
-        return found
+        return write_gains(self, folder, f"mjx-climb tune {name}: {comment}", self.problem.law)
 
 
 def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Judged:
@@ -159,7 +145,7 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
     if retuned is not None:
         compared[retuned_pd.NAME] = (_joint(retuned), metrics[retuned_pd.NAME])
         ours, theirs = (_scored(problem.objective, metrics[name]) for name in ("tuned", retuned_pd.NAME))
-        worth = retuned_pd.worth(ours, theirs, retuned)
+        worth = retuned_pd.worth(ours, theirs, retuned.gains, feasible=retuned.feasible)
         outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
@@ -167,18 +153,15 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
     return Judged(walks, compared, over, hardware, checked, outcome, _summary(found, checked, compared, worth))
 
 
-def _draw(found: Result, judged: Judged, folder: Path, formats: Collection[str]) -> dict[str, Path]:
-    """Draw the pictures of a result and return the files of the page by their captions."""
-    drawn = {
-        "convergence": search_pictures.plot_convergence(found),
-        "walks": plots.plot_comparison(judged.walks),
-        "margins": plot_margins(judged.hardware, "tuned"),
+def _pictures(found: Result, judged: Judged) -> dict[str, Callable[[], Figure]]:
+    """Return what draws the pictures of a result."""
+    over = judged.over
+    drawn: dict[str, Callable[[], Figure]] = {
+        "convergence": lambda: search_pictures.plot_convergence(found),
+        "walks": lambda: plots.plot_comparison(judged.walks),
+        "margins": lambda: plot_margins(judged.hardware, "tuned"),
     }
-    if judged.over is not None:
-        drawn["path"] = search_pictures.plot_path(found, judged.over)
-    for name, figure in drawn.items():
-        plots.save_figure(figure, folder / name, formats)
-    return {CAPTIONS[name]: folder / f"{name}.png" for name in drawn}
+    return drawn if over is None else drawn | {"path": lambda: search_pictures.plot_path(found, over)}
 
 
 def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
@@ -232,7 +215,7 @@ def _summary(found: Tuned, checked: Verification, compared: Compared, worth: Wor
         "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
     }  # fmt: skip
     if worth is not None:
-        summary["force_sensor"] = worth._asdict()
+        summary["force_sensor"] = worth.changes | {"in_words": worth.in_words}
     summary["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
     return to_json(summary)
 

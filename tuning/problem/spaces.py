@@ -20,12 +20,16 @@ import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
 from mjx_climb.hardware.stages import IDEAL, stages_of
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import RobotFile
 from tuning.problem.search import Search
 
 PARTS = ("translation", "rotation")
-JOINT = {"kp": (10.0, 200.0), "kd": (0.02, 2.0)}  # bounds, N m/rad and N m s/rad
+JOINT = {"kp": (5.0, 4.0), "kd": (10.0, 10.0)}  # bounds: how many times below and above the scenario's own
+_DAMPED = 0.004  # s, kd over kp of the paper's joint loop: in place of a scenario's kd of zero
+_BOUNDED_FOR = "hubrobo_v3_2"  # the robot that bounds of the paper's gains are for
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +116,7 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     if unknown := sorted({*search.also} - set(law.GAINS)):
         raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
     wanted = [name for name, field in law.GAINS.items() if field.searched or name in asked]
-    defaults = {**law.search_bounds(scenario.time_step), **JOINT}
+    defaults = default_bounds(scenario, law)
     known = set(JOINT) if joint_gains else set()
     names, lower, upper, fixed = [], [], [], []
     places: dict[str, int | list[int]] = {}
@@ -181,6 +185,25 @@ def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
         return search.joint_gains
     with jax.enable_x64(True):
         return stages_of(scenario, mc.parameters(scenario))._replace(capture=False) != IDEAL
+
+
+def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float, float]]:
+    """Return where a search looks that is not told: by gain, and `gain.rotation`.
+
+    Joint gains about the scenario's own. The paper's gains where the law has them for HubRobo, and in proportion to its
+    mass for a robot from a file; a law that makes bounds of its gains (`search_bounds` of its own) is not scaled.
+    """
+    control = scenario.control
+    joint = {"kp": control.kp, "kd": control.kd or _DAMPED * control.kp}
+    bounds = law.search_bounds(scenario.time_step)
+    if (
+        has_gains_of_the_paper(law)
+        and isinstance(scenario.robot, RobotFile)
+        and type(law).search_bounds is mc.Law.search_bounds
+    ):
+        heavier = float(load_robot(scenario.robot).total_mass[0] / load_robot(_BOUNDED_FOR).total_mass[0])
+        bounds = {name: (low * heavier, high * heavier) for name, (low, high) in bounds.items()}
+    return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in JOINT.items()}
 
 
 def as_gains(values: Mapping[str, Any]) -> AnyGains:

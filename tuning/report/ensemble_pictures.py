@@ -61,7 +61,7 @@ def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation",
 
 
 def plot_front(front: xr.Dataset) -> Figure:
-    """Draw a Pareto front, everything that was walked on the way, its knee, the config's gains and pd."""
+    """Draw a Pareto front, all that was walked on the way, its knee, the config's gains, pd, and the front of pd."""
     x, y = front.attrs["against"], front.attrs["better"]
     (fx, ux), (fy, uy) = _scaled(front[x]), _scaled(front[y])
     fronts = front[x].values * fx, front[y].values * fy
@@ -77,6 +77,8 @@ def plot_front(front: xr.Dataset) -> Figure:
         panel = figure.subplots()
         panel.plot(walked[0][held], walked[1][held], ".", color="0.75", ms=2.5, label="walked", zorder=1)
         panel.plot(*fronts, "-o", color=plots.BLUE, ms=2.5, label="front")
+        panel.plot(front[f"without_{x}"] * fx, front[f"without_{y}"] * fy, "--.", color=plots.BLACK, ms=3, lw=0.8,
+                   label="pd over kp, kd")  # fmt: skip
         chosen = knee(front[x].values, front[y].values)
         panel.plot(fronts[0][chosen], fronts[1][chosen], "*", color=plots.ORANGE, ms=9, mec="black", mew=0.5,
                    linestyle="", label="knee")  # fmt: skip

@@ -11,12 +11,13 @@ from tuning.report import comparison
 from tuning.report.explorer import explorer, listed_points
 from tuning.report.numbers import gain, number, unit
 from tuning.report.page import Origin, Page, Table
+from tuning.searches.pareto import without_sensor
 
 ROWS = 20
 
 
 def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS) -> Table:
-    """Return some twenty points of a front, the knee among them, with the config's gains and pd below."""
+    """Return some twenty points of a front, the knee among them, with the config's gains, pd and pd retuned below."""
     shown_metrics, names = (front.attrs["against"], front.attrs["better"]), front.attrs["searched"].split()
     columns = ["", *(f"{about.in_words(name)} {unit(name, about)}".strip() for name in shown_metrics), *names]
     count, on = front.sizes["front"], []
@@ -28,6 +29,11 @@ def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS
     for name in ("config", "pd"):
         row = [number(front[f"reference_{n}"].sel(reference=name).item()) for n in shown_metrics]
         references.append([name, *row, *("" for _ in names)])
+    rival = without_sensor(front, knee, about)
+    if rival is not None:
+        joint = ", ".join(f"{name} {number(rival[f'without_{name}'].item())}" for name in ("kp", "kd"))
+        row = [number(rival[f"without_{n}"].item()) for n in shown_metrics]
+        references.append([f"pd, {joint}", *row, *("" for _ in names)])
     return Table("The front", columns, [("", on), ("", references)], 1)
 
 
@@ -40,6 +46,7 @@ def page(
     *,
     origin: Origin,
     seed: int,
+    worth: str,
     pictures: Mapping[str, Path],
     about: mc.MetricTable = mc.METRICS,
 ) -> Page:
@@ -53,6 +60,7 @@ def page(
         scenario: of all walks.
         origin, pictures: as of `tuning.report.sweep.page`.
         seed: of the search.
+        worth: what the force sensor is worth, in words.
         about: the metrics of the walks.
     """
     better, against = front.attrs["better"], front.attrs["against"]
@@ -66,7 +74,7 @@ def page(
         title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}",
         origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
-        notes=[],
+        notes=[f"{worth[0].upper()}{worth[1:]}."],
         scenario=scenario,
         explorers=[
             explorer(

@@ -53,10 +53,12 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
     """Return mean and worst of the main metrics, the first gains' with their change against the config's."""
     names = summed["gains"].values.tolist()
     columns = ["metric", "unit", "of the members", names[0], "vs config %", *names[1:]]
-    values = {name: float(summed["objective"].sel(gains=name)) for name in names}
-    scores = [number(value) for value in values.values()]
-    scores.insert(1, change(values[names[0]], values["config"]))
-    sections = [("", [["objective", "", "mean and worst", *scores]])]
+    sections: list[tuple[str, list[list[str]]]] = []
+    if "objective" in summed:
+        values = {name: float(summed["objective"].sel(gains=name)) for name in names}
+        scores = [number(value) for value in values.values()]
+        scores.insert(1, change(values[names[0]], values["config"]))
+        sections.append(("", [["objective", "", "mean and worst", *scores]]))
     for metric in shown(metrics):
         rows = []
         for statistic, label in (("mean", "mean"), ("worst", f"worst {summed.attrs['worst_share']:.0%}")):

@@ -1,8 +1,6 @@
 """Grid search: every pair of values of two gains, the same on all of their axes, walked in batches of one program."""
 
 import dataclasses
-import hashlib
-import importlib.metadata
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,8 +16,7 @@ import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
-from mjx_climb.files.dataset import PACKAGES, larger_is_better, sweep_dataset
-from mjx_climb.robot.constants import model_path
+from mjx_climb.files.dataset import larger_is_better, sweep_dataset
 from mjx_climb.rollouts.histories import LINES, stretches
 from tuning.problem.spaces import JOINT
 from tuning.searches import identity, shards
@@ -68,7 +65,7 @@ def claim(
     """
     grid = of(scenario, stiffness, damping, **how)
     if shard is not None:
-        return shards.claim(grid, out, shard)[1]
+        return shards.there(grid, shards.claim(grid, out, shard), shard.rows(grid.rows))
     return min(Parts(out, grid.identity()).count() * grid.size, grid.rows)
 
 
@@ -124,12 +121,6 @@ class Grid:
 
     def identity(self) -> dict[str, Any]:
         """Return all that determines the numbers of a sweep, bit by bit."""
-        versions: dict[str, str | None] = {}
-        for name, distribution in PACKAGES.items():
-            try:
-                versions[name] = importlib.metadata.version(distribution)
-            except importlib.metadata.PackageNotFoundError:
-                versions[name] = None
         return {
             "kind": KIND,
             "scenario": yaml.safe_load(scenario_files.identity(self.scenario)),
@@ -140,9 +131,7 @@ class Grid:
             "metrics": identity.of_metrics(self.metrics),
             "batch_size": self.size,
             "histories": self.keeps_histories,
-            "platform": jax.default_backend(),
-            "robot_model": hashlib.sha256(model_path(self.scenario.robot).read_bytes()).hexdigest(),
-            "versions": versions,
+            **identity.of_surroundings(self.scenario),
         }
 
 
@@ -267,7 +256,7 @@ def sweep_shard(
         ValueError, OutputError: as of `sweep`; or `out` holds shards of another number.
     """
     grid = of(scenario, **how)
-    shards.walk(grid, shards.claim(grid, out, shard)[0], progress, shard)
+    shards.walk(grid, shards.claim(grid, out, shard), progress, shard)
 
 
 def merged(

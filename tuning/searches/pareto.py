@@ -25,7 +25,7 @@ from tuning.problem.evaluation import Evaluation, Problem, under_pd
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Search
 from tuning.problem.spaces import as_gains, to_gains64
-from tuning.searches import tune
+from tuning.searches import retuned_pd, tune
 from tuning.searches.judged_rounds import Rounds, Told
 from tuning.searches.methods import Task, gradient
 
@@ -80,7 +80,8 @@ def front(
         Dimension `point`: both metrics of all that was walked in the search, nothing torn off. Dimension `front`: the
         gains on the front (those of six axes along `six`, of three along `three`) and all their metrics, in float64
         with grippers that tear off. Dimension `reference`: the metrics of the law's own gains (`config`) and of `pd`,
-        likewise.
+        likewise. Dimension `without`: the front of pd over kp and kd, which needs no force sensor, from a grid of them
+        (`without_kp`, `without_kd`, and both metrics).
 
     Raises:
         ConfigError: no walk meets the constraints, or a metric that cannot be weighed.
@@ -240,6 +241,7 @@ def _dataset(asked: Trade, archive: _Archive, limits: np.ndarray, env_steps: int
         name, about = metric.name, dataset.metric_attributes(metric)
         data[name] = ("front", exact[name][on], about)
         data[f"reference_{name}"] = ("reference", np.array([m[name] for m in own]), about)
+    data |= _front_of_pd(problem, against, better)
     for name, key in ((against, "x"), (better, "y")):
         about = dataset.metric_attributes(table[name])
         data[f"walked_{name}"] = ("point", np.concatenate(archive[key]), about)
@@ -250,6 +252,37 @@ def _dataset(asked: Trade, archive: _Archive, limits: np.ndarray, env_steps: int
     attrs |= {"search": bettering(better, asked.search).to_yaml(), **dataset.provenance(scenario)}
     coordinates = {"coordinate": list(problem.space.names), "reference": ["config", "pd"]}
     return xr.Dataset(data, coordinates | axes_of(gains_on), attrs)
+
+
+def _front_of_pd(problem: Problem, against: str, better: str) -> dict[str, Any]:
+    """Return the pairs of joint gains under pd that no other beats in both metrics, all limits but the rows' met."""
+    table, plain = problem.metrics, problem.objective
+    assert isinstance(plain, Objective)
+    joint, walks = retuned_pd.walked_on_grid(
+        problem.scenario, table, retuned_pd.FINE, dtype=np.float64, engine=problem.engine
+    )
+    others = [objectives.violation(limit, walks[limit.metric]) <= 0 for limit in plain.limits]
+    holds = np.all([walks["detached_limb"] < 0, ~walks["diverged"].astype(bool), *others], axis=0)
+    costs = [np.where(holds, _sign(table[name]) * walks[name], np.inf) for name in (against, better)]
+    on = nondominated(*costs)
+    on = on[np.isfinite(costs[1][on])]
+    found = {f"without_{name}": values[on] for name, values in joint.items()}
+    labels = {f"without_{name}": {"units": unit} for name, unit in (("kp", "N m/rad"), ("kd", "N m s/rad"))}
+    for name in (against, better):
+        found[f"without_{name}"] = walks[name][on]
+        labels[f"without_{name}"] = dataset.metric_attributes(table[name])
+    return {name: ("without", values, labels[name]) for name, values in found.items()}
+
+
+def without_sensor(result: xr.Dataset, index: int, about: mc.MetricTable = mc.METRICS) -> xr.Dataset | None:
+    """Return the point of pd's front that costs no more than a point of the front, None where all cost more."""
+    against, better = result.attrs["against"], result.attrs["better"]
+    cost = _sign(about[against]) * result[f"without_{against}"].values
+    within = np.flatnonzero(cost <= _sign(about[against]) * result[against].values[index])
+    if not within.size:
+        return None
+    values = _sign(about[better]) * result[f"without_{better}"].values[within]
+    return result.isel(without=int(within[values.argmin()]))
 
 
 def _candidates(x: np.ndarray, y: np.ndarray, widest: float) -> np.ndarray:

@@ -6,15 +6,25 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import DTypeLike
+
+import mjx_climb as mc
+from mjx_climb.control import PD
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.rollouts.given import AnyGains
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
-from tuning.problem.spaces import JOINT
+from tuning.problem.spaces import JOINT, default_bounds
 from tuning.searches import finished_parts, tune
 from tuning.searches.result import Result
 
 NAME = "retuned_pd"  # in tables and files
+_COARSE = (12, 9)  # values of kp and kd
+FINE = (24, 18)
+_JUDGED_BY = ("force_variation", "detached_limb", "diverged")
 
 
 def search(
@@ -50,6 +60,41 @@ def search(
     return again
 
 
+def walked_on_grid(
+    scenario: mc.Scenario,
+    metrics: mc.MetricTable,
+    counts: tuple[int, int] = _COARSE,
+    *,
+    dtype: DTypeLike = np.float32,
+    engine: str = DEFAULT_ENGINE,
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Walk pd with kp and kd on a grid within the bounds of a search, and with the scenario's own.
+
+    Returns:
+        kp and kd, (N,) each, and the metrics of their walks.
+    """
+    pd = under_pd(scenario)
+    bounds, own = default_bounds(pd, PD()), {"kp": pd.control.kp, "kd": pd.control.kd}
+    axes = [np.append(np.geomspace(*bounds[name], count), own[name]) for name, count in zip(own, counts, strict=True)]
+    gains = dict(zip(own, (values.ravel() for values in np.meshgrid(*axes)), strict=True))
+    walks = mc.rollout_metrics(pd, gains, metrics=metrics, dtype=dtype, engine=engine)
+    return gains, {name: np.asarray(value) for name, value in walks.items()}
+
+
+def on_grid(scenario: mc.Scenario, *, engine: str = DEFAULT_ENGINE) -> dict[str, float] | None:
+    """Return kp and kd with which pd has the least force variation of a grid and holds, None where it never does.
+
+    What a sweep, which looks for the same among the gains of a law, is to be compared with.
+    """
+    table = mc.MetricTable(mc.METRICS[name] for name in _JUDGED_BY)
+    gains, walks = walked_on_grid(scenario, table, engine=engine)
+    holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
+    variation = np.where(holds, walks["force_variation"], np.inf)
+    if not np.isfinite(variation).any():
+        return None
+    return {name: float(values[variation.argmin()]) for name, values in gains.items()}
+
+
 def _kept_in(out: Path) -> Path:
     return Path(out) / finished_parts.FOLDER / NAME
 
@@ -68,28 +113,37 @@ def _settings(search: Search) -> Search:
 class Worth(NamedTuple):
     """What a force sensor changes: of gains found against pd retuned."""
 
-    objective: float  # relative: -0.1 is a tenth less
-    force_variation: float
+    changes: dict[str, float]  # relative, of what the gains were found for: -0.1 is a tenth less
     in_words: str
 
 
-def worth(values: Mapping[str, float], without: Mapping[str, float], retuned: Result) -> Worth:
+def worth(
+    values: Mapping[str, float],
+    without: Mapping[str, float],
+    gains: AnyGains,
+    *,
+    feasible: bool = True,
+    larger: bool = False,
+) -> Worth:
     """Return what a force sensor is worth.
 
     Arguments:
-        values: `objective` and `force_variation` of the gains found.
-        without: the same of pd with the joint gains of `retuned`.
-        retuned: the search of these.
+        values: first what the gains were found for, then what else is to be said of them.
+        without: the same of pd retuned.
+        gains: kp and kd of that.
+        feasible: whether it keeps all limits.
+        larger: whether more of the first value is better, not less.
     """
-    joint = by_name(retuned.gains)
+    joint = by_name(gains)
     rival = f"pd with kp {float(joint['kp']):.4g}, kd {float(joint['kd']):.4g}, which needs none"
-    rival += "" if retuned.feasible else " (and breaks a limit)"
-    changes = {name: values[name] / without[name] - 1 for name in ("objective", "force_variation")}
+    rival += "" if feasible else " (and breaks a limit)"
+    changes = {name: values[name] / without[name] - 1 for name in values}
     if not all(map(math.isfinite, changes.values())):
-        return Worth(**changes, in_words=f"the force sensor: not to be compared with {rival}: a walk diverged")
-    verdict = "pays" if changes["objective"] < 0 else "does not pay"
+        return Worth(changes, f"the force sensor: not to be compared with {rival}: a walk diverged")
+    first = next(iter(changes.values()))
+    verdict = "pays" if (first > 0 if larger else first < 0) else "does not pay"
     parts = [
         f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'} {name.replace('_', ' ')}"
         for name, change in changes.items()
     ]
-    return Worth(**changes, in_words=f"the force sensor {verdict}: {' and '.join(parts)} than {rival}")
+    return Worth(changes, f"the force sensor {verdict}: {' and '.join(parts)} than {rival}")

@@ -1,7 +1,7 @@
 """Robust tuning: gains for an ensemble of walks, judged on a draw that the search never saw."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -256,8 +256,14 @@ def judge(
         Every metric of every walk, dimensions (`gains`, `member`): the names, those of `pd`, and `pd` last; with what
         was drawn.
     """
-    fresh = ensemble.model_copy(update={"members": members, "seed": ensemble.seed + FRESH_SEED})
-    return walked(scenario, gains, fresh, pd=pd, metrics=metrics, law=law, engine=engine, progress=progress)
+    return walked(
+        scenario, gains, fresh(ensemble, members), pd=pd, metrics=metrics, law=law, engine=engine, progress=progress
+    )
+
+
+def fresh(ensemble: Ensemble, members: int) -> Ensemble:
+    """Return the ensemble whose members no search of the given one has seen."""
+    return ensemble.model_copy(update={"members": members, "seed": ensemble.seed + FRESH_SEED})
 
 
 def walked(
@@ -287,17 +293,25 @@ def walked(
                 progress(before + now, total)
 
         how: dict[str, Any] = {"metrics": table, "law": whose, "engine": engine}
-        stacked = _stacked(place, whose, list(some.values()))
-        found = mc.rollout_metrics(place, stacked, numbers, dtype=np.float32, smooth=True, progress=told, **how)
+        batch = stacked(place, whose, list(some.values()))
+        found = mc.rollout_metrics(place, batch, numbers, dtype=np.float32, smooth=True, progress=told, **how)
         parts.append(found)
         done += ensemble.members * len(some)
+    arrays = {metric.name: np.concatenate([part[metric.name] for part in parts], axis=1) for metric in table}
+    return labelled(scenario, [*gains, *pd, "pd"], ensemble, numbers, arrays, table)
+
+
+def labelled(
+    scenario: mc.Scenario,
+    names: Sequence[str],
+    ensemble: Ensemble,
+    numbers: mc.Parameters,
+    arrays: Mapping[str, np.ndarray],
+    table: mc.MetricTable,
+) -> xr.Dataset:
+    """Return metrics (members, gains) of walks through an ensemble with what was drawn, as `judge` does."""
     data: dict[str, Any] = {
-        metric.name: (
-            ("gains", "member"),
-            np.concatenate([part[metric.name] for part in parts], axis=1).T,
-            dataset.metric_attributes(metric),
-        )
-        for metric in table
+        metric.name: (("gains", "member"), arrays[metric.name].T, dataset.metric_attributes(metric)) for metric in table
     }
     for name, (values, units, text) in _drawn(numbers, ensemble).items():
         values = np.broadcast_to(np.reshape(values, -1), ensemble.members)
@@ -305,14 +319,14 @@ def walked(
     attrs: dict[str, Any] = {"title": "gains judged over an ensemble", **dataset.provenance(scenario)}
     attrs["ensemble"] = ensemble.to_yaml()
     attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
-    return xr.Dataset(data, {"gains": [*gains, *pd, "pd"], "member": np.arange(ensemble.members)}, attrs)
+    return xr.Dataset(data, {"gains": list(names), "member": np.arange(ensemble.members)}, attrs)
 
 
-def _stacked(scenario: mc.Scenario, law: mc.Law | None, gains: list[AnyGains]) -> dict[str, np.ndarray]:
+def stacked(scenario: mc.Scenario, law: mc.Law | None, gains: list[AnyGains]) -> dict[str, np.ndarray]:
     """Return several gains as one batch (n, ...), by name, the joint loop's among them."""
     each = [given_in(scenario, law, one, None, np.float64) for one in gains]
-    stacked = {name: np.stack([getattr(one.law, name) for one in each]) for name in each[0].law.GAINS}
-    return stacked | {name: np.stack([getattr(one.numbers, name) for one in each]) for name in ("kp", "kd")}
+    values = {name: np.stack([getattr(one.law, name) for one in each]) for name in each[0].law.GAINS}
+    return values | {name: np.stack([getattr(one.numbers, name) for one in each]) for name in ("kp", "kd")}
 
 
 def _drawn(numbers: mc.Parameters, ensemble: Ensemble) -> dict[str, tuple[np.ndarray, str, str]]:
@@ -402,11 +416,11 @@ def summary(judged: xr.Dataset, share: float = JUDGED_SHARE) -> xr.Dataset:
     metric by itself. `failed` is the share of all members.
 
     Raises:
-        ValueError: some gains diverge in each member.
+        ConfigError: some gains diverge in each member.
     """
     held = judged.isel(member=~judged["diverged"].astype(bool).any("gains").values)
     if not held.sizes["member"]:
-        raise ValueError("expected a member of the draw in which nothing diverges, got none")
+        raise ConfigError("ensemble: expected a member of the draw in which nothing diverges, got none")
     data: dict[str, Any] = {}
     for name in [str(n) for n, v in judged.data_vars.items() if "larger_is_better" in v.attrs and n not in FAILURES]:
         values = held[name].transpose("member", "gains").values.astype(float)

@@ -106,7 +106,7 @@ def walk(work: Work, kept: Parts | None, progress: Told | None, shard: Shard | N
     rows = range(work.rows) if shard is None else shard.rows(work.rows)
     parts = parts_of(work, rows)
     found = [None if kept is None else kept.load(number) for number in range(len(parts))]
-    done = sum(len(part) for part, there in zip(parts, found, strict=True) if there is not None)
+    done = sum(len(part) for part, arrays in zip(parts, found, strict=True) if arrays is not None)
     if progress is not None:
         progress(done, len(rows))
     for number, part in enumerate(parts):
@@ -119,7 +119,7 @@ def walk(work: Work, kept: Parts | None, progress: Told | None, shard: Shard | N
         done += len(part)
         if progress is not None:
             progress(done, len(rows))
-    return _concatenated([there for there in found if there is not None])
+    return _concatenated([arrays for arrays in found if arrays is not None])
 
 
 def _walk_part(work: Work, part: range) -> dict[str, np.ndarray]:
@@ -134,8 +134,13 @@ def _walk_part(work: Work, part: range) -> dict[str, np.ndarray]:
     return {name: values[own.start - walking.start : own.stop - walking.start] for name, values in arrays.items()}
 
 
-def claim(work: Work, out: Path, shard: Shard) -> tuple[Parts, int]:
-    """Prepare the folder of a shard below `out`; return its parts, and how many of its rows are there already.
+def there(work: Work, kept: Parts, rows: range) -> int:
+    """Return how many of some rows are kept already."""
+    return sum(len(part) for number, part in enumerate(parts_of(work, rows)) if kept.load(number) is not None)
+
+
+def claim(work: Work, out: Path, shard: Shard) -> Parts:
+    """Prepare the folder of a shard below `out` and return its parts.
 
     Raises:
         ConfigError: more shards than rows.
@@ -149,9 +154,7 @@ def claim(work: Work, out: Path, shard: Shard) -> tuple[Parts, int]:
                 f"{out}: expected shards of {shard.count}, got {other.name} (remove it, or choose another --out)"
             )
     folder = shard.folder(out)
-    parts = Parts(folder, {**work.identity(), "shard": [shard.number, shard.count]})
-    rows = parts_of(work, shard.rows(work.rows))
-    return parts, sum(len(part) for number, part in enumerate(rows) if parts.load(number) is not None)
+    return Parts(folder, {**work.identity(), "shard": [shard.number, shard.count]})
 
 
 def tell(out: Path, shard: Shard, about: Mapping[str, Any]) -> None:
@@ -207,7 +210,7 @@ def joined(work: Work, found: Sequence[Kept]) -> dict[str, np.ndarray]:
     Raises:
         ConfigError: they are shards of something else than `work`, made elsewhere than here for example, or not whole.
     """
-    there = {each.shard.number: each for each in found}
+    begun = {each.shard.number: each for each in found}
     count = found[0].shard.count
     # a merge may run on another kind of machine: it walks nothing of the shards
     own = {**work.identity(), "platform": found[0].identity.get("platform")}
@@ -220,7 +223,7 @@ def joined(work: Work, found: Sequence[Kept]) -> dict[str, np.ndarray]:
     for number in range(1, count + 1):
         shard = Shard(number, count)
         parts = parts_of(work, shard.rows(work.rows))
-        kept = None if number not in there else Parts(there[number].folder, there[number].identity)
+        kept = None if number not in begun else Parts(begun[number].folder, begun[number].identity)
         loaded = [None if kept is None else kept.load(at) for at in range(len(parts))]
         missing = [part for part, arrays in zip(parts, loaded, strict=True) if arrays is None]
         if missing:

@@ -6,15 +6,12 @@ folder holds, without walking them: the result is that of an undisturbed search,
 in mind.
 """
 
-import hashlib
-import importlib.metadata
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 import mjx_climb as mc
@@ -23,7 +20,6 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import PACKAGES, OutputError
 from mjx_climb.quantities.batches import batch_shape
-from mjx_climb.robot.constants import model_path
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import evaluation, objectives, spaces
@@ -281,12 +277,7 @@ def restored(stored: dict[str, np.ndarray], theta: np.ndarray, out: Path | None)
 
 def search_identity(problem: Problem, search: Search, method: Method | None = None) -> dict[str, Any]:
     """Return all that determines a search, bit by bit."""
-    versions: dict[str, str | None] = {}
-    for name, distribution in {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}.items():
-        try:
-            versions[name] = importlib.metadata.version(distribution)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = None
+    packages = {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}
     return {
         "scenario": scenario_files.identity(problem.scenario),
         "law": None if problem.law is None else identity.identity(problem.law, "law"),
@@ -296,7 +287,5 @@ def search_identity(problem: Problem, search: Search, method: Method | None = No
         "numbers": None if problem.numbers is None else identity.identity(problem.numbers, "numbers"),
         "metrics": identity.of_metrics(problem.metrics),
         "engine": problem.engine,
-        "platform": jax.default_backend(),
-        "robot_model": hashlib.sha256(model_path(problem.scenario.robot).read_bytes()).hexdigest(),
-        "versions": versions,
+        **identity.of_surroundings(problem.scenario, packages),
     }

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tuning.benchmarks import measure, operations
+from tuning.benchmarks import commands, measure, operations
 from tuning.command_line import bench
 
 
@@ -23,6 +23,20 @@ def test_work_takes_turns_and_the_first_turn_does_not_count():
     assert order == ["a", "b"] * 4
 
 
+def test_a_command_is_timed_twice_with_a_cache_of_its_own(monkeypatch):
+    """The first run leaves a file in its cache and waits; the second finds it."""
+    code = (
+        "import os, pathlib, time; cache = pathlib.Path(os.environ['MJX_CLIMB_CACHE']); there = cache.exists();"
+        "cache.mkdir(exist_ok=True); end = time.process_time() + (0 if there else 1);\n"
+        "while time.process_time() < end: pass"
+    )
+    monkeypatch.setattr(commands, "COMMANDS", {"wait": ("-c", code)})
+    told = []
+    seconds = commands.measure(["wait"], told.append)["wait"]
+    assert told == ["wait, cold", "wait, warm"]
+    assert seconds.cold_cpu > 1 > seconds.warm_cpu and seconds.cold > 1
+
+
 @pytest.mark.slow
 @pytest.mark.timing
 def test_quick_bench_prints_every_figure_and_sane_ratios():
@@ -37,5 +51,8 @@ def test_quick_bench_prints_every_figure_and_sane_ratios():
     assert result["vs_mujoco_batch"] > 0.5
     assert result["vs_numpy_loop_single"] > 1
     assert 1 < result["gradient_cost_2"] < 10
+    assert set(result["waits"]) == set(bench.QUICK)
+    run = result["waits"][commands.RUN]
+    assert run["warm_cpu"] < run["cold_cpu"] / 1.5
     # fusion within a piece of a step repeats some; fusion of a whole step would repeat all six times
     assert 0.85 < result["flops_per_env_step"] / operations.BY_HAND < 2

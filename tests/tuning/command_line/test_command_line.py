@@ -109,6 +109,12 @@ BAD = [
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --batch-size 0", "--batch-size"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --set robot=spot", "robot: expected one of"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --out {files}/file", "{files}/file"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --shard 5/4", "--shard: expected I/N with I from 1 to N"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --shard 1/10", "shard 1/10: expected at most 9 shards"),
+    ("merge {files}", "expected a shard's folder, or one that holds shards, got none"),
+    ("judge {config} --gains {files}/gains.yaml", "inertia: expected a value, got none"),
+    ("judge {config} --gains {files}/gains.yaml --controller pd", "--controller: expected a law"),
+    ("judge {config} --gains nowhere.yaml --ensemble nowhere", "nowhere.yaml: expected a readable file"),
     ("run {config} --set contact.stiffness=1e308", "case_1_2.yaml: time_step: expected"),
     ("run {config} --out=\x1b[31m --frob", "No such option"),
     ("tune {config} --pin stiffness.q=1", "--pin stiffness.q: expected one of damping, stiffness"),
@@ -271,11 +277,17 @@ def test_sweep_prints_json_alone_on_stdout(swept):
     assert done.returncode == 0, done.stderr
     found = strict_json(done.stdout)
     assert done.stdout.startswith("{")
-    assert list(found) == ["best", "config", "pd", "grid"]
+    assert list(found) == ["best", "retuned_pd", "config", "pd", "force_sensor", "grid"]
     assert found["grid"]["walks"] == 6
     assert found["pd"]["gains"] is None
     assert found["config"]["gains"] == {"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}
-    assert all(list(found[name]["metrics"]) == list(mc.METRICS.names) for name in ("best", "config", "pd"))
+    assert all(list(found[name]["metrics"]) == list(mc.METRICS.names) for name in list(found)[:4])
+    joint = found["retuned_pd"]["gains"]
+    assert 10.0 <= joint["kp"] <= 200.0 and 0.02 <= joint["kd"] <= 2.0
+    values = {name: found[name]["metrics"]["force_variation"] for name in ("best", "retuned_pd", "pd")}
+    assert values["retuned_pd"] <= values["pd"]
+    assert found["force_sensor"]["force_variation"] == pytest.approx(values["best"] / values["retuned_pd"] - 1)
+    assert found["force_sensor"]["in_words"] in " ".join(done.stderr.split())
     for word in ("compil", "cache", "6 of 6 walks", "paper", "force variation", str(out)):
         assert word in done.stderr
 

@@ -52,8 +52,9 @@ def test_which_shard_a_process_walks(text, environment, shard, monkeypatch):
         ("5/4", {}, "--shard: expected I/N"),
         ("1", {}, "--shard: expected I/N"),
         ("1/4/2", {}, "--shard: expected I/N"),
-        (None, array(MIN="1", MAX="9"), "expected an array of tasks without gaps"),
-        (None, array(ID="9"), "expected an array of tasks without gaps"),
+        (None, array(MIN="1", MAX="9"), "expected several tasks without gaps"),
+        (None, array(ID="9"), "expected several tasks without gaps"),
+        (None, array(ID="3", MIN="3", MAX="3", COUNT="1"), "expected several tasks without gaps, got 1 from 3 to 3"),
         (None, array(COUNT=""), "SLURM_ARRAY_TASK_COUNT: expected a whole number"),
     ],
 )
@@ -103,3 +104,23 @@ def test_four_shards_merged_are_the_same_files(tmp_path):
     pages = [(folder / "report.html").read_text().splitlines() for folder in (one, four)]
     differ = [lines for lines in zip(*pages, strict=True) if lines[0] != lines[1]]
     assert [line.startswith("<pre>mjx-climb ") for line in sum(differ, ())] == [True, True]
+
+
+@pytest.mark.slow
+def test_judged_in_shards_is_the_same_file(tmp_path):
+    """72 members, more than walk in one call; an interrupted shard keeps what it has."""
+    gains = tmp_path / "mine.yaml"
+    gains.write_text("inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n")
+    one, three = tmp_path / "one", tmp_path / "three"
+    judge = ["judge", *SHORT, "--gains", gains, "--members", "72"]
+    alone = json.loads(finish(*judge, "--out", one, "--json")[0])
+    assert list(alone) == ["mine", "config", "pd"] and 0 < alone["pd"]["mean"]["force_variation"]
+    for number in (1, 2, 3):
+        finish(*judge, "--out", three, "--shard", f"{number}/3")
+    said = finish(*judge, "--out", three, "--shard", "2/3")[1]
+    assert "; 24 are there already" in said
+    assert json.loads(finish("merge", three, "--json")[0]) == alone
+    for name in ("judged.nc", "judged.png", "summary.json", "ensemble.yaml"):
+        assert (three / name).read_bytes() == (one / name).read_bytes(), name
+    refused = finish("merge", three / "shard-1-of-3", three / "shard-3-of-3", code=2)[1]
+    assert "shard 2/3 is not there: it lacks 24 of 24 walks (member 24 to member 47)" in refused

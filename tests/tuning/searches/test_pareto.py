@@ -12,13 +12,14 @@ from mjx_climb.scenario.shipped import config_path
 from tuning.gains import law_file
 from tuning.report import ensemble_pictures
 from tuning.report.pareto import front_table
-from tuning.searches import pareto
+from tuning.searches import pareto, retuned_pd
 
 LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
 
 
 @pytest.fixture
 def few(monkeypatch):
+    monkeypatch.setattr(retuned_pd, "FINE", (3, 2))
     monkeypatch.setattr(pareto, "CANDIDATES", 6)
     monkeypatch.setattr(pareto, "STAGES", 2)
     monkeypatch.setattr(pareto, "ITERATIONS", 2)
@@ -68,6 +69,20 @@ def test_front_and_resume(few, tmp_path):
         assert not (beaten & whole["held"].astype(bool)).any()
     alone = mc.metrics(mc.rollout(scenario, pareto.gains_of(whole, 0)))
     assert alone["force_variation"] == pytest.approx(y[0], rel=1e-6)
+
+    pd = scenario.with_overrides({"control.controller": "pd"})
+    without = [whole[f"without_{name}"].values for name in ("base_deviation", "force_variation", "kp", "kd")]
+    assert (np.diff(without[0]) > 0).all() and (np.diff(without[1]) < 0).all()
+    for deviation, variation, kp, kd in zip(*without, strict=True):
+        walk = mc.metrics(mc.rollout(pd.with_overrides({"control.kp": kp, "control.kd": kd})))
+        assert (deviation, variation) == pytest.approx((walk["base_deviation"], walk["force_variation"]), rel=1e-6)
+    reference = whole["reference_force_variation"].sel(reference="pd").item()  # it was among them
+    assert without[1][-1] <= reference * (1 + 1e-9)
+    for i in range(whole.sizes["front"]):
+        rival, within = pareto.without_sensor(whole, i), without[0] <= x[i]
+        assert (rival is None) == (not within.any())
+        if rival is not None:
+            assert rival["without_force_variation"].item() == without[1][within].min()
 
     class Stop(Exception):
         pass

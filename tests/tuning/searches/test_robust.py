@@ -1,7 +1,6 @@
 """Ensembles: what is drawn, how mean and worst count, and that a draw that was not seen judges."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -253,10 +252,10 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
 
 
 def test_what_a_force_sensor_is_worth():
-    retuned = SimpleNamespace(gains={"kp": 25.0, "kd": 0.5}, feasible=True)
+    retuned = {"kp": 25.0, "kd": 0.5}
     without = {"objective": 0.8, "force_variation": 50.0}
     less = retuned_pd.worth({"objective": 0.6, "force_variation": 30.0}, without, retuned)
-    assert less[:2] == pytest.approx((-0.25, -0.4))
+    assert less.changes == pytest.approx({"objective": -0.25, "force_variation": -0.4})
     assert less.in_words.startswith("the force sensor pays: 25.0 % less objective and 40.0 % less force variation than")
     more = retuned_pd.worth({"objective": 0.9, "force_variation": 51.0}, without, retuned)
     assert more.in_words.startswith("the force sensor does not pay: 12.5 % more objective and 2.0 % more force")

@@ -40,7 +40,7 @@ class Numbers:
 
 def keep(work, out, shard, lose=()):
     """Walk a shard into its folder, and lose some of its parts again."""
-    parts, _ = shards.claim(work, out, shard)
+    parts = shards.claim(work, out, shard)
     shards.tell(out, shard, {"again": "walk it --shard {shard}"})
     shards.walk(work, parts, None, shard)
     for number in lose:
@@ -83,8 +83,8 @@ def test_robots_keep_place_and_program(whole):
 def test_a_shard_goes_on_where_it_stopped(tmp_path):
     shard, seen = Shard(2, 2), []
     keep(Numbers(), tmp_path, shard, lose=[1])
-    parts, there = shards.claim(Numbers(), tmp_path, shard)
-    assert there == 3  # of rows 5 to 7, and 8 and 9 after them
+    parts = shards.claim(Numbers(), tmp_path, shard)
+    assert shards.there(Numbers(), parts, shard.rows(10)) == 3  # of rows 5 to 7, and 8 and 9 after them
     shards.walk(Numbers(), parts, lambda *done: seen.append(done), shard)
     assert seen == [(3, 5), (5, 5)]
 

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
@@ -61,6 +63,27 @@ def test_pins_bounds_and_joint_gains(scenario):
     np.testing.assert_allclose(gains.damping[3:], 7.0, rtol=1e-5)
     np.testing.assert_allclose(gains.stiffness, [123.0, 10.0, 10.0, 10.0, 10.0, 30.0], rtol=1e-5)
     assert space.on_bound(space.lower) == list(space.names)
+
+
+def test_bounds_are_those_of_the_robot(scenario):
+    """HubRobo's as declared, in proportion for a robot from a file; joint gains about the scenario's own."""
+    law = law_of(scenario)
+    bounds = spaces.default_bounds(scenario, law)
+    assert bounds == {**law.search_bounds(scenario.time_step), "kp": (10.0, 200.0), "kd": (0.02, 2.0)}
+    softer = spaces.default_bounds(scenario.with_overrides({"control.kp": 25.0, "control.kd": 0.0}), law)
+    assert (softer["kp"], softer["kd"]) == ((5.0, 100.0), pytest.approx((0.01, 1.0)))
+    lemur = mc.load_scenario("lemur_like_cliff")
+    heavier = mass_of(lemur) / mass_of(mc.Scenario())
+    assert heavier > 10
+    found = spaces.default_bounds(lemur, law_of(lemur))
+    assert found["stiffness.rotation"] == pytest.approx([heavier * end for end in bounds["stiffness.rotation"]])
+    measured = lemur.with_overrides({"control.reading": "measured_pose"})  # its bounds come of inertia and time step
+    own = law_of(measured)
+    assert spaces.default_bounds(measured, own)["damping"] == own.search_bounds(measured.time_step)["damping"]
+
+
+def mass_of(scenario):
+    return float(load_robot(scenario.robot).total_mass[0])
 
 
 @pytest.mark.parametrize(
@@ -325,6 +348,7 @@ def test_a_method_that_is_none_is_refused_in_one_line(scenario, method, message)
 _KILLED = """
 import sys
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
 from tuning.searches.tune import tune
 scenario = mc.load_scenario(sys.argv[1])
