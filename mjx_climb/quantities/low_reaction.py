@@ -29,6 +29,7 @@ def swing_path(scenario: Scenario) -> np.ndarray:
     squared reaction on the base is as small as these shapes make it (a local minimum, from the cubic), on flat ground:
     see `mjx_climb.quantities.swing_reaction`. Limbs that lift off together are judged by the sum of their reactions.
     Feet stay above the ground and as high as the cubic in the middle, joints within their limits or those of the cubic.
+    A limb that cannot follow its cubic keeps it, as do those that lift off with it.
 
     It is worked out for the scenario's own stride, step height and timing. In `Parameters` it is one value for all
     robots of a batch, in step heights: other step heights scale it, headings turn it, and it is zero at both ends, so
@@ -56,7 +57,6 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
     now = walked(path)
     lower = np.minimum(lower, now.joints.min(0)) - _WITHIN
     upper = np.maximum(upper, now.joints.max(0)) + _WITHIN
-    reached = now.missed.max(0) + _WITHIN
     keep = np.array([_WEIGHT * _sum_of_squares(now, path, 0.0, group) for group in together])
     for _ in range(_ROUNDS):
         aside = path + _DIFFERENCE * np.eye(unknowns).reshape(-1, 1, 3, COUNT)
@@ -70,7 +70,7 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
             step[group] = -np.linalg.lstsq(np.concatenate([columns, held]), left, rcond=None)[0].reshape(-1, 3, COUNT)
         tried = path + _TRIED[:, None, None, None] * step
         tries = walked(tried, now.joints[:, None])
-        allowed = ((tries.joints >= lower) & (tries.joints <= upper)).all((0, -1)) & (tries.missed.max(0) <= reached)
+        allowed = ((tries.joints >= lower) & (tries.joints <= upper)).all((0, -1)) & (tries.missed.max(0) <= _WITHIN)
         allowed &= (heights(_CHECKED, tried) >= 0).all(0)
         gained = 0.0
         for group, weight in zip(together, keep, strict=True):

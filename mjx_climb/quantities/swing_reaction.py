@@ -17,7 +17,7 @@ from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
 _NODES = 32  # in each half of a swing, for eight digits
 _POSE = 6  # joints of a limb that can put its foot anywhere, turned in any way
-_STEPS = 300  # of Newton, at most
+_STEPS = 100  # of Newton, at most
 _SETTLED = 1e-12  # rad, or m
 _LONGEST_STEP = 0.3  # rad, or m
 _PULL = 1.0  # of the way to the rest posture in a step, where that does not move the foot
