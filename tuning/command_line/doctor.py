@@ -13,8 +13,8 @@ def doctor(json: options.Json = False) -> None:
 
     Prints versions, devices, the state of the compilation cache and which OpenGL renders. Then walks half a second and
     takes its gradient by the gains, solves the equations of motion with both engines and with MuJoCo's C code, and
-    compares with values stored in the package, to nine digits. About ten seconds, some more where the compilation cache
-    is empty. Says of all that is wrong what to do about it.
+    compares with values stored in the package, to nine digits. Half a minute or so, twice that where the compilation
+    cache is empty. Says of all that is wrong what to do about it.
 
     Exit code 0: all is well. 1: something is wrong.
 

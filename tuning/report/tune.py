@@ -12,7 +12,7 @@ from tuning.gains.gains_file import by_name
 from tuning.judged.verification import Verification
 from tuning.report import comparison
 from tuning.report.explorer import axes_of, explorer, grid_points
-from tuning.report.numbers import number
+from tuning.report.numbers import axis_values, number
 from tuning.report.page import Origin, Page, Table
 from tuning.searches.result import Result
 
@@ -54,7 +54,7 @@ def page(
         control = found.scenario.control
         x, y = axes_of(over)
         places = {"tuned": by_name(found.gains)} | ({"config": vars(control)} if found.law is None else {})
-        marks = {n: (_mean(gains[x]), _mean(gains[y])) for n, gains in places.items()}
+        marks = {name: at for walk, gains in places.items() for name, at in _marks(walk, gains[x], gains[y]).items()}
         value = over["objective"].where(over["feasible"])
         best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel({x: 0, y: 0})
         points = grid_points(over, over, {**metrics["pd"], "objective": 1.0}, marks, best)
@@ -98,9 +98,16 @@ def page(
     )
 
 
-def _mean(gain: ArrayLike) -> float:
-    """Return the geometric mean over the axes."""
-    return float(np.exp(np.mean(np.log(gain))))
+def _marks(walk: str, x: ArrayLike, y: ArrayLike) -> dict[str, tuple[float, float]]:
+    """Return where gains stand on the map; where axes differ, the means of translations and of rotations."""
+    both = [axis_values(gain) for gain in (x, y)]
+    if all(np.ptp(values) == 0 for values in both):
+        return {walk: (both[0][0].item(), both[1][0].item())}
+    parts = {"translations": slice(0, 3), "rotations": slice(3, 6)}
+    places = {
+        f"{walk}, {name}": [np.exp(np.log(gain[axes]).mean()).item() for gain in both] for name, axes in parts.items()
+    }
+    return {name: (at[0], at[1]) for name, at in places.items() if np.isfinite(at).all()}
 
 
 def _percent(value: float | None) -> str:

@@ -1,6 +1,7 @@
 """The report in a real browser: it loads from disk alone; hover, click, small windows and paper do what they say."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
@@ -268,6 +269,12 @@ def test_the_page_of_a_search(swept, named):
     assert {"objective", "feasible"} < set(points["values"])
     assert cells.explorers[0]["opens_on"] == "tuned"
     assert {round(np.log10(x), 6) for x, _ in points["limit"][0]} == {3.1}
+    apart = mc.Gains(1.0, 1e2, np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0]))
+    other = dataclasses.replace(found, gains=apart)
+    made = tune.page(other, checked, over, walks, compared_of(walks, gains), outcome=[], origin=ORIGIN, pictures={})
+    stands = {mark["name"]: mark["at"] for mark in made.explorers[0]["points"]["marks"]}
+    assert stands["tuned, translations"] == pytest.approx([2e3, 1e2])
+    assert stands["tuned, rotations"] == pytest.approx([20.0, 1e2]) and "tuned" not in stands
     tuned = next(walk["metrics"] for walk in cells.explorers[0]["walks"] if walk["name"] == "tuned")
     assert tuned["objective"] == 0.9
 
