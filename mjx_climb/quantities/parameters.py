@@ -13,6 +13,7 @@ from jax import Array
 from jaxtyping import Real
 
 from mjx_climb.quantities.ground import foothold_heights
+from mjx_climb.quantities.low_reaction import swing_path
 from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.model import Scenario
 
@@ -23,6 +24,7 @@ _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
 _Vector = Real[_Values, "... 3"] | Real[_Values, "3 _"]
 _Footholds = Real[_Values, "... L N"]
+_SwingPaths = Real[_Values, "... limbs 3 K"] | Real[_Values, "limbs 3 K _"]
 _Pushes = Real[_Values, "... pushes 3"] | Real[_Values, "pushes 3 _"]
 _PushTimes = Real[_Values, "... pushes"] | Real[_Values, "pushes _"]
 
@@ -55,7 +57,15 @@ class Parameters:
     """
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType(
-        {"gravity": 1, "foothold_height": 2, "push_force": 2, "push_moment": 2, "push_start": 1, "push_stop": 1}
+        {
+            "gravity": 1,
+            "foothold_height": 2,
+            "swing_path": 3,
+            "push_force": 2,
+            "push_moment": 2,
+            "push_start": 1,
+            "push_stop": 1,
+        }
     )
 
     gravity: _Vector  # (3,) m/s^2
@@ -72,6 +82,9 @@ class Parameters:
     duty: _Scalar  # 1
     heading: _Scalar  # rad
     foothold_height: _Footholds  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
+    swing_path: (
+        _SwingPaths  # (L, 3, K) step heights, added to each limb's swing, see `low_reaction`; K = 0: cubics alone
+    )
     cargo_mass: _Scalar  # kg
     cargo_start: _Scalar  # s
     cargo_stop: _Scalar  # s
@@ -125,6 +138,7 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         duty=gait.duty,
         heading=gait.heading,
         foothold_height=foothold_heights(scenario),
+        swing_path=swing_path(scenario),
         cargo_mass=cargo.mass,
         cargo_start=cargo.start,
         cargo_stop=_or_infinite(cargo.stop),

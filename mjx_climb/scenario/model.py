@@ -79,6 +79,10 @@ class Gait(Section):
     phases: Phases | None = Field(
         default=None, description="share of the cycle at which each limb lifts off, 1; null: as the sequence says"
     )
+    swing: Literal["cubic", "low_reaction"] = Field(
+        default="cubic",
+        description="path of a swinging foot: cubics, or the one near them that disturbs the base least",
+    )
     base_reference: Literal["nominal", "actual"] = Field(
         default="nominal",
         description="where each cycle's base reference starts: where planned, or where the base is",

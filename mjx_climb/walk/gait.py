@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.dynamics.spatial import quaternion_about_z, quaternion_multiply, rotate, rotation_about_z
 from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.quantities.swing import added_shapes, rest_to_rest
 from mjx_climb.robot.constants import Robot
 
 
@@ -23,6 +25,7 @@ class Plan:
     advance: Array  # (3, B) m, world, of base and feet in one cycle
     heights: Array  # (L, N, B) m, of each limb's footholds in order; N = 0: flat ground
     step_height: Array  # (B,) m
+    swing_path: Array  # (L, 3, K, B) m, world, what is added to the swings' cubics, shape by shape; K = 0: nothing
     cycle_steps: Array  # (B,) steps
     swing_steps: Array  # (B,) steps
     swing_offset: Array  # (L, B) steps after the start of a cycle at which a limb lifts off
@@ -56,10 +59,19 @@ def plan(
         advance=rotate(heading, jnp.stack([numbers.stride, zero, zero])),
         heights=jnp.asarray(numbers.foothold_height),
         step_height=jnp.asarray(numbers.step_height),
+        swing_path=_turned(heading, numbers.step_height, jnp.asarray(numbers.swing_path)),
         cycle_steps=cycle_steps,
         swing_steps=jnp.round((1 - numbers.duty) * numbers.cycle / time_step),
         swing_offset=jnp.round(phase[:, None] * cycle_steps),
     )
+
+
+def _turned(heading: Array, step_height: Array | np.ndarray, swing_path: Array) -> Array:
+    """Return what is added to the swings (L, 3, K, B) m along the axes of the world, from step heights ahead."""
+    if not swing_path.shape[2]:
+        return swing_path
+    along = rotate(heading[:, :, None, None], jnp.moveaxis(swing_path, 1, 0))
+    return jnp.asarray(step_height) * jnp.moveaxis(along, 0, 1)
 
 
 def schedule(plan: Plan, step: Array) -> Schedule:
@@ -76,11 +88,6 @@ def schedule(plan: Plan, step: Array) -> Schedule:
         closed=since_lift_off >= plan.swing_steps,
         foothold=cycle + (in_cycle - plan.swing_offset >= plan.swing_steps / 2),
     )
-
-
-def rest_to_rest(phase: Array) -> Array:
-    """Return the cubic from 0 to 1 with zero slope at both ends; its curvature is zero in the middle."""
-    return phase * phase * (3 - 2 * phase)
 
 
 def is_flat(plan: Plan) -> bool:
@@ -148,11 +155,23 @@ def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:
     return start + rest_to_rest(now.cycle_phase) * advance
 
 
+def _added(plan: Plan, phase: Array) -> Array:
+    """Return what is added to the cubic swings at their phases (L, B), (3, L, B) m in world axes."""
+    horizontal, vertical = added_shapes(phase)
+    return jnp.stack(
+        [
+            sum((plan.swing_path[:, axis, k] * shape for k, shape in enumerate(shapes)), jnp.zeros_like(phase))
+            for axis, shapes in enumerate((horizontal, horizontal, vertical))
+        ]
+    )
+
+
 def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
     """Return where the feet should be, (3, L, B) m in world axes.
 
     A shut gripper stays where it grips. A swing is the same curve whatever came before: from the cycle's planned
-    foothold to the next, even where a sagging robot touched down short of it.
+    foothold to the next, even where a sagging robot touched down short of it. What is added to the cubics is zero, with
+    zero slope, at both ends.
     """
     foothold = plan.footholds + now.cycle * plan.advance[:, None]
     # a limb on the ground has no swing: its phase runs past one
@@ -165,4 +184,6 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
         old, new = foothold_height(plan, now.cycle), foothold_height(plan, now.cycle + 1)
         end = jnp.where(phase < 0.5, old, new)
         lift = end + (jnp.maximum(old, new) + plan.step_height - end) * lift
+    if plan.swing_path.shape[2]:
+        swing = swing + _added(plan, phase)
     return jnp.where(now.closed, grip_point, _raised(swing, lift))

@@ -23,12 +23,15 @@ ROBOTS = 140  # a block and a part of one
 STEPS = 120
 PUSH = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
 FOOTHOLDS = {"LF": [0.0, 0.02], "RH": [0.015, 0.0, 0.03]}
-# every law, both references of the base, flat and uneven ground, pushes, cargo, another heading
+# every law, both references of the base, both swings, flat and uneven ground, pushes, cargo, another heading
 CASES = {
     "virtual_model": ({"disturbance.pushes": [PUSH], "gait.heading": 0.4, "contact.holding_limit": 4.0}, False),
     "measured_pose": ({"gait.base_reference": "actual", "disturbance.cargo": {"mass": 1.0, "start": 0.02}}, True),
     "end_effector": ({"ground.footholds": FOOTHOLDS, "disturbance.pushes": [PUSH, PUSH]}, False),
-    "pd": ({"ground.footholds": FOOTHOLDS, "gait.base_reference": "actual"}, False),
+    "pd": (
+        {"ground.footholds": FOOTHOLDS, "gait.base_reference": "actual", "gait.swing": "low_reaction"},
+        False,
+    ),
 }
 
 

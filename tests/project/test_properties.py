@@ -65,6 +65,7 @@ def scenarios(draw):
             "stride": draw(not_below),
             "step_height": draw(above),
             "sequence": draw(st.permutations(["LF", "LH", "RH", "RF"])),
+            "swing": draw(st.sampled_from(["cubic", "low_reaction"])),
             "base_reference": draw(st.sampled_from(["nominal", "actual"])),
             "heading": draw(st.floats(-6.28, 6.28)),
         },

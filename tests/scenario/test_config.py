@@ -149,6 +149,7 @@ BAD_FILES = [
     ("gait: {sequence: [LH, LF, RH, LH]}", "gait.sequence: expected the four limbs"),
     ("gait: {sequence: [LH, LF, RH]}", "gait.sequence: expected the four limbs"),
     ("gait: {heading: 90}", "gait.heading: expected an angle in rad"),
+    ("gait: {swing: calm}", "gait.swing: expected 'cubic' or 'low_reaction', got \"calm\""),
     ("gait: {base_reference: sagged}", "gait.base_reference: expected 'nominal' or 'actual', got \"sagged\""),
     (
         "contact: {holding_limit: -1}",

@@ -76,8 +76,8 @@ class Walker:
         control, gait, contact = scenario.control, scenario.gait, scenario.contact
         if (control.controller, control.reading) != ("base_admittance", "virtual_model"):
             raise ValueError("the NumPy peers know base admittance with its virtual model alone")
-        if gait.base_reference != "nominal" or gait.heading:
-            raise ValueError("the NumPy peers walk along x from the nominal base position alone")
+        if gait.base_reference != "nominal" or gait.heading or gait.swing != "cubic":
+            raise ValueError("the NumPy peers walk along x from the nominal base position, by cubic swings, alone")
         self.stiffness, self.damping = contact.stiffness, contact.damping
         self.limit = math.inf if contact.holding_limit is None else contact.holding_limit
         self.kp, self.kd = control.kp, control.kd

@@ -1,0 +1,220 @@
+"""Swings that disturb the base little: their reaction against MuJoCo's, what is gained, and what stays as it was."""
+
+import copy
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from numpy.polynomial import Chebyshev
+
+import mjx_climb as mc
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.quantities.low_reaction import swing_path
+from mjx_climb.quantities.swing_reaction import heights, swing_reaction
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.walk import gait
+from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
+from tests.robot import climbers
+
+LOW = {"gait.swing": "low_reaction"}
+STANCES = {
+    "three limbs of five": (3, 5, {}, {}),
+    "the last slides": (4, 3, {"slides": (2,)}, {"foothold": 0.45, "height": 0.1}),
+    "two joints": (4, 2, {}, {"foothold": 0.11 + 0.3 * np.sqrt(1 - 0.3**2), "height": 0.09}),
+}
+
+
+@pytest.fixture(scope="module")
+def robots(tmp_path_factory):
+    """Return scenarios with low-reaction swings: HubRobo one limb at a time, two at a time, and other shapes."""
+    hubrobo = mc.Scenario().with_overrides(LOW)
+    found = {
+        "hubrobo": hubrobo,
+        "two at a time": hubrobo.with_overrides({"gait.sequence": [["LF", "RH"], ["LH", "RF"]], "gait.duty": 0.5}),
+    }
+    for name, (limbs, joints, kind, stance) in STANCES.items():
+        path = tmp_path_factory.mktemp("robots") / "robot.xml"
+        path.write_text(climbers.mjcf(limbs, joints, **kind))
+        data = climbers.config(path, limbs, joints, **stance)
+        found[name] = mc.Scenario.model_validate(data).with_overrides({**LOW, "gait.stride": 0.04})
+    return found
+
+
+SHAPES = ["hubrobo", "two at a time", *STANCES]
+
+
+def by_mujoco(scenario, walked, limb):
+    """Return force and moment of a limb on the base by inverse dynamics of a model that weighs nothing elsewhere."""
+    robot, cycle = load_robot(scenario.robot), scenario.gait.cycle
+    model = copy.copy(robot.model)
+    others = np.ones(model.nbody, bool)
+    others[2 + limb * robot.joints : 2 + (limb + 1) * robot.joints] = False
+    model.body_mass[others], model.body_inertia[others], model.opt.gravity[:] = 0.0, 0.0, 0.0
+    data, total, found = mujoco.MjData(model), np.zeros(model.nv), []
+    data.qpos[:] = model.key_qpos[0]
+    own, middle = limb * robot.joints + np.arange(robot.joints), len(walked.time) // 2
+    for half in (slice(0, middle), slice(middle, None)):
+        times = walked.time[half]
+        curves = [Chebyshev.fit(times, joint, middle - 1) for joint in walked.joints[half, limb].T]
+        for time in times:
+            data.qpos[7 + own], data.qvel[6 + own], data.qacc[6 + own] = (
+                [curve.deriv(order)(time) if order else curve(time) for curve in curves] for order in range(3)
+            )
+            phase = scenario.gait.lift_off[robot.limbs[limb]] + time / cycle
+            data.qacc[0] = scenario.gait.stride * (6 - 12 * phase) / cycle**2
+            for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+                stage(model, data)
+            mujoco.mj_rne(model, data, 1, total)
+            found.append([-total[:3], -data.xmat[1].reshape(3, 3) @ total[3:6]])
+    return np.moveaxis(np.array(found), 1, 0)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_reaction_is_mujocos(robots, name):
+    """Forces and moments of every limb's swing agree with inverse dynamics of the same joint path to 1e-8."""
+    scenario = robots[name]
+    walked = swing_reaction(scenario, swing_path(scenario))
+    for limb in range(walked.joints.shape[1]):
+        force, moment = by_mujoco(scenario, walked, limb)
+        np.testing.assert_allclose(walked.force[:, limb], force, atol=1e-8 * np.abs(force).max())
+        np.testing.assert_allclose(walked.moment[:, limb], moment, atol=1e-8 * np.abs(moment).max())
+
+
+def summed(walked, limbs):
+    """Return the integral of the squared wrench of some limbs together."""
+    wrench = np.concatenate([walked.force, walked.moment / walked.length], axis=-1)[..., limbs, :].sum(-2)
+    return np.einsum("s,s...i,s...i->...", walked.weight, wrench, wrench)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_no_swing_nearby_puts_less_on_the_base(robots, name):
+    """The integral is below the cubic's, and a twentieth of a step height in any direction does not lower it.
+
+    Limbs of two joints cannot follow another path, and keep the cubic.
+    """
+    scenario = robots[name]
+    robot, path = load_robot(scenario.robot), swing_path(scenario)
+    lift_off = np.array([scenario.gait.lift_off[limb] for limb in robot.limbs])
+    aside = path + 0.05 * np.random.default_rng(1).normal(size=(20, *path.shape))
+    least, around = swing_reaction(scenario, path), swing_reaction(scenario, aside)
+    cubic = swing_reaction(scenario, np.zeros_like(path))
+    for start in np.unique(lift_off):
+        limbs = np.flatnonzero(lift_off == start)
+        ratio = summed(least, limbs) / summed(cubic, limbs)
+        if name == "two joints":
+            assert ratio <= 1
+            continue
+        assert ratio < 0.995
+        assert summed(around, limbs).min() > 0.999 * summed(least, limbs)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_joints_keep_their_limits_and_the_feet_their_ways(robots, name):
+    scenario = robots[name]
+    robot, path = load_robot(scenario.robot), swing_path(scenario)
+    walked, cubic = (swing_reaction(scenario, one) for one in (path, np.zeros_like(path)))
+    lower = np.minimum(robot.joint_lower[..., 0].T, cubic.joints.min(0))
+    upper = np.maximum(robot.joint_upper[..., 0].T, cubic.joints.max(0))
+    assert (walked.joints > lower - 1e-8).all() and (walked.joints < upper + 1e-8).all()
+    assert (walked.missed.max(0) <= cubic.missed.max(0) + 1e-8).all()
+    assert (heights(np.linspace(0, 1, 1001), path) > -1e-6).all()
+    np.testing.assert_allclose(heights(np.array([0.0, 0.5, 1.0]), path).T, [[0, 1, 0]] * len(robot.limbs), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_nominal_posture_is_the_one_a_walk_settles_at(robots):
+    """Five joints, two of them spare: the walk's own inverse kinematics stay where the nominal swing is."""
+    scenario = robots["three limbs of five"]
+    robot = load_robot(scenario.robot)
+    walked = swing_reaction(scenario, swing_path(scenario))
+    joints = jnp.asarray(np.moveaxis(walked.joints, 0, -1)).swapaxes(0, 1)
+    feet = limb_frames(robot, None, joints).foot
+    chain = limb_geometry(robot)
+    follow = jax.jit(lambda last: inverse_kinematics(chain, feet, last).joint_angles)
+    np.testing.assert_allclose(follow(joints), joints, atol=1e-9)
+    pulled = follow(joints + 0.01)
+    assert np.abs(pulled - joints).max() > 1e-4  # another posture with the feet there does not stay
+
+
+def targets(scenario, numbers, steps):
+    """Return where the gait asks for the feet (steps, 3, L) m, of robots with numbers of one environment each."""
+    robot = load_robot(scenario.robot)
+    last = jax.tree.map(lambda value: jnp.asarray(value)[..., None], numbers)
+    feet = limb_frames(robot, None, jnp.asarray(robot.stance_joints)).foot + robot.stance_position[:, None]
+    plan = gait.plan(robot, feet, last, tuple(scenario.gait.lift_off.items()), scenario.time_step)
+    now = gait.schedule(plan, jnp.asarray(steps))
+    return np.moveaxis(np.asarray(gait.foot_targets(plan, now, gait.first_footholds(plan))), -1, 0)
+
+
+def test_swings_begin_and_end_at_rest_at_their_footholds(robots):
+    """HubRobo's first limb, LH: as the cubic at both ends and in the middle of its height, elsewhere beside it."""
+    scenario = robots["hubrobo"]
+    steps = [0, 1, 250, 500, 750, 999]
+    cubic = targets(scenario, mc.parameters(scenario.with_overrides({"gait.swing": "cubic"})), steps)[:, :, 1]
+    low = targets(scenario, mc.parameters(scenario), steps)[:, :, 1]
+    np.testing.assert_array_equal(low[0], cubic[0])
+    assert np.abs(low - cubic)[[1, -1]].max() < 2e-6  # the second and the last of 1000 steps: slopes of zero
+    assert low[3, 2] == pytest.approx(scenario.gait.step_height, abs=1e-12)
+    assert np.linalg.norm(low - cubic, axis=1)[2:5].min() > 0.005
+
+
+def test_swings_turn_with_the_heading_and_grow_with_the_step_height(robots):
+    scenario, steps = robots["hubrobo"], [100, 300, 700]
+    cubic, numbers = mc.parameters(scenario.with_overrides({"gait.swing": "cubic"})), mc.parameters(scenario)
+
+    def added(**changes):
+        low, plain = (dataclasses.replace(one, **changes) for one in (numbers, cubic))
+        return (targets(scenario, low, steps) - targets(scenario, plain, steps))[:, :, 1]
+
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(added(heading=np.asarray(np.pi / 2)), added() @ turn.T, atol=1e-12)
+    np.testing.assert_allclose(added(step_height=2 * numbers.step_height), 2 * added(), atol=1e-12)
+
+
+def test_swings_stay_above_uneven_ground(robots):
+    """On steps up and down the added path comes on top: nowhere below the terrace under the foot."""
+    rough = {"LF": [0.0, 0.02], "LH": [0.02, 0.0], "RH": [0.01, 0.0], "RF": [0.0, 0.0]}
+    scenario = robots["hubrobo"].with_overrides({"ground.footholds": rough})
+    swing = targets(scenario, mc.parameters(scenario), np.arange(0, 1000, 10))[:, 2, 1]
+    assert (swing[:50] >= 0.02 - 1e-12).all() and (swing[50:] >= -1e-12).all()
+    assert swing.max() >= 0.02 + scenario.gait.step_height
+
+
+def test_nothing_is_added_to_cubics(robots):
+    scenario = robots["hubrobo"].with_overrides({"gait.swing": "cubic"})
+    numbers = mc.parameters(scenario)
+    assert numbers.swing_path.shape == (4, 3, 0)
+    none = dataclasses.replace(numbers, swing_path=np.zeros((4, 3, 6)))
+    steps = [0, 300, 2100]
+    np.testing.assert_array_equal(targets(scenario, numbers, steps), targets(scenario, none, steps))
+    assert (mc.parameters(robots["hubrobo"]).swing_path != 0).any()
+
+
+@pytest.mark.slow
+def test_slopes_through_low_reaction_swings(robots):
+    """Derivatives of a walk by a gain and by the added path agree with central differences."""
+    scenario = robots["hubrobo"].with_overrides(
+        {"duration": 0.3, "gait.cycle": 0.8, "gait.stride": 0.01, "gait.step_height": 0.01, "gravity": [0, 0, -1.6]}
+    )
+    walk = mc.simulator(scenario, smooth=True, in_pieces=mc.pieces_pay("limb"))
+    numbers = jax.tree.map(jnp.asarray, mc.parameters(scenario))
+    gains = mc.Gains(jnp.ones(6), jnp.full(6, 1e2), jnp.full(6, 3e3))
+
+    def measured(change):
+        by_gain, by_path = change
+        path = numbers.swing_path * (1 + by_path)
+        walked = walk(
+            dataclasses.replace(gains, damping=gains.damping * (1 + by_gain)),
+            dataclasses.replace(numbers, swing_path=path),
+        )
+        return jnp.stack([walked["force_variation"], walked["cost_of_transport"]])
+
+    values, slopes = jax.jit(jax.vmap(lambda way: jax.jvp(measured, (jnp.zeros(2),), (way,))))(jnp.eye(2))
+    plain, step = jax.jit(measured), 1e-5
+    for way, slope in zip(np.eye(2), slopes, strict=True):
+        difference = (plain(step * way) - plain(-step * way)) / (2 * step)
+        np.testing.assert_allclose(slope, difference, rtol=1e-5)
+        assert (np.abs(slope) > 1e-6 * np.abs(values[0])).all()
