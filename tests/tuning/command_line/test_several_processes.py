@@ -125,6 +125,7 @@ def test_two_processes_write_what_one_writes(alone, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_two_processes_find_the_same_gains(tmp_path):
     results = [tmp_path / "one", tmp_path / "two"]
     (one,) = ends([start(*TUNE, "--out", results[0], "--json")])
