@@ -112,7 +112,7 @@ def limb_geometry(robot: Robot, turned: bool = False) -> LimbGeometry | Chain:
 def _stands(robot: Robot, geometry: LimbGeometry) -> bool:
     """Return whether the closed form gives the rest stance, not another posture with the feet at the same places."""
     with jax.ensure_compile_time_eval():
-        stance = jnp.asarray(robot.stance_joints)
+        stance = jnp.asarray(robot.stance_joints, jnp.result_type(float))
         turned = _closed_form(geometry, limb_frames(robot, None, stance).foot).joint_angles - stance
         return bool(jnp.abs(jnp.sin(turned / 2)).max() < _SAME / 2)
 

@@ -405,7 +405,7 @@ def binding(seen: xr.Dataset, goal: RobustObjective, name: str) -> list[str]:
         ratios = goal.ratios(rows[term.metric], term)
         for ratio, words in zip(ratios, ("mean", f"mean of the worst {goal.worst.share:.0%}"), strict=True):
             if 1 - objectives.BINDING * goal.margin <= float(ratio) <= 1:
-                held.append(f"{words} of {term.metric} no worse than pd's")
+                held.append(f"{words} of {mc.METRICS.in_words(term.metric)} no worse than pd's")
     return held
 
 

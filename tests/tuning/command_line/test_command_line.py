@@ -226,7 +226,7 @@ def test_run_takes_metrics_of_ones_own(call, tmp_path):
     value = strict_json((tmp_path / "out" / "metrics.json").read_text())["highest_base"]
     with xr.open_dataset(tmp_path / "out" / "trajectory.nc", engine="h5netcdf") as walk:
         assert value == pytest.approx(walk["base_position"].values[:, 2].max())
-    assert re.search(rf"highest_base +{value:.4g} +m\b", out)
+    assert re.search(rf"highest base +{value:.4g} +m\b", out)
 
 
 def test_run_says_who_let_go(call, tmp_path):

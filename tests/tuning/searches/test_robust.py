@@ -238,7 +238,7 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
     settings = search.make({"weights": {"force_variation": 1.0}, "limits": {"base_deviation": 5e-3}})
     goal = robust.objective(scenario, settings, Ensemble(members=2), pd)
     shares = robust.broken(base, goal)
-    asked = "base_deviation at most 0.005 (set by the user)"
+    asked = "base deviation at most 0.005 (set by the user)"
     assert shares.sel(limit=asked).values.tolist() == [0.5, 0.0]
     assert shares.drop_sel(limit=asked).max() == 0
     assert robust.scores(base, goal).values.tolist() == pytest.approx([0.5, 1.0])
@@ -246,7 +246,7 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
     near = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 4.95e-3], [1e-3, 1e-3]])
     assert robust.binding(near, goal, "mine") == [asked]
     level = judgement(force_variation=[[1.0, 3.99], [2.0, 4.0]])
-    assert robust.binding(level, goal, "mine") == ["mean of the worst 20% of force_variation no worse than pd's"]
+    assert robust.binding(level, goal, "mine") == ["mean of the worst 20% of force variation no worse than pd's"]
     lost = judgement(diverged=[[True, False], [False, False]], force_variation=[[1.0, 2.0], [2.0, 4.0]])
     assert robust.broken(lost, goal).sel(gains="mine").values.tolist() == [0.5] * len(goal.limits)
 
