@@ -108,6 +108,7 @@ def alone(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_two_processes_write_what_one_writes(alone, tmp_path):
     """A sweep that was killed goes on in two processes: they have the parts of the first one."""
     folder, printed = alone

@@ -107,6 +107,7 @@ def test_four_shards_merged_are_the_same_files(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_judged_in_shards_is_the_same_file(tmp_path):
     """72 members, more than walk in one call; an interrupted shard keeps what it has."""
     gains = tmp_path / "mine.yaml"

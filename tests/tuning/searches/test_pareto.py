@@ -42,6 +42,7 @@ def test_one_metric_twice_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_front_of_a_law_of_ones_own(few):
     """Its gains, of six axes and of one, are those of the walks on the front."""
     law = law_file.load(f"{LAW}:Filtered")

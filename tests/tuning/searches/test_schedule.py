@@ -58,6 +58,7 @@ def test_metrics_are_those_of_the_operating_point(scenario, table):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_schedule_of_a_law_of_ones_own(scenario, few):
     law = law_file.load(f"{LAW}:Filtered")
     table = made(scenario, law=law)
