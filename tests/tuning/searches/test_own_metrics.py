@@ -66,7 +66,7 @@ def test_the_example_is_resumed_bit_for_bit_and_seen_everywhere(example):
     metrics, scenario = scope["metrics"], scope["scenario"]
     table = comparison.table({"tuned": (None, scope["best"]), "pd": (None, scope["best"])}, "", metrics)
     rows = {row[0]: row for _, section in table.sections for row in section}
-    assert rows["peak_base_speed"][1:3] == ["m/s", f"{scope['best']['peak_base_speed']:.4g}"]
+    assert rows["largest speed of the base"][1:3] == ["m/s", f"{scope['best']['peak_base_speed']:.4g}"]
 
     axes = np.geomspace(1e3, 1e4, 2), np.geomspace(1e1, 1e2, 2)
     walks = grid.sweep(scenario, *axes, metrics=metrics)
