@@ -311,11 +311,17 @@ def test_the_page_of_a_front(swept, named):
     references = {f"reference_{name}": ("reference", [0.1, 0.2]) for name in traded}
     front = front.assign(references).assign_coords(reference=["config", "pd"])
     front = front.assign_attrs(better=traded[1], against=traded[0], searched="stiffness damping")
+    knee = front[traded[0]].values[4]
+    without = {f"without_{traded[0]}": [0.5 * knee, 2 * knee], f"without_{traded[1]}": [7.0, 5.0]}
+    without |= {"without_kp": [30.0, 10.0], "without_kd": [0.5, 0.25]}
+    front = front.assign({name: ("without", np.array(values)) for name, values in without.items()})
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
-    made = pareto_page.page(front, 4, kept, named[1], named[0], origin=ORIGIN, seed=0, pictures={})
-    assert "The front of 9 points bends at" in page.render(made)
+    how = {"origin": ORIGIN, "seed": 0, "worth": "the force sensor pays", "pictures": {}}
+    made = pareto_page.page(front, 4, kept, named[1], named[0], **how)
+    assert "The front of 9 points bends at" in page.render(made) and "The force sensor pays." in made.notes
     rows = made.tables[0].sections[0][1]
     assert [row[0] for row in rows] == [""] * 4 + ["knee"] + [""] * 4 and len(rows[0]) == 5
+    assert [row[0] for row in made.tables[0].sections[1][1]] == ["config", "pd", "pd, kp 30, kd 0.5"]
     points = made.explorers[0]["points"]
     assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == 4
 
