@@ -124,7 +124,7 @@ def test_malformed_input_is_refused(start, valid_input_stops_here, tmp_path, cap
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [20, 565])
+@pytest.mark.parametrize("number", [20, 617])
 def test_malformed_input_to_a_process_of_its_own(number, tmp_path):
     """What a shell sees is what the other tests see."""
     arguments = prepare(case(number), tmp_path)
