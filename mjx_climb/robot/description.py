@@ -157,7 +157,7 @@ def _mend(body: mujoco.MjsBody) -> None:
         mended = SPECK * np.eye(3)
     elif impossible(body):
         mended = np.eye(3) * np.trace(moments) / 3
-    elif abs(least) <= _ROUNDING * most and (least <= 0 or least + middle < most):
+    elif least >= -_ROUNDING * most and (least <= 0 or least + middle < most):
         mended = moments + 2 * _ROUNDING * most * np.eye(3)
     else:
         return

@@ -86,6 +86,14 @@ def test_a_dog_as_it_is_published(tmp_path):
     np.testing.assert_array_equal(loaded.torque_limit[..., 0], np.repeat([[np.inf], [np.inf], [45]], 4, axis=1))
 
 
+@pytest.mark.parametrize("moments", ["1e-3 1e-3 2.0000001e-3", "1e-3 1e-3 0", "0 0 0"])
+def test_plates_rods_and_points_with_rounded_moments(tmp_path, moments):
+    """Moments on the limit of what a body can have are taken as they are, to rounding."""
+    file = tmp_path / "dog.xml"
+    file.write_text(dog().replace("1e-3 1e-3 1e-3", moments, 1))
+    assert "moments of inertia" not in told(propose(file))
+
+
 def test_the_end_of_a_link_that_the_file_does_not_have(tmp_path):
     """Without a foot, a shape or a centre of mass it is as long as the one before, square to the joint, and told."""
     text, _ = urdf(1)
