@@ -342,6 +342,7 @@ def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     assert bad["diverged"] or bad["peak_foot_force"] > 1e3
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_engines_agree_on_other_robots(written):
     """Half a second of v2.2 and of a URDF robot: one walk under both engines to 1e-9."""

@@ -86,6 +86,7 @@ def spectral_radius(
 def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Parameters, engine: str) -> np.ndarray:
     """Return the radii of robots that carry their cargo from the start."""
     law, calm, shape, _ = given_in(scenario, law, gains, calm, np.float64)
+    law = _on_all_axes(law)
     trees, axes, count = (law, calm), (own_axes(law), own_axes(calm)), math.prod(shape)
     flat = flattened(trees, axes, shape)
     walk = structure(scenario, engine, calm, smooth=True, in_pieces=mc.pieces_pay(engine, "cpu"))
@@ -112,6 +113,14 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
             matrices = [np.asarray(run(walk, *given, step, column)).reshape(states, states, batch) for step in at]
             radii.append(_radii(np.stack(matrices).transpose(0, 3, 1, 2), period)[: count - start])
     return np.concatenate(radii).reshape(shape)
+
+
+def _on_all_axes(law: Law) -> Law:
+    """Return a law with as many values of each gain as it has axes: one program for a map and for gains by axis."""
+    gains = {name: getattr(law, name) for name, length in law.AXES.items() if length}
+    return dataclasses.replace(law, **{
+        name: np.broadcast_to(value, (*value.shape[:-1], law.AXES[name])) for name, value in gains.items()
+    })  # fmt: skip
 
 
 def _rows(trees: Any, axes: Any, rows: np.ndarray) -> tuple[Law, mc.Parameters]:
