@@ -52,7 +52,12 @@ STANCES = {"two": ON_AN_ARC, "the last slides": OF_SLIDES, "of seven two slide":
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "four" else pytest.mark.slow) for name in SHAPES]
+    "name",
+    [
+        "four",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("two", "of seven two slide")),
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("five", "six", "seven", "the last slides")),
+    ],
 )
 def test_ten_thousand_targets_are_met_from_nearby(climber, name):
     """A foothold that the joints can reach is met to 1e-6 m from the posture of one a few centimetres off."""
