@@ -93,7 +93,8 @@ def check_time_step(scenario: Scenario, source: str = "scenario", numbers: Param
 def _with_numbers(scenario: Scenario, numbers: Parameters) -> Scenario:
     """Return a scenario with those numbers of a walk that shorten the time step, where they are not its own."""
     given = {key: float(getattr(numbers, name)) for key, name in _STIFFENING.items()}
-    own = {key: functools.reduce(getattr, key.split("."), scenario) for key in given}
+    sections = {"control": scenario.control, "contact": scenario.contact}
+    own = {key: getattr(sections[key.split(".")[0]], key.split(".")[1]) for key in given}
     others = {key: value for key, value in given.items() if not math.isclose(value, own[key], rel_tol=1e-6)}
     return scenario.with_overrides(others) if others else scenario
 

@@ -86,7 +86,6 @@ def spectral_radius(
 def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Parameters, engine: str) -> np.ndarray:
     """Return the radii of robots that carry their cargo from the start."""
     law, calm, shape, _ = given_in(scenario, law, gains, calm, np.float64)
-    law = _on_all_axes(law)
     trees, axes, count = (law, calm), (own_axes(law), own_axes(calm)), math.prod(shape)
     flat = flattened(trees, axes, shape)
     walk = structure(scenario, engine, calm, smooth=True, in_pieces=mc.pieces_pay(engine, "cpu"))
@@ -115,17 +114,13 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
     return np.concatenate(radii).reshape(shape)
 
 
-def _on_all_axes(law: Law) -> Law:
-    """Return a law with as many values of each gain as it has axes: one program for a map and for gains by axis."""
-    gains = {name: getattr(law, name) for name, length in law.AXES.items() if length}
-    return dataclasses.replace(law, **{
-        name: np.broadcast_to(value, (*value.shape[:-1], law.AXES[name])) for name, value in gains.items()
-    })  # fmt: skip
-
-
 def _rows(trees: Any, axes: Any, rows: np.ndarray) -> tuple[Law, mc.Parameters]:
+    """Return law and numbers of some rows: all gains batched, come what may, for one program."""
     law, numbers = rows_of(trees, axes, rows)
-    return law, dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, len(rows)))  # batched, come what may
+    law = jax.tree.map(
+        lambda gain, own: np.broadcast_to(gain, (len(rows), *gain.shape[gain.ndim - own :])), law, axes[0]
+    )
+    return law, dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, len(rows)))
 
 
 def _linear(stages: Stages) -> Stages:

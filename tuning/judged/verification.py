@@ -18,6 +18,7 @@ from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Score
 from tuning.searches import grid
+from tuning.searches.methods.staged import STARTS
 from tuning.searches.methods.starts import CANDIDATES
 from tuning.searches.result import Result
 from tuning.searches.tune import problem_of
@@ -112,10 +113,9 @@ def verify(
     alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
-    # as many robots as the search had: they walk by programs that it has compiled
+    # as many robots as searches have: they walk by programs that were compiled for it
     around = _first(len(points), problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), space.size))))
-    copies = np.repeat(found.theta[None], found.search.starts, 0)
-    slopes = problem.evaluate(copies, np.eye(space.size)).sharp[0]
+    slopes = problem.evaluate(np.repeat(found.theta[None], STARTS, 0), np.eye(space.size)).sharp[0]
     judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
