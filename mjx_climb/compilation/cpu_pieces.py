@@ -9,10 +9,11 @@ them is worked out once.
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import numpy as np
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
@@ -134,6 +135,7 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
     values: dict[core.Var, Any] = {}
     # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of
     parts: _Parts = {}
+    done: dict[Hashable, tuple[list[Any], list[Any]]] = {}  # an equation: its operands, so that ids stay, and results
 
     def read(atom: core.Var | core.Literal) -> Any:
         return atom.val if isinstance(atom, core.Literal) else values[atom]
@@ -144,6 +146,10 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
         for equation in jaxpr.eqns:
             given = [read(atom) for atom in equation.invars]
             name = equation.primitive.name
+            key = _same(equation, given)
+            if key in done:
+                values.update(zip(equation.outvars, done[key][1], strict=True))
+                continue
             if name == "jit":
                 inner = equation.params["jaxpr"]
                 results = evaluated(inner.jaxpr, inner.consts, given)
@@ -159,10 +165,30 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
                 elif name == "stack":
                     axis = equation.params["axis"]
                     parts[id(results[0])] = results[0], axis, [lax.expand_dims(each, (axis,)) for each in given]
+            if key is not None:
+                done[key] = given, results
             values.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
     return evaluated(jaxpr, constants, arguments)
+
+
+def _same(equation: core.JaxprEqn, given: Sequence[Any]) -> Hashable | None:
+    """Return what equations that give the same results have in common, None where that cannot be told."""
+    if equation.primitive.name not in _FITTING and equation.primitive.name not in _REDUCTIONS:
+        return None
+    operands = [id(value) if isinstance(value, jax.core.Tracer) else _number(value) for value in given]
+    key = equation.primitive.name, tuple(equation.params.items()), tuple(operands)
+    try:
+        hash(key)
+    except TypeError:  # parameters that are no plain values
+        return None
+    return key
+
+
+def _number(value: Any) -> Hashable:
+    array = np.asarray(value)
+    return array.dtype.str, array.shape, array.tobytes()
 
 
 def _reduced(
