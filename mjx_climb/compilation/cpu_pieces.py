@@ -135,6 +135,8 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
     values: dict[core.Var, Any] = {}
     # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of
     parts: _Parts = {}
+    # what a squeeze of such a part undoes, by its id and axes
+    expanded: dict[tuple[int, tuple[int, ...]], tuple[jax.Array, jax.Array]] = {}
     done: dict[Hashable, tuple[list[Any], list[Any]]] = {}  # an equation: its operands, so that ids stay, and results
 
     def read(atom: core.Var | core.Literal) -> Any:
@@ -155,6 +157,8 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
                 results = evaluated(inner.jaxpr, inner.consts, given)
             elif name == "slice":
                 results = [_sliced(given[0], parts, **equation.params)]
+            elif name == "squeeze" and (id(given[0]), equation.params["dimensions"]) in expanded:
+                results = [expanded[id(given[0]), equation.params["dimensions"]][1]]
             elif name in _REDUCTIONS and given[0].size:
                 results = [_reduced(_REDUCTIONS[name], given[0], parts, equation.params["axes"])]
             else:
@@ -164,7 +168,9 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
                     parts[id(results[0])] = results[0], equation.params["dimension"], given
                 elif name == "stack":
                     axis = equation.params["axis"]
-                    parts[id(results[0])] = results[0], axis, [lax.expand_dims(each, (axis,)) for each in given]
+                    pieces = [lax.expand_dims(each, (axis,)) for each in given]
+                    expanded.update(((id(piece), (axis,)), (piece, each)) for piece, each in zip(pieces, given, strict=True))
+                    parts[id(results[0])] = results[0], axis, pieces
             if key is not None:
                 done[key] = given, results
             values.update(zip(equation.outvars, results, strict=True))
@@ -178,7 +184,8 @@ def _same(equation: core.JaxprEqn, given: Sequence[Any]) -> Hashable | None:
     if equation.primitive.name not in _FITTING and equation.primitive.name not in _REDUCTIONS:
         return None
     operands = [id(value) if isinstance(value, jax.core.Tracer) else _number(value) for value in given]
-    key = equation.primitive.name, tuple(equation.params.items()), tuple(operands)
+    avals = tuple(variable.aval for variable in equation.outvars)
+    key = equation.primitive.name, tuple(equation.params.items()), tuple(operands), avals
     try:
         hash(key)
     except TypeError:  # parameters that are no plain values
