@@ -130,14 +130,16 @@ def _variables(atoms: Sequence[core.Var | core.Literal]) -> dict[core.Var, None]
 def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
     """Return the results of a jaxpr: no calls, reductions term by term, slices of a concatenation from its parts.
 
-    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel, see `_parts`.
+    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel, see `_parts`. And
+    what is worked out again later in a step, as the engine does the frames of the links, it sees within a piece alone:
+    here equal equations are carried out once.
     """
     values: dict[core.Var, Any] = {}
     # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of
     parts: _Parts = {}
-    # what a squeeze of such a part undoes, by its id and axes
+    # what was expanded to be such a part, by the part's id and the axes: the part, so that the id stays its own, and it
     expanded: dict[tuple[int, tuple[int, ...]], tuple[jax.Array, jax.Array]] = {}
-    done: dict[Hashable, tuple[list[Any], list[Any]]] = {}  # an equation: its operands, so that ids stay, and results
+    done: dict[Hashable, tuple[list[Any], list[Any]]] = {}  # operands, so that their ids stay their own, and results
 
     def read(atom: core.Var | core.Literal) -> Any:
         return atom.val if isinstance(atom, core.Literal) else values[atom]
@@ -168,9 +170,9 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
                     parts[id(results[0])] = results[0], equation.params["dimension"], given
                 elif name == "stack":
                     axis = equation.params["axis"]
-                    pieces = [lax.expand_dims(each, (axis,)) for each in given]
-                    expanded.update(((id(piece), (axis,)), (piece, each)) for piece, each in zip(pieces, given, strict=True))
-                    parts[id(results[0])] = results[0], axis, pieces
+                    slices = [lax.expand_dims(each, (axis,)) for each in given]
+                    expanded.update({(id(one), (axis,)): (one, each) for one, each in zip(slices, given, strict=True)})
+                    parts[id(results[0])] = results[0], axis, slices
             if key is not None:
                 done[key] = given, results
             values.update(zip(equation.outvars, results, strict=True))
