@@ -83,6 +83,7 @@ def _tried(path: str) -> tuple[Verdict, bool]:
         "PYTHONPATH": packages if not found else os.pathsep.join([packages, found]),
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # this process may have the GPU's memory
         "JAX_ENABLE_COMPILATION_CACHE": "false",  # what is tried is the compiler
+        "JAX_TRACEBACK_FILTERING": "off",  # its last line is what went wrong
     }
     try:
         done = subprocess.run(

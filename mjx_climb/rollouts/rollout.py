@@ -88,7 +88,8 @@ def _compiled_metrics(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
 
 def _metrics_in_kernel(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
     """Walk robots of one batch axis as `metrics_of` does, as a single GPU kernel."""
-    return over_robots(functools.partial(metrics_of, structure), [varying(law), varying(numbers)])(law, numbers)
+    walk, limbs = functools.partial(metrics_of, structure), len(structure.lift_off)
+    return over_robots(walk, [varying(law), varying(numbers)], limbs=limbs)(law, numbers)
 
 
 @functools.cache
