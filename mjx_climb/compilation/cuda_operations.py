@@ -7,7 +7,6 @@ arctangent are written out here: CUDA's own carry code for arguments beyond 1e5,
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from jax import lax
 
@@ -135,7 +134,7 @@ def expression(name: str, parameters: Mapping[str, Any], operands: Sequence[Numb
         Unsupported: an operation, or a use of it, that has none here.
     """
     dtype = operands[-1].dtype if name == "select_n" else operands[0].dtype
-    real, truth = dtype.kind == "f", dtype == bool
+    real, truth = dtype.kind == "f", dtype.kind == "b"
     if name in _SPECIAL:
         return _SPECIAL[name](parameters, operands, names)
     if name == "not" and truth:
@@ -156,7 +155,8 @@ def type_of(name: str, parameters: Mapping[str, Any], operands: Sequence[Number]
         return np.dtype(bool)
     if name in ("convert_element_type", "bitcast_convert_type"):
         return np.dtype(parameters["new_dtype"])
-    return np.dtype(operands[1 if name in ("select_n", "clamp") else 0].dtype)
+    found: np.dtype[Any] = operands[1 if name in ("select_n", "clamp") else 0].dtype
+    return found
 
 
 def _choice(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
@@ -183,12 +183,12 @@ def _power(parameters: Mapping[str, Any], operands: Sequence[Number], names: Seq
 
 def _converted(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
     dtype = np.dtype(parameters["new_dtype"])
-    return f"{names[0]} != 0" if dtype == bool else f"({typed(dtype)}){names[0]}"
+    return f"{names[0]} != 0" if dtype.kind == "b" else f"({typed(dtype)}){names[0]}"
 
 
 def _same_bits(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
     source, target = operands[0].dtype, np.dtype(parameters["new_dtype"])
-    if jax.dtypes.issubdtype(source, np.floating) == jax.dtypes.issubdtype(target, np.floating):
+    if (source.kind == "f") == (target.kind == "f"):
         return f"({typed(target)}){names[0]}"
     return f"__int_as_float((int){names[0]})" if target.kind == "f" else f"({typed(target)})__float_as_int({names[0]})"
 

@@ -7,7 +7,7 @@ import numpy as np
 from jax.extend import core
 
 from mjx_climb.compilation.cuda_operations import FUNCTIONS, expression, literal, type_of, typed
-from mjx_climb.compilation.elements import Number, Value
+from mjx_climb.compilation.elements import Number, OfLane, Value
 
 THREADS = 128  # in a block
 NAME = "walk"
@@ -94,9 +94,7 @@ class CudaWriter:
             text = f"__shfl_sync({_WARP}, {word}, {source.content}, {self.width})"
         return self._value(value.dtype, f"{text} != 0" if value.dtype == bool else text)
 
-    def loop(
-        self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]
-    ) -> list[Value]:
+    def loop(self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]) -> list[Value]:
         carried = []
         for number in start:
             self._count += 1
@@ -119,7 +117,8 @@ class CudaWriter:
 
 
 def _text(number: Number) -> str:
-    return literal(number) if isinstance(number, np.generic) else str(number.content)
+    assert not isinstance(number, OfLane)  # what is written is of all lanes
+    return str(number.content) if isinstance(number, Value) else literal(number)
 
 
 def _word(number: Number) -> int:

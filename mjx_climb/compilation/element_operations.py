@@ -4,7 +4,6 @@ Everything that is known is listed: elementwise operations here, moves in `eleme
 What is not listed, or has parameters that nobody has thought of, raises `Unsupported`.
 """
 
-import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, cast
 
@@ -16,7 +15,7 @@ from jax.extend import core
 
 from mjx_climb.compilation.devices import host
 from mjx_climb.compilation.element_moves import MOVES
-from mjx_climb.compilation.elements import Element, Elements, Key, Number, OfLane, Value, as_array, flat, known, objects
+from mjx_climb.compilation.elements import Element, Elements, Key, Number, OfLane, Value, as_array, known, objects
 from mjx_climb.compilation.unsupported import Unsupported, refuse_unknown
 from mjx_climb.compilation.writer import Writer
 
@@ -138,7 +137,7 @@ class Operations:
         """Return what a lane has of a value, the same object each time."""
         return cast(OfLane, self._once(("of lane", id(value), lane), value, lambda: OfLane(value, lane)))
 
-    def packed(self, elements: Sequence[Any]) -> "np.generic | Value":
+    def packed(self, elements: "Sequence[Any] | np.ndarray") -> "np.generic | Value":
         """Return a value of which each lane has the element of its place; elements that are all one stay that."""
         first = elements[0]
         if all(element is first for element in elements) and not isinstance(first, OfLane):
@@ -251,13 +250,14 @@ class Operations:
         return Key(*(cast(Number, self.element(lax.select_n_p, {}, which, *words)) for words in (high, low)))
 
 
-def _in_order(elements: Sequence[Any]) -> Value | None:
+def _in_order(elements: "Sequence[Any] | np.ndarray") -> Value | None:
     """Return the value of which elements are what the lanes have, in their order; None where they are not that."""
     first = elements[0]
     if not isinstance(first, OfLane):
         return None
     value = first.value
-    return value if all(isinstance(e, OfLane) and e.value is value and e.lane == n for n, e in enumerate(elements)) else None
+    whole = all(isinstance(e, OfLane) and e.value is value and e.lane == n for n, e in enumerate(elements))
+    return value if whole else None
 
 
 def _name(element: Number) -> Hashable:

@@ -24,7 +24,7 @@ from jax.extend import core
 from mjx_climb.compilation import nvrtc
 from mjx_climb.compilation.cuda_writer import NAME, THREADS, CudaWriter
 from mjx_climb.compilation.element_operations import Operations
-from mjx_climb.compilation.elements import Element, Elements, Number, Value, as_array, flat
+from mjx_climb.compilation.elements import Element, Elements, Number, as_array, flat
 from mjx_climb.compilation.interpreted import Interpreted
 from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.compilation.writer import Writer
@@ -99,8 +99,8 @@ def _interpreted(
         given.append(as_array((writer.value(row[None]) for row in rows), leaf.shape))
     made = []
     for numbers, leaf in zip(_results(writer, program, given), program.out_avals, strict=True):
-        rows = [writer.rows(number)[0] for number in numbers]
-        made.append(jnp.stack(rows, 1).reshape(robots, *leaf.shape) if rows else jnp.zeros((robots, *leaf.shape)))
+        columns = [writer.rows(number)[0] for number in numbers]
+        made.append(jnp.stack(columns, 1).reshape(robots, *leaf.shape))
     return made
 
 
@@ -138,13 +138,13 @@ def _words(value: Array) -> Array:
     """Return numbers as words of 32 bits, whole numbers of fewer bits and truth values as such ones."""
     if value.dtype == np.float32 or (value.dtype.itemsize == 4 and jnp.issubdtype(value.dtype, jnp.integer)):
         return lax.bitcast_convert_type(value, np.int32)
-    if value.dtype == bool:
+    if value.dtype.kind == "b":
         return value.astype(np.int32)
     raise Unsupported(f"a function of {value.dtype}")
 
 
 def _from_words(words: Array, dtype: Any) -> Array:
-    if dtype == bool:
+    if np.dtype(dtype).kind == "b":
         return words != 0
     if np.dtype(dtype).itemsize != 4:
         raise Unsupported(f"a function to {dtype}")

@@ -40,13 +40,9 @@ class Interpreted:
         rows = self.rows(value)
         return self.value(rows if len(rows) == 1 else rows[np.asarray(lanes)])
 
-    def loop(
-        self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]
-    ) -> list[Value]:
+    def loop(self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]) -> list[Value]:
         def wide(numbers: Sequence[Number], like: Sequence[Number]) -> tuple[Array, ...]:
-            each = [
-                self.rows(number).astype(other.dtype) for number, other in zip(numbers, like, strict=True)
-            ]
+            each = [self.rows(number).astype(other.dtype) for number, other in zip(numbers, like, strict=True)]
             return tuple(jnp.broadcast_to(rows, (self.lanes, self.robots)) for rows in each)
 
         def body(_: Array, before: tuple[Array, ...]) -> tuple[Array, ...]:

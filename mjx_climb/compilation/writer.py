@@ -22,7 +22,5 @@ class Writer(Protocol):
     def of_lanes(self, value: Value, lanes: Sequence[int]) -> Value:
         """Return a value of which each lane has what another lane, that of its place, has of `value`."""
 
-    def loop(
-        self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]
-    ) -> list[Value]:
+    def loop(self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]) -> list[Value]:
         """Return what a loop carries in the end: `step` makes what it carries next from what it carried before."""
