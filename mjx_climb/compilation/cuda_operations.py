@@ -153,10 +153,9 @@ def type_of(name: str, parameters: Mapping[str, Any], operands: Sequence[Number]
     """Return the type of an operation's result."""
     if name in _COMPARISONS:
         return np.dtype(bool)
-    if name in ("convert_element_type", "bitcast_convert_type"):
-        return np.dtype(parameters["new_dtype"])
-    found: np.dtype[Any] = operands[1 if name in ("select_n", "clamp") else 0].dtype
-    return found
+    converts = name in ("convert_element_type", "bitcast_convert_type")
+    found: np.dtype = parameters["new_dtype"] if converts else operands[int(name in ("select_n", "clamp"))].dtype
+    return np.dtype(found)
 
 
 def _choice(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
