@@ -86,6 +86,7 @@ _REAL = {
     "ceil": "ceilf({0})", "clamp": "smaller(larger({0}, {1}), {2})", "cos": "cosine({0})", "cosh": "coshf({0})",
     "div": "{0} / {1}", "erf_inv": "erfinvf({0})", "exp": "expf({0})", "exp2": "exp2f({0})", "expm1": "expm1f({0})",
     "floor": "floorf({0})", "is_finite": "fabsf({0}) <= 3.40282347e38f", "log": "logf({0})", "log1p": "log1pf({0})",
+    "log2": "log2f({0})", "one_minus_square": "(1.0f - {0}) * (1.0f + {0})",
     "logistic": "1.0f / (1.0f + expf(-{0}))", "max": "larger({0}, {1})", "min": "smaller({0}, {1})",
     "nextafter": "nextafterf({0}, {1})", "pow": "powf({0}, {1})", "rem": "fmodf({0}, {1})",
     "rsqrt": "rsqrtf({0})", "sign": "({0} > 0.0f) ? 1.0f : ({0} < 0.0f) ? -1.0f : {0}",

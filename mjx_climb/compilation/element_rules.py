@@ -242,11 +242,19 @@ def _select(do: Operations, which: Elements, cases: Sequence[Elements]) -> Eleme
 def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
     parameters = equation.params
     body, steps = parameters["jaxpr"], parameters["length"]
-    constants, carry = parameters["num_consts"], parameters["num_carry"]
+    constants, carry = _sizes(parameters)
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
     if read or len(body.jaxpr.outvars) > carry:
         return _written_out(do, body, common, start, read, steps, reverse=parameters["reverse"])
     return _loop_of_numbers(do, body, common, start, steps)
+
+
+def _sizes(parameters: dict[str, Any]) -> tuple[int, int]:
+    """Return how many constants a loop has and how much it carries, as JAX up to 0.10 says it, and from 0.11 on."""
+    if "ft_in" not in parameters:
+        return parameters["num_consts"], parameters["num_carry"]
+    constants, carry, _ = map(len, parameters["ft_in"].unpack())
+    return constants, carry
 
 
 def _written_out(
@@ -448,7 +456,10 @@ RULES: dict[str, tuple[Rule, frozenset[str]]] = {
         frozenset({"dimension_numbers", "slice_sizes", "mode", "fill_value", "unique_indices", "indices_are_sorted"}),
     ),
     "cond": (_choice, frozenset({"branches"})),
-    "scan": (_loop, frozenset({"jaxpr", "length", "num_consts", "num_carry", "reverse", "unroll"})),
+    "scan": (
+        _loop,
+        frozenset({"jaxpr", "length", "num_consts", "num_carry", "ft_in", "ft_out", "reverse", "unroll"}),
+    ),
     "threefry2x32": (_threefry, frozenset()),
     "random_seed": (_seeded, frozenset({"impl"})),
     "random_wrap": (_wrapped, frozenset({"impl"})),
