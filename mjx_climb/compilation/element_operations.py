@@ -25,9 +25,10 @@ _DECIDED_ELSEWHERE = frozenset({"weak_type", "new_dtype", "y", "rounding_method"
 # each result element depends on one element of each operand
 ELEMENTWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil clamp clz "
-    "convert_element_type cos cosh div eq erf_inv exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p log2 "
-    "logistic lt max min mul ne neg nextafter not one_minus_square or population_count pow rem round rsqrt select_n shift_left "
-    "shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
+    "convert_element_type cos cosh div eq erf_inv exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p "
+    "log2 logistic lt max min mul ne neg nextafter not one_minus_square or population_count pow rem round rsqrt "
+    "select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan "
+    "tanh xor".split()
 )
 _CALLS = {
     "jit": "jaxpr",
