@@ -10,7 +10,7 @@ from tuning.searches.methods.task import Points, Request, Task
 GENERATIONS = 60
 MANY, OF_MANY = 150, 96  # generations at most, and points per gain, where a GPU's kernel walks them
 WALKS = 32_768  # at a time there, of all members of an ensemble
-NARROW = 1e-3  # width of the box in which a population agrees, relative to that of the search
+FLAT, PATIENCE = 1e-4, 10  # a population is done that betters its best by less (the objective is 1 for pd) in so many
 SPREAD = 0.2  # of the first population, relative to the width of the box
 
 
@@ -40,7 +40,8 @@ def run(task: Task) -> Points:
     if space.size == 1:
         raise ValueError("cmaes: expected two gains or more to search")
     width = space.upper - space.lower
-    size = population(task)
+    size, by_kernel = population(task), _by_kernel(task)
+    best: list[float] = []
     optimizer = CMA(
         mean=(task.start - space.lower) / width,
         sigma=SPREAD,
@@ -52,5 +53,7 @@ def run(task: Task) -> Points:
         unit = [optimizer.ask() for _ in range(size)]
         found = yield Request(space.lower + width * np.array(unit), None, "population")
         optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
-        if optimizer.should_stop() or np.ptp(unit, axis=0).max() < NARROW:
+        best.append(min(float(found.merit.min()), *best[-1:]))
+        flat = by_kernel and len(best) > PATIENCE and best[-1 - PATIENCE] - best[-1] < FLAT
+        if optimizer.should_stop() or flat:
             return
