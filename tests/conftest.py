@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import gc
 import os
 import signal
 from pathlib import Path
@@ -28,6 +29,7 @@ jax.config.update("jax_enable_x64", True)
 cache.enable_cache()
 kept_programs.cache_folder = lambda: None  # tests replace functions of which a kept program knows nothing
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+gc.set_threshold(50_000, 50, 100)  # tracing makes many objects that stay
 
 settings.register_profile("quick", deadline=None, max_examples=50, derandomize=True)
 settings.register_profile("thorough", deadline=None, max_examples=2000)

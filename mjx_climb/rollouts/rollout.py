@@ -204,10 +204,10 @@ def rollout(
         ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
         ValueError: batched gains or parameters (see `rollout_metrics`), or gains that the law does not have.
     """
-    check_time_step(scenario)
     walker = given_in(scenario, law, gains, numbers, dtype)
     if walker.shape != ():
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
+    check_time_step(scenario, numbers=walker.numbers)
     enable_cache()
     in_pieces = pieces_pay(engine, "cpu")
     with devices.on_host():

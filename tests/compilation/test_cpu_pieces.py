@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 HERE = Path(__file__).parent
 CHECK = """
 import sys
@@ -46,6 +48,7 @@ print("all")
 """
 
 
+@pytest.mark.slow
 def test_every_operation_in_pieces():
     """In a process of its own, in float64 to 1e-12, with operations that call libraries and values nothing reads."""
     done = subprocess.run([sys.executable, "-c", CHECK, str(HERE)], capture_output=True, text=True, check=False)

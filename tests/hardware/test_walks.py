@@ -87,6 +87,7 @@ def test_an_ideal_profile_is_no_hardware():
     assert with_hardware(plain, load_hardware("ideal")) == plain
 
 
+@pytest.mark.slow
 def test_neutral_numbers_change_nothing(scenario):
     """A stage that is there for a neighbour leaves a robot with neutral numbers as it is, to rounding."""
     plain = mc.load_scenario("case_1_2", {"duration": 0.15, "disturbance.pushes": [PUSH]})
@@ -170,6 +171,7 @@ def test_the_gpu_kernel_walks_with_hardware_as_xla_does(scenario):
         np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
+@pytest.mark.slow
 def test_the_gpu_kernel_is_written_with_hardware(scenario, without_nvrtc):
     with jax.enable_x64(False):
         walk, arguments, axes = kernel_walk(scenario, 3, np.float32, 8000)
