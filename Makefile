@@ -10,7 +10,7 @@ sweep: .venv/.installed
 
 # COVER=--cov prints which lines the tests reach, for a few per cent of their time.
 test: .venv/.installed-test
-	$(PYTEST) -n 2 --dist loadfile -m "not slow" $(COVER)
+	$(PYTEST) -n 2 --dist loadfile -m "not slow and not timing and not nightly" $(COVER)
 
 # Those that compare speeds run alone.
 test-slow: .venv/.installed-test

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import gc
 import os
 import signal
 from pathlib import Path
@@ -20,7 +21,7 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.compilation import cache, kept_programs
+from mjx_climb.compilation import cache, gpu_kernel, kept_programs, nvrtc
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.robot.constants import load_robot
 
@@ -28,6 +29,7 @@ jax.config.update("jax_enable_x64", True)
 cache.enable_cache()
 kept_programs.cache_folder = lambda: None  # tests replace functions of which a kept program knows nothing
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+gc.set_threshold(50_000, 50, 100)  # tracing makes many objects that stay
 
 settings.register_profile("quick", deadline=None, max_examples=50, derandomize=True)
 settings.register_profile("thorough", deadline=None, max_examples=2000)
@@ -50,6 +52,15 @@ def signals():
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture
+def without_nvrtc(monkeypatch):
+    """Have kernels for GPUs written, on any machine, but not compiled; return the list to which they come."""
+    kernels = []
+    monkeypatch.setattr(nvrtc, "ptx", lambda source, capability: kernels.append(source) or "PTX")
+    monkeypatch.setattr(gpu_kernel, "_capability", lambda: "9.0")
+    return kernels
 
 
 @pytest.fixture(scope="session")

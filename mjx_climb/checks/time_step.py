@@ -14,6 +14,7 @@ import numpy as np
 
 from mjx_climb.hardware.friction import PRESLIDING, RELAXATION
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import PASSIVE
 from mjx_climb.robot.posture import limb_joints
@@ -21,6 +22,12 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
 _ROUNDING = 1e-9
+_STIFFENING = {
+    "control.kp": "kp",
+    "control.kd": "kd",
+    "contact.stiffness": "contact_stiffness",
+    "contact.damping": "contact_damping",
+}
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
@@ -58,12 +65,18 @@ def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     )
 
 
-def check_time_step(scenario: Scenario, source: str = "scenario") -> None:
+def check_time_step(scenario: Scenario, source: str = "scenario", numbers: Parameters | None = None) -> None:
     """Refuse a time step that is too long for the robot's contacts and joint loop.
+
+    Arguments:
+        scenario: what walks.
+        source: where it comes from, for the message.
+        numbers: parameters of one robot that walk in place of the scenario's.
 
     Raises:
         ConfigError: in one line, the time step that would do.
     """
+    scenario = scenario if numbers is None else _with_numbers(scenario, numbers)
     grows = growth(scenario)
     if grows <= 1 + _ROUNDING:
         return
@@ -75,6 +88,15 @@ def check_time_step(scenario: Scenario, source: str = "scenario") -> None:
         f"control.kd {control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
         f"{largest_time_step(scenario, source):g} would do"
     )
+
+
+def _with_numbers(scenario: Scenario, numbers: Parameters) -> Scenario:
+    """Return a scenario with those numbers of a walk that shorten the time step, where they are not its own."""
+    given = {key: float(getattr(numbers, name)) for key, name in _STIFFENING.items()}
+    sections = {"control": scenario.control, "contact": scenario.contact}
+    own = {key: getattr(sections[key.split(".")[0]], key.split(".")[1]) for key in given}
+    others = {key: value for key, value in given.items() if not math.isclose(value, own[key], rel_tol=1e-6)}
+    return scenario.with_overrides(others) if others else scenario
 
 
 def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

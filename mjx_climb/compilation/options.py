@@ -1,13 +1,18 @@
 """How XLA compiles a rollout: by which path, and what it fuses."""
 
+import os
+
 import jax
 import numpy as np
 from numpy.typing import DTypeLike
 
-from mjx_climb.compilation import probe
+from mjx_climb.compilation import devices, probe
 from mjx_climb.dynamics import ELEMENTWISE
 
+ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots walk there although there is a GPU
 _FUSION_PAYS_BELOW = 48  # robots
+# robots that a CPU core walks in the time that an H200 takes for a step of any few: by the kernel, and by XLA's own
+_AS_THE_KERNEL, _AS_LAUNCHES = 5, 150
 
 
 def fast_path(backend: str | None = None) -> str | None:
@@ -37,6 +42,23 @@ def kernel_pays(engine: str, dtype: DTypeLike) -> bool:
     """
     fits = engine in ELEMENTWISE and np.dtype(dtype) == np.float32
     return fits and fast_path() == "kernel" and probe.works("kernel")
+
+
+def walks_on_host(robots: int, engine: str, dtype: DTypeLike, slopes: int = 0) -> bool:
+    """Return whether so many robots, each with so many slopes, walk on the CPU's cores although there is a GPU.
+
+    There they are sooner at the end, if they are few: a step of any few takes a GPU as long as one of thousands. The
+    environment variable `ON_CPU` sets another limit.
+    """
+    if jax.default_backend() == "cpu" or jax.process_count() > 1:
+        return False
+    limit = os.environ.get(ON_CPU, "")
+    if limit.isdigit():
+        return robots <= int(limit)
+    cores = devices.usable_cores()
+    if robots * (1 + slopes) > _AS_LAUNCHES * cores:
+        return False
+    return bool(slopes) or robots <= _AS_THE_KERNEL * cores or not kernel_pays(engine, dtype)
 
 
 def compiler_options(batch: int, *, in_pieces: bool = False, backend: str | None = None) -> dict[str, str | int]:

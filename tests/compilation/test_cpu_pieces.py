@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax import Array
 
 from mjx_climb.compilation.cpu_pieces import in_kernels
@@ -53,6 +54,7 @@ print("all")
 """
 
 
+@pytest.mark.slow
 def test_every_operation_in_pieces():
     """In a process of its own, in float64 to 1e-12, with operations that call libraries and values nothing reads."""
     done = subprocess.run([sys.executable, "-c", CHECK, str(HERE)], capture_output=True, text=True, check=False)

@@ -55,19 +55,24 @@ def alone(tmp_path_factory):
     return _walk(tmp_path_factory.mktemp("one"), 1)[0]
 
 
-@pytest.mark.parametrize("devices", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize(
+    "devices", [pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.nightly)]
+)
 def test_more_devices_give_the_same_bits(tmp_path, alone, devices):
     """A robot's walk does not depend on how many devices share the batch, ragged shares included."""
     (metrics,) = _walk(tmp_path, devices)
     _assert_same_bits(alone, metrics)
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_bits(tmp_path, alone):
     """Under jax.distributed every process gets the whole result, with the bits of a single device."""
     for metrics in _walk(tmp_path, 1, processes=2):
         _assert_same_bits(alone, metrics)
 
 
+@pytest.mark.slow
+@pytest.mark.nightly
 def test_fewer_robots_than_processes_need(tmp_path):
     """A process without robots of its own neither fails nor keeps the others waiting."""
     (alone,) = _walk(tmp_path, 1, robots=12)

@@ -94,6 +94,7 @@ def test_slopes_along_own_gains_agree_with_central_differences(scenario, law):
             np.testing.assert_allclose(slopes[name][row], difference, rtol=1e-3, atol=1e-4 * size, err_msg=name)
 
 
+@pytest.mark.slow
 def test_swept_over_its_own_gain(scenario, law, tmp_path):
     axes = {"cutoff": np.array([1.0, 100.0]), "share": np.array([0.1, 0.5, 1.0])}
     result = grid.sweep(scenario, axes=axes, law=law, out=tmp_path, dtype=np.float64)
@@ -229,6 +230,7 @@ def test_equal_arguments_give_the_same_simulator(scenario, law):
     assert mc.simulator(scenario) is mc.simulator(scenario, law=law_of(scenario))
 
 
+@pytest.mark.timing
 @pytest.mark.slow
 def test_as_fast_as_the_shipped_law(scenario, law):
     """At 64 robots on a CPU, no less than 0.8 of its speed: medians of walks that take turns."""

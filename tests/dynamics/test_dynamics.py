@@ -74,6 +74,7 @@ def test_feet_are_where_climblab_has_them(states):
 
 
 @ONE_OF_BOTH
+@pytest.mark.slow
 def test_one_state_without_batch_axes(engine, states, forces):
     """A state without batch axes has the accelerations that it has as one of a batch."""
     batch = dynamics(states, *forces, 0.5, engine)
@@ -137,6 +138,7 @@ def test_a_mass_changed_in_the_mjcf_changes_everywhere(engine, states, forces, m
 
 
 @ONE_OF_BOTH
+@pytest.mark.slow
 def test_dynamics_of_a_robot_given_as_constants(engine, states, forces):
     """Constants read off any MuJoCo model are enough: the engine obeys them, not the file of the same name."""
     model = mujoco.MjModel.from_xml_string(HEAVIER)

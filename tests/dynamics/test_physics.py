@@ -93,6 +93,7 @@ def standing(case):
     return scenario
 
 
+@pytest.mark.slow
 def test_energy_of_an_undamped_grip(standing, walk):
     """Springs alone: the energy of a pushed robot stays for 6 s, in a band that narrows with the time step."""
     push = [{"force": [2.0, 4.0, -6.0], "moment": [0.1, 0.04, 0.06], "start": 0.6, "stop": 0.7}]
@@ -168,7 +169,10 @@ def turned(vector, angle):
     return [c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]]
 
 
-@pytest.mark.parametrize("law", ["pd", "virtual_model", "measured_pose", "end_effector"])
+@pytest.mark.parametrize(
+    "law",
+    ["pd", "virtual_model", *(pytest.param(law, marks=pytest.mark.slow) for law in ("measured_pose", "end_effector"))],
+)
 def test_no_direction_is_preferred(case, walk, law):
     """Case 2 on a slope, turned about z as a whole, gives the same metrics, unequal gains per axis included."""
     pushes = [push.model_dump() for push in case("case_2", law).disturbance.pushes]

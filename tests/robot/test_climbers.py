@@ -52,7 +52,12 @@ STANCES = {"two": ON_AN_ARC, "the last slides": OF_SLIDES, "of seven two slide":
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "four" else pytest.mark.slow) for name in SHAPES]
+    "name",
+    [
+        "four",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("two", "of seven two slide")),
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("five", "six", "seven", "the last slides")),
+    ],
 )
 def test_ten_thousand_targets_are_met_from_nearby(climber, name):
     """A foothold that the joints can reach is met to 1e-6 m from the posture of one a few centimetres off."""
@@ -84,6 +89,7 @@ def test_ten_thousand_targets_are_met_from_nearby(climber, name):
     np.testing.assert_allclose(slope[:, calm], ((there - here) / 2e-6)[:, calm], rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_out_of_reach_is_flagged_and_finite(climber):
     """A mile away, at the hip and at the base: values and derivatives are numbers, and what is out of reach says so."""
     robot = load_robot(climber(4, 4).robot)
@@ -195,12 +201,14 @@ WALKS = {
     ),
 }  # fmt: skip
 QUICK = ("four of four with damping and armature",)
-LONG = (pytest.mark.slow, pytest.mark.nightly)
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else LONG) for name in WALKS])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in QUICK else pytest.mark.nightly) for name in WALKS],
+)
 def test_a_walk_is_that_of_mujoco(climber, name):
-    """Two seconds (0.4 s in the default suite) on a lunar slope, all grippers holding: MuJoCo under the same law."""
+    """Two seconds (0.4 s of the quick one) on a lunar slope, all grippers holding: MuJoCo under the same law."""
     limbs, joints, gait = WALKS[name]
     attributes = 'damping="0.05" armature="0.002"' if "damping" in name else ""
     slides = (2,) if "slides" in name else ()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.checks.time_step import growth, largest_time_step
+from mjx_climb.checks.time_step import check_time_step, growth, largest_time_step
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
@@ -327,6 +327,20 @@ def test_a_step_too_long_for_the_contacts_is_known_before_the_walk():
     assert largest_time_step(softer) > largest_time_step(light)
 
 
+@pytest.mark.parametrize("given", ["gains", "numbers"])
+def test_joint_gains_that_are_given_count_for_the_time_step(given):
+    """kp and kd from elsewhere than the scenario: what is too stiff for the step is refused, its own gains are not."""
+    scenario = mc.Scenario(robot="hubrobo_v3_2")
+    stiff = {"kp": 2e3, "kd": 30.0}
+    numbers = mc.parameters(scenario)
+    check_time_step(scenario, numbers=numbers)
+    with pytest.raises(mc.ConfigError, match=r"control.kp 2000 and control.kd 30, got 0\.001"):
+        if given == "gains":
+            mc.rollout(scenario, stiff)
+        else:
+            mc.rollout(scenario, numbers=dataclasses.replace(numbers, **jax.tree.map(np.asarray, stiff)))
+
+
 @pytest.mark.slow
 def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     """v2.2 walks at 0.1 ms, forces calm; 0.2 ms is refused, rightly: walked all the same, it blows up."""
@@ -335,13 +349,14 @@ def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     too_long = walks.with_overrides({"time_step": 2e-4})
     with pytest.raises(mc.ConfigError, match=r"0\.0001 would do"):
         mc.rollout(too_long)
-    monkeypatch.setattr(importlib.import_module("mjx_climb.rollouts.rollout"), "check_time_step", lambda scenario: None)
+    monkeypatch.setattr(importlib.import_module("mjx_climb.rollouts.rollout"), "check_time_step", lambda *_, **__: None)
     bad = mc.metrics(mc.rollout(too_long))
     assert not good["diverged"]
     assert good["peak_foot_force"] < 2 * 1.705 * 9.81
     assert bad["diverged"] or bad["peak_foot_force"] > 1e3
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_engines_agree_on_other_robots(written):
     """Half a second of v2.2 and of a URDF robot: one walk under both engines to 1e-9."""

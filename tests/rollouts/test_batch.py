@@ -38,6 +38,7 @@ def together(scenario, batch):
     return mc.rollout_metrics(scenario, *batch, dtype=np.float64)
 
 
+@pytest.mark.slow
 def test_a_batch_of_64_gives_each_what_it_has_alone(scenario, batch, together):
     """Walked one at a time, every environment has the metrics that it had among 64 others."""
     alone = mc.rollout_metrics(scenario, *batch, dtype=np.float64, batch_size=1)
@@ -47,6 +48,7 @@ def test_a_batch_of_64_gives_each_what_it_has_alone(scenario, batch, together):
         np.testing.assert_allclose(alone[name], values, rtol=1e-12, err_msg=name)
 
 
+@pytest.mark.slow
 def test_bad_neighbours_change_nothing(scenario, batch, together):
     """One environment tears off and one diverges: both say so, and the other 62 stay the same to the last bit."""
     gains, numbers = batch
@@ -64,6 +66,7 @@ def test_bad_neighbours_change_nothing(scenario, batch, together):
         assert np.isfinite(values[BLOWN_UP]), name
 
 
+@pytest.mark.slow
 def test_parts_of_a_batch_have_its_shape(scenario, batch, together):
     """Batch axes of any number come back, and a last part that is not full changes nothing."""
     rows = np.arange(70) % COUNT

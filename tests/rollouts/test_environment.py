@@ -54,6 +54,7 @@ def test_a_batch_walks_as_its_robots_do(scenario, env, walked):
         np.testing.assert_allclose(together.foot_force[:, row], trajectory.foot_force, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_law_by_hand_is_the_law(env, walked, alone):
     """Joint targets as the law gave them, and the base shifted as the law shifted it, make the same walk."""
     samples = alone[1]
@@ -70,6 +71,7 @@ def test_an_action_moves_the_robot(env, alone):
     assert up.base_displacement[2] == 0.01
 
 
+@pytest.mark.slow
 def test_some_robots_begin_again_while_others_go_on(env, walked):
     start = env.reset(batch=(2,))
     state, _ = env.step(start)
@@ -82,6 +84,7 @@ def test_some_robots_begin_again_while_others_go_on(env, walked):
     np.testing.assert_allclose(sample.base_position[0], env.step(start)[1].base_position[0], rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_vmap_adds_an_axis(env):
     starts = jax.vmap(lambda k: env.reset(gains={"stiffness": k}))(jnp.array([1e3, 1e5]))
     _, sample = jax.vmap(env.step)(starts)
@@ -120,6 +123,7 @@ def test_forward_derivatives_of_pieces(scenario):
     assert abs(slope) > 1
 
 
+@pytest.mark.slow
 def test_reverse_mode_of_pieces_is_refused(scenario):
     env = mc.Environment(scenario, in_pieces=True)
     state = env.reset()

@@ -59,6 +59,7 @@ def test_metrics_are_of_the_numbers_that_were_walked(case, gains, numbers):
     assert ours == same
 
 
+@pytest.mark.slow
 def test_simulator_under_vmap(simulate, scenario, numbers, batched):
     """vmap over single walks gives what a batch axis in the gains gives."""
     there = numbers(scenario)
@@ -121,6 +122,7 @@ print("forward passes")
 """
 
 
+@pytest.mark.slow
 def test_reverse_mode_of_a_function_in_pieces_is_refused():
     """In a process of its own: XLA would end it."""
     done = subprocess.run([sys.executable, "-c", REVERSE], capture_output=True, text=True, timeout=300)

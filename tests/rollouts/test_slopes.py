@@ -67,6 +67,7 @@ def test_slopes_of_a_batch_agree_with_central_differences(scenario):
     assert np.ptp(slopes["peak_foot_force"]) > 0
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_one_robot_has_the_slopes_that_it_has_in_a_batch(case):
     """A batch of one keeps its axis, along one direction or several."""

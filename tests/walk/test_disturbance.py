@@ -4,10 +4,12 @@ import dataclasses
 
 import jax
 import numpy as np
+import pytest
 
 import mjx_climb as mc
 
 
+@pytest.mark.slow
 def test_forces_of_a_batch_need_no_moments_of_a_batch(case):
     """Forces with a batch axis beside moments without one, and the reverse: each walk is the one that it is alone."""
     push = {"force": [1.0, 0.0, 0.0], "start": 0.01, "stop": 0.05}

@@ -152,6 +152,7 @@ def scenario_from(
     from mjx_climb.quantities.ground import check_reach
     from mjx_climb.scenario import profiles
     from mjx_climb.scenario.model import overridden
+    from tuning.report import remarks
 
     config = shipped.found(config)
     scenario = mc.load_scenario(config, () if hardware else changes or ())
@@ -162,6 +163,8 @@ def scenario_from(
         scenario = scenario.with_overrides({"control.controller": controller})
     check_time_step(scenario, str(config))
     check_reach(scenario, str(config))
+    for line in remarks.swings(scenario):
+        typer.echo(f"warning: {config}: {line}", err=True)
     return scenario
 
 
@@ -202,13 +205,18 @@ def law_from(text: str | None, gains: Path | None, scenario: "mc.Scenario") -> "
     """Return the law of `--law`, None without one, and the scenario, both with the values of a gains file.
 
     Raises:
-        ConfigError: no such law, or the gains of another one.
+        ConfigError: no such law, the gains of another one, or joint gains too stiff for the time step.
     """
+    from mjx_climb.checks.time_step import check_time_step
     from tuning.gains import gains_file
 
     law = own_law(text)
     values = gains_from(gains, law)
-    return (law, scenario) if values is None else gains_file.replaced(scenario, law, values)[::-1]
+    if values is None:
+        return law, scenario
+    scenario, law = gains_file.replaced(scenario, law, values)
+    check_time_step(scenario, str(gains))
+    return law, scenario
 
 
 def law_name(law: "mc.Law | None", scenario: "mc.Scenario") -> str:

@@ -115,8 +115,12 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
 
 
 def _rows(trees: Any, axes: Any, rows: np.ndarray) -> tuple[Law, mc.Parameters]:
+    """Return law and numbers of some rows: all gains batched, come what may, for one program."""
     law, numbers = rows_of(trees, axes, rows)
-    return law, dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, len(rows)))  # batched, come what may
+    law = jax.tree.map(
+        lambda gain, own: np.broadcast_to(gain, (len(rows), *gain.shape[gain.ndim - own :])), law, axes[0]
+    )
+    return law, dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, len(rows)))
 
 
 def _linear(stages: Stages) -> Stages:

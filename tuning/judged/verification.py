@@ -1,9 +1,10 @@
-"""A result put to the test: walked alone in double precision, and looked at from all sides."""
+"""A result put to the test: walked alone in double precision, and its neighbours as the search walks."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import jax
 import numpy as np
 import xarray as xr
 
@@ -17,6 +18,8 @@ from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Score
 from tuning.searches import grid
+from tuning.searches.methods.staged import STARTS
+from tuning.searches.methods.starts import CANDIDATES
 from tuning.searches.result import Result
 from tuning.searches.tune import problem_of
 
@@ -102,7 +105,7 @@ def verify(
         walks: what `map_of` gave, for the agreement with a grid.
         hardware: what `tuning.judged.margins.find` gave for the result.
     """
-    problem = dataclasses.replace(problem or _problem_of(found), dtype=np.float64)
+    problem = problem or _problem_of(found)
     space, objective = problem.space, problem.objective
     if metrics is None:
         alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=problem.engine)
@@ -110,8 +113,9 @@ def verify(
     alone = maps.score_of(objective, metrics)
     nudges = np.log([1 - STEP, 1 + STEP])
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
-    around = problem.evaluate(np.array(points))
-    slopes = problem.evaluate(found.theta[None], np.eye(space.size)).sharp[0]
+    # as many robots as searches have: they walk by programs that were compiled for it
+    around = _first(len(points), problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), space.size))))
+    slopes = problem.evaluate(np.repeat(found.theta[None], STARTS, 0), np.eye(space.size)).sharp[0]
     judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
@@ -141,6 +145,12 @@ def verify(
         warnings=_warnings(found, problem, around, shape, best, radius, alone)
         + ([] if hardware is None else margins.warnings(hardware)),
     )
+
+
+def _first(count: int, found: Evaluation) -> Evaluation:
+    """Return what is known about the first so many points."""
+    first: Evaluation = jax.tree.map(lambda values: values[:count], found)
+    return first
 
 
 def _axes(cell: xr.Dataset) -> list[str]:

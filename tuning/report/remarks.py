@@ -1,11 +1,15 @@
 """What a reader should know beside the numbers of walks: which failed, and which number is not what it seems."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import mjx_climb as mc
 
 Walks = Mapping[str, Mapping[str, Any]]  # metrics by walk
 
 LONG = 10.0  # m; a TSM beyond it is no length of a robot
+WEIGHT = 0.1  # m/s^2; gravity above it is felt
 
 
 def remarks(walks: Walks) -> list[str]:
@@ -24,6 +28,17 @@ def weightless(walks: Walks) -> list[str]:
     if all((metrics.get("min_tsm") or 0.0) <= LONG for metrics in walks.values()):
         return []
     return ["min TSM is a moment over the weight, with next to no weight it is no length: see min GIA margin"]
+
+
+def swings(scenario: "mc.Scenario") -> list[str]:
+    """Return what speaks against a scenario's way of swinging its feet, before any walk."""
+    heavy = sum(value**2 for value in scenario.gravity) > WEIGHT**2
+    if scenario.gait.swing != "low_reaction" or scenario.contact.capture_distance is not None or not heavy:
+        return []
+    return [
+        "gait.swing: low_reaction under weight without contact.capture_distance: grippers that shut off the ground are "
+        "pulled there, and forces may vary more than with cubic swings"
+    ]
 
 
 def failed(metrics: Mapping[str, Any]) -> str:

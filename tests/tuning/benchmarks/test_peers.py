@@ -80,6 +80,7 @@ def check(judge, ours, rows):
         np.testing.assert_allclose(value, ours[name][rows], rtol=1e-6, err_msg=name)
 
 
+@pytest.mark.slow
 def test_mujoco_batch_walks_the_same_walk(scenario, ours):
     judge = Judge(scenario)
     mujoco_batch.Peer(scenario, gains(SETS), threads=2).run(scenario.steps, judge.watch)

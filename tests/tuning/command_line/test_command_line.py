@@ -172,7 +172,10 @@ UNWEIGHABLE = {  # in free fall no transport has a cost relative to the weight
 }
 
 
-@pytest.mark.parametrize("search", UNWEIGHABLE)
+@pytest.mark.parametrize(
+    "search",
+    [pytest.param(name, marks=() if name in ("tune", "search file") else pytest.mark.slow) for name in UNWEIGHABLE],
+)
 def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(search, call, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     if search == "search file":
@@ -317,6 +320,7 @@ def test_a_sweep_from_python_writes_what_the_command_writes(swept, monkeypatch, 
     xr.testing.assert_identical(*(result.drop_attrs() for result in results))
 
 
+@pytest.mark.slow
 def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch, tmp_path):
     walk, calls = mc.rollout_histories, []
 

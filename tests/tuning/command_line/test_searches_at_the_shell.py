@@ -59,7 +59,9 @@ def quiet(tmp_path_factory):
     return run
 
 
-@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize(
+    "search", [pytest.param(name, marks=() if name == "pareto" else pytest.mark.nightly) for name in SEARCHES]
+)
 def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     """SIGKILL at a random instant once rounds are kept; what the same command ends with is that of a quiet run."""
     arguments, holds = SEARCHES[search]
@@ -80,6 +82,7 @@ def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     assert not (killed / "parts").exists()
 
 
+@pytest.mark.nightly
 def test_a_limit_that_fresh_walks_break_is_named_and_what_the_force_sensor_is_worth(quiet):
     """A tenth of a millimetre is asked of a base that sags further by itself."""
     told = json.loads((quiet("ensemble") / "printed.json").read_text())

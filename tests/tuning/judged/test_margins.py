@@ -122,7 +122,7 @@ def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["pd", "end_effector"])
+@pytest.mark.parametrize("law", [pytest.param("pd", marks=pytest.mark.nightly), "end_effector"])
 def test_gains_of_any_law_have_margins(case, law):
     """Six values of a law of three, and those of one without any."""
     scenario = case("case_1_2", law, {"duration": 0.05, "disturbance.cargo.start": 0.01})
@@ -132,7 +132,7 @@ def test_gains_of_any_law_have_margins(case, law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["soft", "damped"])
+@pytest.mark.parametrize("name", [pytest.param("soft", marks=pytest.mark.nightly), "damped"])
 def test_margins_are_those_of_the_independent_program(case, name):
     """Between its last walk that was better than pd and its first that was not, likewise for lost grippers."""
     gains = mc.Gains(1.0, REFERENCE["gains"][name]["damping"], REFERENCE["gains"][name]["stiffness"])

@@ -14,6 +14,7 @@ from tuning.tune import tune
 SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     """Every file of the command, the user's objective in the tests, stages told, nothing printed."""

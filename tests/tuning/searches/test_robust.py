@@ -161,6 +161,7 @@ def test_worst_mean():
     assert ensembles.worst_mean(values, 1.0) == values.mean()
 
 
+@pytest.mark.slow
 def test_pd_scores_one(scenario, ensemble):
     numbers = ensembles.draw(scenario, ensemble)
     pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
@@ -313,7 +314,7 @@ def test_walks_that_fail_are_counted():
     assert summed.attrs["members_compared"] == 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_robust_gains_beat_the_papers_on_a_draw_that_was_not_seen():
     scenario = mc.load_scenario(config_path("case_1_2.yaml"))
     ensemble = ensembles.load(config_path("ensemble.yaml"))

@@ -72,6 +72,7 @@ def test_a_schedule_of_a_law_of_ones_own(scenario, few):
     assert ensemble_pictures.plot_schedule(table).axes
 
 
+@pytest.mark.slow
 def test_no_operating_point_would_rather_have_the_gains_of_another(table):
     own = table["value"].values
     others = np.nanmin(table["transfer"].values, axis=(2, 3))
@@ -79,6 +80,7 @@ def test_no_operating_point_would_rather_have_the_gains_of_another(table):
     assert (own <= others + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_one_for_all(table):
     loss = table["transfer"].values - table["value"].values[:, :, None, None]
     gravity, cargo, worst = schedule.one_for_all(table)
@@ -87,12 +89,14 @@ def test_one_for_all(table):
         assert worst == pytest.approx(chosen.max()) == pytest.approx(np.nanmin(np.max(loss, axis=(0, 1))))
 
 
+@pytest.mark.slow
 def test_value_is_relative_to_pd_there(table):
     terms = ("force_variation", "peak_foot_force", "cost_of_transport")
     tuned, pd = (np.mean([table[t].sel(walk="tuned") / table[t].sel(walk="pd") for t in terms], axis=0), 1.0)
     np.testing.assert_allclose(table["value"].values, tuned / pd, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_lookup(table):
     for g, level in enumerate(table["gravity"].values):
         at = schedule.lookup(table, level, 1.0)
@@ -102,6 +106,7 @@ def test_lookup(table):
     np.testing.assert_allclose(schedule.lookup(table, 50.0, 0.0).damping, ends[1], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, tmp_path):
     def stop(done, total, phase):
         if done == 3:
@@ -117,6 +122,7 @@ def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, t
     xr.testing.assert_equal(resumed, table)
 
 
+@pytest.mark.slow
 def test_tables(table, tmp_path):
     lines = list(csv.DictReader(io.StringIO(schedule.to_csv(table))))
     assert [(float(row["gravity_G"]), float(row["cargo_kg"])) for row in lines] == [

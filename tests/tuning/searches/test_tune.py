@@ -133,7 +133,9 @@ def test_a_limit_is_penalised_before_it_breaks_and_judged_where_it_breaks():
 
 
 @pytest.mark.parametrize(
-    "layout", ["isotropic", *(pytest.param(n, marks=pytest.mark.slow) for n in ("split", "diagonal"))]
+    "layout",
+    [pytest.param("isotropic", marks=pytest.mark.slow)]
+    + [pytest.param(name, marks=pytest.mark.nightly) for name in ("split", "diagonal")],
 )
 def test_gradients_agree_with_central_differences(scenario, layout):
     """Each slope of the smooth objective, in float64, against differences of the same program's values."""
@@ -267,6 +269,7 @@ def test_an_objective_of_the_users_own(scenario):
     assert found.value == pytest.approx(found.metrics["peak_joint_torque"])
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_with_the_best_so_far(scenario, tmp_path):
     def stop(now):
         if now.rounds == 3:
