@@ -185,12 +185,12 @@ def _same(equation: core.JaxprEqn, given: Sequence[Any]) -> Hashable | None:
     """Return what equations that give the same results have in common, None where that cannot be told."""
     if equation.primitive.name not in _FITTING and equation.primitive.name not in _REDUCTIONS:
         return None
-    operands = [id(value) if isinstance(value, jax.core.Tracer) else _number(value) for value in given]
     avals = tuple(variable.aval for variable in equation.outvars)
-    key = equation.primitive.name, tuple(equation.params.items()), tuple(operands), avals
     try:
+        operands = tuple(id(value) if isinstance(value, jax.core.Tracer) else _number(value) for value in given)
+        key = equation.primitive.name, tuple(equation.params.items()), operands, avals
         hash(key)
-    except TypeError:  # parameters that are no plain values
+    except TypeError:  # random keys, or parameters that are no plain values
         return None
     return key
 
