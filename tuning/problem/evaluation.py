@@ -14,8 +14,12 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cache import enable_cache
+from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.rollouts.identity import identity
+from mjx_climb.rollouts.rollout import given_in, metrics_of
+from mjx_climb.walk.step import structure
 from tuning.problem.objectives import Goal, Judge
 from tuning.problem.spaces import Space, to_gains64
 
@@ -153,9 +157,8 @@ def baseline(
     pd = under_pd(scenario)
     in_pieces = mc.pieces_pay(engine, "cpu")
     with devices.on_host(), jax.enable_x64(True):
-        simulate = mc.simulator(pd, metrics=metrics, engine=engine, smooth=True, in_pieces=in_pieces)
-        numbers = jax.tree.map(np.asarray, mc.parameters(pd))
-        gains = mc.Gains(np.ones(6), np.ones(6), np.ones(6))
+        walker = given_in(pd, None, None, None, np.float64)
+        shape = structure(pd, engine, walker.numbers, metrics=metrics, smooth=True, in_pieces=in_pieces)
         options = mc.compiler_options(1, in_pieces=in_pieces, backend="cpu")
-        found = jax.jit(simulate, compiler_options=options)(gains, numbers)
+        found = kept(metrics_of, identity, options)(shape, walker.law, walker.numbers)
         return {name: float(value) for name, value in found.items()}
