@@ -21,7 +21,7 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.compilation import cache, kept_programs
+from mjx_climb.compilation import cache, gpu_kernel, kept_programs, nvrtc
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.robot.constants import load_robot
 
@@ -52,6 +52,15 @@ def signals():
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture
+def without_nvrtc(monkeypatch):
+    """Have kernels for GPUs written, on any machine, but not compiled; return the list to which they come."""
+    kernels = []
+    monkeypatch.setattr(nvrtc, "ptx", lambda source, capability: kernels.append(source) or "PTX")
+    monkeypatch.setattr(gpu_kernel, "_capability", lambda: "9.0")
+    return kernels
 
 
 @pytest.fixture(scope="session")

@@ -17,8 +17,9 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
-_CPU_SHARES = {1: 1, 8: 2, 64: 16}  # up to so many robots: shares of so many; few enough to keep several cores busy
-_FULL_SHARE = 64  # more would leave a core's cache
+# up to so many robots: shares of so many; few enough to keep several cores busy
+_CPU_SHARES = {1: 1, 8: 2, 64: 16, 256: 64}
+_FULL_SHARE = 128  # fewer spend a fifth of their time on calls of kernels, more leave a core's cache
 
 
 class LostProcess(RuntimeError):
@@ -30,9 +31,17 @@ def host() -> jax.Device:
     return jax.local_devices(backend="cpu")[0]
 
 
-def share_size(robots: int, limit: int | None) -> int:
-    """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time."""
-    if jax.default_backend() == "cpu":
+def on_host() -> contextlib.AbstractContextManager[object]:
+    """Have what is not placed elsewhere run on the CPU: single walks, and small programs."""
+    return contextlib.nullcontext() if jax.default_backend() == "cpu" else jax.default_device(host())
+
+
+def share_size(robots: int, limit: int | None, backend: str | None = None) -> int:
+    """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time.
+
+    `backend` is where they walk, where that is not JAX's default.
+    """
+    if (backend or jax.default_backend()) == "cpu":
         share = next((share for most, share in _CPU_SHARES.items() if robots <= most), _FULL_SHARE)
     else:
         share = -(-min(robots, limit or robots) // jax.device_count())
@@ -61,14 +70,16 @@ def spread(
     robots: int,
     share: int,
     progress: Callable[[int, int], None] | None,
+    backend: str | None = None,
 ) -> dict[str, np.ndarray]:
     """Return `walk` of the rows 0 to `robots`, in shares of equal size: the last row again where there are too few.
 
     `walk(rows, sharding)` gives a dict of arrays for some rows, on the device of the sharding; `progress` is told the
-    number of robots that have walked in this process and will in all. With `jax.distributed` every process makes the
+    number of robots that have walked in this process and will in all. `backend` is where they walk, where that is not
+    JAX's default. With `jax.distributed` every process makes the
     same call and gets the whole result.
     """
-    devices = jax.devices()
+    devices = jax.devices(backend)
     count = max(-(-robots // share), len(devices) if jax.process_count() > 1 else 1)  # no process goes without
     shares = np.minimum(np.arange(count * share), robots - 1).reshape(-1, share)
     own = [number for number in range(len(shares)) if _of(devices, number).process_index == jax.process_index()]
@@ -100,7 +111,7 @@ def _threads(devices: list[jax.Device]) -> Iterator[dict[int, ThreadPoolExecutor
     waiting. CPU devices share the cores among them.
     """
     own = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
-    each = max(1, usable_cores() // len(own)) if jax.default_backend() == "cpu" else 1
+    each = max(1, usable_cores() // len(own)) if devices[0].platform == "cpu" else 1
     threads = {number: ThreadPoolExecutor(each) for number in own}
     try:
         yield threads

@@ -4,30 +4,31 @@ Everything that is known is listed: elementwise operations here, moves in `eleme
 What is not listed, or has parameters that nobody has thought of, raises `Unsupported`.
 """
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import lax
 from jax.extend import core
 
 from mjx_climb.compilation.devices import host
 from mjx_climb.compilation.element_moves import MOVES
-from mjx_climb.compilation.elements import Element, Elements, Key, as_array, known
+from mjx_climb.compilation.elements import Element, Elements, Key, Number, OfLane, Value, as_array, known, objects
 from mjx_climb.compilation.unsupported import Unsupported, refuse_unknown
+from mjx_climb.compilation.writer import Writer
 
-MOST_OPERATIONS = 100_000  # a walk has some 12,000; Triton takes minutes for more than this
+MOST_OPERATIONS = 100_000  # a walk has some 4,000, or 9,000 without lanes; compilers take minutes for more than this
 _DECIDED_ELSEWHERE = frozenset({"weak_type", "new_dtype", "y", "rounding_method"})  # by the operation itself
 
 # each result element depends on one element of each operand
 ELEMENTWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil clamp clz "
     "convert_element_type cos cosh div eq erf_inv exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p "
-    "logistic lt max min mul ne neg nextafter not or population_count pow rem round rsqrt select_n shift_left "
-    "shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
+    "log2 logistic lt max min mul ne neg nextafter not one_minus_square or population_count pow rem round rsqrt "
+    "select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan "
+    "tanh xor".split()
 )
 _CALLS = {
     "jit": "jaxpr",
@@ -38,11 +39,12 @@ _CALLS = {
 
 
 class Operations:
-    """Operations on elements, each of which is carried out once: asked for again, it gives the same result."""
+    """Operations on elements, each of which is written once: asked for again, it gives the same result."""
 
-    def __init__(self, before: "Mapping[Any, tuple[Any, Element]] | None" = None) -> None:
+    def __init__(self, writer: Writer, before: "Mapping[Hashable, tuple[Any, Number]] | None" = None) -> None:
+        self.writer = writer
         # an operation and its operands: these, so that their ids stay their own, and the result
-        self.done: dict[Any, tuple[Any, Element]] = dict(before or {})
+        self.done: dict[Hashable, tuple[Any, Number]] = dict(before or {})
 
     def results(self, jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Elements]) -> list[Elements]:
         """Return the results of a jaxpr for arrays of elements."""
@@ -90,32 +92,154 @@ class Operations:
         return [self.each(equation.primitive, parameters, *given)]
 
     def each(self, primitive: core.Primitive, parameters: Mapping[str, Any], *arrays: Elements) -> Elements:
-        """Return an elementwise operation on arrays that broadcast to each other."""
+        """Return an elementwise operation on arrays that broadcast to each other.
+
+        Where an axis of one of them runs over the lanes, the operation is written once for all its elements.
+        """
         shape = np.broadcast_shapes(*(np.shape(array) for array in arrays))
-        each = zip(*(np.broadcast_to(array, shape).reshape(-1) for array in arrays), strict=True)
-        return as_array((self.element(primitive, parameters, *operands) for operands in each), shape)
+        wide = [np.broadcast_to(array, shape) for array in arrays]
+        axis = next((axis for axis in range(len(shape)) if any(self.runs_over_lanes(a, axis) for a in wide)), None)
+        if axis is None:
+            each = zip(*(array.reshape(-1) for array in wide), strict=True)
+            return as_array((self.element(primitive, parameters, *operands) for operands in each), shape)
+        rows = [np.moveaxis(objects(array), axis, -1).reshape(-1, self.writer.lanes) for array in wide]
+        made = [self._of_all_lanes(primitive, parameters, row) for row in zip(*rows, strict=True)]
+        result = np.empty((len(made), self.writer.lanes), object)
+        for place, elements in enumerate(made):
+            result[place] = elements
+        others = [size for number, size in enumerate(shape) if number != axis]
+        result = np.moveaxis(result.reshape(*others, self.writer.lanes), -1, axis)
+        return as_array(iter(result.reshape(-1)), result.shape)
+
+    def runs_over_lanes(self, array: Elements, axis: int) -> bool:
+        """Return whether the elements along an axis are what the lanes have of one value, somewhere in an array."""
+        if known(array) or self.writer.lanes == 1 or array.shape[axis] != self.writer.lanes:
+            return False
+        rows = np.moveaxis(array, axis, -1).reshape(-1, self.writer.lanes)
+        return any(_in_order(row) is not None for row in rows)
+
+    def _of_all_lanes(
+        self, primitive: core.Primitive, parameters: Mapping[str, Any], rows: Sequence[np.ndarray]
+    ) -> list[Element]:
+        """Return an operation on operands that each have an element for each lane."""
+        every = [element for row in rows for element in row]
+        if any(isinstance(element, Key) for element in every) or not any(isinstance(e, OfLane) for e in every):
+            return [self.element(primitive, parameters, *operands) for operands in zip(*rows, strict=True)]
+        operands = [self.packed(row) for row in rows]
+        made = self._alike(primitive, parameters, *operands)
+        if isinstance(made, np.generic):
+            return [made] * self.writer.lanes
+        for row, operand in zip(rows, operands, strict=True):
+            if made is operand:  # an operation that changes nothing
+                return list(row)
+        return [self.of_lane(made, lane) for lane in range(self.writer.lanes)]
+
+    def of_lane(self, value: Value, lane: int) -> OfLane:
+        """Return what a lane has of a value, the same object each time."""
+        return cast(OfLane, self._once(("of lane", id(value), lane), value, lambda: OfLane(value, lane)))
+
+    def packed(self, elements: "Sequence[Any] | np.ndarray") -> "np.generic | Value":
+        """Return a value of which each lane has the element of its place; elements that are all one stay that."""
+        first = elements[0]
+        if all(element is first for element in elements) and not isinstance(first, OfLane):
+            return cast("np.generic | Value", first)
+        if (value := _in_order(elements)) is not None:
+            return value
+        names = tuple(_name(element) for element in elements)
+        if isinstance(first, np.generic) and len(set(names)) == 1:
+            return first
+        sources = {id(element.value): element.value for element in elements if isinstance(element, OfLane)}
+
+        def made() -> Value:
+            if len(sources) == 1 and all(isinstance(element, OfLane) for element in elements):
+                [source] = sources.values()
+                return self.writer.of_lanes(source, [element.lane for element in elements])
+            own = [
+                e.value if isinstance(e, OfLane) and e.lane == lane else self.same_for_all(e)
+                for lane, e in enumerate(elements)
+            ]
+            return self.writer.each_its_own(own)
+
+        return cast(Value, self._once(("packed", names), tuple(elements), made))
+
+    def same_for_all(self, element: Number) -> "np.generic | Value":
+        """Return an element as a number that all lanes have."""
+        if not isinstance(element, OfLane):
+            return element
+        value, lane = element.value, element.lane
+
+        def made() -> Value:
+            return self.writer.of_lanes(value, [lane] * self.writer.lanes)
+
+        return cast(Value, self._once(("for all", id(value), lane), element, made))
+
+    def together(self, combine: core.Primitive, parts: Sequence[Elements]) -> Elements:
+        """Return arrays combined one after the other; those of the lanes by steps in which lanes change partners."""
+        lanes, [first, *others] = self.writer.lanes, parts
+        rows = list(zip(*(part.reshape(-1) for part in parts), strict=True))
+        by_lanes = len(parts) == lanes > 1 and not lanes & (lanes - 1) and combine.name in _IN_ANY_ORDER
+        if by_lanes and rows and all(_in_order(row) is not None for row in rows):
+            totals = (self._total(combine, cast(Value, _in_order(row))) for row in rows)
+            return as_array(totals, first.shape)
+        for other in others:
+            first = self.each(combine, {}, first, other)
+        return first
+
+    def _total(self, combine: core.Primitive, value: Value) -> Value:
+        distance = 1
+        while distance < self.writer.lanes:
+            partners = [lane ^ distance for lane in range(self.writer.lanes)]
+            mine = value
+
+            def made(mine: Value = mine, partners: list[int] = partners) -> Value:
+                return self.writer.operation(combine, {}, [mine, self.writer.of_lanes(mine, partners)])
+
+            value = cast(Value, self._once((combine.name, "of partners", id(mine), distance), mine, made))
+            distance *= 2
+        return value
 
     def element(self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: Element) -> Element:
         """Return an elementwise operation on single elements."""
-        name = primitive.name
         if any(isinstance(operand, Key) for operand in operands):
-            return self._keys(name, operands)
-        if name in _SHORTCUTS and (result := _SHORTCUTS[name](*operands)) is not None:
+            return self._keys(primitive.name, operands)
+        numbers = [cast(Number, operand) for operand in operands]
+        if primitive.name in _SHORTCUTS and (result := _SHORTCUTS[primitive.name](*numbers)) is not None:
             return result
-        if all(isinstance(each, np.generic) for each in operands):
+        lanes = {operand.lane for operand in numbers if isinstance(operand, OfLane)}
+        if len(lanes) == 1:  # the other lanes may be asked for the same, and have done it then
+            values = [operand.value if isinstance(operand, OfLane) else operand for operand in numbers]
+            made = self._alike(primitive, parameters, *values)
+            return made if isinstance(made, np.generic) else self.of_lane(made, *lanes)
+        return self._alike(primitive, parameters, *map(self.same_for_all, numbers))
+
+    def _alike(
+        self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: "np.generic | Value"
+    ) -> "np.generic | Value":
+        """Return an elementwise operation that all lanes do with what they have."""
+        if primitive.name in _SHORTCUTS and (result := _SHORTCUTS[primitive.name](*operands)) is not None:
+            return cast("np.generic | Value", result)
+        if all(isinstance(operand, np.generic) for operand in operands):
             [number] = _computed_now(primitive, parameters, operands)[0].reshape(1)
             return cast(np.generic, number)
-        names = tuple((each.dtype, each.tobytes()) if isinstance(each, np.generic) else id(each) for each in operands)
-        operation = (name, str(parameters), names)
-        if operation not in self.done:
-            if len(self.done) == MOST_OPERATIONS:
+        name = (primitive.name, str(parameters), *map(_name, operands))
+        made = self._once(name, operands, lambda: self.writer.operation(primitive, parameters, operands))
+        return cast(Value, made)
+
+    def typed(self, number: Number, dtype: Any) -> Number:
+        """Return a number in a precision, as it is where it has that."""
+        if isinstance(number, np.generic):
+            return cast(np.generic, np.asarray(number).astype(dtype)[()])
+        if number.dtype == dtype:
+            return number
+        converted = {"new_dtype": np.dtype(dtype), "weak_type": False, "sharding": None}
+        return cast(Number, self.element(lax.convert_element_type_p, converted, number))
+
+    def _once(self, name: Hashable, operands: Any, make: Callable[[], Number]) -> Number:
+        if name not in self.done:
+            if len(self.done) >= MOST_OPERATIONS:
                 raise Unsupported(f"a program of more than {MOST_OPERATIONS} operations on single numbers")
-            plain = [cast(Array, operand) for operand in operands]
-            robots = next((np.shape(operand) for operand in plain if np.ndim(operand)), ())
-            alike = [for_each_robot(operand, operand.dtype, robots) for operand in plain]
-            bind: Callable[..., Array] = _REPLACED.get(name, primitive.bind)
-            self.done[operation] = operands, bind(*map(jnp.asarray, alike), **parameters)
-        return self.done[operation][1]
+            self.done[name] = operands, make()
+        return self.done[name][1]
 
     def _keys(self, name: str, operands: Sequence[Element]) -> Element:
         """Return the choice among random keys, the one operation that they have in common with numbers."""
@@ -124,13 +248,21 @@ class Operations:
         which, *cases = operands
         keys = [cast(Key, case) for case in cases]
         high, low = [key.high for key in keys], [key.low for key in keys]
-        return Key(*(cast(Array, self.element(lax.select_n_p, {}, which, *words)) for words in (high, low)))
+        return Key(*(cast(Number, self.element(lax.select_n_p, {}, which, *words)) for words in (high, low)))
 
 
-def for_each_robot(element: Element, dtype: Any, shape: tuple[int, ...]) -> Array:
-    """Return an element in a precision, repeated for each robot where it is one of all."""
-    value = jnp.asarray(element).astype(dtype)
-    return value if value.ndim or not shape else lax.broadcast(value, shape)
+def _in_order(elements: "Sequence[Any] | np.ndarray") -> Value | None:
+    """Return the value of which elements are what the lanes have, in their order; None where they are not that."""
+    first = elements[0]
+    if not isinstance(first, OfLane):
+        return None
+    value = first.value
+    whole = all(isinstance(e, OfLane) and e.value is value and e.lane == n for n, e in enumerate(elements))
+    return value if whole else None
+
+
+def _name(element: Number) -> Hashable:
+    return (element.dtype, element.tobytes()) if isinstance(element, np.generic) else id(element)
 
 
 def _computed_now(
@@ -169,36 +301,11 @@ def _choice(which: Element, *cases: Element) -> Element | None:
     return cases[0] if all(case is cases[0] for case in cases) else None
 
 
+_IN_ANY_ORDER = frozenset({"add", "max", "min", "and", "or", "xor"})  # but for rounding
+
 _SHORTCUTS: dict[str, Callable[..., Element | None]] = {
     "mul": _product,
     "add": _sum,
     "sub": _difference,
     "select_n": _choice,
 }
-
-
-def _round(value: Array, *, rounding_method: lax.RoundingMethod) -> Array:
-    """Return the nearest whole number, of two the even one: Triton has no such operation."""
-    if rounding_method is not lax.RoundingMethod.TO_NEAREST_EVEN:
-        raise Unsupported(f"rounding by {rounding_method}")
-    up = lax.floor(value + 0.5)
-    odd = lax.floor(up * 0.5) * 2 != up
-    return jnp.where((up - value == 0.5) & odd, up - 1, up)
-
-
-def _select(which: Array, *cases: Array) -> Array:
-    """Return the case of a number, one comparison for each: Triton chooses between two."""
-    if which.dtype == bool:
-        return lax.select_n(which, *cases)
-    chosen = cases[0]
-    for number, case in enumerate(cases[1:], 1):
-        chosen = lax.select_n(which >= number, chosen, case)
-    return chosen
-
-
-_REPLACED: dict[str, Callable[..., Array]] = {"round": _round, "select_n": _select}
-
-
-def sizes_of(avals: Sequence[Any]) -> list[int]:
-    """Return how many elements arrays of these kinds have."""
-    return [math.prod(aval.shape) for aval in avals]

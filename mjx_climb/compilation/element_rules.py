@@ -6,6 +6,7 @@ from robot to robot has no address: every place is compared with the wanted one,
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
@@ -16,8 +17,8 @@ from jax import Array, lax
 from jax.extend import core
 from jax.extend import random as random_kinds
 
-from mjx_climb.compilation.element_operations import Operations, for_each_robot, sizes_of
-from mjx_climb.compilation.elements import Element, Elements, Key, along, as_array, flat, known, objects
+from mjx_climb.compilation.element_operations import Operations
+from mjx_climb.compilation.elements import Element, Elements, Key, Number, Value, along, as_array, flat, known, objects
 from mjx_climb.compilation.unsupported import Unsupported
 
 Rule = Callable[[Operations, core.JaxprEqn, list[Elements]], list[Elements]]
@@ -31,9 +32,7 @@ def _reduction(combine: core.Primitive) -> Rule:
     def rule(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
         array = given[0]
         for axis in sorted(equation.params["axes"], reverse=True):
-            array, *others = _some(along(array, axis), equation)
-            for other in others:
-                array = do.each(combine, {}, array, other)
+            array = do.together(combine, _some(along(array, axis), equation))
         return [array]
 
     return rule
@@ -83,10 +82,8 @@ def _product_of_matrices(do: Operations, equation: core.JaxprEqn, given: list[El
         raise Unsupported(f"a product of matrices of more than {MOST_PRODUCTS} products")
     (a, shared, free_left), (b, _, free_right) = rows, columns
     products = do.each(lax.mul_p, {}, a[:, :, None], b[:, None])  # (batch, row, column, term)
-    first, *others = _some(along(products, 3), equation)
-    for other in others:
-        first = do.each(lax.add_p, {}, first, other)
-    return [first.reshape((*shared, *free_left, *free_right))]
+    total = do.together(lax.add_p, _some(along(products, 3), equation))
+    return [total.reshape((*shared, *free_left, *free_right))]
 
 
 def _axes_in_order(
@@ -135,7 +132,7 @@ def _places(
 
 
 def _number(value: Any, like: Element) -> Element:
-    return cast(Element, np.asarray(value, cast(Array, like).dtype)[()])
+    return cast(Element, np.asarray(value, cast(Number, like).dtype)[()])
 
 
 def _read(do: Operations, table: Elements, start: Sequence[Element], sizes: Sequence[int]) -> Elements:
@@ -245,11 +242,19 @@ def _select(do: Operations, which: Elements, cases: Sequence[Elements]) -> Eleme
 def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
     parameters = equation.params
     body, steps = parameters["jaxpr"], parameters["length"]
-    constants, carry = parameters["num_consts"], parameters["num_carry"]
+    constants, carry = _sizes(parameters)
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
     if read or len(body.jaxpr.outvars) > carry:
         return _written_out(do, body, common, start, read, steps, reverse=parameters["reverse"])
     return _loop_of_numbers(do, body, common, start, steps)
+
+
+def _sizes(parameters: dict[str, Any]) -> tuple[int, int]:
+    """Return how many constants a loop has and how much it carries, as JAX up to 0.10 says it, and from 0.11 on."""
+    if "ft_in" not in parameters:
+        return parameters["num_consts"], parameters["num_carry"]
+    constants, carry, _ = map(len, parameters["ft_in"].unpack())
+    return constants, carry
 
 
 def _written_out(
@@ -282,24 +287,45 @@ def _loop_of_numbers(
     carried = [cast(Any, variable.aval) for variable in body.jaxpr.outvars]
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in carried):
         raise Unsupported("a loop that carries random keys, other than as plain words,")
-    robots = next((np.shape(e) for array in [*common, *start] for e in array.reshape(-1) if np.ndim(e)), ())
+    axes = [_axis_of_limbs(aval.shape, do.writer.lanes) for aval in carried]
 
-    def arrays(elements: Sequence[Array]) -> list[Elements]:
-        rest = iter(elements)
-        return [
-            as_array(itertools.islice(rest, size), aval.shape)
-            for size, aval in zip(sizes_of(carried), carried, strict=True)
-        ]
+    def numbers(inside: Operations, arrays: Sequence[Elements]) -> list[Number]:
+        """Return the elements of arrays, a single one for all lanes along the limbs."""
+        found: list[Number] = []
+        for array, aval, axis in zip(arrays, carried, axes, strict=True):
+            if axis is None:
+                some = [inside.same_for_all(cast(Number, element)) for element in flat([array])]
+            else:
+                rows = np.moveaxis(objects(array), axis, -1).reshape(-1, do.writer.lanes)
+                some = [inside.packed(row) for row in rows]
+            found += [inside.typed(number, aval.dtype) for number in some]
+        return found
 
-    def elements(arrays: list[Elements]) -> tuple[Array, ...]:
-        typed = ((e, aval.dtype) for array, aval in zip(arrays, carried, strict=True) for e in array.reshape(-1))
-        return tuple(for_each_robot(element, dtype, robots) for element, dtype in typed)
+    def arrays(inside: Operations, values: Sequence[Value]) -> list[Elements]:
+        rest, result = iter(values), []
+        for aval, axis in zip(carried, axes, strict=True):
+            if axis is None:
+                result.append(as_array(itertools.islice(rest, math.prod(aval.shape)), aval.shape))
+                continue
+            others = [size for number, size in enumerate(aval.shape) if number != axis]
+            rows = []
+            for value in itertools.islice(rest, math.prod(others)):
+                rows.append([inside.of_lane(value, lane) for lane in range(do.writer.lanes)])
+            each = as_array((element for row in rows for element in row), (*others, do.writer.lanes))
+            result.append(np.moveaxis(each, -1, axis))
+        return result
 
-    def step(_: Array, before: tuple[Array, ...]) -> tuple[Array, ...]:
-        inside = Operations(do.done)
-        return elements(inside.closed(body, [*common, *arrays(before)]))
+    def step(before: list[Value]) -> list[Number]:
+        inside = Operations(do.writer, do.done)
+        return numbers(inside, inside.closed(body, [*common, *arrays(inside, before)]))
 
-    return arrays(lax.fori_loop(0, steps, step, elements(start)))
+    return arrays(do, do.writer.loop(steps, numbers(do, start), step))
+
+
+def _axis_of_limbs(shape: tuple[int, ...], lanes: int) -> int | None:
+    """Return the axis of the limbs of an array of the hot path: components first, limbs second, the batch last."""
+    axis = 1 if len(shape) > 2 else 0
+    return axis if lanes > 1 and len(shape) > 1 and shape[axis] == lanes else None
 
 
 # --- random numbers
@@ -430,7 +456,10 @@ RULES: dict[str, tuple[Rule, frozenset[str]]] = {
         frozenset({"dimension_numbers", "slice_sizes", "mode", "fill_value", "unique_indices", "indices_are_sorted"}),
     ),
     "cond": (_choice, frozenset({"branches"})),
-    "scan": (_loop, frozenset({"jaxpr", "length", "num_consts", "num_carry", "reverse", "unroll"})),
+    "scan": (
+        _loop,
+        frozenset({"jaxpr", "length", "num_consts", "num_carry", "ft_in", "ft_out", "reverse", "unroll"}),
+    ),
     "threefry2x32": (_threefry, frozenset()),
     "random_seed": (_seeded, frozenset({"impl"})),
     "random_wrap": (_wrapped, frozenset({"impl"})),

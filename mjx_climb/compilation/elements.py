@@ -1,25 +1,49 @@
-"""Arrays written out element by element, as a GPU kernel sees them: numpy arrays whose entries are traced numbers.
+"""Arrays written out element by element, as a GPU kernel sees them: numpy arrays whose entries are single numbers.
 
-An element is a number known when compiling, a traced number of all robots (), one of each robot (threads,), or the two
-words of a random key. An array whose elements are all known is a plain numpy array.
+An element is a number known when the kernel is written, a value that the kernel works out, the value that one lane has
+of it, or the two words of a random key. An array whose elements are all known is a plain numpy array.
+
+Lanes are the threads that share a robot: a thread for each limb. What is worked out for each limb in the same way is
+worked out once, by all lanes side by side.
 """
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from jax import Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Value:
+    """A number that every lane has, the same or its own."""
+
+    content: Any  # of the writer that made it
+    dtype: np.dtype
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OfLane:
+    """What one lane has of a value."""
+
+    value: Value
+    lane: int
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self.value.dtype
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Key:
     """A random key of the Threefry kind: two words of 32 bits."""
 
-    high: "np.generic | Array"
-    low: "np.generic | Array"
+    high: "Number"
+    low: "Number"
 
 
-Element = np.generic | Array | Key
+Number = np.generic | Value | OfLane
+Element = Number | Key
 Elements = np.ndarray  # of such elements, or of numbers
 
 
@@ -41,6 +65,8 @@ def flat(arrays: Sequence[Elements]) -> list[Element]:
 
 def objects(array: Elements) -> Elements:
     """Return an array of elements that keep their types among others."""
+    if array.dtype == object:
+        return array.copy()
     result = np.empty(array.shape, object)
     for index in np.ndindex(*array.shape):
         result[index] = array[index]

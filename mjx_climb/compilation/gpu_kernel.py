@@ -1,44 +1,49 @@
-"""A function of one robot as one GPU kernel for a batch of them, with a thread for each robot.
+"""A function of one robot as one GPU kernel for a batch of them, with a thread for each robot, or for each limb.
 
 XLA:GPU runs a step of a walk as some thirty kernels, one after the other, that hand their values on through memory: the
 launches and the memory set the pace, not the arithmetic. But a robot needs nothing of the others. Written out element
-by element, with the loop over time inside, its whole walk is a single kernel whose values stay in registers.
+by element, with the loop over time inside, its whole walk is a single kernel whose values stay in registers. And most
+of a step is the same for each limb: with a thread for each of them it is written once, so that the code fits the
+instruction cache, and sums over the limbs are exchanges within a warp.
 
-The kernel is compiled by way of Pallas and Triton. It is for values: it has no derivatives.
+The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC (`nvrtc`), and launched by the custom call
+`__gpu$xla.gpu.ptx` of XLA's. It is for values: it has no derivatives.
 """
 
-import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeVar, cast
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.experimental import pallas
-from jax.experimental.pallas import triton
+from jax.extend import core
 
-from mjx_climb.compilation.element_operations import Operations, for_each_robot
-from mjx_climb.compilation.elements import Element, Elements, as_array, flat
+from mjx_climb.compilation import nvrtc
+from mjx_climb.compilation.cuda_writer import NAME, THREADS, CudaWriter
+from mjx_climb.compilation.element_operations import Operations
+from mjx_climb.compilation.elements import Element, Elements, Number, as_array, flat
+from mjx_climb.compilation.interpreted import Interpreted
 from mjx_climb.compilation.unsupported import Unsupported
+from mjx_climb.compilation.writer import Writer
 
 _Result = TypeVar("_Result")
-_THREADS = 128  # in a block, a robot for each
-_WARP = 32  # threads
-_BITS = 16  # of a whole number that travel as one real number, exactly in each precision
+_TARGET = "__gpu$xla.gpu.ptx"
 
 
 def over_robots(
-    function: Callable[..., _Result], batched: Sequence[Any], *, interpret: bool = False
+    function: Callable[..., _Result], batched: Sequence[Any], *, limbs: int = 1, interpret: bool = False
 ) -> Callable[..., _Result]:
     """Return the function mapped over the first axis of its arguments, like `jax.vmap`, as one kernel.
 
     Arguments:
-        function: of trees of numbers, the real ones of one precision: operations that `element_operations` and
-            `element_rules` know, on fixed shapes, with loops of a fixed number of steps.
+        function: of trees of numbers in single precision, whole numbers and truth values: operations that
+            `element_operations` and `element_rules` know, on fixed shapes, with loops of a fixed number of steps.
         batched: for each argument a tree of bool: whether an array has the batch axis.
-        interpret: without Triton, on any device, slowly: for tests.
+        limbs: threads of a robot, best as many as arrays that loops carry have along the axis before their last.
+        interpret: by XLA's own operations, on any device and in any precision: for tests.
 
     Returns:
         A function of arguments with a batch axis, of any length, where `batched` says so. All results have it. It
@@ -50,147 +55,97 @@ def over_robots(
         values, tree = jax.tree.flatten(arguments)
         one = [jax.ShapeDtypeStruct(value.shape[axis:], value.dtype) for value, axis in zip(values, axes, strict=True)]
         program, shape = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(tree, one))
-        outputs = program.out_avals
-        dtype = _precision([*one, *outputs])
-
-        def walk(own: Iterator[Array], common: Iterator[Array]) -> list[Element]:
-            given = [_unpacked(own if axis else common, leaf) for leaf, axis in zip(one, axes, strict=True)]
-            results = Operations().closed(program, given)
-            return [row for array, leaf in zip(results, outputs, strict=True) for row in _packed_elements(array, leaf)]
-
+        arrays = [jnp.asarray(value) for value in values]
         robots = next(len(value) for value, axis in zip(values, axes, strict=True) if axis)
-        rows = [
-            _packed(v.reshape(robots, leaf.size).T, dtype)
-            for v, leaf, axis in zip(values, one, axes, strict=True)
-            if axis
-        ]
-        no_ref_is_empty = jnp.zeros(1, dtype)
-        same = [
-            _packed(v.reshape(leaf.size, 1), dtype)[:, 0]
-            for v, leaf, axis in zip(values, one, axes, strict=True)
-            if not axis
-        ]
-        sizes = [output.size * _parts_of(output) for output in outputs]
-        made = _launch(
-            walk, jnp.concatenate(rows), jnp.concatenate([*same, no_ref_is_empty]), sum(sizes), interpret=interpret
-        )
-        parts = jnp.split(made, np.cumsum(sizes)[:-1])
-        results = [
-            _whole(part, output).T.reshape(robots, *output.shape) for part, output in zip(parts, outputs, strict=True)
-        ]
+        walk = _interpreted if interpret else _launched
+        results = walk(program, limbs, robots, arrays, axes)
         result: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
         return result
 
     return mapped
 
 
-def _launch(
-    walk: Callable[[Iterator[Array], Iterator[Array]], list[Element]],
-    own: Array,
-    common: Array,
-    rows: int,
-    *,
-    interpret: bool,
-) -> Array:
-    """Return the elements (rows, robots) that `walk` makes of each robot's `own` numbers and of the `common` ones."""
-    count, robots = own.shape
-    blocks = -(-robots // _THREADS)
-    own = jnp.pad(own, ((0, 0), (0, blocks * _THREADS - robots)), mode="edge")
+def written(program: core.ClosedJaxpr, limbs: int, axes: Sequence[int]) -> str:
+    """Return the kernel of a function of one robot, whose arguments with a 1 in `axes` are its own, in CUDA C."""
+    writer = CudaWriter(limbs)
+    given = []
+    for leaf, axis in zip(program.in_avals, axes, strict=True):
+        of = "own" if axis else "common"
+        given.append(as_array((writer.read(of, leaf.dtype) for _ in range(math.prod(leaf.shape))), leaf.shape))
+    return writer.source([number for result in _results(writer, program, given) for number in result])
 
-    # Rows are read and written by a single instruction each, in loops: Triton's compile time for every one is quadratic
-    # in the length of all that depends on it, which is everything.
-    def kernel(own_ref: Any, common_ref: Any, result_ref: Any) -> None:
-        def load(row: Array, found: tuple[Array, ...]) -> tuple[Array, ...]:
-            value = own_ref[row, :]
-            return tuple(jnp.where(row == k, value, before) for k, before in enumerate(found))
 
-        def store(row: Array, _: None) -> None:
-            result_ref[row, :] = functools.reduce(lambda a, k: jnp.where(row == k, results[k], a), range(rows), zero)
+def _results(writer: Writer, program: core.ClosedJaxpr, given: list[Elements]) -> list[list[Number]]:
+    """Return the elements of each result, the same for all lanes and of its type."""
+    do = Operations(writer)
+    found = []
+    for array, leaf in zip(do.closed(program, given), program.out_avals, strict=True):
+        found.append([do.typed(do.same_for_all(_number(element)), leaf.dtype) for element in flat([array])])
+    return found
 
-        zero = jnp.zeros(_THREADS, own.dtype)
-        found = lax.fori_loop(0, count, load, (zero,) * count)
-        elements = walk(iter(found), (common_ref[k] for k in range(common.size)))
-        results = [for_each_robot(element, own.dtype, (_THREADS,)) for element in elements]
-        lax.fori_loop(0, rows, store, None)
 
-    call = pallas.pallas_call(
-        kernel,
-        grid=(blocks,),
-        in_specs=[
-            pallas.BlockSpec((count, _THREADS), lambda block: (0, block)),
-            pallas.BlockSpec(common.shape, lambda block: (0,)),
-        ],
-        out_specs=pallas.BlockSpec((rows, _THREADS), lambda block: (0, block)),
-        out_shape=jax.ShapeDtypeStruct((rows, blocks * _THREADS), own.dtype),
-        compiler_params=None if interpret else triton.CompilerParams(num_warps=_THREADS // _WARP, num_stages=1),
-        interpret=interpret,
-        name="walk",
+def _number(element: Element) -> Number:
+    assert isinstance(element, Number)
+    return element
+
+
+def _interpreted(
+    program: core.ClosedJaxpr, limbs: int, robots: int, arrays: Sequence[Array], axes: Sequence[int]
+) -> list[Array]:
+    writer = Interpreted(limbs, robots)
+    given = []
+    for array, leaf, axis in zip(arrays, program.in_avals, axes, strict=True):
+        rows = array.reshape(robots, -1).T if axis else array.reshape(-1, 1)
+        given.append(as_array((writer.value(row[None]) for row in rows), leaf.shape))
+    made = []
+    for numbers, leaf in zip(_results(writer, program, given), program.out_avals, strict=True):
+        columns = [writer.rows(number)[0] for number in numbers]
+        made.append(jnp.stack(columns, 1).reshape(robots, *leaf.shape))
+    return made
+
+
+def _launched(
+    program: core.ClosedJaxpr, limbs: int, robots: int, arrays: Sequence[Array], axes: Sequence[int]
+) -> list[Array]:
+    sizes = [math.prod(leaf.shape) for leaf in program.out_avals]
+    own = [_words(array).reshape(robots, -1).T for array, axis in zip(arrays, axes, strict=True) if axis]
+    common = [_words(array).reshape(-1) for array, axis in zip(arrays, axes, strict=True) if not axis]
+    source = nvrtc.ptx(written(program, limbs, axes), _capability())
+    threads = robots * CudaWriter(limbs).width
+    launch = {"grid_x": -(-threads // THREADS), "block_x": THREADS, "shared_mem_bytes": 0}
+    launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
+    made = jax.ffi.ffi_call(_TARGET, jax.ShapeDtypeStruct((sum(sizes), robots), np.int32))(
+        jnp.concatenate(own),
+        jnp.concatenate([jnp.full(1, robots, np.int32), *common]),
+        name=NAME,
+        kernel_type="ptx",
+        kernel_data=source,
+        **{name: np.int32(number) for name, number in launch.items()},
     )
-    result: Array = call(own, common)
-    return result[:, :robots]
+    parts = jnp.split(made, list(itertools.accumulate(sizes))[:-1])
+    return [
+        _from_words(part, leaf.dtype).T.reshape(robots, *leaf.shape)
+        for part, leaf in zip(parts, program.out_avals, strict=True)
+    ]
 
 
-# What a kernel reads and writes is of one precision: whole numbers travel as parts of 16 bits.
+def _capability() -> str:
+    [device, *_] = jax.local_devices(backend="gpu")
+    return str(device.compute_capability)
 
 
-def _precision(leaves: Sequence[Any]) -> Any:
-    found = {np.dtype(leaf.dtype) for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)}
-    others = [leaf.dtype for leaf in leaves if not _is_plain(leaf.dtype)]
-    if others or len(found) > 1:
-        raise Unsupported(f"a function of and to {', '.join(sorted(map(str, [*found, *others])))}")
-    return found.pop() if found else jnp.result_type(float)
+def _words(value: Array) -> Array:
+    """Return numbers as words of 32 bits, whole numbers of fewer bits and truth values as such ones."""
+    if value.dtype == np.float32 or (value.dtype.itemsize == 4 and jnp.issubdtype(value.dtype, jnp.integer)):
+        return lax.bitcast_convert_type(value, np.int32)
+    if value.dtype.kind == "b":
+        return value.astype(np.int32)
+    raise Unsupported(f"a function of {value.dtype}")
 
 
-def _is_plain(dtype: Any) -> bool:
-    return any(jnp.issubdtype(dtype, kind) for kind in (jnp.floating, jnp.integer, jnp.bool_))
-
-
-def _parts_of(leaf: Any) -> int:
-    """Return how many real numbers each number of an array travels as."""
-    return max(1, 8 * np.dtype(leaf.dtype).itemsize // _BITS) if jnp.issubdtype(leaf.dtype, jnp.integer) else 1
-
-
-def _packed(value: Array, dtype: Any) -> Array:
-    """Return numbers (n, robots) as real ones (n parts, robots)."""
-    if not jnp.issubdtype(value.dtype, jnp.integer):
-        return jnp.asarray(value).astype(dtype)
-    parts = [_bits(jnp.asarray(value), part) for part in range(_parts_of(value))]
-    return jnp.stack(parts, 1).reshape(-1, value.shape[-1]).astype(dtype)
-
-
-def _bits(value: Array, part: int) -> Array:
-    shifted = lax.shift_right_logical(value, jnp.asarray(_BITS * part, value.dtype))
-    return shifted & jnp.asarray(min(2**_BITS - 1, jnp.iinfo(value.dtype).max), value.dtype)
-
-
-def _whole(parts: Array, leaf: Any) -> Array:
-    """Return numbers (n, robots) from real ones (n parts, robots)."""
-    if not jnp.issubdtype(leaf.dtype, jnp.integer):
-        return parts.astype(leaf.dtype)
-    each = parts.reshape(-1, _parts_of(leaf), parts.shape[-1])
-    return functools.reduce(lax.bitwise_or, (_shifted(each[:, k], k, leaf.dtype) for k in range(each.shape[1])))
-
-
-def _shifted(part: Array, number: int, dtype: Any) -> Array:
-    wide = part.astype(jnp.int32).astype(dtype)
-    return lax.shift_left(wide, jnp.asarray(_BITS * number, dtype))
-
-
-def _unpacked(read: Iterator[Array], leaf: Any) -> Elements:
-    """Return the elements of an argument from the numbers that a kernel reads, in their order."""
-
-    def element() -> Element:
-        parts = list(itertools.islice(read, _parts_of(leaf)))
-        if not jnp.issubdtype(leaf.dtype, jnp.integer):
-            return parts[0].astype(leaf.dtype)
-        return functools.reduce(lax.bitwise_or, (_shifted(part, k, leaf.dtype) for k, part in enumerate(parts)))
-
-    return as_array((element() for _ in range(leaf.size)), leaf.shape)
-
-
-def _packed_elements(results: Elements, leaf: Any) -> list[Element]:
-    """Return the numbers that a kernel writes for a result."""
-    elements = [cast(Array, element) for element in flat([results])]
-    if not jnp.issubdtype(leaf.dtype, jnp.integer):
-        return list(elements)
-    return [_bits(jnp.asarray(element), part) for element in elements for part in range(_parts_of(leaf))]
+def _from_words(words: Array, dtype: Any) -> Array:
+    if np.dtype(dtype).kind == "b":
+        return words != 0
+    if np.dtype(dtype).itemsize != 4:
+        raise Unsupported(f"a function to {dtype}")
+    return lax.bitcast_convert_type(words, dtype)

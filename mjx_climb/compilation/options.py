@@ -1,5 +1,7 @@
 """How XLA compiles a rollout: by which path, and what it fuses."""
 
+import os
+
 import jax
 import numpy as np
 from numpy.typing import DTypeLike
@@ -7,7 +9,11 @@ from numpy.typing import DTypeLike
 from mjx_climb.compilation import probe
 from mjx_climb.dynamics import ELEMENTWISE
 
+ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots walk there although there is a GPU
 _FUSION_PAYS_BELOW = 48  # robots
+# robots, times one and the slopes of each, that a few CPU cores walk as soon as an H200: 8 s of any few take it 0.04 s
+# by the kernel, and 1.4 s by XLA's own
+_AS_THE_KERNEL, _AS_LAUNCHES = 8, 64
 
 
 def fast_path(backend: str | None = None) -> str | None:
@@ -37,6 +43,22 @@ def kernel_pays(engine: str, dtype: DTypeLike) -> bool:
     """
     fits = engine in ELEMENTWISE and np.dtype(dtype) == np.float32
     return fits and fast_path() == "kernel" and probe.works("kernel")
+
+
+def walks_on_host(robots: int, engine: str, dtype: DTypeLike, slopes: int = 0) -> bool:
+    """Return whether so many robots, each with so many slopes, walk on the CPU's cores although there is a GPU.
+
+    There they are sooner at the end, if they are few: a step of any few takes a GPU as long as one of thousands. The
+    environment variable `ON_CPU` sets another limit.
+    """
+    if jax.default_backend() == "cpu" or jax.process_count() > 1:
+        return False
+    limit = os.environ.get(ON_CPU, "")
+    if limit.isdigit():
+        return robots <= int(limit)
+    if robots * (1 + slopes) > _AS_LAUNCHES:
+        return False
+    return bool(slopes) or robots <= _AS_THE_KERNEL or not kernel_pays(engine, dtype)
 
 
 def compiler_options(batch: int, *, in_pieces: bool = False, backend: str | None = None) -> dict[str, str | int]:

@@ -14,15 +14,20 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
+
+import jax
 
 from mjx_climb.compilation import trial
 from mjx_climb.compilation.cache import cache_folder
 from mjx_climb.compilation.machine import machine, source_digest
 
 PATHS = {"pieces": "the CPU's pieces", "kernel": "the GPU kernel"}
+_WAITING = {path: threading.Lock() for path in PATHS}
 _TRIAL = "from mjx_climb.compilation import trial; trial.take({!r})"
 _PATIENCE = 300.0  # s, for a process that starts, imports JAX and compiles some hundred operations on a busy machine
 _CRASHES = (signal.SIGILL, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGSEGV)  # not somebody's wish
@@ -37,11 +42,23 @@ class Verdict(NamedTuple):
 
 @functools.cache
 def works(path: str) -> bool:
-    """Return whether one of `PATHS` works on this machine, and warn once where it does not; see `verdict`."""
-    found = verdict(path)
+    """Return whether one of `PATHS` works on this machine, and warn once where it does not; see `verdict`.
+
+    Where there is a GPU, all paths are needed: they are tried side by side.
+    """
+    if jax.default_backend() == "gpu":
+        with ThreadPoolExecutor(len(PATHS)) as threads:
+            list(threads.map(_alone, PATHS))
+    found = _alone(path)
     if not found.works:
         warnings.warn(f"{PATHS[path]} cannot be used here ({found.seen}): walking by XLA's own, slower", stacklevel=3)
     return found.works
+
+
+def _alone(path: str) -> Verdict:
+    """Return the verdict of a path, which one thread at a time asks for."""
+    with _WAITING[path]:
+        return verdict(path)
 
 
 @functools.cache
@@ -83,6 +100,7 @@ def _tried(path: str) -> tuple[Verdict, bool]:
         "PYTHONPATH": packages if not found else os.pathsep.join([packages, found]),
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # this process may have the GPU's memory
         "JAX_ENABLE_COMPILATION_CACHE": "false",  # what is tried is the compiler
+        "JAX_TRACEBACK_FILTERING": "off",  # its last line is what went wrong
     }
     try:
         done = subprocess.run(

@@ -43,12 +43,17 @@ def _pieces(state: np.ndarray) -> tuple[Any, Any]:
 
 
 def _kernel(state: np.ndarray) -> tuple[Any, Any]:
-    """Return the motion of a batch, as one kernel and as XLA does it."""
+    """Return the motion of a batch with two limbs that pull at each other, as one kernel and as XLA does it."""
+
+    def moved(now: Array, _: None) -> tuple[Array, None]:
+        after = _step(now, None)[0]
+        return after - 0.01 * after.sum(1, keepdims=True), None
 
     def motion(first: Array) -> Any:
-        return jax.lax.scan(_step, first, length=_STEPS)[0]
+        return jax.lax.scan(moved, first, length=_STEPS)[0]
 
-    return jax.jit(over_robots(motion, [True]))(state), jax.jit(jax.vmap(motion))(state)
+    limbs = np.stack([state, state[:, ::-1]], 2)[..., None]  # (robots, 6, 2, 1)
+    return jax.jit(over_robots(motion, [True], limbs=2))(limbs), jax.jit(jax.vmap(motion))(limbs)
 
 
 _PATHS = {"pieces": (_pieces, (np.float32, np.float64)), "kernel": (_kernel, (np.float32,))}

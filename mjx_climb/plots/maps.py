@@ -9,12 +9,12 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from mjx_climb.files.dataset import larger_is_better
@@ -190,13 +190,13 @@ def _draw_map(
         hatched: dict[str, Any] = {"facecolor": "none", "hatch": "/////", "linewidth": 0}
         for chosen, color in ((failed & ~dark, "0.15"), (failed & dark, "0.85")):
             cells = [
-                Rectangle((x_edges[i], y_edges[j]), x_edges[end] - x_edges[i], y_edges[j + 1] - y_edges[j])
+                Path([(x_edges[i], y_edges[j]), (x_edges[end], y_edges[j]), (x_edges[end], y_edges[j + 1]),
+                      (x_edges[i], y_edges[j + 1]), (x_edges[i], y_edges[j])], closed=True)
                 for j, i, end in _runs(chosen)
-            ]
-            if cells:
-                panel.add_collection(
-                    PatchCollection(cells, **hatched, edgecolor=color, gid="failed walks"), autolim=False
-                )
+            ]  # fmt: skip
+            if cells:  # one shape: each would be hatched by itself
+                whole = PathPatch(Path.make_compound_path(*cells), **hatched, edgecolor=color, gid="failed walks")
+                panel.add_artist(whole)
         handles.append(Patch(**hatched | {"facecolor": "white"}, edgecolor="0.15", label="failed walk"))
     empty = np.isnan(values)
     if metric == "detached_at" and (held := empty & ~failed).any():

@@ -19,7 +19,7 @@ from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.rollouts.identity import identity
-from mjx_climb.rollouts.rollout import Metrics, given_in, walk_batch, walk_recorded
+from mjx_climb.rollouts.rollout import Metrics, backend_of, given_in, walk_batch, walk_recorded
 from mjx_climb.rollouts.trajectory import Trajectory, to_samples
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric
@@ -69,9 +69,11 @@ def rollout_histories(
     """
     check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
-    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, in_pieces=pieces_pay(engine))
-    compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
-    return walk_batch(compiled, walk, walkers, batch_size=batch_size, progress=progress)
+    backend = backend_of(walkers, engine, np.float64)  # no kernel writes histories
+    in_pieces = pieces_pay(engine, backend)
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, in_pieces=in_pieces)
+    compiled = functools.partial(_compiled, in_pieces=in_pieces, backend=backend)
+    return walk_batch(compiled, walk, walkers, batch_size=batch_size, progress=progress, backend=backend)
 
 
 def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
@@ -110,5 +112,5 @@ def _histories_of(structure: Structure, law: Law, numbers: Parameters) -> Metric
 
 
 @functools.cache
-def _compiled(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
-    return kept(_histories_of, identity, compiler_options(batch, in_pieces=in_pieces))
+def _compiled(batch: int, in_pieces: bool, backend: str | None) -> Callable[..., Metrics]:
+    return kept(_histories_of, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))

@@ -22,7 +22,7 @@ from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.kept_programs import kept
-from mjx_climb.compilation.options import compiler_options, kernel_pays, pieces_pay
+from mjx_climb.compilation.options import compiler_options, kernel_pays, pieces_pay, walks_on_host
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, rows_of, varying
@@ -78,23 +78,24 @@ def _samples_of(structure: Structure, law: Law, numbers: Parameters) -> Sample:
 
 @functools.cache
 def _compiled_samples(in_pieces: bool) -> Callable[..., Sample]:
-    return kept(_samples_of, identity, compiler_options(1, in_pieces=in_pieces))
+    return kept(_samples_of, identity, compiler_options(1, in_pieces=in_pieces, backend="cpu"))
 
 
 @functools.cache
-def _compiled_metrics(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
-    return kept(metrics_of, identity, compiler_options(batch, in_pieces=in_pieces))
+def _compiled_metrics(batch: int, in_pieces: bool, backend: str | None) -> Callable[..., Metrics]:
+    return kept(metrics_of, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))
 
 
 def _metrics_in_kernel(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
     """Walk robots of one batch axis as `metrics_of` does, as a single GPU kernel."""
-    return over_robots(functools.partial(metrics_of, structure), [varying(law), varying(numbers)])(law, numbers)
+    walk, limbs = functools.partial(metrics_of, structure), len(structure.lift_off)
+    return over_robots(walk, [varying(law), varying(numbers)], limbs=limbs)(law, numbers)
 
 
 @functools.cache
 def _compiled_kernel(batch: int) -> Callable[..., Metrics]:
     kernel = kept(_metrics_in_kernel, identity, {})
-    return first_possible(kernel, functools.partial(_compiled_metrics, batch, False), "the GPU kernel")
+    return first_possible(kernel, functools.partial(_compiled_metrics, batch, False, None), "the GPU kernel")
 
 
 def simulator(
@@ -189,7 +190,7 @@ def rollout(
     dtype: DTypeLike = np.float64,
     engine: str = DEFAULT_ENGINE,
 ) -> Trajectory:
-    """Walk one robot through a scenario and return the full time histories.
+    """Walk one robot through a scenario, on the CPU, and return the full time histories.
 
     Arguments:
         scenario: what walks where, under which controller and disturbance.
@@ -208,11 +209,12 @@ def rollout(
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
     check_time_step(scenario, numbers=walker.numbers)
     enable_cache()
-    in_pieces = pieces_pay(engine)
-    shape = structure(scenario, engine, walker.numbers, in_pieces=in_pieces)
-    with jax.enable_x64(np.dtype(dtype) == np.float64):
-        samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
-        samples = jax.tree.map(np.asarray, samples)
+    in_pieces = pieces_pay(engine, "cpu")
+    with devices.on_host():
+        shape = structure(scenario, engine, walker.numbers, in_pieces=in_pieces)
+        with jax.enable_x64(np.dtype(dtype) == np.float64):
+            samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
+            samples = jax.tree.map(np.asarray, samples)
     own = dataclasses.replace(walker.numbers, **walker.replaced)
     name = "" if law is None else type(law).__name__
     return from_samples(
@@ -229,7 +231,7 @@ def given_in(
         ValueError: as `mjx_climb.rollouts.given.given`.
     """
     array = functools.partial(np.asarray, dtype=dtype)
-    with jax.enable_x64(True):
+    with devices.on_host(), jax.enable_x64(True):
         numbers = parameters(scenario) if numbers is None else numbers
         return given(scenario, law, gains, jax.tree.map(array, numbers), array)
 
@@ -246,7 +248,7 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
     robot, numbers = load_robot(trajectory.scenario.robot), trajectory.numbers
     samples = to_samples(trajectory)
     dtype = samples.base_position.dtype
-    with jax.enable_x64(dtype == np.float64):
+    with devices.on_host(), jax.enable_x64(dtype == np.float64):
         robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
         gravity, heading = jnp.asarray(numbers.gravity, dtype)[:, None], jnp.asarray(numbers.heading, dtype)[None]
         context = Context(
@@ -302,7 +304,7 @@ def rollout_metrics(
         metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
         dtype: precision of the simulation.
         batch_size: at most so many robots in one call of the compiled program, one call at a time on a GPU and one on
-            each core of a CPU.
+            each core of a CPU. Few robots walk on the CPU although there is a GPU: they are there sooner.
         progress: called with the number of robots that have walked and the number in all, after each call.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
         smooth: for searches, see `simulator`.
@@ -316,13 +318,20 @@ def rollout_metrics(
     """
     check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
-    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
-    in_kernel = kernel_pays(engine, dtype)
+    backend = backend_of(walkers, engine, dtype)
+    in_kernel = backend is None and kernel_pays(engine, dtype)
+    in_pieces = pieces_pay(engine, backend)
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
 
     def program(robots: int) -> Callable[..., Metrics]:
-        return _compiled_kernel(robots) if in_kernel else _compiled_metrics(robots, walk.in_pieces)
+        return _compiled_kernel(robots) if in_kernel else _compiled_metrics(robots, in_pieces, backend)
 
-    return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress)
+    return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress, backend=backend)
+
+
+def backend_of(walkers: Given, engine: str, dtype: DTypeLike, slopes: int = 0) -> str | None:
+    """Return where a batch walks, each robot with so many slopes: None for JAX's default."""
+    return "cpu" if walks_on_host(math.prod(walkers.shape), engine, dtype, slopes) else None
 
 
 def _batched(tree: Any, axes: Any, count: int) -> Any:
@@ -338,16 +347,17 @@ def walk_batch(
     own_axes_of_others: Mapping[str, int] = MappingProxyType({}),
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    backend: str | None = None,
 ) -> dict[str, np.ndarray]:
     """Return what a batched program gives for a batch, walked in parts on all devices; see `rollout_metrics`.
 
     `compiled` gives the program for so many robots. It takes the structure, law, parameters, and the `others` where
     there are any, with one batch axis in place of theirs, and returns a dict of arrays with the batch as their first
-    axis.
+    axis. `backend` is where it walks, where that is not JAX's default.
     """
     law, numbers, shape, _ = walkers
     count = math.prod(shape)
-    share = devices.share_size(count, batch_size)
+    share = devices.share_size(count, batch_size, backend)
     trees: list[Any] = [law, numbers]
     axes: list[Any] = [own_axes(law), own_axes(numbers)]
     if others:
@@ -362,8 +372,8 @@ def walk_batch(
         # batched, come what may: one robot's would have lost the axis
         numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, share))
         others = [_batched(tree, own, share) for tree, own in zip(others, axes[2:], strict=True)]
-        with jax.enable_x64(double):  # holds for one thread
+        with devices.on_host(), jax.enable_x64(double):  # holds for one thread
             return walked(*jax.device_put((law, numbers, *others), sharding))
 
-    result = devices.spread(walk, count, share, progress)
+    result = devices.spread(walk, count, share, progress, backend)
     return {name: value.reshape((*shape, *value.shape[1:])) for name, value in result.items()}

@@ -18,7 +18,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.rollouts.given import AnyGains, Given, values_by_name
 from mjx_climb.rollouts.identity import identity
-from mjx_climb.rollouts.rollout import Metrics, given_in, metrics_of, walk_batch
+from mjx_climb.rollouts.rollout import Metrics, backend_of, given_in, metrics_of, walk_batch
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.step import Structure, structure
@@ -62,9 +62,12 @@ def rollout_slopes(
     check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     rates, axes = _rates(walkers, directions, dtype)
-    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=pieces_pay(engine))
-    compiled = functools.partial(_compiled, in_pieces=walk.in_pieces)
-    found = walk_batch(compiled, walk, walkers, rates, axes, batch_size, progress)
+    slopes_of_each = next(iter(rates.values())).shape[len(walkers.shape)]
+    backend = backend_of(walkers, engine, dtype, slopes_of_each)
+    in_pieces = pieces_pay(engine, backend)
+    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
+    compiled = functools.partial(_compiled, in_pieces=in_pieces, backend=backend)
+    found = walk_batch(compiled, walk, walkers, rates, axes, batch_size, progress, backend)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}
     return {name: value for name, value in found.items() if not name.startswith(_SLOPE)}, slopes
 
@@ -125,5 +128,5 @@ def _slopes_of(structure: Structure, law: Law, numbers: Parameters, along: dict[
 
 
 @functools.cache
-def _compiled(batch: int, in_pieces: bool) -> Callable[..., Metrics]:
-    return kept(_slopes_of, identity, compiler_options(batch, in_pieces=in_pieces))
+def _compiled(batch: int, in_pieces: bool, backend: str | None) -> Callable[..., Metrics]:
+    return kept(_slopes_of, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))

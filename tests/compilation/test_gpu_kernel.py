@@ -56,7 +56,7 @@ def test_the_kernel_walks_as_xla_does(case, law):
     """Float64 metrics of 140 robots that differ in gains, gravity and mass agree to 1e-9 of their size."""
     walk, arguments, varying = walk_of(case, law, STEPS, np.float64)
     whole = {"xla_disable_hlo_passes": "fusion"}  # compiles sooner
-    found = jax.jit(over_robots(walk, varying, interpret=True), compiler_options=whole)(*arguments)
+    found = jax.jit(over_robots(walk, varying, limbs=4, interpret=True), compiler_options=whole)(*arguments)
     expected = jax.jit(walk, compiler_options=whole)(*arguments)
     assert found.keys() == expected.keys()
     assert len(np.unique(expected["peak_foot_force"])) == ROBOTS
@@ -68,13 +68,16 @@ def test_the_kernel_walks_as_xla_does(case, law):
 
 
 @pytest.mark.parametrize("law", CASES)
-def test_the_kernel_is_compiled_for_gpus(case, law):
-    """Every operation of a walk has its form in Triton, and the walk of 8000 steps is one kernel."""
+def test_the_kernel_is_written_for_gpus(case, law, without_nvrtc):
+    """Every operation of a walk has its form in CUDA C, and the walk of 8000 steps is one kernel."""
     with jax.enable_x64(False):
         walk, arguments, varying = walk_of(case, law, 8000, np.float32)
-        lowered = jax.jit(over_robots(walk, varying)).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
-    assert lowered.count("__gpu$xla.gpu.triton") == 1
+        mapped = over_robots(walk, varying, limbs=4)
+        lowered = jax.jit(mapped).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
+    assert lowered.count("__gpu$xla.gpu.ptx") == 1
     assert "stablehlo.while" not in lowered
+    [kernel] = without_nvrtc
+    assert "__shfl_xor_sync" in kernel  # sums over the limbs
 
 
 def test_elements_known_beforehand_and_halves():

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.collections import PatchCollection
+from matplotlib.patches import PathPatch
 
 import mjx_climb as mc
 from mjx_climb import plots
@@ -221,8 +221,8 @@ def test_map_hatches_failed_walks_and_scales_by_the_others():
     dataset["peak_foot_force"][2, 0] = 1e6
     figure = plots.plot_map(dataset, "peak_foot_force")
     hatched = find(figure, "failed walks")
-    assert all(isinstance(cells, PatchCollection) and cells.get_hatch() for cells in hatched)
-    corners = {tuple(path.vertices.min(0)) for cells in hatched for path in cells.get_paths()}
+    assert all(isinstance(cells, PathPatch) and cells.get_hatch() for cells in hatched)
+    corners = {tuple(cell.min(0)) for cells in hatched for cell in cells.get_path().to_polygons()}
     expected = {(10**3.5, 0.1), (10**4.5, 0.1)}
     np.testing.assert_allclose(sorted(corners), sorted(expected))
     assert figure.axes[0].collections[0].norm.vmax < 3

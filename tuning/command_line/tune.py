@@ -36,7 +36,9 @@ def _pairs(metavar: str, text: str) -> Any:
 
 def tune(
     config: options.Config,
-    method: Annotated[MethodName | None, typer.Option(help="How to search.", show_default="gradient")] = None,
+    method: Annotated[
+        MethodName | None, typer.Option(help="How to search.", show_default="gradient; cmaes on a GPU")
+    ] = None,
     space: Annotated[
         SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
     ] = None,
@@ -166,6 +168,8 @@ def tune(
         if drawn is not None:
             wanted = robust_search.settled(wanted, {}, drawn)
         options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
+        if method is None and search is None:
+            wanted = searches.for_this_machine(scenario, wanted, engine, user_law)
         kind = "tune" if drawn is None else "robust"
         out = team.folder(out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}")
         dataset.check_folder(out)

@@ -15,6 +15,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -95,23 +96,26 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
         steps[:] = np.asarray(period_steps(jnp.asarray(flat[1].control_period), scenario.time_step))
     middle = scenario.gait.cycle * (1 - scenario.gait.duty) / 2 / scenario.time_step
     batch = _batch_of(walk.stages)
-    radii = []
     with jax.enable_x64(True), jax.default_device(devices.host()):
         some, there = _rows(flat, axes, np.zeros(1, int))
         kinds_of = tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves((some, there)))
         states = _states(walk, jax.tree.structure((some, there)), kinds_of)
         run, column = _program(batch * states, walk.in_pieces), np.repeat(np.arange(states), batch)
-        for start in range(0, count, batch):
-            rows = np.minimum(np.arange(start, start + batch), count - 1)
-            given = _rows(flat, axes, np.tile(rows, states))
-            period = steps[rows]
-            first = period * np.round(middle / period)  # in the middle of the swing, where the law is worked out
-            # held: all further steps are alike; on a line to the next target each is another
-            kinds = period.max() if walk.stages.linear else min(period.max(), 2)
-            at = [np.tile(first + min(k, kinds - 1), states) for k in range(kinds)]
+
+    def radii_of(start: int) -> np.ndarray:
+        rows = np.minimum(np.arange(start, start + batch), count - 1)
+        given = _rows(flat, axes, np.tile(rows, states))
+        period = steps[rows]
+        first = period * np.round(middle / period)  # in the middle of the swing, where the law is worked out
+        # held: all further steps are alike; on a line to the next target each is another
+        kinds = period.max() if walk.stages.linear else min(period.max(), 2)
+        at = [np.tile(first + min(k, kinds - 1), states) for k in range(kinds)]
+        with jax.enable_x64(True), jax.default_device(devices.host()):  # holds for one thread
             matrices = [np.asarray(run(walk, *given, step, column)).reshape(states, states, batch) for step in at]
-            radii.append(_radii(np.stack(matrices).transpose(0, 3, 1, 2), period)[: count - start])
-    return np.concatenate(radii).reshape(shape)
+        return _radii(np.stack(matrices).transpose(0, 3, 1, 2), period)[: count - start]
+
+    with ThreadPoolExecutor(devices.usable_cores()) as threads:
+        return np.concatenate(list(threads.map(radii_of, range(0, count, batch)))).reshape(shape)
 
 
 def _rows(trees: Any, axes: Any, rows: np.ndarray) -> tuple[Law, mc.Parameters]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -88,6 +88,29 @@ def _problem_of(found: Result) -> Problem:
     return problem_of(found.scenario, found.search, metrics=found.judged_by, law=found.law)
 
 
+class Tests(NamedTuple):
+    """What walks close to a result tell of it."""
+
+    around: Evaluation  # of the result, and with each gain in turn 20 % less, then more
+    slopes: np.ndarray  # (n,) of the value, true extremes
+    radius: float  # of the closed loop
+
+
+def tests(found: Result, problem: Problem | None = None) -> Tests:
+    """Walk with gains close to those of a result."""
+    problem = problem or _problem_of(found)
+    nudges = np.log([1 - STEP, 1 + STEP])
+    axes = np.eye(problem.space.size)
+    points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in axes)]
+    # as many robots as searches have: they walk by programs that were compiled for it
+    around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), len(axes))))
+    slopes = problem.evaluate(np.repeat(found.theta[None], STARTS, 0), axes).sharp[0]
+    single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
+    alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
+    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=problem.engine)
+    return Tests(_first(len(points), around), slopes, float(limit[0]))
+
+
 def verify(
     found: Result,
     problem: Problem | None = None,
@@ -95,6 +118,7 @@ def verify(
     metrics: Mapping[str, Any] | None = None,
     walks: xr.Dataset | None = None,
     hardware: margins.Found | None = None,
+    tested: Tests | None = None,
 ) -> Verification:
     """Test a result.
 
@@ -104,6 +128,7 @@ def verify(
         metrics: of its walk alone in float64, where the caller has them already.
         walks: what `map_of` gave, for the agreement with a grid.
         hardware: what `tuning.judged.margins.find` gave for the result.
+        tested: what `tests` gave for it.
     """
     problem = problem or _problem_of(found)
     space, objective = problem.space, problem.objective
@@ -111,19 +136,11 @@ def verify(
         alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=problem.engine)
         metrics = mc.metrics(alone_walk, found.judged_by)
     alone = maps.score_of(objective, metrics)
-    nudges = np.log([1 - STEP, 1 + STEP])
-    points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in np.eye(space.size))]
-    # as many robots as searches have: they walk by programs that were compiled for it
-    around = _first(len(points), problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), space.size))))
-    slopes = problem.evaluate(np.repeat(found.theta[None], STARTS, 0), np.eye(space.size)).sharp[0]
+    around, slopes, radius = tested or tests(found, problem)
     judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
     best = None if walks is None else maps.best_cell(walks)
-    single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
-    alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
-    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=problem.engine)
-    radius = float(limit[0])
 
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None

@@ -1,5 +1,6 @@
 """A sweep, and what it leaves in a folder: the grid, its maps, the walks that matter beside it, and the report."""
 
+import contextlib
 import dataclasses
 import os
 from collections.abc import Collection, Mapping, Sequence
@@ -20,6 +21,7 @@ from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
+from tuning.output.ahead import ahead
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
@@ -89,11 +91,12 @@ class Swept:
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
         if found.law is not None and found.gains is not None:  # config.yaml has no place for them
             gains_file.save(found.gains, folder / OWN_GAINS, "of the sweep in this folder", found.law)
-        draw({"maps": lambda: sheet(judged.data, judged.compared)}, folder, {"png", *figures}, stage)
-        histories = judged.data
-        if judged.data["diverged"].size > grid.HISTORIES:
-            with stage("histories"):
-                histories = _histories(found, judged)
+        with ahead() as begin:
+            many = judged.data["diverged"].size > grid.HISTORIES
+            walking = begin(lambda: _histories(found, judged) if many else judged.data)
+            draw({"maps": lambda: sheet(judged.data, judged.compared)}, folder, {"png", *figures}, stage)
+            with stage("histories") if many else contextlib.nullcontext():
+                histories = walking()
         with stage("report", compiles=False):
             again = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {_listed(self.data)}).write("again")'
             origin = complete(origin, "tuning.sweep(...)", again, walked, folder)

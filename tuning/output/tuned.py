@@ -1,6 +1,7 @@
 """What a search for gains leaves in a folder: gains, all that was judged, verification, map, pictures and report."""
 
 import dataclasses
+import functools
 import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -17,9 +18,10 @@ from mjx_climb.files import dataset
 from tuning.gains import gains_file
 from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
+from tuning.output.ahead import ahead
 from tuning.output.folder import complete
 from tuning.output.found import draw, write_gains
-from tuning.output.stages import Stage, silent
+from tuning.output.stages import Stage, Told, silent
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal
 from tuning.report import page, search_pictures
@@ -125,20 +127,33 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
     }
     if retuned is not None:
         walkers[retuned_pd.NAME] = verification.tuned(retuned), None
-    walks = {}
-    for name, (walked, law) in walkers.items():
-        with stage(name):
-            walks[name] = mc.rollout(walked, law=law, engine=problem.engine)
-    metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
-    with stage("map") as told:
-        over = verification.map_of(found, problem, progress=told)
-    with stage("margins") as told:
-        rivals = _rivals(problem.law, retuned)
-        hardware = margins.find(
-            scenario, found.gains, law=found.law, others=rivals, engine=problem.engine, progress=told
-        )
-    with stage("verification"):
-        checked = verification.verify(found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware)
+    tell: dict[str, Told] = {}  # of the stage that is open
+
+    def progress(name: str) -> Told:
+        return lambda *done: tell[name](*done) if name in tell else None
+
+    rivals, walks = _rivals(problem.law, retuned), {}
+    how: dict[str, Any] = {"law": found.law, "engine": problem.engine}
+    with ahead() as begin:
+        tested = begin(lambda: verification.tests(found, problem))  # the longest to compile
+        walking = {
+            name: begin(functools.partial(mc.rollout, walked, law=law, engine=problem.engine))
+            for name, (walked, law) in walkers.items()
+        }
+        mapped = begin(lambda: verification.map_of(found, problem, progress=progress("map")))
+        margin = begin(lambda: margins.find(scenario, found.gains, others=rivals, progress=progress("margins"), **how))
+        for name in walkers:
+            with stage(name):
+                walks[name] = walking[name]()
+        metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
+        with stage("map") as tell["map"]:
+            over = mapped()
+        with stage("margins") as tell["margins"]:
+            hardware = margin()
+        with stage("verification"):
+            checked = verification.verify(
+                found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested()
+            )
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
     outcome, worth = outcome_of(checked, found), None

@@ -12,9 +12,14 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
+from mjx_climb.compilation import devices
 from mjx_climb.compilation.cache import enable_cache
+from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.rollouts.identity import identity
+from mjx_climb.rollouts.rollout import given_in, metrics_of
+from mjx_climb.walk.step import structure
 from tuning.problem.objectives import Goal, Judge
 from tuning.problem.spaces import Space, to_gains64
 
@@ -69,7 +74,10 @@ class Problem:
         self, theta: Float[np.ndarray, "B n"], directions: Float[np.ndarray, "k n"] | None = None
     ) -> Evaluation:
         """Walk with the gains of B points and judge them, with slopes along some directions."""
-        theta = np.asarray(theta, float)
+        with devices.on_host():
+            return self._evaluate(np.asarray(theta, float), directions)
+
+    def _evaluate(self, theta: np.ndarray, directions: np.ndarray | None) -> Evaluation:
         walk: dict[str, Any] = {
             "metrics": self.metrics, "dtype": self.dtype, "engine": self.engine, "smooth": True, "law": self.law,
         }  # fmt: skip
@@ -78,16 +86,16 @@ class Problem:
             with jax.enable_x64(np.dtype(self.dtype) == np.float64):
                 judged = _judged(self.objective, metrics)[1]
             none: np.ndarray = np.zeros((len(theta), 0), self.dtype)
-            return _on_host(Evaluation(gradient=none, sharp=none, **judged))
+            return _in_numpy(Evaluation(gradient=none, sharp=none, **judged))
         metrics, slopes = mc.rollout_slopes(
             self.scenario, *_along(self.space, theta, np.asarray(directions, float)), self.numbers, **walk
         )
         with jax.enable_x64(np.dtype(self.dtype) == np.float64):
             (gradient, sharp), judged = _judged_slopes(self.objective, metrics, slopes)
-        return _on_host(Evaluation(gradient=gradient.T, sharp=sharp.T, **judged))
+        return _in_numpy(Evaluation(gradient=gradient.T, sharp=sharp.T, **judged))
 
 
-def _on_host(found: Evaluation) -> Evaluation:
+def _in_numpy(found: Evaluation) -> Evaluation:
     arrays: Evaluation = jax.tree.map(np.asarray, found)
     return arrays
 
@@ -147,11 +155,10 @@ def baseline(
     """Return the metrics of pd in float64 with nothing torn off, and their smooth companions."""
     enable_cache()
     pd = under_pd(scenario)
-    with jax.enable_x64(True):
-        simulate = mc.simulator(pd, metrics=metrics, engine=engine, smooth=True, in_pieces=mc.pieces_pay(engine))
-        numbers = jax.tree.map(np.asarray, mc.parameters(pd))
-        gains = mc.Gains(np.ones(6), np.ones(6), np.ones(6))
-        found = jax.jit(simulate, compiler_options=mc.compiler_options(1, in_pieces=mc.pieces_pay(engine)))(
-            gains, numbers
-        )
+    in_pieces = mc.pieces_pay(engine, "cpu")
+    with devices.on_host(), jax.enable_x64(True):
+        walker = given_in(pd, None, None, None, np.float64)
+        shape = structure(pd, engine, walker.numbers, metrics=metrics, smooth=True, in_pieces=in_pieces)
+        options = mc.compiler_options(1, in_pieces=in_pieces, backend="cpu")
+        found = kept(metrics_of, identity, options)(shape, walker.law, walker.numbers)
         return {name: float(value) for name, value in found.items()}

@@ -30,7 +30,7 @@ HISTORIES = 256  # walks up to which a grid keeps time histories
 
 # robots per part and environment steps per part: some seconds on two cores, and on one accelerator
 _CPU = (64, 1024, 4_000_000)
-_ACCELERATOR = (1024, 16_384, 130_000_000)
+_ACCELERATOR = (1024, 262_144, 3_000_000_000)
 
 
 def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:

@@ -181,7 +181,10 @@ def search(
 
     Where no weights are given, those of a plain search and the peak pulling force count alike.
     """
+    chosen = settings is not None or "method" in changes
     settings = settled(settings, changes, ensemble)
+    if not chosen:
+        settings = tune.for_this_machine(scenario, settings, engine, law)
     problem = problem_of(scenario, ensemble, settings, metrics=metrics, law=law, engine=engine)
     return tune.run(problem, settings, out=out, progress=progress)
 

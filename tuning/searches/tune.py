@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.compilation.options import kernel_pays
 from mjx_climb.control import law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
@@ -93,7 +94,10 @@ def tune(
         Unidentifiable: with `out`, an objective or method that cannot be told from another; see
             `tuning.searches.identity`.
     """
+    chosen = search is not None or method is not None or "method" in settings
     search, own_method = settled(search, method, settings)
+    if not chosen:
+        search = for_this_machine(scenario, search, engine, law)
     problem = problem_of(scenario, search, objective, numbers, engine, law=law, metrics=metrics)
     return run(problem, search, own_method, out=out, progress=progress)
 
@@ -160,6 +164,18 @@ def settled(
     if own is None and search.method == OWN_METHOD:
         raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
     return search, own
+
+
+def for_this_machine(
+    scenario: mc.Scenario, search: Search, engine: str = DEFAULT_ENGINE, law: mc.Law | None = None
+) -> Search:
+    """Return settings with the method that is best here, where nobody has chosen one.
+
+    Where a GPU's kernel walks thousands in the time of one, many points judged by their values go deeper, and sooner,
+    than a few that follow their slopes.
+    """
+    many = kernel_pays(engine, np.dtype(search.precision)) and spaces.space(scenario, search, law).size > 1
+    return search.model_copy(update={"method": "cmaes"}) if many else search
 
 
 def changed(search: Search | None, settings: Mapping[str, Any]) -> Search:

@@ -4,15 +4,32 @@ import math
 
 import numpy as np
 
+from mjx_climb.compilation.options import kernel_pays
 from tuning.searches.methods.task import Points, Request, Task
 
 GENERATIONS = 60
+MANY, OF_MANY = 150, 96  # generations at most, and points per gain, where a GPU's kernel walks them
+WALKS = 32_768  # at a time there, of all members of an ensemble
+FLAT, PATIENCE = 1e-4, 10  # a population is done that betters its best by less (the objective is 1 for pd) in so many
 SPREAD = 0.2  # of the first population, relative to the width of the box
 
 
 def rounds(task: Task) -> int:
     """Return how many generations a run takes at most."""
-    return task.search.iterations or GENERATIONS
+    return task.search.iterations or (MANY if _by_kernel(task) else GENERATIONS)
+
+
+def population(task: Task) -> int:
+    """Return how many points a generation has: the package's own number, many where they walk side by side on a GPU."""
+    size = task.problem.space.size
+    few = 4 + math.floor(3 * math.log(size))
+    if task.search.starts or not _by_kernel(task):
+        return task.search.starts or few
+    return max(few, min(OF_MANY * size, WALKS // task.problem.members))
+
+
+def _by_kernel(task: Task) -> bool:
+    return kernel_pays(task.problem.engine, task.problem.dtype)
 
 
 def run(task: Task) -> Points:
@@ -23,7 +40,8 @@ def run(task: Task) -> Points:
     if space.size == 1:
         raise ValueError("cmaes: expected two gains or more to search")
     width = space.upper - space.lower
-    size = task.search.starts or 4 + math.floor(3 * math.log(space.size))
+    size, by_kernel = population(task), _by_kernel(task)
+    best: list[float] = []
     optimizer = CMA(
         mean=(task.start - space.lower) / width,
         sigma=SPREAD,
@@ -35,5 +53,7 @@ def run(task: Task) -> Points:
         unit = [optimizer.ask() for _ in range(size)]
         found = yield Request(space.lower + width * np.array(unit), None, "population")
         optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
-        if optimizer.should_stop():
+        best.append(min(float(found.merit.min()), *best[-1:]))
+        flat = by_kernel and len(best) > PATIENCE and best[-1 - PATIENCE] - best[-1] < FLAT
+        if optimizer.should_stop() or flat:
             return

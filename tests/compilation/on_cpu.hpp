@@ -1,0 +1,56 @@
+// What a kernel of `mjx_climb.compilation.cuda_writer` needs to run on a CPU: a thread for each lane of one robot, which
+// wait for each other where lanes change values.
+#include <barrier>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <thread>
+#include <vector>
+
+#define __device__
+#define __forceinline__ inline
+#define __global__
+#define __constant__ static
+#define __shared__ static
+#define __launch_bounds__(n)
+
+struct Place { unsigned x; };
+static thread_local Place threadIdx;
+static Place blockIdx, blockDim;
+static std::barrier<> *all;
+static int changed[32];
+
+static void __syncthreads() { all->arrive_and_wait(); }
+static int __float_as_int(float v) { int w; std::memcpy(&w, &v, 4); return w; }
+static float __int_as_float(int w) { float v; std::memcpy(&v, &w, 4); return v; }
+static int __clz(int v) { return v ? __builtin_clz(v) : 32; }
+static int __popc(int v) { return __builtin_popcount(v); }
+static float rsqrtf(float v) { return 1.0f / sqrtf(v); }
+static float erfinvf(float v) {  // by Newton's method
+  float x = 0;
+  for (int i = 0; i < 60; ++i) x -= (erff(x) - v) * 0.886226925f * expf(x * x);
+  return x;
+}
+template <class T> T __shfl_sync(unsigned, T v, int source, int width) {
+  const int own = threadIdx.x % width, first = threadIdx.x - own;
+  std::memcpy(&changed[threadIdx.x], &v, 4);
+  all->arrive_and_wait();
+  std::memcpy(&v, &changed[first + source], 4);
+  all->arrive_and_wait();
+  return v;
+}
+template <class T> T __shfl_xor_sync(unsigned m, T v, int distance, int width) {
+  return __shfl_sync(m, v, (int)(threadIdx.x % width) ^ distance, width);
+}
+
+typedef void Kernel(const int *, const int *, int *);
+
+static void run(Kernel kernel, int threads, const int *own, const int *common, int *made) {
+  std::barrier<> meeting(threads);
+  blockDim.x = threads;
+  all = &meeting;
+  std::vector<std::thread> lanes;
+  for (int lane = 0; lane < threads; ++lane)
+    lanes.emplace_back([=] { threadIdx.x = lane; kernel(own, common, made); });
+  for (auto &lane : lanes) lane.join();
+}

@@ -1,0 +1,122 @@
+"""Kernels in CUDA C, built by the machine's C++ compiler and run on the CPU, a thread for each lane, against XLA."""
+
+import ctypes
+import functools
+import importlib.util
+import itertools
+import math
+import shutil
+import subprocess
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from mjx_climb.compilation.cuda_writer import CudaWriter
+from mjx_climb.compilation.gpu_kernel import written
+from mjx_climb.compilation.unsupported import Unsupported
+from mjx_climb.rollouts.rollout import given_in, metrics_of
+from mjx_climb.walk.step import structure
+
+HERE = Path(__file__).parent
+_SPEC = importlib.util.spec_from_file_location("primitives", HERE / "primitives.py")
+primitives = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(primitives)
+
+pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
+STEPS = 120
+
+
+def words(values):
+    return np.concatenate([np.zeros(0, np.int32), *(np.asarray(v).reshape(-1).view(np.int32) for v in values)])
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Build kernels, by name, into one library; return a function of (name, own, common, rows) that runs one."""
+
+    def build(kernels):
+        folder = tmp_path_factory.mktemp("kernels")
+        parts = [f'#include "{HERE / "on_cpu.hpp"}"']
+        for number, (text, threads) in enumerate(kernels.values()):
+            inside = text.replace('extern "C" ', "")
+            parts.append(f"namespace k{number} {{\n{inside}}}")
+            parts.append(
+                f'extern "C" void run{number}(const int *own, const int *common, int *made) '
+                f"{{ run(k{number}::walk, {threads}, own, common, made); }}"
+            )
+        (folder / "kernels.cpp").write_text("\n".join(parts))
+        command = ["c++", "-std=c++20", "-O1", "-w", "-shared", "-fPIC", "-pthread", "-o", "kernels.so", "kernels.cpp"]
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+        library = ctypes.CDLL(str(folder / "kernels.so"))
+
+        def run(name, own, common, rows):
+            made = np.zeros(rows, np.int32)
+            given = [np.ascontiguousarray(array).ctypes.data_as(ctypes.c_void_p) for array in (own, common, made)]
+            getattr(library, f"run{list(kernels).index(name)}")(*given)
+            return made
+
+        return run
+
+    return build
+
+
+def of_words(made, avals):
+    ends = list(itertools.accumulate(math.prod(aval.shape) for aval in avals))
+    for part, aval in zip(np.split(made, ends[:-1]), avals, strict=True):
+        yield (part != 0 if aval.dtype == bool else part.view(aval.dtype)).reshape(aval.shape)
+
+
+def arguments():
+    rng = np.random.default_rng(5)
+    return rng.uniform(-2.5, 2.5, 3).astype("f4"), rng.uniform(-2.5, 2.5, (4, 3)).astype("f4"), np.int32(-2)
+
+
+def test_every_operation_in_cuda_c(built):
+    """All that kernels know, in single precision, but for what is of other types: to 1e-5, whole numbers the same."""
+    programs, kernels = {}, {}
+    with jax.enable_x64(False):
+        for name, operation in primitives.KNOWN.items():
+            program = jax.make_jaxpr(lambda v, m, n, f=operation: f(v, m * v[1], n))(*arguments())
+            try:
+                kernels[name] = written(program, 1, [1, 0, 1]), 1
+            except Unsupported as error:
+                assert "int8" in str(error)
+                continue
+            programs[name] = program
+        assert len(kernels) >= len(primitives.KNOWN) - 1
+        run = built(kernels)
+        vector, matrix, number = arguments()
+        for name, program in programs.items():
+            rows = sum(math.prod(aval.shape) for aval in program.out_avals)
+            made = run(name, words([vector, number]), words([np.int32(1), matrix]), rows)
+            expected = jax.jit(jax.extend.core.jaxpr_as_fun(program))(vector, matrix, number)
+            for mine, xla in zip(of_words(made, program.out_avals), expected, strict=True):
+                if np.issubdtype(mine.dtype, np.floating):
+                    np.testing.assert_allclose(mine, xla, rtol=1e-5, atol=1e-6, err_msg=name)
+                else:
+                    np.testing.assert_array_equal(mine, xla, err_msg=name)
+
+
+@pytest.mark.slow
+def test_a_walk_in_cuda_c(built, case):
+    """Single precision metrics of a walk, by a thread for each limb, agree with XLA's to 1e-4 of their size."""
+    push = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
+    gait = {"gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.002}  # it lifts and lands
+    scenario = case("case_1_2", "virtual_model", {**gait, "disturbance.pushes": [push]}.items())
+    with jax.enable_x64(False):
+        given = given_in(scenario, None, None, None, np.float32)[:2]
+        shape = structure(scenario, "limb")._replace(steps=STEPS)
+        walk = functools.partial(metrics_of, shape)
+        leaves, axes = jax.tree.leaves(given), [0] * len(jax.tree.leaves(given))
+        program = jax.make_jaxpr(walk)(*given)
+        text = written(program, 4, axes)
+        rows = sum(math.prod(aval.shape) for aval in program.out_avals)
+        run = built({"walk": (text, CudaWriter(4).width)})
+        made = run("walk", words([]), words([np.int32(1), *leaves]), rows)
+        expected = jax.jit(walk)(*given)
+    names = sorted(expected)
+    assert expected["force_variation"] > 0.1
+    for name, mine in zip(names, of_words(made, program.out_avals), strict=True):
+        np.testing.assert_allclose(mine, expected[name], rtol=1e-4, atol=1e-5, err_msg=name)
