@@ -9,10 +9,11 @@ them is worked out once.
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import numpy as np
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
@@ -129,11 +130,16 @@ def _variables(atoms: Sequence[core.Var | core.Literal]) -> dict[core.Var, None]
 def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
     """Return the results of a jaxpr: no calls, reductions term by term, slices of a concatenation from its parts.
 
-    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel, see `_parts`.
+    XLA would do the last as well. But what it makes needless must not be the parameter of a kernel, see `_parts`. And
+    what is worked out again later in a step, as the engine does the frames of the links, it sees within a piece alone:
+    here equal equations are carried out once.
     """
     values: dict[core.Var, Any] = {}
     # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of
     parts: _Parts = {}
+    # what was expanded to be such a part, by the part's id and the axes: the part, so that the id stays its own, and it
+    expanded: dict[tuple[int, tuple[int, ...]], tuple[jax.Array, jax.Array]] = {}
+    done: dict[Hashable, tuple[list[Any], list[Any]]] = {}  # operands, so that their ids stay their own, and results
 
     def read(atom: core.Var | core.Literal) -> Any:
         return atom.val if isinstance(atom, core.Literal) else values[atom]
@@ -144,11 +150,17 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
         for equation in jaxpr.eqns:
             given = [read(atom) for atom in equation.invars]
             name = equation.primitive.name
+            key = _same(equation, given)
+            if key in done:
+                values.update(zip(equation.outvars, done[key][1], strict=True))
+                continue
             if name == "jit":
                 inner = equation.params["jaxpr"]
                 results = evaluated(inner.jaxpr, inner.consts, given)
             elif name == "slice":
                 results = [_sliced(given[0], parts, **equation.params)]
+            elif name == "squeeze" and (id(given[0]), equation.params["dimensions"]) in expanded:
+                results = [expanded[id(given[0]), equation.params["dimensions"]][1]]
             elif name in _REDUCTIONS and given[0].size:
                 results = [_reduced(_REDUCTIONS[name], given[0], parts, equation.params["axes"])]
             else:
@@ -158,11 +170,34 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
                     parts[id(results[0])] = results[0], equation.params["dimension"], given
                 elif name == "stack":
                     axis = equation.params["axis"]
-                    parts[id(results[0])] = results[0], axis, [lax.expand_dims(each, (axis,)) for each in given]
+                    slices = [lax.expand_dims(each, (axis,)) for each in given]
+                    expanded.update({(id(one), (axis,)): (one, each) for one, each in zip(slices, given, strict=True)})
+                    parts[id(results[0])] = results[0], axis, slices
+            if key is not None:
+                done[key] = given, results
             values.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
     return evaluated(jaxpr, constants, arguments)
+
+
+def _same(equation: core.JaxprEqn, given: Sequence[Any]) -> Hashable | None:
+    """Return what equations that give the same results have in common, None where that cannot be told."""
+    if equation.primitive.name not in _FITTING and equation.primitive.name not in _REDUCTIONS:
+        return None
+    avals = tuple(variable.aval for variable in equation.outvars)
+    try:
+        operands = tuple(id(value) if isinstance(value, jax.core.Tracer) else _number(value) for value in given)
+        key = equation.primitive.name, tuple(equation.params.items()), operands, avals
+        hash(key)
+    except TypeError:  # random keys, or parameters that are no plain values
+        return None
+    return key
+
+
+def _number(value: Any) -> Hashable:
+    array = np.asarray(value)
+    return array.dtype.str, array.shape, array.tobytes()
 
 
 def _reduced(

@@ -17,8 +17,9 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
-_CPU_SHARES = {1: 1, 8: 2, 64: 16}  # up to so many robots: shares of so many; few enough to keep several cores busy
-_FULL_SHARE = 64  # more would leave a core's cache
+# up to so many robots: shares of so many; few enough to keep several cores busy
+_CPU_SHARES = {1: 1, 8: 2, 64: 16, 256: 64}
+_FULL_SHARE = 128  # fewer spend a fifth of their time on calls of kernels, more leave a core's cache
 
 
 class LostProcess(RuntimeError):
