@@ -1,5 +1,6 @@
 """A batch on several devices and several processes: the same bits as on one, and no hanging."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -33,6 +34,7 @@ def _walk(tmp_path, devices, processes=1, robots=101):
     running = [
         subprocess.Popen(
             [sys.executable, "-c", WALK, str(devices), str(process), str(processes), address, str(path), str(robots)],
+            env=os.environ | {"JAX_PLATFORMS": "cpu"},
             stderr=subprocess.PIPE,
             text=True,
         )

@@ -78,7 +78,7 @@ def test_a_launcher_that_makes_no_sense(variables, expected, launched):
 
 
 def start(*arguments, **variables):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu", **variables}
     command = [sys.executable, "-m", "tuning.command_line", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 

@@ -53,7 +53,7 @@ def run(task: Task) -> Points:
         unit = [optimizer.ask() for _ in range(size)]
         found = yield Request(space.lower + width * np.array(unit), None, "population")
         optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
-        best.append(min(float(found.merit.min()), *best[-1:]))
+        best.append(min([float(found.merit.min()), *best[-1:]]))
         flat = by_kernel and len(best) > PATIENCE and best[-1 - PATIENCE] - best[-1] < FLAT
         if optimizer.should_stop() or flat:
             return
