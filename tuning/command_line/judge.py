@@ -92,7 +92,7 @@ def judge(
         text = f"{len(rows)} members, {len(rivals) + 1} walks of {scenario.steps} steps each"
         said = [which, team.said, f"{there} are there already" if there else ""]
         console.print("; ".join([text, *filter(None, said)]), soft_wrap=True)
-        console.print(progress.cache_state(), soft_wrap=True)
+        progress.opening(console, scenario)
         meter = progress.Meter(console)
         place = out if one is None else one.folder(out)
         team.begin(place, scenario)

@@ -71,7 +71,7 @@ def margins(
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
         console = report.console(stderr=True)
-        console.print(progress.cache_state(), soft_wrap=True)
+        progress.opening(console, scenario)
         meter = progress.Meter(console)
         with meter.stage("margins") as told:
             found = judged.find(scenario, given, law=own, others=others, engine=engine, progress=told)

@@ -152,7 +152,6 @@ def scenario_from(
     from mjx_climb.quantities.ground import check_reach
     from mjx_climb.scenario import profiles
     from mjx_climb.scenario.model import overridden
-    from tuning.report import remarks
 
     config = shipped.found(config)
     scenario = mc.load_scenario(config, () if hardware else changes or ())
@@ -163,8 +162,6 @@ def scenario_from(
         scenario = scenario.with_overrides({"control.controller": controller})
     check_time_step(scenario, str(config))
     check_reach(scenario, str(config))
-    for line in remarks.swings(scenario):
-        typer.echo(f"warning: {config}: {line}", err=True)
     return scenario
 
 

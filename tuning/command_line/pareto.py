@@ -72,6 +72,7 @@ def pareto(
         out = out or Path("results") / f"{config.stem}-pareto"
         dataset.check_folder(out)
         console = report.console(stderr=True)
+        progress.opening(console, scenario)
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing("--better"):
             asked = fronts.trade(

@@ -3,11 +3,15 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from tuning.command_line import interruption
+
+if TYPE_CHECKING:
+    import mjx_climb as mc
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
@@ -126,7 +130,16 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def cache_state() -> str:
+def opening(console: Console, scenario: "mc.Scenario | None" = None) -> None:
+    """Print where compiled programs are kept, and what to know of a scenario before it is walked."""
+    from tuning.report import remarks
+
+    warnings = [] if scenario is None else [f"warning: {line}" for line in remarks.swings(scenario)]
+    for line in [_cache_state(), *warnings]:
+        console.print(line, soft_wrap=True)
+
+
+def _cache_state() -> str:
     """Return one line on XLA's compilation cache."""
     from pathlib import Path
 

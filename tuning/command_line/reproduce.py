@@ -73,7 +73,7 @@ def reproduce(
             dataset.write_text_atomically(out / f"{stem(name)}.yaml", scenario.to_yaml())
 
         console = report.console(stderr=True)
-        console.print(progress.cache_state(), soft_wrap=True)
+        progress.opening(console)
         meter = progress.Meter(console)
         found: dict[str, Reproduction] = {}
         count = 0

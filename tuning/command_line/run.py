@@ -72,7 +72,7 @@ def run(
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
         console = report.console(stderr=True)
-        console.print(progress.cache_state(), soft_wrap=True)
+        progress.opening(console, scenario)
         meter = progress.Meter(console)
         with meter.stage(name):
             trajectory = mc.rollout(scenario, law=own, engine=engine)

@@ -76,6 +76,7 @@ def schedule(
         out = out or Path("results") / f"{config.stem}-schedule"
         dataset.check_folder(out)
         console = report.console(stderr=True)
+        progress.opening(console, scenario)
         meter = progress.Meter(console)
         with meter.stage("baseline"), options.weighing(search or config):
             asked = schedules.operating_points(

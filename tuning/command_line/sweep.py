@@ -122,7 +122,7 @@ def sweep(
         console = report.console(stderr=True)
         said = [text for text in (which, team.said) if text]
         console.print(_announcement(walked, axes, said, there), soft_wrap=True)
-        console.print(progress.cache_state(), soft_wrap=True)
+        progress.opening(console, scenario)
         meter = progress.Meter(console)
 
         team.begin(out if one is None else one.folder(out), walked)

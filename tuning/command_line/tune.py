@@ -174,7 +174,7 @@ def tune(
         out = team.folder(out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}")
         dataset.check_folder(out)
         console = report.console(stderr=True)
-        console.print(progress.cache_state(), soft_wrap=True)
+        progress.opening(console, scenario)
         if team.said:
             console.print(team.said, soft_wrap=True)
         meter = progress.Meter(console)
