@@ -17,7 +17,7 @@ test-slow: .venv/.installed-test
 	$(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
 	$(PYTEST) -m timing
 
-# Every notebook, robot and shape from start to end: an hour.
+# Whole searches and notebooks, every robot and shape from start to end: some two hours.
 test-nightly: .venv/.installed-test
 	$(PYTEST) -n 2 --dist loadfile -m nightly
 

@@ -57,9 +57,8 @@ def alone(tmp_path_factory):
     return _walk(tmp_path_factory.mktemp("one"), 1)[0]
 
 
-@pytest.mark.parametrize(
-    "devices", [pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("devices", [2, 3])
 def test_more_devices_give_the_same_bits(tmp_path, alone, devices):
     """A robot's walk does not depend on how many devices share the batch, ragged shares included."""
     (metrics,) = _walk(tmp_path, devices)

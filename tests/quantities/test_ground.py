@@ -62,6 +62,7 @@ def test_engines_agree_on_uneven_ground(scenario, walked):
         np.testing.assert_allclose(getattr(other, name), getattr(walked, name), rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_level_lists_are_flat_ground():
     """Footholds all at zero give the walk on flat ground, to rounding; all a hand higher, the same walk up there."""
@@ -74,6 +75,7 @@ def test_level_lists_are_flat_ground():
         np.testing.assert_allclose(getattr(walks[2], name), getattr(walks[0], name), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_heights_can_be_a_batch():
     """Terrain is a parameter like others: a batch of it walks at once, each as if alone."""

@@ -92,6 +92,7 @@ def test_vmap_adds_an_axis(env):
     assert starts.robot.joint_angles.shape == (2, 12)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # the reverse mode of a step takes a minute to compile
 def test_derivatives_by_an_action(scenario):
     """Forward and reverse agree with central differences of the base's velocity after two steps."""

@@ -90,6 +90,7 @@ def test_two_gains_in_case_2(case, gains, numbers):
     assert_derivatives(walks, ISOTROPIC[1:])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "nominal"),

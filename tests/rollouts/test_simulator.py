@@ -59,6 +59,7 @@ def test_metrics_are_of_the_numbers_that_were_walked(case, gains, numbers):
     assert ours == same
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_simulator_under_vmap(simulate, scenario, numbers, batched):
     """vmap over single walks gives what a batch axis in the gains gives."""

@@ -60,7 +60,7 @@ def quiet(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "search", [pytest.param(name, marks=() if name == "pareto" else pytest.mark.nightly) for name in SEARCHES]
+    "search", [pytest.param(name, marks=() if name == "schedule" else pytest.mark.nightly) for name in SEARCHES]
 )
 def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     """SIGKILL at a random instant once rounds are kept; what the same command ends with is that of a quiet run."""

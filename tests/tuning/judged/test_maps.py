@@ -34,6 +34,7 @@ def test_a_map_shows_where_the_loop_turns_unstable():
     assert legends == {"some": ["stability limit"], "none": []}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_radius_tells_stable_gains_from_unstable_ones(case):
     """Of the linearised loop, against what walks with these gains do."""

@@ -17,6 +17,7 @@ def swept(stiffness, damping):
     return xr.Dataset({"diverged": (("stiffness", "damping"), none)}, {"stiffness": stiffness, "damping": damping})
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_walk_diverges_where_the_loop_is_unstable(case):
     """The measured pose holds with the paper's damping and loses its stability before damping M / dt twenty-fold."""

@@ -166,12 +166,15 @@ def assert_right(found: dict) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reading", list(NOMINAL))
+@pytest.mark.parametrize(
+    "reading", [pytest.param(name, marks=() if name == "virtual_model" else pytest.mark.nightly) for name in NOMINAL]
+)
 def test_every_space_term_and_constraint(case, numbers, reading):
     """Twelve spaces, three cases, one cycle with grips, cargo and pushes."""
     assert_right(derivatives_and_errors(Searched(case, numbers, reading, SPACES, QUICK, QUICK_NUMBERS)))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("reading", list(NOMINAL))
 def test_whole_walks(case, numbers, reading):

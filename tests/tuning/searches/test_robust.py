@@ -280,6 +280,7 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
     xr.testing.assert_equal(resumed.history, robust.search(scenario, ensemble, **how).history)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_slopes_of_the_robust_objective(scenario, ensemble):
     """Forward derivatives through all members and the worst of them agree with central differences."""

@@ -42,6 +42,7 @@ def table(scenario, few):
     return made(scenario)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_metrics_are_those_of_the_operating_point(scenario, table):
     point = table.isel(gravity=1, cargo=1)
