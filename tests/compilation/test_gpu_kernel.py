@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.compilation import probe
+from mjx_climb.compilation import nvrtc, options, probe
 from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.options import kernel_pays
+from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.quantities.batches import varying
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.rollouts.rollout import given_in, metrics_of
@@ -109,6 +110,41 @@ def test_the_kernel_is_for_new_gpus(monkeypatch, backend, capability, paid):
     assert kernel_pays("limb", np.float32) == paid
     assert not kernel_pays("limb", np.float64)
     assert not kernel_pays("mjx", np.float32)
+
+
+@pytest.mark.parametrize(
+    ("robots", "slopes", "dtype", "limit", "there"),
+    [
+        (1, 0, np.float64, "", True),
+        (8, 0, np.float32, "", True),
+        (9, 0, np.float32, "", False),  # by the kernel
+        (64, 0, np.float64, "", True),
+        (65, 0, np.float64, "", False),
+        (4, 12, np.float32, "", True),
+        (5, 12, np.float32, "", False),
+        (500, 12, np.float64, "500", True),
+        (1, 0, np.float64, "0", False),
+    ],
+)
+def test_few_robots_walk_on_the_cpu(monkeypatch, robots, slopes, dtype, limit, there):
+    """Although there is a GPU, up to a number that differs for what walks, or that the environment gives."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(options, "kernel_pays", lambda engine, dtype: np.dtype(dtype) == np.float32)
+    monkeypatch.setenv(options.ON_CPU, limit)
+    assert options.walks_on_host(robots, "limb", dtype, slopes) == there
+
+
+def test_without_nvrtc_the_reason_is_told(monkeypatch):
+    """It is what the fall-back to XLA's own kernels says."""
+    monkeypatch.setattr(nvrtc, "_places", lambda: ["libnvrtc.so.0"])
+    nvrtc._library.cache_clear()
+    with pytest.raises(Unsupported, match=r"libnvrtc\.so; pip install"):
+        nvrtc.ptx("", "9.0")
+    nvrtc._library.cache_clear()
+
+
+def test_without_a_gpu_nothing_is_moved():
+    assert not options.walks_on_host(1, "limb", np.float32)
 
 
 def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla():

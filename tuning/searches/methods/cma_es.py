@@ -10,7 +10,10 @@ from tuning.searches.methods.task import Points, Request, Task
 GENERATIONS = 60
 MANY, OF_MANY = 150, 96  # generations at most, and points per gain, where a GPU's kernel walks them
 WALKS = 32_768  # at a time there, of all members of an ensemble
-FLAT, PATIENCE = 1e-4, 10  # a population is done that betters its best by less (the objective is 1 for pd) in so many
+FLAT, PATIENCE = (
+    1e-4,
+    10,
+)  # so many generations whose best differ by less are the last there
 SPREAD = 0.2  # of the first population, relative to the width of the box
 
 
@@ -53,7 +56,7 @@ def run(task: Task) -> Points:
         unit = [optimizer.ask() for _ in range(size)]
         found = yield Request(space.lower + width * np.array(unit), None, "population")
         optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
-        best.append(min([float(found.merit.min()), *best[-1:]]))
-        flat = by_kernel and len(best) > PATIENCE and best[-1 - PATIENCE] - best[-1] < FLAT
+        best = [*best, float(found.merit.min())][-PATIENCE:]
+        flat = by_kernel and len(best) == PATIENCE and max(best) - min(best) < FLAT
         if optimizer.should_stop() or flat:
             return
