@@ -40,9 +40,14 @@ def _walk(tmp_path, devices, processes=1, robots=101):
         )
         for process, path in enumerate(paths)
     ]
-    for process in running:
-        _, errors = process.communicate(timeout=300)
-        assert process.returncode == 0, errors
+    try:
+        for process in running:
+            _, errors = process.communicate(timeout=300)
+            assert process.returncode == 0, errors
+    finally:  # the others of one that failed would wait for it
+        for process in running:
+            process.kill()
+            process.wait()
     return [dict(np.load(path)) for path in paths]
 
 
