@@ -172,7 +172,7 @@ def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
         return value
     known = np.asarray(value)
     zero_is_fine = name == "gains.kd" or low == 0
-    wrong = ~np.isfinite(known) | ((low >= 0) & ((known < 0) | ((known == 0) & (not zero_is_fine))))
+    wrong = ~np.isfinite(known) | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero_is_fine))))
     if wrong.any():
         expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero_is_fine else 'above 0'}"
         raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
