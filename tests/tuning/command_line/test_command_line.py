@@ -351,6 +351,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     xr.testing.assert_identical(*(result.drop_attrs() for result in results))
 
 
+@pytest.mark.slow
 def test_sweep_in_which_all_fail(call, tmp_path):
     code, out, _ = call("sweep", CONFIG, *SHORT, *GRID, *WEAK, "--out", tmp_path, "--json")
     found = strict_json(out)
