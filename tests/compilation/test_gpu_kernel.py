@@ -52,7 +52,10 @@ def walk_of(case, law, steps, dtype):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["virtual_model", "measured_pose", "end_effector"])
+@pytest.mark.parametrize(
+    "law",
+    ["virtual_model", *(pytest.param(law, marks=pytest.mark.nightly) for law in ("measured_pose", "end_effector"))],
+)
 def test_the_kernel_walks_as_xla_does(case, law):
     """Float64 metrics of 140 robots that differ in gains, gravity and mass agree to 1e-9 of their size."""
     walk, arguments, varying = walk_of(case, law, STEPS, np.float64)

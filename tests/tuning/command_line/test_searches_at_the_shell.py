@@ -59,9 +59,8 @@ def quiet(tmp_path_factory):
     return run
 
 
-@pytest.mark.parametrize(
-    "search", [pytest.param(name, marks=() if name == "schedule" else pytest.mark.nightly) for name in SEARCHES]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("search", SEARCHES)
 def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     """SIGKILL at a random instant once rounds are kept; what the same command ends with is that of a quiet run."""
     arguments, holds = SEARCHES[search]
