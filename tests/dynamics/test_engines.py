@@ -27,7 +27,8 @@ def _value_and_slopes(scenario, engine):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param("case_1_1", marks=pytest.mark.nightly), "case_2"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["case_1_1", "case_2"])
 def test_engines_agree_over_a_walk(case, name):
     """Eight seconds of walking are the same under every engine to 1e-9, in value and in derivative."""
     scenario = case(name, "virtual_model")
