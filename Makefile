@@ -15,11 +15,12 @@ test: .venv/.installed-test
 # Those that compare speeds run alone.
 test-slow: .venv/.installed-test
 	$(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
-	$(PYTEST) -m timing
+	$(PYTEST) -m "timing and not nightly"
 
 # Whole searches and notebooks, every robot and shape from start to end: some two hours.
 test-nightly: .venv/.installed-test
-	$(PYTEST) -n 2 --dist loadfile -m nightly
+	$(PYTEST) -n 2 --dist loadfile -m "nightly and not timing"
+	$(PYTEST) -m "nightly and timing"
 
 lint: .venv/.installed-dev
 	$(BIN)/ruff check .

@@ -37,6 +37,7 @@ def test_a_command_is_timed_twice_with_a_cache_of_its_own(monkeypatch):
     assert seconds.cold_cpu > 1 > seconds.warm_cpu and seconds.cold > 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.timing
 def test_quick_bench_prints_every_figure_and_sane_ratios():
