@@ -18,8 +18,8 @@ from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
 # up to so many robots: shares of so many; few enough to keep several cores busy
-_CPU_SHARES = {1: 1, 8: 2, 64: 16, 256: 64}
-_FULL_SHARE = 128  # fewer spend a fifth of their time on calls of kernels, more leave a core's cache
+_CPU_SHARES = {1: 1, 8: 2, 64: 16}
+_FULL_SHARE = 64  # of 128 engine limb takes 0.8 of the time, but two shares under engine mjx wait for ever
 
 
 class LostProcess(RuntimeError):
