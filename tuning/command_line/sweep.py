@@ -96,6 +96,7 @@ def sweep(
         from tuning.command_line import progress, report
         from tuning.gains.gains_file import replaced
         from tuning.output import swept
+        from tuning.output.ahead import ahead
         from tuning.searches import grid, shards
 
         begin = time.perf_counter()
@@ -139,13 +140,14 @@ def sweep(
             return
 
         walks = math.prod(map(len, axes.values()))
-        with kept_in(out, f"of {walks} walks", there) as kept:
+        with kept_in(out, f"of {walks} walks", there) as kept, ahead() as begin_work:
+            compared = swept.beside(scenario, user_law, values, axes, engine, begin_work)
             with meter.stage("grid") as show:
                 found = tuning.sweep(
                     scenario, axes, law=user_law, gains=values, progress=kept.told(show), out=out, **how
                 )
             origin = options.origin(config.stem, again)
-            judged = found.write(out, origin=origin, figures=formats, stage=meter.stage)
+            judged = found.write(out, origin=origin, figures=formats, stage=meter.stage, compared=compared)
 
         print_result(found, judged, console if json else report.console(file=stdout))
         seconds = progress.duration(time.perf_counter() - begin)
