@@ -9,8 +9,11 @@ def main(arguments: list[str] | None = None) -> None:
     from tuning.command_line import interruption
 
     interruption.watch()
+    import gc
     import sys
     import traceback
+
+    gc.set_threshold(10_000, 10, 100)  # at its own pace it looks for garbage among all that was just imported
 
     from tuning.command_line import processes, program
 
