@@ -45,6 +45,7 @@ def batched(simulate, scenario, numbers):
     return jax.jit(run)(jnp.array([1.0, 0.01]))
 
 
+@pytest.mark.slow
 def test_rollout_metrics_are_the_metrics_of_the_rollout(scenario, batched, walk):
     """What accumulates step by step is what the stored histories give, a walk that tears off a gripper included."""
     equal({name: value[0] for name, value in batched.items()}, mc.metrics(walk(scenario)), rtol=1e-9)
