@@ -1,8 +1,8 @@
 """Commands interrupted at random instants: `python -m tests.interrupts [COMMAND ...] [--count N] [--seed N]`.
 
-Each command runs once undisturbed, then again and again, and gets SIGINT or SIGTERM at an instant drawn evenly from
-that time. It must end with code 130 and one last line that says what was kept, or have come to its end before. Prints
-how the tries ended and how long the commands took to obey.
+Each command runs twice undisturbed, then again and again, and gets SIGINT or SIGTERM at an instant drawn evenly from
+that time (or from `--length S`). It must end with code 130 and one last line that says what was kept, or have come to
+its end before. Prints how the tries ended and how long the commands took to obey.
 """
 
 import argparse
@@ -61,23 +61,28 @@ def start(command: str, folder: Path) -> subprocess.Popen[str]:
     gains.write_text(GAINS)
     arguments = [argument.format(gains=gains) for argument in COMMANDS[command]]
     arguments += ["--out", str(folder / "out")] if command in IN_A_FOLDER else []
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": "off"}
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, "PYTHONPATH": path, "MUJOCO_GL": "off"}
     return subprocess.Popen(
         [sys.executable, "-m", "tuning.command_line", *arguments], cwd=folder, env=environment, text=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
     )  # fmt: skip
 
 
-def attempts(command: str, count: int, rng: np.random.Generator, folder: Path) -> list[Attempt]:
-    """Return how a command ends at so many instants."""
-    whole = _folder(folder)
-    for _ in range(2):  # the first one compiles
+def undisturbed(command: str, folder: Path) -> float:
+    """Return how long a command takes, in s, once its programs are compiled."""
+    for _ in range(2):
         begin = time.monotonic()
-        process = start(command, whole)
+        process = start(command, folder)
         _, errors = process.communicate()
         length = time.monotonic() - begin
         if process.returncode != 0:
             raise RuntimeError(f"{command} undisturbed: {errors}")
+    return length
+
+
+def attempts(command: str, count: int, length: float, rng: np.random.Generator, folder: Path) -> list[Attempt]:
+    """Return how a command ends at so many instants of its length in s."""
     return [_attempt(command, rng.uniform(0, length), rng.choice(["SIGINT", "SIGTERM"]), folder) for _ in range(count)]
 
 
@@ -121,15 +126,18 @@ def main() -> None:
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=list(COMMANDS))
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=None)
+    parser.add_argument("--length", type=float, default=None, help="of each command, s")
     chosen = parser.parse_args()
     rng = np.random.default_rng(chosen.seed)
     wrong = 0
     for command in chosen.commands:
         with tempfile.TemporaryDirectory() as folder:
-            tries = attempts(command, chosen.count, rng, Path(folder))
+            length = chosen.length or undisturbed(command, _folder(Path(folder)))
+            tries = attempts(command, chosen.count, length, rng, Path(folder))
         took = [attempt.took for attempt in tries if attempt.kind == "interrupted"] or [0.0]
         kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(attempt.kind for attempt in tries).items())
-        print(f"{command}: {kinds}; to the end {np.median(took):.2f} s in the median, {max(took):.2f} s at most")
+        obeyed = f"to the end {np.median(took):.2f} s in the median, {max(took):.2f} s at most"
+        print(f"{command}, {length:.1f} s: {kinds}; {obeyed}")
         for attempt in tries:
             if attempt.kind not in FINE:
                 wrong += 1

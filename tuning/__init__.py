@@ -5,8 +5,7 @@
 imported when they are first used, so that the command line starts at once.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+TYPE_CHECKING = False  # `typing` takes longest of all that is imported before the program watches signals
 
 if TYPE_CHECKING:
     from tuning.searching import judge, judge_shard, merge, pareto, robust, schedule, sweep, sweep_shard
@@ -14,7 +13,9 @@ if TYPE_CHECKING:
 __all__ = ["judge", "judge_shard", "merge", "pareto", "robust", "schedule", "sweep", "sweep_shard"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    import importlib
+
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module("tuning.searching"), name)

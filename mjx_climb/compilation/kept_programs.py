@@ -6,6 +6,7 @@ not what was written, is made anew.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import pickle
@@ -59,7 +60,9 @@ def kept(function: Callable[..., _Result], identity: Identity, options: dict[str
                     if file is None:
                         programs[key] = plain.lower(structure, *trees).compile()
                     else:
-                        programs[key] = _found(file, trees) or _made(function, options, structure, trees, file)
+                        make = functools.partial(_made, function, options, structure, trees, file)
+                        loaded = _loaded(file, trees)
+                        programs[key] = make() if loaded is None else _or_else(loaded, make)
         return programs[key](*trees)
 
     return program
@@ -87,8 +90,8 @@ def _file(function: Callable[..., Any], known: str, key: Hashable, options: dict
     return folder / "programs" / hashlib.sha256(repr(made_of).encode()).hexdigest()
 
 
-def _found(file: Path, trees: tuple[Any, ...]) -> Callable[..., Any] | None:
-    """Return a kept program that runs, None where there is none."""
+def _loaded(file: Path, trees: tuple[Any, ...]) -> Callable[..., Any] | None:
+    """Return a kept program, None where there is none."""
     begin = time.perf_counter()
     try:
         digest, content = file.read_bytes().split(b"\n", 1)
@@ -101,10 +104,22 @@ def _found(file: Path, trees: tuple[Any, ...]) -> Callable[..., Any] | None:
         )
         monitoring.record_event(_HIT)
         monitoring.record_event_duration_secs(_TOOK, time.perf_counter() - begin)
-        jax.block_until_ready(program(*trees))
     except Exception:  # whatever is wrong with a file, the program can be made
         return None
     return program
+
+
+def _or_else(loaded: Callable[..., Any], make: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a loaded program that is made anew where it turns out not to run."""
+    made = functools.cache(make)
+
+    def run(*trees: Any) -> Any:
+        try:
+            return jax.block_until_ready(loaded(*trees))
+        except Exception:  # of a file that is whole, and yet none of this process's programs
+            return made()(*trees)
+
+    return run
 
 
 def _device(leaves: list[Any]) -> jax.Device:

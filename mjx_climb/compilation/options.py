@@ -8,6 +8,7 @@ from numpy.typing import DTypeLike
 
 from mjx_climb.compilation import probe
 from mjx_climb.dynamics import ELEMENTWISE
+from mjx_climb.scenario.messages import ConfigError
 
 ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots walk there although there is a GPU
 _FUSION_PAYS_BELOW = 48  # robots
@@ -50,11 +51,16 @@ def walks_on_host(robots: int, engine: str, dtype: DTypeLike, slopes: int = 0) -
 
     There they are sooner at the end, if they are few: a step of any few takes a GPU as long as one of thousands. The
     environment variable `ON_CPU` sets another limit.
+
+    Raises:
+        ConfigError: another limit that is no whole number.
     """
     if jax.default_backend() == "cpu" or jax.process_count() > 1:
         return False
-    limit = os.environ.get(ON_CPU, "")
-    if limit.isdigit():
+    limit = os.environ.get(ON_CPU, "").strip()
+    if limit and not limit.isdecimal():
+        raise ConfigError(f"{ON_CPU}: expected a number of robots, got {limit!r}")
+    if limit:
         return robots <= int(limit)
     if robots * (1 + slopes) > _AS_LAUNCHES:
         return False

@@ -63,6 +63,7 @@ def _newton(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return joint angles (L, N) from a start, and the distances (L,) m that are left; all limbs at once."""
     jacobian, columns = np.empty((3, model.nv)), 6 + np.arange(angles.size).reshape(angles.shape)
+    damping = 1e-12 * np.eye(min(3, angles.shape[1]))
     turns = (model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE).reshape(angles.shape)
     angles, best, since = angles.copy(), np.full(len(feet), np.inf), 0
     for _ in range(_ITERATIONS):
@@ -71,14 +72,17 @@ def _newton(
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         left = feet - data.site_xpos
+        ways = []
         for limb in range(len(feet)):
             mujoco.mj_jacSite(model, data, jacobian, None, limb)
-            j = jacobian[:, columns[limb]] * driven[limb]
-            if j.shape[1] > 3:
-                step = j.T @ np.linalg.solve(j @ j.T + 1e-12 * np.eye(3), left[limb])
-            else:
-                step = np.linalg.solve(j.T @ j + 1e-12 * np.eye(j.shape[1]), j.T @ left[limb])
-            angles[limb] += step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
+            ways.append(jacobian[:, columns[limb]] * driven[limb])
+        if angles.shape[1] > 3:
+            solved = np.linalg.solve(np.stack([j @ j.T for j in ways]) + damping, left[..., None])[..., 0]
+            steps = np.stack([j.T @ each for j, each in zip(ways, solved, strict=True)])
+        else:
+            sides = np.stack([j.T @ each for j, each in zip(ways, left, strict=True)])
+            steps = np.linalg.solve(np.stack([j.T @ j for j in ways]) + damping, sides[..., None])[..., 0]
+        angles += steps * np.minimum(1.0, 0.5 / np.maximum(np.abs(steps).max(1, keepdims=True), 1e-12))
         angles = np.where(turns, np.remainder(angles + np.pi, 2 * np.pi) - np.pi, angles)
         missed = np.abs(left).max(1)
         since = 0 if (missed < 0.99 * best).any() else since + 1

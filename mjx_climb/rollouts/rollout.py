@@ -248,15 +248,14 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
     robot, numbers = load_robot(trajectory.scenario.robot), trajectory.numbers
     samples = to_samples(trajectory)
     dtype = samples.base_position.dtype
+    robot = jax.tree.map(lambda value: np.asarray(value, dtype), robot)  # by NumPy: nothing is compiled
+    context = Context(
+        weighing(robot, np.asarray(numbers.mass_scale, dtype)[None]),
+        np.asarray(numbers.gravity, dtype)[:, None],
+        np.asarray(numbers.heading, dtype)[None],
+        trajectory.scenario.time_step,
+    )
     with devices.on_host(), jax.enable_x64(dtype == np.float64):
-        robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), robot)
-        gravity, heading = jnp.asarray(numbers.gravity, dtype)[:, None], jnp.asarray(numbers.heading, dtype)[None]
-        context = Context(
-            weighing(robot, jnp.asarray(numbers.mass_scale, dtype)[None]),
-            gravity,
-            heading,
-            trajectory.scenario.time_step,
-        )
         table = MetricTable(metrics)
         found = _accumulated(table, samples, context)
         values = {name: found[name].item() for name in table.names}

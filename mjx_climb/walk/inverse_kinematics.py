@@ -6,7 +6,6 @@ The closed form is that of a yaw joint and two parallel pitch joints, all link o
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -25,7 +24,6 @@ _PULL = 0.05  # of the way to the rest posture in a step, where that does not mo
 _LONGEST_STEP = 0.3  # rad, or m
 POSE = 6  # joints of a limb that can put its foot anywhere, turned in any way
 _MET = 1e-4  # m, from a target that counts as reached
-_SAME = 1e-3  # rad, between two ways to one posture
 
 
 class LimbGeometry(NamedTuple):
@@ -110,11 +108,15 @@ def limb_geometry(robot: Robot, turned: bool = False) -> LimbGeometry | Chain:
 
 
 def _stands(robot: Robot, geometry: LimbGeometry) -> bool:
-    """Return whether the closed form gives the rest stance, not another posture with the feet at the same places."""
-    with jax.ensure_compile_time_eval():
-        stance = jnp.asarray(robot.stance_joints, jnp.result_type(float))
-        turned = _closed_form(geometry, limb_frames(robot, None, stance).foot).joint_angles - stance
-        return bool(jnp.abs(jnp.sin(turned / 2)).max() < _SAME / 2)
+    """Return whether the closed form gives the rest stance: it takes the feet to be outward of the first joints' axes.
+
+    By NumPy: this is asked whenever a walk is traced.
+    """
+    _, femur, tibia = np.asarray(robot.stance_joints)
+    line = geometry.femur_angle + geometry.femur_sign * femur
+    shin = line + geometry.tibia_angle - geometry.femur_angle + geometry.tibia_sign * tibia
+    out = geometry.femur_out + geometry.femur_length * np.cos(line) + geometry.tibia_length * np.cos(shin)
+    return bool((out > 0).all())
 
 
 def _safe_sqrt(square: Array, floor: float) -> Array:

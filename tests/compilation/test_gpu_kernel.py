@@ -137,6 +137,13 @@ def test_few_robots_walk_on_the_cpu(monkeypatch, robots, slopes, dtype, limit, t
     assert options.walks_on_host(robots, "limb", dtype, slopes) == there
 
 
+def test_a_limit_that_is_no_number_is_refused(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setenv(options.ON_CPU, "few")
+    with pytest.raises(mc.ConfigError, match=r"^MJX_CLIMB_ON_CPU: expected a number of robots, got 'few'$"):
+        options.walks_on_host(1, "limb", np.float32)
+
+
 def test_without_nvrtc_the_reason_is_told(monkeypatch):
     """It is what the fall-back to XLA's own kernels says."""
     monkeypatch.setattr(nvrtc, "_places", lambda: ["libnvrtc.so.0"])

@@ -85,3 +85,13 @@ def test_a_program_from_xlas_cache_is_not_written_down(walk, tmp_path):
     file.unlink()
     assert walk()[1] == values
     assert walk()[1] == values
+
+
+def test_a_program_that_does_not_run_is_made_anew(walk, tmp_path):
+    """A whole file that holds another function's program, of other arguments."""
+    _, values = walk()
+    [right] = (tmp_path / "programs").iterdir()
+    walk(shape="5")
+    [wrong] = set((tmp_path / "programs").iterdir()) - {right}
+    right.write_bytes(wrong.read_bytes())
+    assert walk() == (1, values)

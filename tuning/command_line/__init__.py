@@ -1,16 +1,19 @@
 """The program `mjx-climb`. Nothing is imported before it watches signals, see `tuning.command_line.interruption`."""
 
-from collections.abc import Sequence
-from typing import NoReturn
 
-
-def main(arguments: Sequence[str] | None = None) -> NoReturn:
+def main(arguments: list[str] | None = None) -> None:
     """Run the program with the process's arguments, or others, and exit."""
+    import _signal  # type: ignore[import-not-found]  # `signal` itself imports for 10 ms
+
+    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback out of the imports until it watches
     from tuning.command_line import interruption
 
     interruption.watch()
+    import gc
     import sys
     import traceback
+
+    gc.set_threshold(10_000, 10, 100)  # at its own pace it looks for garbage among all that was just imported
 
     from tuning.command_line import processes, program
 

@@ -96,6 +96,7 @@ def sweep(
         from tuning.command_line import progress, report
         from tuning.gains.gains_file import replaced
         from tuning.output import swept
+        from tuning.output.ahead import ahead
         from tuning.searches import grid, shards
 
         begin = time.perf_counter()
@@ -121,7 +122,7 @@ def sweep(
         there = grid.claim(walked, axes=axes, law=walking, out=out, shard=one, **how)
         console = report.console(stderr=True)
         said = [text for text in (which, team.said) if text]
-        console.print(_announcement(walked, axes, said, there), soft_wrap=True)
+        console.print(_announcement(walked, axes, engine, said, there), soft_wrap=True)
         progress.opening(console, scenario)
         meter = progress.Meter(console)
 
@@ -139,13 +140,14 @@ def sweep(
             return
 
         walks = math.prod(map(len, axes.values()))
-        with kept_in(out, f"of {walks} walks", there) as kept:
+        with kept_in(out, f"of {walks} walks", there) as kept, ahead() as begin_work:
+            compared = swept.beside(scenario, user_law, values, axes, engine, begin_work)
             with meter.stage("grid") as show:
                 found = tuning.sweep(
                     scenario, axes, law=user_law, gains=values, progress=kept.told(show), out=out, **how
                 )
             origin = options.origin(config.stem, again)
-            judged = found.write(out, origin=origin, figures=formats, stage=meter.stage)
+            judged = found.write(out, origin=origin, figures=formats, stage=meter.stage, compared=compared)
 
         print_result(found, judged, console if json else report.console(file=stdout))
         seconds = progress.duration(time.perf_counter() - begin)
@@ -238,13 +240,18 @@ def log_range(option: str, text: str) -> "np.ndarray":
     return values
 
 
-def _announcement(scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", said: list[str], kept: int) -> str:
+def _announcement(
+    scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", engine: str, said: list[str], kept: int
+) -> str:
     import jax
+
+    from mjx_climb.compilation.options import walks_on_host
 
     walks = math.prod(map(len, axes.values()))
     sizes = " x ".join(f"{len(values)} {name}" for name, values in axes.items())
     text = f"{walks} walks ({sizes}) of {scenario.steps} steps"
-    text += f" on {jax.devices()[0].device_kind}"
+    where = "cpu" if walks_on_host(walks, engine, "float32") else None  # too few for a GPU
+    text += f" on {jax.devices(where)[0].device_kind}"
     return "; ".join([text, *said, *([f"{kept} are there already"] if kept else [])])
 
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import mjx_climb as mc
     from tuning.output.robust import Judged as JudgedRobustly
     from tuning.output.robust import Robust
+    from tuning.output.tuned import Beside, Tuned
     from tuning.output.tuned import Judged as JudgedGains
-    from tuning.output.tuned import Tuned
     from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
     from tuning.problem.search import Search
@@ -148,6 +148,8 @@ def tune(
         }  # fmt: skip
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
+        from tuning.output import tuned
+        from tuning.output.ahead import ahead
         from tuning.problem import ensemble as ensembles
         from tuning.searches import robust as robust_search
         from tuning.searches import tune as searches
@@ -186,7 +188,8 @@ def tune(
                 how: dict[str, Any] = {"engine": engine, "law": user_law, "metrics": table}
                 problem = robust_search.problem_of(scenario, drawn, wanted, **how)
 
-        with kept_in(out, "rounds") as kept:
+        with kept_in(out, "rounds") as kept, ahead() as begin_work:
+            beside = None if drawn else tuned.beside(problem, wanted, begin_work, out=out)
             with meter.stage("search", unit="rounds") as show:
                 told = kept.told(show)
                 found = searches.run(
@@ -197,7 +200,7 @@ def tune(
             )
             again += f"{options.own_options(law, metric)} --out again{options.engine_option(engine)}"
             origin = options.origin(config.stem, again)
-            result = _writable(found, problem, drawn, judges)
+            result = _writable(found, problem, beside, drawn, judges)
             if found.interrupted:
                 result.write_found(out, origin.name)
                 raise Interrupted(
@@ -235,12 +238,14 @@ def _settings(file: Path | None, given: dict[str, Any], metrics: "mc.MetricTable
     return wanted
 
 
-def _writable(found: "Result", problem: "Problem", ensemble: "Ensemble | None", judges: int | None) -> "Tuned | Robust":
+def _writable(
+    found: "Result", problem: "Problem", beside: "Beside | None", ensemble: "Ensemble | None", judges: int | None
+) -> "Tuned | Robust":
     from tuning.output.robust import JUDGES, Robust
     from tuning.output.tuned import Tuned
 
     if ensemble is None:
-        return Tuned(**vars(found), problem=problem)
+        return Tuned(**vars(found), problem=problem, beside=beside)
     return Robust(**vars(found), problem=problem, ensemble=ensemble, judges=judges or JUDGES)
 
 

@@ -14,7 +14,7 @@ motions, which slip.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb.compilation import devices
@@ -178,22 +179,41 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
 def over_map(
     scenario: mc.Scenario, walks: xr.Dataset, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
 ) -> xr.DataArray:
-    """Return the radius over the two gains (the same on all axes) of a grid of walks.
+    """Return the radius over the two gains (the same on all axes) of a grid of walks, as far as `over_axes` has it."""
+    axes = {str(name): walks[name].values for name in walks["diverged"].dims}
+    return on_map(over_axes(scenario, axes, law=law, engine=engine), walks)
 
-    A grid of more than 48 values along an axis (16 with delays in the loop) has it at so many of them, NaN between.
+
+def over_axes(
+    scenario: mc.Scenario,
+    axes: Mapping[str, ArrayLike],
+    *,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> xr.DataArray:
+    """Return the radius over values of two gains, the same on all axes of one.
+
+    Of more than 48 values along an axis (16 with delays in the loop) so many are taken.
     """
-    axes, names = {}, [str(name) for name in walks["diverged"].dims]
     finest = _FINEST if _batch_of(structure(scenario, engine).stages) == _LARGEST_BATCH else _FINEST_WITH_MEMORY
-    for name in names:
-        values = walks[name].values
-        axes[name] = values[np.unique(np.linspace(0, values.size - 1, min(values.size, finest)).round().astype(int))]
+    some = {name: _spread(np.asarray(values, float), finest) for name, values in axes.items()}
     lengths = (law_of(scenario) if law is None else law).AXES
-    mesh = zip(names, np.meshgrid(*axes.values(), indexing="ij"), strict=True)
+    mesh = zip(some, np.meshgrid(*some.values(), indexing="ij"), strict=True)
     gains = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
-    radius = spectral_radius(scenario, gains, law=law, engine=engine).reshape([v.size for v in axes.values()])
-    about = {"units": "1", "long_name": "largest eigenvalue of one step"}
-    made = xr.DataArray(radius, axes, names, attrs=about)
-    whole = made.reindex({name: walks[name] for name in names})
+    radius = spectral_radius(scenario, gains, law=law, engine=engine).reshape([v.size for v in some.values()])
+    return xr.DataArray(radius, some, list(some), attrs={"units": "1", "long_name": "largest eigenvalue of one step"})
+
+
+def _spread(values: np.ndarray, count: int) -> np.ndarray:
+    """Return so many of the values, first and last among them."""
+    some: np.ndarray = values[np.unique(np.linspace(0, values.size - 1, min(values.size, count)).round().astype(int))]
+    return some
+
+
+def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
+    """Return the radius at all gains of a grid of walks, NaN where it was not worked out."""
+    names = [str(name) for name in walks["diverged"].dims]
+    whole = radius.transpose(*names).reindex({name: walks[name] for name in names})
     return whole.assign_coords({name: walks[name] for name in names})  # with their units
 
 

@@ -70,18 +70,28 @@ def map_of(
         progress: called with walks done and in all.
     """
     problem = problem or _problem_of(found)
+    joint = {name: value for name, value in by_name(found.gains).items() if name in OPTIONAL}
+    return map_with(problem, applied(found.scenario, joint), found.law, progress=progress)
+
+
+def map_with(
+    problem: Problem,
+    scenario: mc.Scenario,
+    law: mc.Law | None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset | None:
+    """Return a problem's map as `map_of` does; gains that it does not sweep are as scenario and law have them."""
     box = {}
     for kind in problem.space.gains[:2]:
         rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
         low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
         box[kind] = np.geomspace(low, high, GRID)
-    if len(box) < 2 or (found.law is None and set(box) != {"stiffness", "damping"}):
+    if len(box) < 2 or (law is None and set(box) != {"stiffness", "damping"}):
         return None
-    how: dict[str, Any] = {"law": found.law, "engine": problem.engine}
-    joint = {name: value for name, value in by_name(found.gains).items() if name in OPTIONAL}
-    around = applied(found.scenario, joint)  # of the joint loop as it was found
-    walks = grid.sweep(around, axes=box, progress=progress, metrics=problem.metrics, **how)
-    return maps.with_stability(maps.judged_by(walks, problem), around, **how)
+    how: dict[str, Any] = {"law": law, "engine": problem.engine}
+    walks = grid.sweep(scenario, axes=box, progress=progress, metrics=problem.metrics, **how)
+    return maps.with_stability(maps.judged_by(walks, problem), scenario, **how)
 
 
 def _problem_of(found: Result) -> Problem:

@@ -21,7 +21,7 @@ from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
-from tuning.output.ahead import ahead
+from tuning.output.ahead import Asked, Begin, ahead, to_nobody
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
@@ -42,6 +42,14 @@ GIVEN = "gains file"  # the name of a walk with gains that are not the config's
 PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 HATCHED = ("detached_limb", "diverged")  # shown on every map
 CAPTION = "All metrics over both gains; brighter is better."
+
+
+class Beside(NamedTuple):
+    """What a grid is compared with, whatever its walks give: works that wait to be asked for, or are under way."""
+
+    walks: Mapping[str, Asked[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
+    joint: Asked[dict[str, float] | None]  # kp and kd of pd retuned
+    radius: Asked[xr.DataArray]  # the limit of stability
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +75,7 @@ class Swept:
         origin: page.Origin | None = None,
         figures: Collection[str] = ("png",),
         stage: Stage = silent,
+        compared: Beside | None = None,
     ) -> "Judged":
         """Walk the best, the scenario's own gains and pd, and write what `mjx-climb sweep` writes.
 
@@ -75,6 +84,7 @@ class Swept:
             origin: what the report says of where it comes from.
             figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; the report holds them as PNG anyway.
             stage: told what goes on, see `tuning.output.stages`; nothing is printed.
+            compared: what `beside` gave, where it was begun before the grid.
 
         Returns:
             The walks, their metrics side by side, and the grid with the limit of stability.
@@ -86,17 +96,17 @@ class Swept:
         walked = write_config(self.walker()[0], folder)
         own = scenario_files.copied(self.scenario, folder)
         found = dataclasses.replace(self, scenario=own, data=made_from(self.data, walked))
-        judged = judge(found, stage)
+        judged = judge(found, stage, compared)
         dataset.save(judged.data, folder / "sweep.nc")
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
         if found.law is not None and found.gains is not None:  # config.yaml has no place for them
             gains_file.save(found.gains, folder / OWN_GAINS, "of the sweep in this folder", found.law)
         with ahead() as begin:
             many = judged.data["diverged"].size > grid.HISTORIES
-            walking = begin(lambda: _histories(found, judged) if many else judged.data)
+            walking = begin(lambda _: _histories(found, judged) if many else judged.data)
             draw({"maps": lambda: sheet(judged.data, judged.compared)}, folder, {"png", *figures}, stage)
             with stage("histories") if many else contextlib.nullcontext():
-                histories = walking()
+                histories = walking(to_nobody)
         with stage("report", compiles=False):
             again = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {_listed(self.data)}).write("again")'
             origin = complete(origin, "tuning.sweep(...)", again, walked, folder)
@@ -157,31 +167,45 @@ class Judged(NamedTuple):
     summary: str  # all of it, JSON
 
 
-def judge(found: Swept, stage: Stage = silent) -> Judged:
+def beside(
+    scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains | None, axes: grid.Axes, engine: str, begin: Begin
+) -> Beside:
+    """Begin what a grid is compared with; the arguments are those of `tuning.sweep`."""
+    config = "paper" if _is_the_papers(scenario, law) else "config"
+    walkers = {"pd": (under_pd(scenario), None), config: (scenario, law)}
+    walked, own = walkers[config] if gains is None else replaced(scenario, law, gains)
+    if gains is not None:
+        walkers[GIVEN] = walked, own
+    return Beside(
+        {name: begin(_walk(*walker, engine)) for name, walker in walkers.items()},
+        begin(lambda _: retuned_pd.on_grid(scenario, engine=engine)),
+        begin(lambda _: stability_limit.over_axes(walked, axes, law=own, engine=engine)),
+    )
+
+
+def _walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Asked[mc.Trajectory]:
+    return lambda _: mc.rollout(scenario, law=law, engine=engine)
+
+
+def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = None) -> Judged:
     """Walk what the grid is compared with, and work out its limit of stability."""
-    best = grid.best_cell(found.data)
-    config = "paper" if _is_the_papers(found) else "config"
-    pd = under_pd(found.scenario)
-    walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {"pd": (pd, None), config: (found.scenario, found.law)}
-    if found.gains is not None:
-        walkers[GIVEN] = found.walker()
-    if best is not None:
-        walkers["best"] = found.walker({name: best[name].item() for name in found.axes})
-    scenario, law = found.walker()
+    best, engine = grid.best_cell(found.data), found.engine
+    axes = {name: found.data[name].values for name in found.axes}
+    others = compared_with or beside(found.scenario, found.law, found.gains, axes, engine, lambda work: work)
     # side by side: most of the time goes to the compiler, which has a program of its own for each
     with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
-        rival = pool.submit(retuned_pd.on_grid, found.scenario, engine=found.engine)
-        limit = pool.submit(stability_limit.over_map, scenario, found.data, law=law, engine=found.engine)
-        walking = {
-            name: pool.submit(mc.rollout, walker, law=own, engine=found.engine)
-            for name, (walker, own) in reversed(walkers.items())
-        }
+        rival, limit = pool.submit(others.joint, to_nobody), pool.submit(others.radius, to_nobody)
+        asked = dict(others.walks)
+        if best is not None:
+            asked["best"] = _walk(*found.walker({name: best[name].item() for name in found.axes}), engine)
+        walking = {name: pool.submit(walk, to_nobody) for name, walk in reversed(asked.items())}
         joint = rival.result()
         walks = {name: each.result() for name, each in walking.items()}
         if joint is not None:
-            retuned = pd.with_overrides({f"control.{name}": value for name, value in joint.items()})
-            walks[retuned_pd.NAME] = mc.rollout(retuned, engine=found.engine)
-        radius = limit.result()
+            retuned = under_pd(found.scenario).with_overrides({f"control.{n}": value for n, value in joint.items()})
+            walks[retuned_pd.NAME] = mc.rollout(retuned, engine=engine)
+        radius = stability_limit.on_map(limit.result(), found.data)
+    config = next(name for name in others.walks if name not in ("pd", GIVEN))
     order = [name for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walks]
     walks = {name: walks[name] for name in order}
     compared = {name: (gains_of(walk), mc.metrics(walk, found.metrics)) for name, walk in walks.items()}
@@ -202,9 +226,9 @@ def _worth(compared: Compared, joint: Mapping[str, float]) -> Worth:
     return retuned_pd.worth(found, without, joint)
 
 
-def _is_the_papers(found: Swept) -> bool:
-    control = found.scenario.control
-    return found.law is None and (control.inertia, control.damping, control.stiffness) in PAPER
+def _is_the_papers(scenario: mc.Scenario, law: mc.Law | None) -> bool:
+    control = scenario.control
+    return law is None and (control.inertia, control.damping, control.stiffness) in PAPER
 
 
 def _summary(compared: Compared, worth: Worth | None, counts: Mapping[str, Any]) -> str:

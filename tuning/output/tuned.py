@@ -1,7 +1,6 @@
 """What a search for gains leaves in a folder: gains, all that was judged, verification, map, pictures and report."""
 
 import dataclasses
-import functools
 import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -18,12 +17,14 @@ from mjx_climb.files import dataset
 from tuning.gains import gains_file
 from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
-from tuning.output.ahead import ahead
+from tuning.output.ahead import Asked, Begin, ahead, to_nobody
 from tuning.output.folder import complete
 from tuning.output.found import draw, write_gains
-from tuning.output.stages import Stage, Told, silent
+from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal
+from tuning.problem.search import Search
+from tuning.problem.spaces import JOINT
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
@@ -46,6 +47,14 @@ CAPTIONS = {
 }
 
 
+class Beside(NamedTuple):
+    """What a search is compared with, whatever it finds: works that wait to be asked for, or are under way."""
+
+    retuned: Asked[Result | None]  # pd retuned
+    walks: Mapping[str, Asked[mc.Trajectory]]  # pd, config
+    over: Asked[xr.Dataset | None] | None  # the map; None where the result bears on it
+
+
 class Judged(NamedTuple):
     """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
 
@@ -64,6 +73,7 @@ class Tuned(Result):
     """The result of a search for gains, and what was searched."""
 
     problem: Problem = dataclasses.field(kw_only=True)
+    beside: Beside | None = dataclasses.field(default=None, kw_only=True, repr=False, compare=False)  # if begun already
 
     def write(
         self,
@@ -110,49 +120,54 @@ class Tuned(Result):
         return write_gains(self, folder, f"mjx-climb tune {name}: {comment}", self.problem.law)
 
 
-def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Judged:
-    """Walk a result, what it is compared with and the map around it, and test it.
+def beside(problem: Problem, search: Search, begin: Begin, *, out: Path | None = None) -> Beside:
+    """Begin what a search is compared with.
 
     `out` keeps the rounds in which pd is retuned until the result has been written.
     """
+    scenario, law = problem.scenario, problem.law
+    bears = law is not None or not JOINT.keys().isdisjoint(problem.space.gains)  # the result, on the map
+    return Beside(
+        begin(
+            lambda told: retuned_pd.search(
+                problem, search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
+            )
+        ),
+        {
+            "pd": begin(lambda _: mc.rollout(under_pd(scenario), engine=problem.engine)),
+            "config": begin(lambda _: mc.rollout(scenario, law=law, engine=problem.engine)),
+        },
+        None if bears else begin(lambda told: verification.map_with(problem, scenario, None, progress=told)),
+    )
+
+
+def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Judged:
+    """Walk a result, what it is compared with and the map around it, and test it; `out` is as of `beside`."""
     scenario, problem = found.scenario, found.problem
-    with stage("retuned pd", unit="rounds") as told:
-        retuned = retuned_pd.search(
-            problem, found.search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
-        )
-    walkers: dict[str, tuple[mc.Scenario, mc.Law | None]] = {
-        "pd": (under_pd(scenario), None),
-        "config": (scenario, problem.law),
-        "tuned": (verification.tuned(found), found.law),
-    }
-    if retuned is not None:
-        walkers[retuned_pd.NAME] = verification.tuned(retuned), None
-    tell: dict[str, Told] = {}  # of the stage that is open
-
-    def progress(name: str) -> Told:
-        return lambda *done: tell[name](*done) if name in tell else None
-
-    rivals, walks = _rivals(problem.law, retuned), {}
     how: dict[str, Any] = {"law": found.law, "engine": problem.engine}
     with ahead() as begin:
-        tested = begin(lambda: verification.tests(found, problem))  # the longest to compile
-        walking = {
-            name: begin(functools.partial(mc.rollout, walked, law=law, engine=problem.engine))
-            for name, (walked, law) in walkers.items()
-        }
-        mapped = begin(lambda: verification.map_of(found, problem, progress=progress("map")))
-        margin = begin(lambda: margins.find(scenario, found.gains, others=rivals, progress=progress("margins"), **how))
-        for name in walkers:
-            with stage(name):
-                walks[name] = walking[name]()
+        tested = begin(lambda _: verification.tests(found, problem))  # the longest to compile
+        retuned_alone, compared_with, over_all = found.beside or beside(problem, found.search, begin, out=out)
+        mapped = over_all or begin(lambda told: verification.map_of(found, problem, progress=told))
+        walking = {**compared_with, "tuned": begin(lambda _: mc.rollout(verification.tuned(found), **how))}
+        with stage("retuned pd", unit="rounds") as told:
+            retuned = retuned_alone(told)
+        if retuned is not None:
+            walking[retuned_pd.NAME] = begin(lambda _: mc.rollout(verification.tuned(retuned), engine=problem.engine))
+        rivals = _rivals(problem.law, retuned)
+        margin = begin(lambda told: margins.find(scenario, found.gains, others=rivals, progress=told, **how))
+        walks = {}
+        for name, walk in walking.items():
+            with stage(name) as told:
+                walks[name] = walk(told)
         metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
-        with stage("map") as tell["map"]:
-            over = mapped()
-        with stage("margins") as tell["margins"]:
-            hardware = margin()
+        with stage("map") as told:
+            over = mapped(told)
+        with stage("margins") as told:
+            hardware = margin(told)
         with stage("verification"):
             checked = verification.verify(
-                found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested()
+                found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested(to_nobody)
             )
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}

@@ -66,6 +66,13 @@ def test_a_signal_while_modules_are_imported(module, tmp_path):
     assert "Traceback" not in done.stderr
 
 
+def test_a_signal_before_the_program_watches(tmp_path):
+    """It ends the process at once, as any program that has not begun, without a traceback."""
+    command = [sys.executable, "-c", _WHILE_IMPORTING, "socket", *RUN, "--out", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+
+
 _BUSY = """
 import hashlib
 from tuning.command_line import interruption
