@@ -21,7 +21,7 @@ from mjx_climb.compilation.elements import Number, Value, as_array
 from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.compilation.writer import Writer
 
-MOST_TERMS = 2  # of a sum that is not written out; with 1, 2, 3 and 4 a step of a walk takes 8426, 7740, 7871 and 7987
+MOST_TERMS = 2  # of a sum that is not written out: with more or fewer a step of a walk takes more instructions
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -128,7 +128,7 @@ def test_a_walk_in_cuda_c(built, case):
         np.testing.assert_allclose(mine, expected[name], rtol=1e-4, atol=1e-5, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_slopes_of_a_walk_in_cuda_c(built, case):
     """Single precision slopes by the logarithm of the damping agree with central differences in float64 to 1e-3."""
     with jax.enable_x64(False):
