@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_climb.compilation import gpu_kernel, slopes_writer, trial
 from mjx_climb.compilation.gpu_kernel import slopes_over_robots
 
 _SPEC = importlib.util.spec_from_file_location("primitives", Path(__file__).parent / "primitives.py")
@@ -119,3 +120,14 @@ def test_what_nothing_moves_has_no_rates(without_nvrtc):
         jax.jit(sloped).trace(rates, vector, matrix, number).lower(lowering_platforms=("cuda",))
     [kernel] = without_nvrtc
     assert kernel.count("float next_") == 2 + 1
+
+
+@pytest.mark.slow
+def test_the_trial_of_the_kernel_sees_wrong_slopes(monkeypatch, capsys):
+    """Values alone do not make a verdict."""
+    monkeypatch.setattr(gpu_kernel, "_launched", gpu_kernel._interpreted)
+    trial.take("kernel")
+    assert capsys.readouterr().out.strip() == trial.SAME
+    monkeypatch.setitem(slopes_writer._SHORTER, ("div", 0), lambda x, y: 1.01 / y)
+    trial.take("kernel")
+    assert "off in float32" in capsys.readouterr().out
