@@ -8,6 +8,7 @@ from jax.extend import core
 
 from mjx_climb.compilation.cuda_operations import FUNCTIONS, expression, literal, type_of, typed
 from mjx_climb.compilation.elements import Number, OfLane, Value
+from mjx_climb.compilation.writer import Writer
 
 THREADS = 128  # in a block
 NAME = "walk"
@@ -28,7 +29,7 @@ __syncthreads();
 """
 
 
-class CudaWriter:
+class CudaWriter(Writer):
     """Writes a function of one robot down, line by line; `source` is the whole kernel.
 
     Lanes beyond the limbs, where their number is no power of two, do what the first one does.

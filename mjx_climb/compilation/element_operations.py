@@ -15,7 +15,7 @@ from jax.extend import core
 
 from mjx_climb.compilation.devices import host
 from mjx_climb.compilation.element_moves import MOVES
-from mjx_climb.compilation.elements import Element, Elements, Key, Number, OfLane, Value, as_array, known, objects
+from mjx_climb.compilation.elements import Element, Elements, Key, Number, OfLane, Value, as_array, flat, known, objects
 from mjx_climb.compilation.unsupported import Unsupported, refuse_unknown
 from mjx_climb.compilation.writer import Writer
 
@@ -73,6 +73,8 @@ class Operations:
         if any(jnp.issubdtype(cast(Any, v.aval).dtype, jnp.complexfloating) for v in equation.outvars):
             raise Unsupported(f"the operation {name} on complex numbers")
         if name in _CALLS:
+            if name.startswith("custom") and any(map(self.moves, given)):
+                raise Unsupported(f"the slope of the operation {name}")
             return self.closed(parameters[_CALLS[name]], given)
         if name in MOVES:
             move, understood = MOVES[name]
@@ -133,6 +135,11 @@ class Operations:
             if made is operand:  # an operation that changes nothing
                 return list(row)
         return [self.of_lane(made, lane) for lane in range(self.writer.lanes)]
+
+    def moves(self, array: Elements) -> bool:
+        """Return whether slopes are asked for, and an array's element has one."""
+        numbers = (e.value if isinstance(e, OfLane) else e for e in flat([array]) if not isinstance(e, Key))
+        return not known(array) and any(map(self.writer.moves, numbers))
 
     def of_lane(self, value: Value, lane: int) -> OfLane:
         """Return what a lane has of a value, the same object each time."""

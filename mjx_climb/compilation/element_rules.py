@@ -19,6 +19,7 @@ from jax.extend import random as random_kinds
 
 from mjx_climb.compilation.element_operations import Operations
 from mjx_climb.compilation.elements import Element, Elements, Key, Number, Value, along, as_array, flat, known, objects
+from mjx_climb.compilation.reach import carried_on
 from mjx_climb.compilation.unsupported import Unsupported
 
 Rule = Callable[[Operations, core.JaxprEqn, list[Elements]], list[Elements]]
@@ -288,17 +289,19 @@ def _loop_of_numbers(
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in carried):
         raise Unsupported("a loop that carries random keys, other than as plain words,")
     axes = [_axis_of_limbs(aval.shape, do.writer.lanes) for aval in carried]
+    moving = carried_on(body.jaxpr, [*map(do.moves, common)], [*map(do.moves, start)])
 
     def numbers(inside: Operations, arrays: Sequence[Elements]) -> list[Number]:
         """Return the elements of arrays, a single one for all lanes along the limbs."""
         found: list[Number] = []
-        for array, aval, axis in zip(arrays, carried, axes, strict=True):
+        for array, aval, axis, moves in zip(arrays, carried, axes, moving, strict=True):
             if axis is None:
                 some = [inside.same_for_all(cast(Number, element)) for element in flat([array])]
             else:
                 rows = np.moveaxis(objects(array), axis, -1).reshape(-1, do.writer.lanes)
                 some = [inside.packed(row) for row in rows]
-            found += [inside.typed(number, aval.dtype) for number in some]
+            typed = [inside.typed(number, aval.dtype) for number in some]
+            found += map(do.writer.moving, typed) if moves else typed
         return found
 
     def arrays(inside: Operations, values: Sequence[Value]) -> list[Elements]:

@@ -7,13 +7,14 @@ of a step is the same for each limb: with a thread for each of them it is writte
 instruction cache, and sums over the limbs are exchanges within a warp.
 
 The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC (`nvrtc`), and launched by the custom call
-`__gpu$xla.gpu.ptx` of XLA's. It is for values: it has no derivatives.
+`__gpu$xla.gpu.ptx` of XLA's. Slopes are asked for beforehand (`slopes_over_robots`): a thread then follows a
+direction beside the values (`slopes_writer`), and each direction has threads of its own.
 """
 
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -26,11 +27,20 @@ from mjx_climb.compilation.cuda_writer import NAME, THREADS, CudaWriter
 from mjx_climb.compilation.element_operations import Operations
 from mjx_climb.compilation.elements import Element, Elements, Number, as_array, flat
 from mjx_climb.compilation.interpreted import Interpreted
+from mjx_climb.compilation.slopes_writer import SlopesWriter
 from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.compilation.writer import Writer
 
 _Result = TypeVar("_Result")
 _TARGET = "__gpu$xla.gpu.ptx"
+
+
+class Body(NamedTuple):
+    """What is written of one robot: `results` are the elements of the outputs, made of the elements of the inputs."""
+
+    inputs: Sequence[Any]  # with shape and dtype
+    outputs: Sequence[Any]
+    results: Callable[[Writer, list[Elements]], list[list[Number]]]
 
 
 def over_robots(
@@ -50,34 +60,109 @@ def over_robots(
         raises `Unsupported` while it is traced where the function holds what a kernel cannot do.
     """
     axes = [int(has_axis) for has_axis in jax.tree.leaves(tuple(batched))]
+    walk = _interpreted if interpret else _launched
 
     def mapped(*arguments: Any) -> _Result:
-        values, tree = jax.tree.flatten(arguments)
-        one = [jax.ShapeDtypeStruct(value.shape[axis:], value.dtype) for value, axis in zip(values, axes, strict=True)]
-        program, shape = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(tree, one))
-        arrays = [jnp.asarray(value) for value in values]
-        robots = next(len(value) for value, axis in zip(values, axes, strict=True) if axis)
-        walk = _interpreted if interpret else _launched
-        results = walk(program, limbs, robots, arrays, axes)
-        result: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
-        return result
+        program, shape = _of_one(function, arguments, axes)
+        results: _Result = jax.tree.unflatten(shape, walk(values_of(program), limbs, jax.tree.leaves(arguments), axes))
+        return results
 
     return mapped
 
 
-def written(program: core.ClosedJaxpr, limbs: int, axes: Sequence[int]) -> str:
-    """Return the kernel of a function of one robot, whose arguments with a 1 in `axes` are its own, in CUDA C."""
+def slopes_over_robots(
+    function: Callable[..., _Result], batched: Sequence[Any], *, limbs: int = 1, interpret: bool = False
+) -> Callable[..., tuple[_Result, Any]]:
+    """Return the function with its slopes, like `jax.jvp` by its first argument, along several directions.
+
+    Arguments:
+        function, batched, limbs, interpret: as `over_robots` takes them; the first argument has real numbers alone,
+            each with the batch axis.
+
+    Returns:
+        A function of directions and arguments: for each array (B, ...) of the first argument one (B, k, ...). It
+        returns the results, and in place of each its slopes (B, k, ...), None where it is no real number.
+    """
+    axes = [int(has_axis) for has_axis in jax.tree.leaves(tuple(batched))]
+    walk = _interpreted if interpret else _launched
+
+    def mapped(directions: Any, *arguments: Any) -> tuple[_Result, Any]:
+        program, shape = _of_one(function, arguments, axes)
+        rates = [jnp.asarray(rate) for rate in jax.tree.leaves(directions)]
+        robots, count = rates[0].shape[:2]
+        # every direction has threads of its own, and values for itself
+        values = [
+            jnp.repeat(jnp.asarray(value), count, 0) if axis else value
+            for value, axis in zip(jax.tree.leaves(arguments), axes, strict=True)
+        ]
+        along = [rate.reshape(robots * count, *rate.shape[2:]) for rate in rates]
+        found = walk(slopes_of(program, len(rates)), limbs, [*values, *along], [*axes, *[1] * len(rates)])
+        every = [array.reshape(robots, count, *array.shape[1:]) for array in found]
+        results: _Result = jax.tree.unflatten(shape, [array[:, 0] for array in every[: len(program.out_avals)]])
+        slopes = iter(every[len(program.out_avals) :])
+        return results, jax.tree.unflatten(
+            shape, [next(slopes) if _is_real(leaf) else None for leaf in program.out_avals]
+        )
+
+    return mapped
+
+
+def _of_one(
+    function: Callable[..., Any], arguments: Sequence[Any], axes: Sequence[int]
+) -> tuple[core.ClosedJaxpr, Any]:
+    """Return a function of one robot, traced, and the tree of its results."""
+    values, tree = jax.tree.flatten(tuple(arguments))
+    one = [jax.ShapeDtypeStruct(value.shape[axis:], value.dtype) for value, axis in zip(values, axes, strict=True)]
+    program, shape = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(tree, one))
+    return program, jax.tree.structure(shape)
+
+
+def values_of(program: core.ClosedJaxpr) -> Body:
+    """Return the body that is a function's values."""
+
+    def results(writer: Writer, given: list[Elements]) -> list[list[Number]]:
+        return _results(Operations(writer), program, given)
+
+    return Body(program.in_avals, program.out_avals, results)
+
+
+def slopes_of(program: core.ClosedJaxpr, moving: int) -> Body:
+    """Return the body that is a function's values, and then the slopes of those that are real numbers.
+
+    Its inputs end with the rates of the first arguments, `moving` many.
+    """
+    count, real = len(program.in_avals), [leaf for leaf in program.out_avals if _is_real(leaf)]
+
+    def results(writer: Writer, given: list[Elements]) -> list[list[Number]]:
+        sloped = SlopesWriter(writer)
+        arrays = []
+        for array, rates in itertools.zip_longest(given[:count], given[count:]):
+            beside = [None] * array.size if rates is None else map(_number, flat([rates]))
+            each = (sloped.given(_number(e), rate) for e, rate in zip(flat([array]), beside, strict=True))
+            arrays.append(as_array(each, array.shape))
+        found = _results(Operations(sloped), program, arrays)
+        moved = [numbers for numbers, leaf in zip(found, program.out_avals, strict=True) if _is_real(leaf)]
+        return [*([*map(sloped.value_of, n)] for n in found), *([*map(sloped.rate_of, n)] for n in moved)]
+
+    return Body([*program.in_avals, *program.in_avals[:moving]], [*program.out_avals, *real], results)
+
+
+def _is_real(leaf: Any) -> bool:
+    return bool(jnp.issubdtype(leaf.dtype, jnp.floating))
+
+
+def written(body: Body, limbs: int, axes: Sequence[int]) -> str:
+    """Return the kernel of a body, whose inputs with a 1 in `axes` are the robot's own, in CUDA C."""
     writer = CudaWriter(limbs)
     given = []
-    for leaf, axis in zip(program.in_avals, axes, strict=True):
+    for leaf, axis in zip(body.inputs, axes, strict=True):
         of = "own" if axis else "common"
         given.append(as_array((writer.read(of, leaf.dtype) for _ in range(math.prod(leaf.shape))), leaf.shape))
-    return writer.source([number for result in _results(writer, program, given) for number in result])
+    return writer.source([number for result in body.results(writer, given) for number in result])
 
 
-def _results(writer: Writer, program: core.ClosedJaxpr, given: list[Elements]) -> list[list[Number]]:
+def _results(do: Operations, program: core.ClosedJaxpr, given: list[Elements]) -> list[list[Number]]:
     """Return the elements of each result, the same for all lanes and of its type."""
-    do = Operations(writer)
     found = []
     for array, leaf in zip(do.closed(program, given), program.out_avals, strict=True):
         found.append([do.typed(do.same_for_all(_number(element)), leaf.dtype) for element in flat([array])])
@@ -89,28 +174,26 @@ def _number(element: Element) -> Number:
     return element
 
 
-def _interpreted(
-    program: core.ClosedJaxpr, limbs: int, robots: int, arrays: Sequence[Array], axes: Sequence[int]
-) -> list[Array]:
+def _interpreted(body: Body, limbs: int, arrays: Sequence[Any], axes: Sequence[int]) -> list[Array]:
+    robots = _robots(arrays, axes)
     writer = Interpreted(limbs, robots)
     given = []
-    for array, leaf, axis in zip(arrays, program.in_avals, axes, strict=True):
+    for array, leaf, axis in zip(map(jnp.asarray, arrays), body.inputs, axes, strict=True):
         rows = array.reshape(robots, -1).T if axis else array.reshape(-1, 1)
         given.append(as_array((writer.value(row[None]) for row in rows), leaf.shape))
     made = []
-    for numbers, leaf in zip(_results(writer, program, given), program.out_avals, strict=True):
+    for numbers, leaf in zip(body.results(writer, given), body.outputs, strict=True):
         columns = [writer.rows(number)[0] for number in numbers]
         made.append(jnp.stack(columns, 1).reshape(robots, *leaf.shape))
     return made
 
 
-def _launched(
-    program: core.ClosedJaxpr, limbs: int, robots: int, arrays: Sequence[Array], axes: Sequence[int]
-) -> list[Array]:
-    sizes = [math.prod(leaf.shape) for leaf in program.out_avals]
-    own = [_words(array).reshape(robots, -1).T for array, axis in zip(arrays, axes, strict=True) if axis]
-    common = [_words(array).reshape(-1) for array, axis in zip(arrays, axes, strict=True) if not axis]
-    source = nvrtc.ptx(written(program, limbs, axes), _capability())
+def _launched(body: Body, limbs: int, arrays: Sequence[Any], axes: Sequence[int]) -> list[Array]:
+    robots, sizes = _robots(arrays, axes), [math.prod(leaf.shape) for leaf in body.outputs]
+    words = [_words(jnp.asarray(array)) for array in arrays]
+    own = [array.reshape(robots, -1).T for array, axis in zip(words, axes, strict=True) if axis]
+    common = [array.reshape(-1) for array, axis in zip(words, axes, strict=True) if not axis]
+    source = nvrtc.ptx(written(body, limbs, axes), _capability())
     threads = robots * CudaWriter(limbs).width
     launch = {"grid_x": -(-threads // THREADS), "block_x": THREADS, "shared_mem_bytes": 0}
     launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
@@ -125,8 +208,12 @@ def _launched(
     parts = jnp.split(made, list(itertools.accumulate(sizes))[:-1])
     return [
         _from_words(part, leaf.dtype).T.reshape(robots, *leaf.shape)
-        for part, leaf in zip(parts, program.out_avals, strict=True)
+        for part, leaf in zip(parts, body.outputs, strict=True)
     ]
+
+
+def _robots(arrays: Sequence[Any], axes: Sequence[int]) -> int:
+    return next(len(array) for array, axis in zip(arrays, axes, strict=True) if axis)
 
 
 def _capability() -> str:

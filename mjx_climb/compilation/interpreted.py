@@ -9,9 +9,10 @@ from jax import Array, lax
 from jax.extend import core
 
 from mjx_climb.compilation.elements import Number, Value
+from mjx_climb.compilation.writer import Writer
 
 
-class Interpreted:
+class Interpreted(Writer):
     """Numbers are arrays (lanes, robots), with one row where all lanes have the same."""
 
     def __init__(self, lanes: int, robots: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.compilation.cpu_pieces import in_kernels
-from mjx_climb.compilation.gpu_kernel import over_robots
+from mjx_climb.compilation.gpu_kernel import over_robots, slopes_over_robots
 
 SAME = "the same"
 _ROBOTS, _STEPS = 5, 3
@@ -43,7 +43,7 @@ def _pieces(state: np.ndarray) -> tuple[Any, Any]:
 
 
 def _kernel(state: np.ndarray) -> tuple[Any, Any]:
-    """Return the motion of a batch with two limbs that pull at each other, as one kernel and as XLA does it."""
+    """Return the motion of two limbs that pull at each other, and its slopes, by kernels and as XLA does it."""
 
     def moved(now: Array, _: None) -> tuple[Array, None]:
         after = _step(now, None)[0]
@@ -53,7 +53,15 @@ def _kernel(state: np.ndarray) -> tuple[Any, Any]:
         return jax.lax.scan(moved, first, length=_STEPS)[0]
 
     limbs = np.stack([state, state[:, ::-1]], 2)[..., None]  # (robots, 6, 2, 1)
-    return jax.jit(over_robots(motion, [True], limbs=2))(limbs), jax.jit(jax.vmap(motion))(limbs)
+    directions = np.stack([np.cos(limbs), np.sin(limbs)], 1)
+
+    def slopes(first: Array, along: Array) -> Any:
+        return jax.vmap(lambda rate: jax.jvp(motion, (first,), (rate,))[1])(along)
+
+    fast = jax.jit(over_robots(motion, [True], limbs=2))(limbs)
+    sloped = jax.jit(slopes_over_robots(motion, [True], limbs=2))(directions, limbs)
+    plain = jax.jit(jax.vmap(motion))(limbs)
+    return (fast, *sloped), (plain, plain, jax.jit(jax.vmap(slopes))(limbs, directions))
 
 
 _PATHS = {"pieces": (_pieces, (np.float32, np.float64)), "kernel": (_kernel, (np.float32,))}

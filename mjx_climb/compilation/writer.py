@@ -24,3 +24,11 @@ class Writer(Protocol):
 
     def loop(self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]) -> list[Value]:
         """Return what a loop carries in the end: `step` makes what it carries next from what it carried before."""
+
+    def moves(self, number: Number) -> bool:
+        """Return whether slopes are asked for, and a number has one."""
+        return False
+
+    def moving(self, number: Number) -> Number:
+        """Return a number that will move as a loop goes on, whether it does already or not."""
+        return number

@@ -11,10 +11,13 @@ from jax import Array
 from numpy.typing import DTypeLike
 
 from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.compilation.first_possible import first_possible
+from mjx_climb.compilation.gpu_kernel import slopes_over_robots
 from mjx_climb.compilation.kept_programs import kept
-from mjx_climb.compilation.options import compiler_options, pieces_pay
+from mjx_climb.compilation.options import compiler_options, kernel_pays, pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.quantities.batches import varying
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.rollouts.given import AnyGains, Given, values_by_name
 from mjx_climb.rollouts.identity import identity
@@ -64,9 +67,13 @@ def rollout_slopes(
     rates, axes = _rates(walkers, directions, dtype)
     slopes_of_each = next(iter(rates.values())).shape[len(walkers.shape)]
     backend = backend_of(walkers, engine, dtype, slopes_of_each)
+    in_kernel = backend is None and kernel_pays(engine, dtype)
     in_pieces = pieces_pay(engine, backend)
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
-    compiled = functools.partial(_compiled, in_pieces=in_pieces, backend=backend)
+
+    def compiled(robots: int) -> Callable[..., Metrics]:
+        return _compiled_kernel(robots) if in_kernel else _compiled(robots, in_pieces, backend)
+
     found = walk_batch(compiled, walk, walkers, rates, axes, batch_size, progress, backend)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}
     return {name: value for name, value in found.items() if not name.startswith(_SLOPE)}, slopes
@@ -106,27 +113,50 @@ def _direction_last(rates: np.ndarray, length: int, shape: tuple[int, ...]) -> n
 
 
 def _slopes_of(structure: Structure, law: Law, numbers: Parameters, along: dict[str, Array]) -> Metrics:
-    robots = len(numbers.kp)
-
     def walked(moving: dict[str, Array]) -> tuple[Metrics, Metrics]:
-        gains = {name: value for name, value in moving.items() if name in law.GAINS}
-        joint = {name: value for name, value in moving.items() if name not in law.GAINS}
-        moved: Law = dataclasses.replace(law, **gains)  # type: ignore[type-var]
-        metrics = metrics_of(structure, moved, dataclasses.replace(numbers, **joint))
+        metrics = metrics_of(structure, *_moved(moving, law, numbers))
         real = {name: value for name, value in metrics.items() if jnp.issubdtype(value.dtype, jnp.floating)}
         return real, {name: value for name, value in metrics.items() if name not in real}
 
     def slope(direction: dict[str, Array]) -> tuple[Metrics, Metrics, Metrics]:
-        return jax.jvp(walked, (moving,), (direction,), has_aux=True)
+        return jax.jvp(walked, (_moving(law, numbers, along),), (direction,), has_aux=True)
 
-    moving = {}
-    for name, rates in along.items():
-        value = getattr(law if name in law.GAINS else numbers, name)
-        moving[name] = jnp.broadcast_to(value, (robots, *rates.shape[2:]))
     real, slopes, others = jax.vmap(slope, in_axes=1, out_axes=(None, -1, None))(along)
     return real | others | {_SLOPE + name: value for name, value in slopes.items()}
+
+
+def _moving(law: Law, numbers: Parameters, along: dict[str, Array]) -> dict[str, Array]:
+    """Return the gains (B, ...) that have rates (B, k, ...), by name."""
+    gains = {name: getattr(law if name in law.GAINS else numbers, name) for name in along}
+    return {n: jnp.broadcast_to(gains[n], (len(rates), *rates.shape[2:])) for n, rates in along.items()}
+
+
+def _moved(moving: dict[str, Array], law: Law, numbers: Parameters) -> tuple[Law, Parameters]:
+    """Return law and parameters with other gains."""
+    gains = {name: value for name, value in moving.items() if name in law.GAINS}
+    joint = {name: value for name, value in moving.items() if name not in law.GAINS}
+    moved: Law = dataclasses.replace(law, **gains)  # type: ignore[type-var]
+    return moved, dataclasses.replace(numbers, **joint)
+
+
+def _slopes_in_kernel(structure: Structure, law: Law, numbers: Parameters, along: dict[str, Array]) -> Metrics:
+    """Return what `_slopes_of` does, by a single GPU kernel."""
+
+    def walked(moving: dict[str, Array], law: Law, numbers: Parameters) -> Metrics:
+        return metrics_of(structure, *_moved(moving, law, numbers))
+
+    moving, limbs = _moving(law, numbers, along), len(structure.lift_off)
+    batched = [dict.fromkeys(moving, True), varying(law), varying(numbers)]
+    metrics, slopes = slopes_over_robots(walked, batched, limbs=limbs)(along, moving, law, numbers)
+    return metrics | {_SLOPE + name: value for name, value in slopes.items() if value is not None}
 
 
 @functools.cache
 def _compiled(batch: int, in_pieces: bool, backend: str | None) -> Callable[..., Metrics]:
     return kept(_slopes_of, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))
+
+
+@functools.cache
+def _compiled_kernel(batch: int) -> Callable[..., Metrics]:
+    kernel = kept(_slopes_in_kernel, identity, {})
+    return first_possible(kernel, functools.partial(_compiled, batch, False, None), "the GPU kernel")

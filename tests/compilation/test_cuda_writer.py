@@ -1,6 +1,7 @@
 """Kernels in CUDA C, built by the machine's C++ compiler and run on the CPU, a thread for each lane, against XLA."""
 
 import ctypes
+import dataclasses
 import functools
 import importlib.util
 import itertools
@@ -14,7 +15,8 @@ import numpy as np
 import pytest
 
 from mjx_climb.compilation.cuda_writer import CudaWriter
-from mjx_climb.compilation.gpu_kernel import written
+from mjx_climb.compilation.gpu_kernel import slopes_of, values_of, written
+from mjx_climb.compilation.options import compiler_options
 from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.rollouts.rollout import given_in, metrics_of
 from mjx_climb.walk.step import structure
@@ -80,7 +82,7 @@ def test_every_operation_in_cuda_c(built):
         for name, operation in primitives.KNOWN.items():
             program = jax.make_jaxpr(lambda v, m, n, f=operation: f(v, m * v[1], n))(*arguments())
             try:
-                kernels[name] = written(program, 1, [1, 0, 1]), 1
+                kernels[name] = written(values_of(program), 1, [1, 0, 1]), 1
             except Unsupported as error:
                 assert "int8" in str(error)
                 continue
@@ -99,19 +101,23 @@ def test_every_operation_in_cuda_c(built):
                     np.testing.assert_array_equal(mine, xla, err_msg=name)
 
 
+def short_walk(case, steps):
+    """Return a robot's walk that lifts, lands and is pushed, as a function of its arguments, and these."""
+    push = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
+    gait = {"gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.002}
+    scenario = case("case_1_2", "virtual_model", {**gait, "disturbance.pushes": [push]}.items())
+    shape = structure(scenario, "limb")._replace(steps=steps)
+    return functools.partial(metrics_of, shape), given_in(scenario, None, None, None, np.float32)[:2]
+
+
 @pytest.mark.slow
 def test_a_walk_in_cuda_c(built, case):
     """Single precision metrics of a walk, by a thread for each limb, agree with XLA's to 1e-4 of their size."""
-    push = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
-    gait = {"gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.002}  # it lifts and lands
-    scenario = case("case_1_2", "virtual_model", {**gait, "disturbance.pushes": [push]}.items())
     with jax.enable_x64(False):
-        given = given_in(scenario, None, None, None, np.float32)[:2]
-        shape = structure(scenario, "limb")._replace(steps=STEPS)
-        walk = functools.partial(metrics_of, shape)
+        walk, given = short_walk(case, STEPS)
         leaves, axes = jax.tree.leaves(given), [0] * len(jax.tree.leaves(given))
         program = jax.make_jaxpr(walk)(*given)
-        text = written(program, 4, axes)
+        text = written(values_of(program), 4, axes)
         rows = sum(math.prod(aval.shape) for aval in program.out_avals)
         run = built({"walk": (text, CudaWriter(4).width)})
         made = run("walk", words([]), words([np.int32(1), *leaves]), rows)
@@ -120,3 +126,34 @@ def test_a_walk_in_cuda_c(built, case):
     assert expected["force_variation"] > 0.1
     for name, mine in zip(names, of_words(made, program.out_avals), strict=True):
         np.testing.assert_allclose(mine, expected[name], rtol=1e-4, atol=1e-5, err_msg=name)
+
+
+@pytest.mark.nightly
+def test_slopes_of_a_walk_in_cuda_c(built, case):
+    """Single precision slopes by the logarithm of the damping agree with central differences in float64 to 1e-3."""
+    with jax.enable_x64(False):
+        walk, (law, numbers) = short_walk(case, STEPS)
+        arguments = (law.damping, law, numbers)
+        program = jax.make_jaxpr(lambda damping, law, numbers: walk(dataclasses.replace(law, damping=damping), numbers))
+        body, leaves = slopes_of(program(*arguments), 1), jax.tree.leaves((*arguments, law.damping))
+        text = written(body, 4, [0] * len(leaves))
+        rows = sum(math.prod(aval.shape) for aval in body.outputs)
+        made = built({"walk": (text, CudaWriter(4).width)})("walk", words([]), words([np.int32(1), *leaves]), rows)
+    found = list(of_words(made, body.outputs))
+
+    step = 1e-4
+    law, numbers = jax.tree.map(np.float64, (law, numbers))
+    law = dataclasses.replace(law, damping=law.damping * np.array([[1 + step], [1 - step]]))
+    [shape] = walk.args
+    in_pieces = jax.jit(
+        functools.partial(metrics_of, shape._replace(in_pieces=True)),
+        compiler_options=compiler_options(2, in_pieces=True),
+    )
+    expected = in_pieces(law, numbers)
+    slopes = iter(found[len(expected) :])
+    for name in sorted(expected):
+        more, less = expected[name]
+        if np.issubdtype(more.dtype, np.floating):
+            slope = np.nan_to_num((more - less) / (2 * step))  # nobody is torn off: not a number
+            np.testing.assert_allclose(next(slopes), slope, rtol=1e-3, atol=1e-7, err_msg=name)
+    assert next(slopes, None) is None

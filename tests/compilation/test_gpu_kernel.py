@@ -18,6 +18,7 @@ from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.quantities.batches import varying
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.rollouts.rollout import given_in, metrics_of
+from mjx_climb.rollouts.slopes import _slopes_in_kernel
 from mjx_climb.walk.step import structure
 
 ROBOTS = 140  # a block and a part of one
@@ -82,6 +83,21 @@ def test_the_kernel_is_written_for_gpus(case, law, without_nvrtc):
     assert "stablehlo.while" not in lowered
     [kernel] = without_nvrtc
     assert "__shfl_xor_sync" in kernel  # sums over the limbs
+
+
+@pytest.mark.slow
+def test_slopes_are_written_for_gpus(case, without_nvrtc):
+    """Slopes by gains of the law and of the joints are one kernel, whatever the number of directions."""
+    directions = 5
+    with jax.enable_x64(False):
+        walk, (law, numbers), _ = walk_of(case, "virtual_model", 8000, np.float32)
+        along = {"damping": np.ones((ROBOTS, directions, 6), "f4"), "kp": np.ones((ROBOTS, directions), "f4")}
+        sloped = jax.jit(functools.partial(_slopes_in_kernel, *walk.args))
+        traced = sloped.trace(law, numbers, along)
+        lowered = traced.lower(lowering_platforms=("cuda",)).as_text()
+    assert lowered.count("__gpu$xla.gpu.ptx") == 1
+    assert len(without_nvrtc) == 1
+    assert traced.out_info["slope of min_tsm"].shape == (ROBOTS, directions)
 
 
 def test_elements_known_beforehand_and_halves():
