@@ -1,6 +1,7 @@
 """A small motion by a fast path and by XLA's plain one, compared: what `mjx_climb.compilation.probe` runs elsewhere."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -21,9 +22,10 @@ def take(path: str) -> None:
     """Take a path, "pieces" or "kernel", and print `SAME`, or how far it was off."""
     jax.config.update("jax_enable_x64", True)
     of_path, precisions = _PATHS[path]
-    for dtype in precisions:
-        state = np.linspace(0.1, 0.9, 6 * _ROBOTS).reshape(_ROBOTS, 6).astype(dtype)
-        fast, plain = of_path(state)
+    states = [np.linspace(0.1, 0.9, 6 * _ROBOTS).reshape(_ROBOTS, 6).astype(dtype) for dtype in precisions]
+    with ThreadPoolExecutor(len(states)) as threads:  # the first walk on a machine waits for this
+        moved = list(threads.map(of_path, states))
+    for dtype, (fast, plain) in zip(precisions, moved, strict=True):
         for mine, expected in zip(jax.tree.leaves(fast), jax.tree.leaves(plain), strict=True):
             off = float(np.abs(np.asarray(mine) - np.asarray(expected)).max() / np.abs(expected).max())
             if not off <= _TOLERANCE[dtype]:
