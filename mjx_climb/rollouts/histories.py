@@ -72,7 +72,7 @@ def rollout_histories(
     backend = backend_of(walkers, engine, np.float64)  # no kernel writes histories
     in_pieces = pieces_pay(engine, backend)
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, in_pieces=in_pieces)
-    compiled = functools.partial(_compiled, in_pieces=in_pieces, backend=backend)
+    compiled = functools.partial(_compiled, in_pieces=walk.in_pieces, backend=backend)
     return walk_batch(compiled, walk, walkers, batch_size=batch_size, progress=progress, backend=backend)
 
 

@@ -209,11 +209,10 @@ def rollout(
         raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
     check_time_step(scenario, numbers=walker.numbers)
     enable_cache()
-    in_pieces = pieces_pay(engine, "cpu")
     with devices.on_host():
-        shape = structure(scenario, engine, walker.numbers, in_pieces=in_pieces)
+        shape = structure(scenario, engine, walker.numbers, in_pieces=pieces_pay(engine, "cpu"))
         with jax.enable_x64(np.dtype(dtype) == np.float64):
-            samples = _compiled_samples(in_pieces)(shape, walker.law, walker.numbers)
+            samples = _compiled_samples(shape.in_pieces)(shape, walker.law, walker.numbers)
             samples = jax.tree.map(np.asarray, samples)
     own = dataclasses.replace(walker.numbers, **walker.replaced)
     name = "" if law is None else type(law).__name__
@@ -323,7 +322,7 @@ def rollout_metrics(
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
 
     def program(robots: int) -> Callable[..., Metrics]:
-        return _compiled_kernel(robots) if in_kernel else _compiled_metrics(robots, in_pieces, backend)
+        return _compiled_kernel(robots) if in_kernel else _compiled_metrics(robots, walk.in_pieces, backend)
 
     return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress, backend=backend)
 

@@ -72,7 +72,7 @@ def rollout_slopes(
     walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
 
     def compiled(robots: int) -> Callable[..., Metrics]:
-        return _compiled_kernel(robots) if in_kernel else _compiled(robots, in_pieces, backend)
+        return _compiled_kernel(robots) if in_kernel else _compiled(robots, walk.in_pieces, backend)
 
     found = walk_batch(compiled, walk, walkers, rates, axes, batch_size, progress, backend)
     slopes = {n.removeprefix(_SLOPE): np.moveaxis(v, -1, 0) for n, v in found.items() if n.startswith(_SLOPE)}

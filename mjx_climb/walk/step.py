@@ -84,7 +84,8 @@ def structure(
 ) -> Structure:
     """Return what a compiled walk of the scenario depends on beside its law and its numbers: its own where None.
 
-    With `smooth` the metrics have their smooth companions, and no gripper is torn off.
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off. Grips that transmit moments are
+    never compiled in pieces: XLA:CPU (jaxlib 0.10) stops the process at such a step.
 
     Raises:
         ConfigError: no such engine.
@@ -94,6 +95,7 @@ def structure(
         with jax.enable_x64(True), jax.ensure_compile_time_eval():
             numbers = parameters(scenario)
     table = MetricTable(metrics)
+    stages = _with_own_drives(stages_of(scenario, numbers), load_robot(scenario.robot))
     return Structure(
         robot=scenario.robot,
         engine=checked_engine(engine),
@@ -103,8 +105,8 @@ def structure(
         time_step=scenario.time_step,
         metrics=table.with_companions if smooth else table,
         smooth=smooth,
-        stages=_with_own_drives(stages_of(scenario, numbers), load_robot(scenario.robot)),
-        in_pieces=in_pieces,
+        stages=stages,
+        in_pieces=in_pieces and not stages.rotational,
     )
 
 

@@ -105,7 +105,7 @@ def theirs(model, state, torque, foot_force, push):
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in SHAPES]
 )
-@pytest.mark.parametrize("engine", ["limb", pytest.param("mjx", marks=(pytest.mark.slow, pytest.mark.nightly))])
+@pytest.mark.parametrize("engine", ["limb", pytest.param("mjx", marks=pytest.mark.slow)])
 def test_accelerations_are_those_of_mujoco(engine, name):
     """A hundred random states under torques, foot forces and a push: each acceleration to 1e-9 of its vector."""
     limbs, joints, slides, armature = SHAPES[name]

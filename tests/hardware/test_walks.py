@@ -110,7 +110,6 @@ def test_neutral_numbers_change_nothing(scenario):
         assert found[name][1] != ideal[name]
 
 
-@pytest.mark.nightly
 @pytest.mark.slow
 def test_engines_agree_on_hardware(scenario):
     numbers = numbers_of(scenario, 2)

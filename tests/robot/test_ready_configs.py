@@ -26,6 +26,14 @@ def test_a_ready_config_stands(name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", READY)
+def test_a_ready_config_begins_to_walk(name):
+    """XLA has ended the process while it compiled one of them."""
+    scenario = mc.load_scenario(config_path(f"{name}.yaml")).with_overrides({"duration": 0.02})
+    assert not mc.metrics(mc.rollout(scenario))["diverged"]
+
+
+@pytest.mark.slow
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", READY)
 def test_a_ready_config_walks(name):
