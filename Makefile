@@ -8,17 +8,14 @@ PYTEST := $(BIN)/python -m pytest
 sweep: .venv/.installed
 	$(BIN)/mjx-climb sweep configs/case_1_2.yaml --stiffness 1e2:1e6:12 --damping 1e0:1e5:12 --out results/case_1_2
 
-# Programs of tests are compiled more often than walked: most of them without LLVM's optimisations, the nightly ones and
-# those that compare speeds as users have them.
-QUICKLY := XLA_FLAGS=--xla_backend_optimization_level=0
-
 # COVER=--cov prints which lines the tests reach, for a few per cent of their time.
+# Its programs are compiled more often than walked: without LLVM's optimisations. The others are compiled as users' are.
 test: .venv/.installed-test
-	$(QUICKLY) $(PYTEST) -n 2 --dist loadfile -m "not slow and not timing and not nightly" $(COVER)
+	XLA_FLAGS=--xla_backend_optimization_level=0 $(PYTEST) -n 2 --dist loadfile -m "not slow and not timing and not nightly" $(COVER)
 
 # Those that compare speeds run alone.
 test-slow: .venv/.installed-test
-	$(QUICKLY) $(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
+	$(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
 	$(PYTEST) -m "timing and not nightly"
 
 # Whole searches and notebooks, every robot and shape from start to end: some two hours.

@@ -108,6 +108,7 @@ def test_a_command_that_came_to_its_end_says_so(monkeypatch, capsys, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["schema", "export", "run"])  # the others take minutes: the script has them
 def test_signals_at_random_instants(command, tmp_path):
-    """Six of the two hundred that `python -m tests.interrupts` tries."""
-    tries = interrupts.attempts(command, 4, np.random.default_rng(), tmp_path)
+    """Four of the two hundred that `python -m tests.interrupts` tries."""
+    length = interrupts.undisturbed(command, tmp_path)
+    tries = interrupts.attempts(command, 4, length, np.random.default_rng(), tmp_path)
     assert not [attempt for attempt in tries if attempt.kind not in interrupts.FINE], tries
