@@ -5,6 +5,8 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from tuning.command_line import interruption
+
 
 class InputError(ValueError):
     """An argument or option that cannot be used; in one line: option, what was expected, what was got."""
@@ -40,12 +42,17 @@ def kept_in(out: Path, what: str, done: int = 0) -> Iterator[Kept]:
     """Say what is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
 
     Raises:
-        Interrupted: in place of KeyboardInterrupt.
+        Interrupted: in place of KeyboardInterrupt, and of what goes wrong after the user asked to stop: a process that
+            walked beside this one, for example, was stopped as well and may be gone first.
     """
     kept = Kept(done)
     try:
         yield kept
-    except KeyboardInterrupt:
+    except Interrupted:  # it says more
+        raise
+    except (KeyboardInterrupt, Exception) as error:
+        if not (isinstance(error, KeyboardInterrupt) or interruption.requested()):
+            raise
         raise Interrupted(f"{kept.done} {what} are kept in {out}; the same command goes on from there") from None
 
 

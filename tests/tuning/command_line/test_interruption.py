@@ -13,8 +13,9 @@ import pytest
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
+from mjx_climb.compilation.devices import LostProcess
 from tests import interrupts
-from tuning.command_line import main
+from tuning.command_line import ending, interruption, main
 
 ROOT = Path(__file__).parents[3]
 RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.2"]
@@ -95,6 +96,15 @@ def test_the_second_signal_ends_what_never_looks():
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err == "mjx-climb: interrupted at once: what was finished is kept; the same command goes on from there\n"
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_what_is_kept_is_said_where_another_process_was_stopped_first(asked, monkeypatch, tmp_path):
+    monkeypatch.setattr(interruption, "requested", lambda: asked)
+    expected = (ending.Interrupted, "4 walks are kept") if asked else (LostProcess, "gone")
+    with pytest.raises(expected[0], match=expected[1]), ending.kept_in(tmp_path, "walks") as kept:
+        kept.done = 4
+        raise LostProcess("gone")
 
 
 def test_a_command_that_came_to_its_end_says_so(monkeypatch, capsys, tmp_path):
