@@ -1,5 +1,7 @@
 """Forward-mode derivatives through whole walks, of every smooth metric by every gain, against central differences."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,13 +26,15 @@ class Walks:
     """All smooth metrics of a batch of walks, (metric, B), as a function of relative changes of the gains (B, 3, 6)."""
 
     def __init__(self, scenarios, gains, numbers, nominal=None):
-        self.simulate = mc.simulator(scenarios[0])
+        in_pieces = mc.pieces_pay("limb")
+        compiled = functools.partial(jax.jit, compiler_options=mc.compiler_options(64, in_pieces=in_pieces))
+        self.simulate = mc.simulator(scenarios[0], in_pieces=in_pieces)
         self.nominal = np.array([[getattr(gains(s), name) for name in GAINS] for s in scenarios])
         if nominal is not None:
             self.nominal = np.broadcast_to(np.array(nominal)[:, None], self.nominal.shape)
         self.numbers = jax.tree.map(lambda *values: np.stack(values), *map(numbers, scenarios))
-        self.values = jax.jit(self._values)
-        self.slopes = jax.jit(
+        self.values = compiled(self._values)
+        self.slopes = compiled(
             lambda change, *rest: jax.jvp(lambda c: self._values(c, *rest[1:]), (change,), rest[:1])[1]
         )
 

@@ -79,7 +79,12 @@ def test_memory_does_not_grow_with_time(case):
     """The compiled walk of 8 s needs the memory of the one of 1 s."""
     short, long = (case("case_1_1", "virtual_model", (("duration", span),)) for span in (1.0, 8.0))
     gains = mc.Gains(1.0, 1e4, np.full((8, 6), 4e5))
-    need = lambda sc: jax.jit(mc.simulator(sc)).lower(gains).compile().memory_analysis().temp_size_in_bytes  # noqa: E731
+    options = mc.compiler_options(8, in_pieces=True)
+
+    def need(scenario):
+        walk = jax.jit(mc.simulator(scenario, in_pieces=True), compiler_options=options)
+        return walk.lower(gains).compile().memory_analysis().temp_size_in_bytes
+
     # the list of steps is the one thing that is longer
     assert need(long) - need(short) <= 8 * 8000
 

@@ -41,8 +41,9 @@ class Searched:
 
     def __init__(self, case, numbers, reading: str, layouts: list[dict], overrides: dict, changes: dict):
         scenarios = [case(name, reading, overrides) for name in CASES]
-        options = mc.compiler_options(64)
-        self.simulate = jax.jit(mc.simulator(scenarios[0], smooth=True), compiler_options=options)
+        in_pieces = mc.pieces_pay("limb")
+        walk = mc.simulator(scenarios[0], smooth=True, in_pieces=in_pieces)
+        self.simulate = jax.jit(walk, compiler_options=mc.compiler_options(64, in_pieces=in_pieces))
         self.spaces = [spaces.space(scenarios[0], search.make(settings)) for settings in layouts]
         rng = np.random.default_rng(0)
         self.points = []
