@@ -1,6 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
+UNOPTIMISED := XLA_FLAGS=--xla_backend_optimization_level=0
 
 .PHONY: sweep test test-slow test-nightly lint types docs clean .venv
 
@@ -9,13 +10,13 @@ sweep: .venv/.installed
 	$(BIN)/mjx-climb sweep configs/case_1_2.yaml --stiffness 1e2:1e6:12 --damping 1e0:1e5:12 --out results/case_1_2
 
 # COVER=--cov prints which lines the tests reach, for a few per cent of their time.
-# Its programs are compiled more often than walked: without LLVM's optimisations. The others are compiled as users' are.
+# Its programs are compiled more often than walked: without LLVM's optimisations, as those of the next.
 test: .venv/.installed-test
-	XLA_FLAGS=--xla_backend_optimization_level=0 $(PYTEST) -n 2 --dist loadfile -m "not slow and not timing and not nightly" $(COVER)
+	$(UNOPTIMISED) $(PYTEST) -n 2 --dist loadfile -m "not slow and not timing and not nightly" $(COVER)
 
-# Those that compare speeds run alone.
+# Those that compare speeds run alone, and compiled as users' programs are.
 test-slow: .venv/.installed-test
-	$(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
+	$(UNOPTIMISED) $(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
 	$(PYTEST) -m "timing and not nightly"
 
 # Whole searches and notebooks, every robot and shape from start to end: some two hours.
