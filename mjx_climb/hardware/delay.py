@@ -6,14 +6,22 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from mjx_climb.scenario.hardware import MAX_DELAY
+
 _MULTIPLE = 4  # lengths are rounded up to it, so that drawing other delays seldom needs another program
 
 
 def samples(delay: ArrayLike, time_step: float) -> int:
-    """Return how long a buffer the longest of some delays in s needs, 0 where there is none."""
+    """Return how long a buffer the longest of some delays in s needs, 0 where there is none.
+
+    Raises:
+        ValueError: a delay of more than 500 time steps.
+    """
     longest = float(np.max(np.asarray(delay), initial=0.0)) / time_step
     if longest == 0:
         return 0
+    if not longest <= MAX_DELAY:
+        raise ValueError(f"delay: expected at most {MAX_DELAY} time steps of {time_step:g} s, got {longest:g}")
     return -(-(int(longest * (1 + 1e-6)) + 2) // _MULTIPLE) * _MULTIPLE
 
 

@@ -24,6 +24,7 @@ from mjx_climb.walk.metrics import FAILURES
 
 _LEAST_SPAN = 0.05  # of a scale, relative to its values
 _MARKERS = ("*", "o", "D", "^", "s", "P", "v")
+_TORN, _DIVERGED = "/////", "xxxxx"  # hatches
 
 
 @styled
@@ -50,8 +51,9 @@ def plot_map(
         y: the dimension along the vertical axis.
         title: above the figure.
 
-    Walks that failed, `detached_at` set or `diverged`, are hatched; what is not a number is grey. Where the dataset has
-    a `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
+    Walks that failed are hatched, by lines where a gripper was torn off (`detached_at` set), whatever became of the
+    walk, and crosswise where it `diverged` with all of them; what is not a number is grey. Where the dataset has a
+    `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
     handles, label, bar = _draw_map(
@@ -187,17 +189,20 @@ def _draw_map(
     if failed.any():
         shades = colormap(norm(np.nan_to_num(values, nan=norm.vmin or 0.0)))[..., :3] @ [0.299, 0.587, 0.114]
         dark = (shades < 0.4) & np.isfinite(values)
-        hatched: dict[str, Any] = {"facecolor": "none", "hatch": "/////", "linewidth": 0}
-        for chosen, color in ((failed & ~dark, "0.15"), (failed & dark, "0.85")):
-            cells = [
-                Path([(x_edges[i], y_edges[j]), (x_edges[end], y_edges[j]), (x_edges[end], y_edges[j + 1]),
-                      (x_edges[i], y_edges[j + 1]), (x_edges[i], y_edges[j])], closed=True)
-                for j, i, end in _runs(chosen)
-            ]  # fmt: skip
-            if cells:  # one shape: each would be hatched by itself
-                whole = PathPatch(Path.make_compound_path(*cells), **hatched, edgecolor=color, gid="failed walks")
-                panel.add_artist(whole)
-        handles.append(Patch(**hatched | {"facecolor": "white"}, edgecolor="0.15", label="failed walk"))
+        torn = torn_off(dataset, x, y)
+        for kind, hatch, name in ((torn, _TORN, "gripper torn off"), (failed & ~torn, _DIVERGED, "diverged")):
+            hatched: dict[str, Any] = {"facecolor": "none", "hatch": hatch, "linewidth": 0}
+            for chosen, color in ((kind & ~dark, "0.15"), (kind & dark, "0.85")):
+                cells = [
+                    Path([(x_edges[i], y_edges[j]), (x_edges[end], y_edges[j]), (x_edges[end], y_edges[j + 1]),
+                          (x_edges[i], y_edges[j + 1]), (x_edges[i], y_edges[j])], closed=True)
+                    for j, i, end in _runs(chosen)
+                ]  # fmt: skip
+                if cells:  # one shape: each would be hatched by itself
+                    whole = PathPatch(Path.make_compound_path(*cells), **hatched, edgecolor=color, gid=name)
+                    panel.add_artist(whole)
+            if kind.any():
+                handles.append(Patch(**hatched | {"facecolor": "white"}, edgecolor="0.15", label=name))
     empty = np.isnan(values)
     if metric == "detached_at" and (held := empty & ~failed).any():
         panel.pcolormesh(x_edges, y_edges, np.ma.masked_where(~held, held), cmap=ListedColormap([HELD]), linewidth=0)
@@ -312,13 +317,19 @@ def _grid(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
     return dataset[name].transpose(y, x)
 
 
+def torn_off(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
+    """Return which walks lost a gripper, (y, x), be it that they diverged later."""
+    torn = np.zeros((dataset.sizes[y], dataset.sizes[x]), bool)
+    if "detached_at" in dataset:
+        torn |= np.isfinite(_grid(dataset, "detached_at", x, y).values)
+    if "detached_limb" in dataset:
+        torn |= _grid(dataset, "detached_limb", x, y).values >= 0
+    return torn
+
+
 def failed_walks(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
     """Return which walks failed, (y, x): a gripper was torn off, or the state stopped being finite."""
-    failed = np.zeros((dataset.sizes[y], dataset.sizes[x]), bool)
-    if "detached_at" in dataset:
-        failed |= np.isfinite(_grid(dataset, "detached_at", x, y).values)
-    if "detached_limb" in dataset:
-        failed |= _grid(dataset, "detached_limb", x, y).values >= 0
+    failed = torn_off(dataset, x, y)
     if "diverged" in dataset:
         failed |= _grid(dataset, "diverged", x, y).values.astype(bool)
     return failed

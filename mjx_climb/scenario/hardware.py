@@ -10,6 +10,8 @@ from mjx_climb.scenario.messages import failure
 from mjx_climb.scenario.section import Section
 from mjx_climb.scenario.values import NonNegative, Number, PositiveOrNull, Seed
 
+MAX_DELAY = 500  # time steps: each is a sample of a buffer, which a step reads whole
+
 
 class ForceSensor(Section):
     """Force sensors of the feet, a sample every time step."""

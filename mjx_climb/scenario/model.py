@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
-from mjx_climb.scenario.hardware import Hardware
+from mjx_climb.scenario.hardware import MAX_DELAY, Hardware
 from mjx_climb.scenario.messages import failure, refusal
 from mjx_climb.scenario.overrides import override
 from mjx_climb.scenario.section import Section
@@ -321,6 +321,14 @@ class Scenario(Section):
         if not math.isclose(period, round(period), rel_tol=1e-9, abs_tol=1e-9):
             expected = f"a whole number of time steps of {self.time_step:g} s, or 0"
             raise failure(expected, key="hardware.control_period", got=self.hardware.control_period)
+        hardware = self.hardware
+        for key, delay in (
+            ("command_delay", hardware.command_delay), ("force_sensor.delay", hardware.force_sensor.delay),
+            ("base_estimate.delay", hardware.base_estimate.delay), ("servo.delay", hardware.servo.delay),
+        ):  # fmt: skip
+            if delay / self.time_step > MAX_DELAY:
+                expected = f"at most {MAX_DELAY} time steps of {self.time_step:g} s"
+                raise failure(expected, key=f"hardware.{key}", got=delay)
         if round((1 - self.gait.duty) * self.gait.cycle / self.time_step) < 2:
             expected = f"a swing, (1 - duty) cycle, of two time steps of {self.time_step:g} s or more"
             raise failure(expected, key="gait.duty", got=self.gait.duty)

@@ -38,8 +38,8 @@ def margins(
 
     Makes force delay, command delay, control period and joint gains worse, one at a time, on top of the scenario's own
     hardware, and says up to where no gripper is torn off, up to where the force varies less than under pd on the same
-    hardware, and up to where the linearised loop is stable. Warns where walks bear less than twice what the hardware
-    has.
+    hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop, bear less than
+    twice what the hardware has.
 
     Writes to DIR the margins (margins.json), all walks (margins.nc), and the force variation over each quantity, for
     the gains, pd and the config's own gains (margins, in the formats of --figures).
@@ -82,7 +82,7 @@ def margins(
 
         tables = console if json else report.console(file=stdout)
         tables.print(margins_table(found.margins, stable))
-        for line in judged.warnings(found):
+        for line in output.warnings(found, stable):
             tables.print(f"warning: {line}", soft_wrap=True)
         console.print(
             f"written to {out}: {output.FILES}, {', '.join(f'margins.{kind}' for kind in formats)}, config.yaml",

@@ -27,6 +27,7 @@ def pareto(
         Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML: bounds, pins, limits, seed.")
     ] = None,
     controller: options.Controller = None,
+    hardware: options.Hardware = None,
     changes: options.Set = None,
     law: options.LawFile = None,
     metric: options.Metrics = None,
@@ -60,7 +61,7 @@ def pareto(
         from tuning.searches import pareto as fronts
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes)
+        scenario = options.scenario_from(config, controller, changes, hardware)
         user_law = options.own_law(law)
         engine, formats = options.engine_from(engine), options.figures_from(figures)
         table = options.metrics_from(metric)

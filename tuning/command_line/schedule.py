@@ -36,6 +36,7 @@ def schedule(
         Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML: weights, limits, bounds, seed.")
     ] = None,
     controller: options.Controller = None,
+    hardware: options.Hardware = None,
     changes: options.Set = None,
     law: options.LawFile = None,
     metric: options.Metrics = None,
@@ -50,9 +51,9 @@ def schedule(
     """Tune gains for every pair of gravity and cargo, all side by side in one batch.
 
     The config's gravity gives the direction, its cargo the time of loading. Prints the gains and what they change
-    against pd, and writes to DIR the table (schedule.csv, schedule.yaml), all metrics and what the gains of one
-    operating point are worth at another (schedule.nc), and a picture (schedule.png). Finished rounds are
-    kept: after Ctrl-C the same command goes on.
+    against pd, and against pd with kp and kd of its own for each pair, and writes to DIR the table (schedule.csv,
+    schedule.yaml), all metrics and what the gains of one operating point are worth at another (schedule.nc), and a
+    picture (schedule.png). Finished rounds are kept: after Ctrl-C the same command goes on.
 
     \b
     Examples:
@@ -66,7 +67,7 @@ def schedule(
         from tuning.searches import schedule as schedules
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes)
+        scenario = options.scenario_from(config, controller, changes, hardware)
         user_law = options.own_law(law)
         engine, formats = options.engine_from(engine), options.figures_from(figures)
         table = options.metrics_from(metric)
@@ -90,6 +91,7 @@ def schedule(
         rows = schedules.rows(found.data)
         tables = console if json else report.console(file=stdout)
         tables.print(schedule_table(rows, found.data.attrs["searched"].split()))
+        tables.print(schedules.worth(found.data), soft_wrap=True)
         tables.print(_one_for_all(*schedules.one_for_all(found.data)))
         seconds = progress.duration(time.perf_counter() - begin)
         console.print(f"written to {out} in {seconds}: {output.FILES}", soft_wrap=True)
@@ -106,15 +108,18 @@ def _one_for_all(level: float, load: float, loss: float) -> str:
 def schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
     """Return the table of a schedule: the gains that were searched, and force variation against pd."""
     from tuning.command_line.report import change, gain, number, plain_table
+    from tuning.searches.retuned_pd import NAME
 
-    table = plain_table("gravity G", "cargo kg", *gains, "force variation N", "vs config %", "vs pd %", "")
+    table = plain_table(
+        "gravity G", "cargo kg", *gains, "force variation N", "vs config %", "vs retuned %", "vs pd %", ""
+    )
     table.columns[-1].no_wrap = False  # words give way to numbers
     for row in rows:
-        tuned, config, pd = (row["force_variation"][walk] for walk in ("tuned", "config", "pd"))
+        tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
         cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
         verdict = "" if row["feasible"] else "breaks limits"
         verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
-        table.add_row(*cells, number(tuned), change(tuned, config), change(tuned, pd), verdict.strip())
+        table.add_row(*cells, number(tuned), *(change(tuned, other) for other in others), verdict.strip())
     return table
 
 

@@ -21,7 +21,8 @@ _ROOM = 1.05  # a suggestion lies so far inside the limit
 
 _HEADER = """\
 Parameters of the ros2_control admittance_controller, written by mjx-climb export.
-Stable at update rates of {lowest} Hz and above; the largest discrete pole at {rate} Hz is {pole:.6g}.
+The controller by itself is stable at update rates of {lowest} Hz and above; the largest discrete pole at {rate} Hz is
+{pole:.6g}. How late and slow the robot around it may be is another question: mjx-climb margins.
 The controller yields along the wrench that it is given: give it -w, w the foot forces summed at the base.
 joint_damping 0 leaves Eq. 3 as it is; {filtered}. It reads its sensor by itself: what a broadcaster's
 sensor_filter_chain makes of the wrench never comes here."""

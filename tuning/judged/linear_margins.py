@@ -18,9 +18,13 @@ from tuning.judged.margins import (
     Margin,
     changes,
     joint_gains,
+    needed,
     own_numbers,
+    reaches,
+    up_to,
     values_of,
     whole_steps,
+    with_unit,
     without_joint,
 )
 
@@ -63,6 +67,19 @@ def find(
         if progress is not None:
             progress(done + 1, len(margins))
     return found
+
+
+def warnings(margins: Mapping[str, Margin], stable: Mapping[str, Stable]) -> list[str]:
+    """Return in words where the loop is stable up to less than twice the hardware, though walks hold so far."""
+    lines = []
+    for name, margin in margins.items():
+        wanted, reached = needed(name, margin.own), stable[name]
+        if reaches(name, margin.holds, wanted) and not reaches(name, reached.up_to, wanted):
+            lines.append(
+                f"{QUANTITIES[name].title}: the linearised loop is stable {up_to(name, reached.up_to)}, the hardware "
+                f"has {with_unit(name, margin.own)}, {with_unit(name, wanted)} would be safe"
+            )
+    return lines
 
 
 def crossing(values: np.ndarray, radius: np.ndarray) -> float | None:

@@ -18,6 +18,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.scenario.hardware import MAX_DELAY
 from tuning.gains.gains_file import by_name
 
 POINTS = 16  # values of a quantity that are walked at a time
@@ -126,9 +127,9 @@ def warnings(found: Found) -> list[str]:
     for name, margin in found.margins.items():
         wanted = needed(name, margin.own)
         if not reaches(name, margin.holds, wanted):
-            failing = f"gains hold {_up_to(name, margin.holds)}"
+            failing = f"gains hold {up_to(name, margin.holds)}"
         elif found.better and not reaches(name, margin.better, wanted):
-            failing = f"gains stay better than pd {_up_to(name, margin.better)}"
+            failing = f"gains stay better than pd {up_to(name, margin.better)}"
         else:
             continue
         own, safe = with_unit(name, margin.own), with_unit(name, wanted)
@@ -136,7 +137,8 @@ def warnings(found: Found) -> list[str]:
     return lines
 
 
-def _up_to(quantity: str, reached: float | None) -> str:
+def up_to(quantity: str, reached: float | None) -> str:
+    """Return how far something goes, in words: "up to 7.03 ms only", "at no value"."""
     return "at no value" if reached is None else f"up to {with_unit(quantity, reached)} only"
 
 
@@ -186,7 +188,9 @@ def values_of(scenario: mc.Scenario, quantity: str) -> np.ndarray:
         values = max(longest, 2 * FACTOR * own) * np.linspace(0, 1, POINTS) ** 2
     for wanted in (own, needed(quantity, own)):  # what is asked of gains is walked itself
         values[np.abs(values - wanted).argmin()] = wanted
-    return whole_steps(values, step) if quantity == "control_period" else values
+    if quantity == "control_period":
+        return whole_steps(values, step)
+    return values if QUANTITIES[quantity].scales else np.minimum(values, MAX_DELAY * step)
 
 
 def whole_steps(periods: np.ndarray, step: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 
 from mjx_climb import plots
 from mjx_climb.files import dataset
-from tuning.judged import margins
+from tuning.judged import linear_margins, margins
 from tuning.judged.linear_margins import Stable
 from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
@@ -26,7 +26,12 @@ def summary(found: margins.Found, stable: Mapping[str, Stable]) -> dict[str, Any
         for name, margin in found.margins.items()
     }
     own = {"holds": found.holds, "better": found.better}
-    return {"own_hardware": own, "margins": each, "warnings": margins.warnings(found)}
+    return {"own_hardware": own, "margins": each, "warnings": warnings(found, stable)}
+
+
+def warnings(found: margins.Found, stable: Mapping[str, Stable]) -> list[str]:
+    """Return in words what speaks against gains: by walks, and by the linearised loop where walks say nothing."""
+    return margins.warnings(found) + linear_margins.warnings(found.margins, stable)
 
 
 def write(

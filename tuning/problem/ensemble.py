@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import given
+from mjx_climb.scenario.hardware import MAX_DELAY
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import settings
 
@@ -139,7 +140,8 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     """Return the numbers of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains.
 
     Raises:
-        ConfigError: a factor on what the scenario does not have, or a control rate that its time step cannot tell.
+        ConfigError: a factor on what the scenario does not have, or a control rate or delays that its time step cannot
+            tell.
     """
     rng = np.random.default_rng(ensemble.seed)
     members = ensemble.members
@@ -182,7 +184,12 @@ def _hardware(
     scenario: mc.Scenario, hardware: Hardware, own: mc.Parameters, uniform: Callable[[AnyRange], np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Return the numbers of the members' hardware, (members, 1) each."""
-    drawn = {}
+    drawn, longest = {}, MAX_DELAY * scenario.time_step
+    for name in ("force_delay", "command_delay"):
+        if (span := getattr(hardware, name)) is not None and span[1] > longest:
+            raise ConfigError(
+                f"hardware.{name}: expected at most {MAX_DELAY} time steps, {longest:g} s, got {span[1]:g}"
+            )
     for name in ("force_delay", "command_delay", "force_noise", "force_bias", "backlash", "capture_distance"):
         if (span := getattr(hardware, name)) is not None:
             drawn[name] = uniform(span)

@@ -110,6 +110,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     units = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inertia": "M [kg, kg m$^2$]"}
     loads = table["cargo"].values
     colors = [plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.SKY, plots.VERMILLION]
+    dashes = {"tuned": "-", "config": ":", "retuned_pd": "--"}
     with plots.style():
         figure = Figure(figsize=(plots.COLUMN, 0.5 + 1.3 * (len(kinds) + 1)), layout="constrained")
         axes = figure.subplots(len(kinds) + 1, 1, sharex=True)
@@ -122,7 +123,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
                     _line(panel, gravity, part, sound, color, dash)
                 panel.set_ylabel(units.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
             variation = point["force_variation"]
-            for walk, dash in (("tuned", "-"), ("config", ":")):
+            for walk, dash in dashes.items():
                 left = 100 * (variation.sel(walk=walk) / variation.sel(walk="pd")).values
                 _line(axes[-1], gravity, left, sound if walk == "tuned" else None, color, dash)
         for panel in axes[:-1]:
@@ -132,7 +133,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
         axes[-1].set_xscale("log")
         axes[-1].set_xlabel("gravity [G]")
         axes[-1].legend(
-            handles=[Line2D([], [], color="0.3", ls=d, label=w) for w, d in (("tuned", "-"), ("config", ":"))],
+            handles=[Line2D([], [], color="0.3", ls=d, label=w.replace("_", " ")) for w, d in dashes.items()],
             fontsize=6.5,
         )
         plots.legend(

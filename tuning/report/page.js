@@ -170,7 +170,7 @@
           (this.heading = make("p", { class: "title" })),
           map,
           legend(points.marks.map((m) => [this.symbol(m.name), m.name]), points.limit.length > 0),
-          make("p", { class: "hint screen" }, "Brighter is better, and colours end where the bar does; hatched walks lost a gripper or diverged. Point at a cell for its numbers, click it for its walk over time; arrow keys move, Enter chooses."),
+          make("p", { class: "hint screen" }, "Brighter is better, and colours end where the bar does; walks hatched by lines lost a gripper, those hatched crosswise diverged with all of them. Point at a cell for its numbers, click it for its walk over time; arrow keys move, Enter chooses."),
         );
         this.drawings.push(() => this.drawMap(map));
         this.mapTitle();
@@ -252,9 +252,10 @@
       const box = { left: GAP.left, right: width - 74, top: GAP.top, bottom: height - GAP.bottom };
       const w = (box.right - box.left) / xs.length;
       const h = (box.bottom - box.top) / ys.length;
-      const failing = `hatch-${Math.random().toString(36).slice(2)}`;
-      svg.append(make("defs", {}, make("pattern", { id: failing, width: 6, height: 6, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
-        make("line", { x1: 0, x2: 0, y1: 0, y2: 6, stroke: "#fff", "stroke-width": 2.4 }), make("line", { x1: 1.6, x2: 1.6, y1: 0, y2: 6, stroke: "#000", "stroke-width": 1 }))));
+      const hatches = { torn: ["M3 0V6"], diverged: ["M3 0V6", "M0 3H6"] };
+      const prefix = `hatch-${Math.random().toString(36).slice(2)}`;
+      svg.append(make("defs", {}, ...Object.entries(hatches).map(([kind, ways]) => make("pattern", { id: `${prefix}-${kind}`, width: 6, height: 6, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
+        ...ways.map((d) => make("path", { d, stroke: "#fff", "stroke-width": 2.4 })), ...ways.map((d) => make("path", { d, stroke: "#000", "stroke-width": 1 }))))));
       const left = (cell) => box.left + w * Math.floor(cell / ys.length);
       const top = (cell) => box.bottom - h * ((cell % ys.length) + 1);
       const values = points.values[metric];
@@ -264,7 +265,7 @@
         const at = { x: left(cell), y: top(cell), width: w + 0.3, height: h + 0.3 };
         const fill = typeof values[cell] === "number" ? plain || this.color(metric, values[cell]) : "#bdbdbd";
         svg.append(make("rect", { ...at, fill, "data-cell": cell }));
-        if (points.failed[cell]) svg.append(make("rect", { ...at, fill: `url(#${failing})`, "pointer-events": "none" }));
+        if (points.failed[cell]) svg.append(make("rect", { ...at, fill: `url(#${prefix}-${points.failed[cell].at === null ? "diverged" : "torn"})`, "pointer-events": "none" }));
       }
       // gains lie on a logarithmic scale, cells are equally wide: between neighbours it is logarithmic too
       const along = (axis, from, step) => {

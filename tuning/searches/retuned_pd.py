@@ -65,19 +65,23 @@ def walked_on_grid(
     metrics: mc.MetricTable,
     counts: tuple[int, int] = _COARSE,
     *,
+    numbers: mc.Parameters | None = None,
     dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Walk pd with kp and kd on a grid within the bounds of a search, and with the scenario's own.
 
+    `numbers` (P) are walked in place of the scenario's, all of them with each.
+
     Returns:
-        kp and kd, (N,) each, and the metrics of their walks.
+        kp and kd, (N,) each, and the metrics of their walks, (N) or (N, P).
     """
     pd = under_pd(scenario)
     bounds, own = default_bounds(pd, PD()), {"kp": pd.control.kp, "kd": pd.control.kd}
     axes = [np.append(np.geomspace(*bounds[name], count), own[name]) for name, count in zip(own, counts, strict=True)]
     gains = dict(zip(own, (values.ravel() for values in np.meshgrid(*axes)), strict=True))
-    walks = mc.rollout_metrics(pd, gains, metrics=metrics, dtype=dtype, engine=engine)
+    each = gains if numbers is None else {name: values[:, None] for name, values in gains.items()}
+    walks = mc.rollout_metrics(pd, each, numbers, metrics=metrics, dtype=dtype, engine=engine)
     return gains, {name: np.asarray(value) for name, value in walks.items()}
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 import yaml
@@ -30,7 +31,7 @@ from tuning.problem.evaluation import Evaluation, Problem, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Search
 from tuning.problem.spaces import to_gains64
-from tuning.searches import tune
+from tuning.searches import retuned_pd, tune
 from tuning.searches.judged_rounds import Rounds, Told
 from tuning.searches.methods import Task, gradient
 from tuning.searches.robust import pd_of
@@ -89,8 +90,9 @@ def schedule(
 
     Returns:
         Dimensions `gravity` and `cargo`: the gains, `value` (1 for pd at that point), `feasible`; with `walk` (tuned,
-        config, pd) every metric, in float64 with grippers that tear off; with `gravity_of` and `cargo_of` the `value`
-        (`transfer`) that the gains of another operating point have here, NaN where they break a constraint.
+        config, retuned_pd, pd) every metric, in float64 with grippers that tear off; `retuned_kp`, `retuned_kd` and
+        `retuned_value` of pd with the best of a grid of joint gains at each point; with `gravity_of` and `cargo_of` the
+        `value` (`transfer`) that the gains of another operating point have here, NaN where they break a constraint.
 
     Raises:
         ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
@@ -222,9 +224,13 @@ def _dataset(
     scenario, space, table, law = problem.scenario, problem.space, problem.metrics, problem.law
     shape = (len(asked.gravity), len(asked.cargo))
     gains = to_gains64(space, theta)
-    pd = under_pd(scenario)
+    pd, (joint, without) = under_pd(scenario), _retuned(asked)
+    own = {name: np.full(len(theta), float(getattr(scenario.control, name))) for name in joint}  # pd's one program
     walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
-    walkers = {"tuned": (scenario, gains, law), "config": (scenario, None, law), "pd": (pd, None, None)}
+    walkers = {
+        "tuned": (scenario, gains, law), "config": (scenario, None, law),
+        retuned_pd.NAME: (pd, joint, None), "pd": (pd, own, None),
+    }  # fmt: skip
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
     metrics = [mc.rollout_metrics(s, g, asked.numbers, law=own, **how) for s, g, own in walkers.values()]
     values = {name: value.reshape(*shape, *value.shape[1:]) for name, value in by_name(gains).items()}
@@ -233,6 +239,9 @@ def _dataset(
     data["value"] = (("gravity", "cargo"), np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
     data["feasible"] = (("gravity", "cargo"), (merit < 1e3).reshape(shape), {"units": "1"})
     data["transfer"] = (("gravity", "cargo", "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
+    for name, of_each in (*joint.items(), ("value", without)):
+        units = dataset.COORDINATES[name][0] if name in joint else "1"
+        data[f"retuned_{name}"] = (("gravity", "cargo"), of_each.reshape(shape), {"units": units})
     bounds = [", ".join(space.on_bound(point)) for point in theta]
     data["on_bound"] = (("gravity", "cargo"), np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})
     for metric in table:
@@ -248,6 +257,33 @@ def _dataset(
     attrs = {"title": "gain schedule", "search": asked.search.to_yaml(), "env_steps": spent}
     attrs |= {"space": " ".join(space.names), "gains": " ".join(tuned), "searched": " ".join(space.gains)}
     return xr.Dataset(data, coordinates | axes_of(tuned), {**attrs, **dataset.provenance(scenario)})
+
+
+def _retuned(asked: OperatingPoints) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return kp and kd, (P,) each, with which pd is best at each point, of a grid, and what it is worth, 1 for pd."""
+    problem = asked.problem
+    how: dict[str, Any] = {"dtype": problem.dtype, "engine": problem.engine}
+    gains, walks = retuned_pd.walked_on_grid(problem.scenario, problem.metrics, numbers=asked.numbers, **how)
+    score = problem.objective.score({name: jnp.asarray(values) for name, values in walks.items()})
+    value, feasible = np.asarray(score.value), np.asarray(score.feasible)
+    ranks = np.where(feasible, value, 1e3 + value + np.asarray(score.penalty))
+    best = np.nan_to_num(ranks, nan=np.inf).argmin(0)
+    here = best, np.arange(len(best))
+    return {name: values[best] for name, values in gains.items()}, np.where(feasible[here], value[here], np.nan)
+
+
+def worth(table: xr.Dataset) -> str:
+    """Return in a sentence what a force sensor is worth: the gains against pd with joint gains for each point."""
+    ratio = (table["value"] / table["retuned_value"]).values
+    known = ratio[np.isfinite(ratio)]
+    if not known.size:
+        return "the force sensor: not to be compared with pd, which keeps the limits at no operating point"
+    pays = "pays" if (known < 1).any() else "does not pay"
+    span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))
+    return (
+        f"the force sensor {pays}: less objective at {(known < 1).sum()} of {known.size} operating points, {span} "
+        "times that of pd with kp and kd for each, which needs none"
+    )
 
 
 def gain_names(table: xr.Dataset) -> list[str]:
@@ -300,6 +336,7 @@ def rows(table: xr.Dataset) -> list[dict[str, Any]]:
             row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
             for name in ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation"):
                 row[name] = {walk: float(point[name].sel(walk=walk)) for walk in table["walk"].values.tolist()}
+            row[retuned_pd.NAME] = {name: float(point[f"retuned_{name}"]) for name in ("kp", "kd", "value")}
             result.append(row)
     return result
 

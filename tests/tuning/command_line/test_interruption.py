@@ -12,8 +12,8 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb import plots
-from mjx_climb.files import dataset
 from mjx_climb.compilation.devices import LostProcess
+from mjx_climb.files import dataset
 from tests import interrupts
 from tuning.command_line import ending, interruption, main
 

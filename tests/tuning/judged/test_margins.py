@@ -104,6 +104,23 @@ def test_the_linear_margin_is_where_the_radius_crosses_one(radius, expected):
     assert linear_margins.crossing(np.arange(4.0), np.array(radius)) == (expected and pytest.approx(expected))
 
 
+@pytest.mark.parametrize(
+    ("own", "holds", "stable", "warned"),
+    [
+        (4e-3, 9e-3, 7e-3, True),
+        (4e-3, 9e-3, None, True),
+        (4e-3, 9e-3, 8e-3, False),  # twice the hardware
+        (4e-3, 7e-3, 6e-3, False),  # walks warn already
+    ],
+)
+def test_the_linearised_loop_warns_where_walks_do_not(own, holds, stable, warned):
+    margin, found = margins.Margin(own, holds, holds, 0.03), linear_margins.Stable(stable, 0.03)
+    lines = linear_margins.warnings({"force_delay": margin}, {"force_delay": found})
+    reached = "at no value" if stable is None else "up to 7 ms only"
+    says = f"force delay: the linearised loop is stable {reached}, the hardware has 4 ms, 8 ms would be safe"
+    assert lines == [says] * warned
+
+
 @pytest.mark.slow
 def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
     """A loop that is hardly unstable takes longer than eight seconds to tear a gripper off.

@@ -112,6 +112,7 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     [
         ({"friction": (0.5, 2.0)}, "hardware.friction: expected friction in the scenario"),
         ({"control_rate": (100.0, 2000.0)}, "hardware.control_rate: expected at most the 1000 Hz"),
+        ({"force_delay": (0.0, 1e9)}, "hardware.force_delay: expected at most 500 time steps, 0.5 s"),
     ],
 )
 def test_hardware_that_cannot_be_drawn_is_refused(scenario, hardware, where):

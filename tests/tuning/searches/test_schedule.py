@@ -98,6 +98,29 @@ def test_value_is_relative_to_pd_there(table):
 
 
 @pytest.mark.slow
+def test_pd_has_joint_gains_of_its_own_at_each_point(table):
+    """Of the grid it takes what is worth most there: never less than pd, whose kp and kd are on it."""
+    terms = ("force_variation", "peak_foot_force", "cost_of_transport")
+    retuned = np.mean([table[t].sel(walk="retuned_pd") / table[t].sel(walk="pd") for t in terms], axis=0)
+    np.testing.assert_allclose(table["retuned_value"].values, retuned, rtol=2e-3)
+    assert (retuned <= 1 + 1e-6).all() and (retuned < 0.99).any()
+    kp = table["retuned_kp"].values
+    assert len(np.unique(kp)) > 1 and (kp >= 10 - 1e-9).all() and (kp <= 200 + 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "expected"),
+    [
+        ([0.8, 0.9], [1.0, 0.6], "pays: less objective at 1 of 2 operating points, 0.800 to 1.500 times"),
+        ([0.9, np.nan], [0.6, 0.5], "does not pay: less objective at 0 of 1 operating points, 1.500 times"),
+        ([np.nan], [0.5], "not to be compared with pd"),
+    ],
+)
+def test_what_a_force_sensor_is_worth_over_the_points(ours, theirs, expected):
+    assert expected in schedule.worth(xr.Dataset({"value": ("gravity", ours), "retuned_value": ("gravity", theirs)}))
+
+
+@pytest.mark.slow
 def test_lookup(table):
     for g, level in enumerate(table["gravity"].values):
         at = schedule.lookup(table, level, 1.0)
@@ -131,7 +154,7 @@ def test_tables(table, tmp_path):
     ]  # fmt: skip
     assert float(lines[3]["stiffness_rz"]) == pytest.approx(table["stiffness"].values[1, 1, 5], rel=1e-5)
     read = yaml.safe_load(schedule.to_yaml(table))["operating_points"]
-    assert read[0]["force_variation"].keys() == {"tuned", "config", "pd"}
+    assert read[0]["force_variation"].keys() == {"tuned", "config", "retuned_pd", "pd"}
     dataset.save(table, tmp_path / "schedule.nc")
     assert ensemble_pictures.plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes
 
