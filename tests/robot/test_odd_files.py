@@ -213,10 +213,8 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
         'axis="0 0 1" range="-0.08 0.08"/><inertial pos="0 0 0" mass="0.2" diaginertia="2e-4 2e-4 2e-4"/>'
         f'<body pos="0.02 0 0"><joint name="B{n}_yaw" axis="0 0 1" range="-50 50"/><inertial pos="0 0 0" mass="0.1" '
         f'diaginertia="1e-4 1e-4 1e-4"/><body pos="0.02 0 0"><joint name="B{n}_pitch" axis="0 1 0" range="0 100"/>'
-        '<inertial pos="0.1 0 0" mass="0.2" diaginertia="1e-4 8e-4 8e-4"/><site name="foot" pos="0.22 0 0"/>'.replace(
-            "foot", f"foot{n}"
-        )
-        + "</body></body></body>"
+        f'<inertial pos="0.1 0 0" mass="0.2" diaginertia="1e-4 8e-4 8e-4"/><site name="foot{n}" pos="0.22 0 0"/>'
+        "</body></body></body>"
         for n, (x, y, turn) in enumerate(((1, 0, 0), (0, 1, 90), (-1, 0, 180), (0, -1, 270)))
     )
     file = written(
@@ -225,9 +223,8 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
         f"{limbs}</body></worldbody></mujoco>",
     )
     out, stride, kd = 0.051, 0.045, 6.5  # m, from the pitch axis; m; N m s/rad
-    feet = {
-        f"B{n}": [(0.19 + out) * x, (0.19 + out) * y] for n, (x, y) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1)))
-    }
+    far = 0.19 + out
+    feet = {"B0": [far, 0], "B1": [0, far], "B2": [-far, 0], "B3": [0, -far]}
     sections = {
         "robot": {"file": file, "height": 0.17, "limbs": {
             limb: {"joints": [f"{limb}_{joint}" for joint in ("slide", "yaw", "pitch")], "foot": f"foot{limb[1]}",
