@@ -6,6 +6,7 @@ cache's folder until anything changes that it rests on. Where it is bad, all goe
 so.
 """
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -40,6 +41,19 @@ class Verdict(NamedTuple):
     seen: str  # in a few words
 
 
+def begin() -> None:
+    """Begin the trials that this machine's walks will ask for and that nothing is known of: other things go on beside.
+
+    Where nobody asks, a trial comes to its end by itself and leaves no verdict.
+    """
+    needed = {"cpu": ("pieces",), "gpu": tuple(PATHS)}.get(jax.default_backend(), ())
+    for path in needed:
+        file = _file(path)
+        if file is None or not file.exists():
+            with contextlib.suppress(OSError):  # who asks is told
+                _trial(path)
+
+
 @functools.cache
 def works(path: str) -> bool:
     """Return whether one of `PATHS` works on this machine, and warn once where it does not; see `verdict`.
@@ -64,8 +78,7 @@ def _alone(path: str) -> Verdict:
 @functools.cache
 def verdict(path: str) -> Verdict:
     """Return whether a path works on this machine: from the cache's folder where it is known there, else by a trial."""
-    folder = cache_folder()
-    kept = None if folder is None else folder / "probes" / _key(path)
+    kept = _file(path)
     if kept is not None:
         try:
             told = json.loads(kept.read_text())
@@ -78,8 +91,13 @@ def verdict(path: str) -> Verdict:
     return found
 
 
-def _key(path: str) -> str:
-    return hashlib.sha256(repr([path, source_digest(Path(__file__).parent), machine()]).encode()).hexdigest() + ".json"
+def _file(path: str) -> Path | None:
+    """Return where the verdict of a path is kept, None where there is no cache."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    made_of = repr([path, source_digest(Path(__file__).parent), machine()])
+    return folder / "probes" / (hashlib.sha256(made_of.encode()).hexdigest() + ".json")
 
 
 def _keep(found: Verdict, file: Path) -> None:
@@ -92,8 +110,13 @@ def _keep(found: Verdict, file: Path) -> None:
         pass  # no room, no rights: tried again in the next process
 
 
-def _tried(path: str) -> tuple[Verdict, bool]:
-    """Return the verdict of a process of its own, and whether the next one would come to the same."""
+@functools.cache
+def _trial(path: str) -> subprocess.Popen[str]:
+    """Start the process that tries a path.
+
+    Raises:
+        OSError: it does not start.
+    """
     packages = str(Path(__file__).parents[2])
     found = os.environ.get("PYTHONPATH")
     environment = os.environ | {
@@ -102,21 +125,34 @@ def _tried(path: str) -> tuple[Verdict, bool]:
         "JAX_ENABLE_COMPILATION_CACHE": "false",  # what is tried is the compiler
         "JAX_TRACEBACK_FILTERING": "off",  # its last line is what went wrong
     }
+    return subprocess.Popen(
+        [sys.executable, "-c", _TRIAL.format(path)],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C is for this process
+    )
+
+
+def _tried(path: str) -> tuple[Verdict, bool]:
+    """Return the verdict of a process of its own, and whether the next one would come to the same."""
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _TRIAL.format(path)],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=_PATIENCE,
-            start_new_session=True,  # Ctrl-C is for this process
-        )
+        process = _trial(path)
+        with process:
+            try:
+                out, errors = process.communicate(timeout=_PATIENCE)
+            except BaseException:
+                process.kill()
+                raise
     except (OSError, subprocess.TimeoutExpired) as error:
         return Verdict(False, f"no trial: {type(error).__name__}"), False
-    said = (done.stdout.strip() or done.stderr.strip()).splitlines()[-1:] or [""]
-    if done.returncode == 0 and said == [trial.SAME]:
+    said = (out.strip() or errors.strip()).splitlines()[-1:] or [""]
+    code = process.returncode
+    if code == 0 and said == [trial.SAME]:
         return Verdict(True, "tried, and compared with XLA's own"), True
-    if done.returncode < 0:
-        stopped_by = signal.Signals(-done.returncode)
+    if code < 0:
+        stopped_by = signal.Signals(-code)
         return Verdict(False, f"a trial was stopped by {stopped_by.name}"), stopped_by in _CRASHES
     return Verdict(False, f"a trial failed: {said[0][:200]}"), True

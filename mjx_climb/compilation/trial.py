@@ -19,14 +19,18 @@ _TOLERANCE = {np.float32: 1e-4, np.float64: 1e-12}  # relative to the largest va
 
 
 def take(path: str) -> None:
-    """Take a path, "pieces" or "kernel", and print `SAME`, or how far it was off."""
+    """Take a path, "pieces" or "kernel", and print `SAME`, or how far it was off.
+
+    In each of its precisions it is compared with the plain one in the first of them.
+    """
     jax.config.update("jax_enable_x64", True)
-    of_path, precisions = _PATHS[path]
+    fast, plain, precisions = _PATHS[path]
     states = [np.linspace(0.1, 0.9, 6 * _ROBOTS).reshape(_ROBOTS, 6).astype(dtype) for dtype in precisions]
-    with ThreadPoolExecutor(len(states)) as threads:  # the first walk on a machine waits for this
-        moved = list(threads.map(of_path, states))
-    for dtype, (fast, plain) in zip(precisions, moved, strict=True):
-        for mine, expected in zip(jax.tree.leaves(fast), jax.tree.leaves(plain), strict=True):
+    with ThreadPoolExecutor(1 + len(states)) as threads:  # the first walk on a machine waits for this
+        exact = threads.submit(plain, states[0])
+        moved = list(threads.map(fast, states))
+    for dtype, found in zip(precisions, moved, strict=True):
+        for mine, expected in zip(jax.tree.leaves(found), jax.tree.leaves(exact.result()), strict=True):
             off = float(np.abs(np.asarray(mine) - np.asarray(expected)).max() / np.abs(expected).max())
             if not off <= _TOLERANCE[dtype]:
                 print(f"{off:.1g} off in {dtype.__name__}")
@@ -34,39 +38,54 @@ def take(path: str) -> None:
     print(SAME)
 
 
-def _pieces(state: np.ndarray) -> tuple[Any, Any]:
-    """Return the motion of a batch and its forward derivative, in pieces and whole."""
-
-    def moved(step: Callable[..., Any]) -> Any:
-        motion = lambda first: jax.lax.scan(step, first, length=_STEPS)  # noqa: E731
-        return jax.jit(lambda first: jax.jvp(motion, (first,), (jnp.ones_like(first),)))(state.T)
-
-    return moved(in_kernels(_step, _EQUATIONS)), moved(_step)
+def _pieces(state: np.ndarray) -> Any:
+    """Return the motion of a batch and its forward derivative, in pieces."""
+    return _moved(in_kernels(_step, _EQUATIONS), state)
 
 
-def _kernel(state: np.ndarray) -> tuple[Any, Any]:
-    """Return the motion of two limbs that pull at each other, and its slopes, by kernels and as XLA does it."""
+def _whole(state: np.ndarray) -> Any:
+    """Return the same as XLA does it."""
+    return _moved(_step, state)
 
+
+def _moved(step: Callable[..., Any], state: np.ndarray) -> Any:
+    motion = lambda first: jax.lax.scan(step, first, length=_STEPS)  # noqa: E731
+    return jax.jit(lambda first: jax.jvp(motion, (first,), (jnp.ones_like(first),)))(state.T)
+
+
+def _kernels(state: np.ndarray) -> Any:
+    """Return the motion of two limbs that pull at each other, and its slopes, by kernels."""
+    directions, limbs = _two_limbs(state)
+    sloped = jax.jit(slopes_over_robots(_pulled, [True], limbs=2))(directions, limbs)
+    return jax.jit(over_robots(_pulled, [True], limbs=2))(limbs), *sloped
+
+
+def _mapped(state: np.ndarray) -> Any:
+    """Return the same as XLA does it."""
+
+    def slopes(first: Array, along: Array) -> Any:
+        return jax.vmap(lambda rate: jax.jvp(_pulled, (first,), (rate,))[1])(along)
+
+    directions, limbs = _two_limbs(state)
+    motion = jax.jit(jax.vmap(_pulled))(limbs)
+    return motion, motion, jax.jit(jax.vmap(slopes))(limbs, directions)
+
+
+def _two_limbs(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two directions of two limbs' states, and the states: (robots, 2, 6, 2, 1) and (robots, 6, 2, 1)."""
+    limbs = np.stack([state, state[:, ::-1]], 2)[..., None]
+    return np.stack([np.cos(limbs), np.sin(limbs)], 1), limbs
+
+
+def _pulled(first: Array) -> Any:
     def moved(now: Array, _: None) -> tuple[Array, None]:
         after = _step(now, None)[0]
         return after - 0.01 * after.sum(1, keepdims=True), None
 
-    def motion(first: Array) -> Any:
-        return jax.lax.scan(moved, first, length=_STEPS)[0]
-
-    limbs = np.stack([state, state[:, ::-1]], 2)[..., None]  # (robots, 6, 2, 1)
-    directions = np.stack([np.cos(limbs), np.sin(limbs)], 1)
-
-    def slopes(first: Array, along: Array) -> Any:
-        return jax.vmap(lambda rate: jax.jvp(motion, (first,), (rate,))[1])(along)
-
-    fast = jax.jit(over_robots(motion, [True], limbs=2))(limbs)
-    sloped = jax.jit(slopes_over_robots(motion, [True], limbs=2))(directions, limbs)
-    plain = jax.jit(jax.vmap(motion))(limbs)
-    return (fast, *sloped), (plain, plain, jax.jit(jax.vmap(slopes))(limbs, directions))
+    return jax.lax.scan(moved, first, length=_STEPS)[0]
 
 
-_PATHS = {"pieces": (_pieces, (np.float32, np.float64)), "kernel": (_kernel, (np.float32,))}
+_PATHS = {"pieces": (_pieces, _whole, (np.float64, np.float32)), "kernel": (_kernels, _mapped, (np.float32,))}
 
 
 def _step(state: Array, _: None) -> tuple[Array, Array]:

@@ -6,15 +6,18 @@ import mjx_climb as mc
 from mjx_climb.compilation import options, probe
 
 
+def forget():
+    for known in (probe.works, probe.verdict, probe._trial):
+        known.cache_clear()
+
+
 @pytest.fixture
 def fresh(monkeypatch, tmp_path):
     """Forget all verdicts, before and after, and keep those of the test in a folder of its own."""
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
-    probe.works.cache_clear()
-    probe.verdict.cache_clear()
+    forget()
     yield tmp_path / "probes"
-    probe.works.cache_clear()
-    probe.verdict.cache_clear()
+    forget()
 
 
 @pytest.fixture
@@ -23,8 +26,7 @@ def trial(monkeypatch):
 
     def put(program):
         monkeypatch.setattr(probe, "_TRIAL", program)
-        probe.works.cache_clear()
-        probe.verdict.cache_clear()
+        forget()
 
     return put
 
@@ -38,6 +40,16 @@ def test_a_path_that_works_is_tried_once(fresh, trial):
     trial("1 / 0")
     with pytest.warns(UserWarning, match="ZeroDivisionError"):
         assert not probe.works("pieces")
+
+
+def test_a_trial_that_was_begun_is_the_one_asked_for(fresh, trial, monkeypatch):
+    trial("print('the same')")
+    probe.begin()
+    monkeypatch.setattr(probe, "_TRIAL", "1 / 0")  # what would be started now
+    assert probe.works("pieces")
+    forget()
+    probe.begin()  # known from the folder: starts nothing
+    assert not probe._trial.cache_info().currsize
 
 
 @pytest.mark.parametrize(

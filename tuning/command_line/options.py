@@ -149,11 +149,13 @@ def scenario_from(
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     import mjx_climb as mc
     from mjx_climb.checks.time_step import check_time_step
+    from mjx_climb.compilation import probe
     from mjx_climb.quantities.ground import check_reach
     from mjx_climb.scenario import profiles
     from mjx_climb.scenario.model import overridden
 
     config = shipped.found(config)
+    probe.begin()  # the walk of this scenario asks for it
     scenario = mc.load_scenario(config, () if hardware else changes or ())
     if hardware:
         profile = profiles.load_hardware(hardware)

@@ -15,6 +15,7 @@ from tuning.output.stages import Told
 Result = TypeVar("Result")
 Asked = Callable[[Told], Result]  # gives a work's result; it tells how far it has come from there on
 _CORES = 4  # that a work keeps busy by itself
+_FEWEST = 2  # works at once: while one loads its program or walks its last robots, another has a core
 
 
 class Begin(Protocol):
@@ -25,12 +26,13 @@ class Begin(Protocol):
 
 @contextlib.contextmanager
 def ahead() -> Iterator[Begin]:
-    """Give a function that begins a work: at once where there are cores to spare, else when its result is asked for.
+    """Give a function that begins a work: at once where there is more than one core, else when its result is asked for.
 
     At the end works that nobody has asked for are ended, the next time that they tell how far they have come.
     """
-    at_once = devices.usable_cores() // _CORES
-    if at_once < 2 or jax.process_count() > 1:  # several processes must do the same in the same order
+    cores = devices.usable_cores()
+    at_once = max(_FEWEST, cores // _CORES)
+    if cores == 1 or jax.process_count() > 1:  # several processes must do the same in the same order
         yield _when_asked
         return
     threads, ended = ThreadPoolExecutor(at_once), threading.Event()
