@@ -136,7 +136,7 @@ def _moved(robot: str | RobotFile, ahead: float, up: float) -> np.ndarray:
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[0]
     mujoco.mj_kinematics(model, data)
-    targets = data.site_xpos + [ahead, 0, up]
+    targets = data.site_xpos + np.array([ahead, 0, up])
     solved = limb_joints(model, (targets - data.qpos[:3]) @ data.xmat[1].reshape(3, 3))
     return np.where(solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(len(targets), -1))
 
