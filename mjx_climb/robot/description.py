@@ -7,12 +7,23 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.places import line_in, line_of, line_with, repeated
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
 FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
-SPECK = 1e-10  # kg, kg m^2: of links without a mass, as many a file has them between two joints
+SPECK = 1e-10  # kg, of links without a mass, as many a file has them between two joints
+SPECK_MOMENT = 1e-14  # kg m^2, of these and of points: MuJoCo wants some, and an insect's leg has 1e-11
 _ROUNDING = 1e-6  # of the largest moment of inertia
+_POSITIONS = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}  # in a keyframe; of others 1
+_TURNED = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)  # by an actuator: a joint
+_SIZES = {  # numbers that a plain shape's size has, and how many where its ends are given
+    mujoco.mjtGeom.mjGEOM_SPHERE: (1, 1),
+    mujoco.mjtGeom.mjGEOM_CAPSULE: (2, 1),
+    mujoco.mjtGeom.mjGEOM_CYLINDER: (2, 1),
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: (3, 2),
+    mujoco.mjtGeom.mjGEOM_BOX: (3, 2),
+}
 _DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes", "hfields")
 
 
@@ -29,13 +40,7 @@ def described(file: str) -> mujoco.MjSpec:
     Raises:
         RobotError: a file that MuJoCo does not read, or numbers that no joint and no body can have.
     """
-    mujoco.set_mju_user_warning(lambda message: None)  # what is wrong is said once, by what is raised
-    try:
-        spec = mujoco.MjSpec.from_file(file)
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        raise unreadable(file, error) from None
-    finally:
-        mujoco.set_mju_user_warning(None)
+    spec = _read(file)
     _possible(file, spec)
     taken = {body.name for body in spec.bodies}
     for body in spec.bodies:
@@ -52,33 +57,80 @@ def described(file: str) -> mujoco.MjSpec:
     balls = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_BALL]
     for ball in balls:
         _as_hinges(spec, ball)
-    if balls:
-        for key in spec.keys:
-            spec.delete(key)
     return spec
 
 
+def _read(file: str) -> mujoco.MjSpec:
+    if not file.endswith((".xml", ".urdf")):
+        raise RobotError(f"{file}: expected a file whose name ends in .xml or .urdf")
+    text = _text(file)
+    if macro := re.search(r"<xacro:\w+", text):
+        place = f"{file}:{text.count(chr(10), 0, macro.start()) + 1}"
+        raise RobotError(f"{place}: expected a URDF that xacro has written out, got {macro[0]}>")
+    mujoco.set_mju_user_warning(lambda message: None)  # what is wrong is said once, by what is raised
+    try:
+        spec = mujoco.MjSpec.from_file(file)
+        for part in (*spec.bodies, *spec.joints, *spec.sites, *spec.keys, *spec.actuators):
+            part.name  # noqa: B018, decoded as it is read
+        return spec
+    except UnicodeDecodeError as error:
+        place = line_of(file, error.object.decode("utf-8", "replace"))
+        raise RobotError(f"{place}: expected names in UTF-8, got {error.object!r}") from None
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise unreadable(file, error) from None
+    finally:
+        mujoco.set_mju_user_warning(None)
+
+
+def _text(file: str) -> str:
+    """Return a file without comments, their lines kept; nothing of one that cannot be read."""
+    try:
+        text = Path(file).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    return re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
+
+
+def is_urdf(file: str) -> bool:
+    """Return whether a file is a URDF, by its outermost element; MuJoCo goes by that too, whatever a file is called."""
+    outermost = re.search(r"<\s*([\w:]+)", re.sub(r"<[?!].*?>", "", _text(file), flags=re.DOTALL))
+    return outermost is not None and outermost[1] == "robot"
+
+
 def _possible(file: str, spec: mujoco.MjSpec) -> None:
-    """Refuse what MuJoCo takes for something else: limits the wrong way round for none, a mass below zero for none."""
-    urdf = file.lower().endswith(".urdf")
+    """Refuse what MuJoCo takes for something else, or passes over.
+
+    Those are limits the wrong way round (for none), a mass below zero (for none), numbers that are none, a drive of a
+    joint that is not there (its own compiler, which would refuse it, sees no drives here).
+    """
+    urdf = is_urdf(file)
     for joint in spec.joints:
         lower, upper = joint.range
         numbers = {"armature": joint.armature, "damping": joint.damping[0], "stiffness": joint.stiffness[0],
                    "frictionloss": joint.frictionloss}  # fmt: skip
-        if lower > upper and (urdf or joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE):
+        if not np.isfinite([lower, upper]).all():
+            expected, got = "finite limits, or none", f"{lower:g} to {upper:g}"
+        elif lower > upper and (urdf or joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE):
             expected, got = "limits in ascending order", f"{lower:g} to {upper:g}"
-        elif below := [name for name, value in numbers.items() if value < 0]:
-            expected, got = f"{below[0]} of zero or more", f"{numbers[below[0]]:g}"
+        elif wrong := [name for name, value in numbers.items() if not 0 <= value < np.inf]:
+            expected, got = f"{wrong[0]} of zero or more", f"{numbers[wrong[0]]:g}"
         else:
             continue
         raise RobotError(f"{line_of(file, joint.name)}: joint {joint.name!r}: expected {expected}, got {got}")
     for body in spec.bodies:
         if not body.explicitinertial:
             continue
-        if body.mass < 0 or (np.isfinite(body.inertia).all() and min(body.inertia) < 0):
-            got = f"{body.mass:g} kg, {', '.join(f'{moment:g}' for moment in body.inertia)} kg m^2"
+        full = np.array(body.fullinertia)  # begins with nan where it is not given
+        given = [body.mass, *(full if np.isfinite(full[0]) or full[1:].any() else body.inertia)]
+        if not np.isfinite(given).all() or body.mass < 0 or min(body.inertia) < 0:
+            got = f"{given[0]:g} kg, {', '.join(f'{moment:g}' for moment in given[1:])} kg m^2"
             place = line_of(file, body.name)
             raise RobotError(f"{place}: link {body.name!r}: expected a mass and moments of zero or more, got {got}")
+    known = {joint.name for joint in spec.joints}
+    for actuator in spec.actuators:
+        if actuator.trntype in _TURNED and actuator.target not in known:
+            place = line_with(file, actuator.target)
+            raise RobotError(f"{place}: expected actuators of joints in the file, got one of {actuator.target!r}")
 
 
 def _free(name: str, taken: set[str]) -> str:
@@ -93,6 +145,9 @@ def _as_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> None:
     limit = float(ball.range[1]) if ball.range[1] > 0 else 0.0
     how = dict(pos=ball.pos, stiffness=ball.stiffness, damping=ball.damping, armature=ball.armature)
     name, parent, limited = ball.name, ball.parent, ball.limited
+    for actuator in spec.actuators:
+        if actuator.trntype in _TURNED and actuator.target == name:
+            _about_each_axis(spec, actuator)
     spec.delete(ball)
     for letter, axis in zip("xyz", np.eye(3), strict=True):
         hinge = parent.add_joint(name=f"{name}_{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, **how)
@@ -101,24 +156,38 @@ def _as_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> None:
             hinge.range = [-limit, limit]
 
 
+def _about_each_axis(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
+    """Put actuators of the hinges in the place of one of a ball joint."""
+    same = ("gaintype", "gainprm", "biastype", "forcerange", "forcelimited", "ctrlrange", "ctrllimited")
+    for letter, gear in zip("xyz", actuator.gear[:3], strict=True):
+        if gear:
+            turned = {"trntype": mujoco.mjtTrn.mjTRN_JOINT, "target": f"{actuator.target}_{letter}"}
+            spec.add_actuator(**turned, gear=[gear, 0, 0, 0, 0, 0], **{key: getattr(actuator, key) for key in same})
+    spec.delete(actuator)
+
+
 def bare(file: str) -> mujoco.MjSpec:
     """Return the description in a file without shapes of weighed bodies, looks, actuators, sensors and tendons.
 
     A URDF has its inertias written down, and so have many an MJCF's bodies: their shapes, and the files of meshes, do
-    not matter. Moments of inertia that no body can have are made equal, as MuJoCo does (`balanceinertia`), and links
-    without a mass get a speck of one.
+    not matter. Plain shapes stay, without a mass: they tell where a limb ends. Moments of inertia that no body can have
+    are made equal, as MuJoCo does (`balanceinertia`), and links without a mass get a speck of one. Keyframes that are
+    not as long as the robot has positions are left out.
 
     Raises:
         RobotError: a file that MuJoCo does not read.
     """
     spec = described(file)
-    urdf = file.lower().endswith(".urdf")
+    urdf = is_urdf(file)
     _limit_torques(spec)
     for kind in _DROPPED:
         for part in getattr(spec, kind):
             spec.delete(part)
+    positions = sum(_POSITIONS.get(int(joint.type), 1) for joint in spec.joints)
     for key in spec.keys:
         key.ctrl, key.act = [], []
+        if len(key.qpos) not in (0, positions):  # MuJoCo would fill up what is missing
+            spec.delete(key)
     for equality in spec.equalities:
         if equality.type == mujoco.mjtEq.mjEQ_TENDON:
             spec.delete(equality)
@@ -128,23 +197,35 @@ def bare(file: str) -> mujoco.MjSpec:
     from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     for geom in spec.geoms:
         weighed = urdf or (geom.parent.explicitinertial and not from_shapes) or geom.parent.name == "world"
-        if weighed or geom.mass == 0 or geom.density == 0 or not lowest <= geom.group <= highest:
+        if not weighed and geom.mass != 0 and geom.density != 0 and lowest <= geom.group <= highest:
+            continue
+        if geom.parent.name == "world" or not _plain(geom):
             spec.delete(geom)
+        else:
+            geom.mass = 0
     used = {geom.meshname for geom in spec.geoms}
     for drawn in (*spec.geoms, *spec.sites):
         drawn.material = ""
     for part in (*(mesh for mesh in spec.meshes if mesh.name not in used), *spec.materials, *spec.textures):
         spec.delete(part)
     spec.compiler.fusestatic = False
-    spec.compiler.boundmass = spec.compiler.boundinertia = SPECK
+    spec.compiler.boundmass = max(spec.compiler.boundmass, SPECK)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, SPECK_MOMENT)
     return spec
+
+
+def _plain(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a shape is one that MuJoCo knows without a mesh, and has a size."""
+    whole, between = _SIZES.get(geom.type, (0, 0))
+    needed = between if np.isfinite(geom.fromto).all() else whole
+    return bool(whole) and not geom.meshname and bool((np.array(geom.size[:needed]) > 0).all())
 
 
 def impossible(body: mujoco.MjsBody) -> bool:
     """Return whether no body can have these moments of inertia: a principal one is above the sum of the others."""
     moments = _moments(body)
     least, middle, most = np.linalg.eigvalsh(moments)
-    return bool(most > SPECK and np.diag(moments).min() >= 0 and least + middle < (1 - _ROUNDING) * most)
+    return bool(most > SPECK_MOMENT and np.diag(moments).min() >= 0 and least + middle < (1 - _ROUNDING) * most)
 
 
 def _mend(body: mujoco.MjsBody) -> None:
@@ -153,8 +234,8 @@ def _mend(body: mujoco.MjsBody) -> None:
         return
     moments = _moments(body)
     least, middle, most = np.linalg.eigvalsh(moments)
-    if np.abs(moments).max() <= SPECK:
-        mended = SPECK * np.eye(3)
+    if np.abs(moments).max() <= SPECK_MOMENT:
+        mended = SPECK_MOMENT * np.eye(3)
     elif impossible(body):
         mended = np.eye(3) * np.trace(moments) / 3
     elif least >= -_ROUNDING * most and (least <= 0 or least + middle < most):
@@ -177,18 +258,45 @@ def _moments(body: mujoco.MjsBody) -> np.ndarray:
 
 
 def _limit_torques(spec: mujoco.MjSpec) -> None:
-    """Write what the actuators can give into the joints that they turn, where these say nothing of their own."""
+    """Write what the actuators can give, in sum, into the joints that they turn, where these have no limits."""
+    most: dict[str, float] = {}
     for actuator in spec.actuators:
-        joint = spec.joint(actuator.target) if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT else None
-        if joint is None or joint.actfrcrange[1] > 0:
-            continue
-        most = float(actuator.forcerange[1])
-        direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
-        if most <= 0 and direct:
-            most = float(actuator.ctrlrange[1] * actuator.gainprm[0])
-        most *= abs(float(actuator.gear[0]))
-        if most > 0:
-            joint.actfrcrange, joint.actfrclimited = [-most, most], mujoco.mjtLimited.mjLIMITED_TRUE
+        if actuator.trntype in _TURNED:
+            most[actuator.target] = most.get(actuator.target, 0.0) + _most(actuator)
+    for name, torque in most.items():
+        joint = spec.joint(name)
+        if joint.actfrcrange[1] <= 0 and 0 < torque < np.inf:
+            joint.actfrcrange, joint.actfrclimited = [-torque, torque], mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _most(actuator: mujoco.MjsActuator) -> float:
+    """Return the torque that an actuator can give, N m, both ways if it is not one that only pulls; inf: any."""
+    off = mujoco.mjtLimited.mjLIMITED_FALSE
+    force, control = (np.array(range_, float) for range_ in (actuator.forcerange, actuator.ctrlrange))
+    direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+    if force.any() and actuator.forcelimited != off:
+        reached = force
+    elif direct and control.any() and actuator.ctrllimited != off:
+        reached = control * actuator.gainprm[0]
+    else:
+        return np.inf
+    return one_limit(*np.sort(reached * float(actuator.gear[0])))
+
+
+def one_limit(lower: float, upper: float) -> float:
+    """Return one limit of a torque both ways: the smaller of two, or that of a drive that goes one way alone."""
+    return float(min(-lower, upper) if lower < 0 < upper else max(-lower, upper))
+
+
+def driven_joints(described: mujoco.MjSpec) -> set[str]:
+    """Return the joints that an actuator drives, itself or by a tendon; none where the file has no actuators."""
+    joints = set()
+    for actuator in described.actuators:
+        if actuator.trntype in _TURNED:
+            joints.add(actuator.target)
+        elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and (tendon := described.tendon(actuator.target)):
+            joints |= {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
+    return joints
 
 
 def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -208,19 +316,13 @@ def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
 def unreadable(file: str, error: Exception) -> RobotError:
     """Return what MuJoCo says of a file in one line, beginning with the line of the file that it is about."""
     reason = " ".join((str(error) or "an empty one").split())
-    place = file
-    if found := re.search(r"[Ll]ine (?:number=)?(\d+)", reason):
-        place = f"{file}:{found[1]}"
-    elif found := re.search(r"[Ee]lement name '([^']+)'", reason):
+    place = line_in(file, reason)
+    if place is None and (found := re.search(r"[Ee]lement name '([^']+)'", reason)):
         place = line_of(file, found[1])
+    if place is None and (found := re.search(r"opening file '([^']+)'", reason)):
+        place = line_with(file, found[1])
+    if place is None and "repeated URDF name" in reason:
+        place = repeated(file)
+    place = place or file
+    reason = reason.removesuffix(" line 0").removesuffix(",")
     return RobotError(f"{place}: expected an MJCF or URDF that MuJoCo loads, got {reason[:300]}")
-
-
-def line_of(file: str, name: str) -> str:
-    """Return a file, and after a colon the line in which it first names an element so, if it does."""
-    try:
-        text = Path(file).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return file
-    found = re.search(rf"name\s*=\s*[\"']{re.escape(name)}[\"']", text)
-    return f"{file}:{text.count(chr(10), 0, found.start()) + 1}" if found else file

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, RobotError
+from mjx_climb.robot.description import JOINTS, RobotError, driven_joints
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
@@ -38,7 +38,7 @@ class Chain(NamedTuple):
 
 
 def base_of(path: str, model: mujoco.MjModel) -> int:
-    """Return the floating body, or the first one from the root outwards, that most rows of joints start at.
+    """Return the body that limbs begin at: the floating one, or the first one from the root outwards.
 
     Raises:
         RobotError: a file without bodies.
@@ -46,13 +46,12 @@ def base_of(path: str, model: mujoco.MjModel) -> int:
     if model.nbody < 2:
         raise RobotError(f"{path}: expected a robot, got a file without bodies")
     part = rigid_parts(model)
-    free = [int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)]
-    if free:
-        return max(free, key=lambda body: len(_beyond(model, part, body)))
-    for body in range(1, model.nbody):
-        if part[body] == body and len(set(_beyond(model, part, body))) >= MIN_LIMBS:
-            return body
-    return 1
+    rows = {body: len(_beyond(model, part, body)) for body in range(1, model.nbody) if part[body] == body}
+    floating = [int(model.jnt_bodyid[joint]) for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)]
+    if floating and rows[most := max(floating, key=lambda body: rows[body])] >= MIN_LIMBS:
+        return most
+    hubs = [body for body, count in rows.items() if count >= MIN_LIMBS]
+    return next((body for body in hubs if model.body_rootid[body] in floating), hubs[0] if hubs else 1)
 
 
 def limbs_of(
@@ -63,13 +62,13 @@ def limbs_of(
     Raises:
         RobotError: fewer than two.
     """
-    chains = [_footed(described, model, chain) for chain in _chains(model, base)]
+    chains = [_footed(model, chain) for chain in _chains(model, base)]
     driven = driven_joints(described)
     if driven:
         chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
     limbs = _named(model, _limbs(path, model, chains, notes))
     if guessed := [repr(chain.foot) for chain in limbs.values() if chain.guessed]:
-        why = f"not in the file ({', '.join(guessed)}): as long as the links before; correct robot.limbs' `at`"
+        why = f"not in the file ({', '.join(guessed)}): guessed from the links' weights; correct robot.limbs' `at`"
         notes.append(Note("changed", "ends of last links", why))
     return limbs
 
@@ -104,7 +103,7 @@ def _chains(model: mujoco.MjModel, base: int) -> list[list[int]]:
     return [longest(body, 0) for body in _beyond(model, part, part[base])]
 
 
-def _footed(described: mujoco.MjSpec, model: mujoco.MjModel, bodies: list[int]) -> Chain:
+def _footed(model: mujoco.MjModel, bodies: list[int]) -> Chain:
     """Return a row of joints with its foot: a site or body called so, or else the far end of its last link."""
     joints = [int(model.body_jntadr[b]) + n for b in bodies for n in range(model.body_jntnum[b])]
     part = rigid_parts(model)
@@ -115,20 +114,19 @@ def _footed(described: mujoco.MjSpec, model: mujoco.MjModel, bodies: list[int]) 
     places = [(model.site(s).name, data.site_xpos[s]) for s in sites]
     places += [(model.body(b).name, data.xpos[b]) for b in last if b != bodies[-1] and model.body(b).name]
     called = [place for place in places if _FOOT.search(place[0])]
-    body = described.body(model.body(bodies[-1]).name)
-    ends = [end for geom in body.geoms for end in _ends(geom)]
+    ends = [end for geom in range(model.ngeom) if model.geom_bodyid[geom] in last for end in _ends(model, data, geom)]
     if called or (places and not ends):
         name, _ = max(called or places, key=lambda place: float(np.linalg.norm(place[1] - anchor)))
         return Chain(tuple(joints), name, (0.0, 0.0, 0.0), bool(called))
     axes = data.xmat[bodies[-1]].reshape(3, 3)
+    ends = [axes.T @ (end - data.xpos[bodies[-1]]) for end in ends]
     local = axes.T @ (anchor - data.xpos[bodies[-1]])
     end = max(ends, key=lambda point: float(np.linalg.norm(point - local)), default=2 * model.body_ipos[bodies[-1]])
     turns = model.jnt_type[joints[-1]] == mujoco.mjtJoint.mjJNT_HINGE
-    guessed = not ends and turns and bool(np.linalg.norm(end - local) < _SHORT)
-    if guessed:
+    if not ends and turns and np.linalg.norm(end - local) < _SHORT:
         end = local + axes.T @ _across(data.xaxis[joints[-1]], anchor - data.xanchor[joints[-2 if joints[1:] else -1]])
     at = tuple(round(float(v), 5) + 0.0 for v in end)  # no -0.0
-    return Chain(tuple(joints), model.body(bodies[-1]).name, (at[0], at[1], at[2]), bool(ends), guessed)
+    return Chain(tuple(joints), model.body(bodies[-1]).name, (at[0], at[1], at[2]), bool(ends), not ends)
 
 
 def _across(axis: np.ndarray, link: np.ndarray) -> np.ndarray:
@@ -138,17 +136,19 @@ def _across(axis: np.ndarray, link: np.ndarray) -> np.ndarray:
     return np.asarray(across * (np.linalg.norm(link) / length) if length > 0 else across)
 
 
-def _ends(geom: mujoco.MjsGeom) -> list[np.ndarray]:
-    """Return the points of a plain shape that may be the tip of a limb, in its body's frame."""
-    if np.isfinite(geom.fromto).all():
-        return [np.array(geom.fromto[:3]), np.array(geom.fromto[3:])]
-    if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return [np.array(geom.pos)]
-    if geom.type in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
-        axis = np.empty(3)
-        mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, geom.size[1]]), np.array(geom.quat))
-        return [geom.pos - axis, geom.pos + axis]
-    return []
+def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.ndarray]:
+    """Return the points of a plain shape that may be the tip of a limb, in world axes."""
+    kind, center, size = mujoco.mjtGeom(model.geom_type[geom]), data.geom_xpos[geom], model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return [center.copy()]
+    if kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
+        halves = np.diag([0.0, 0.0, size[1]])[2:]
+    elif kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        halves = np.diag(size)
+    else:
+        return []
+    ways = halves @ data.geom_xmat[geom].reshape(3, 3).T
+    return [*(center - ways), *(center + ways)]
 
 
 def at_zero(model: mujoco.MjModel) -> mujoco.MjData:
@@ -157,11 +157,6 @@ def at_zero(model: mujoco.MjModel) -> mujoco.MjData:
     data.qpos[model.jnt_qposadr[np.isin(model.jnt_type, JOINTS)]] = 0
     mujoco.mj_kinematics(model, data)
     return data
-
-
-def driven_joints(described: mujoco.MjSpec) -> set[str]:
-    """Return the joints that an actuator drives; none where the file has no actuators."""
-    return {actuator.target for actuator in described.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT}
 
 
 def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: list[Note]) -> list[Chain]:

@@ -6,8 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, SPECK, bare, compiled, described, impossible
-from mjx_climb.robot.found_limbs import Chain, Note, base_of, driven_joints, limbs_of
+from mjx_climb.robot.description import (
+    JOINTS,
+    SPECK,
+    SPECK_MOMENT,
+    bare,
+    compiled,
+    described,
+    driven_joints,
+    impossible,
+    one_limit,
+)
+from mjx_climb.robot.found_limbs import Chain, Note, base_of, limbs_of
+from mjx_climb.robot.robot_file import REACH
 from mjx_climb.robot.stance import Stance, checked, judge, keyframe, of_keyframe, searched, section_of, stretched
 
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
@@ -18,6 +29,7 @@ _CONTROL = {"damping": 5.0e3, "stiffness": 5.0e4}
 _LOOP = {"kp": 50.0, "kd": 0.2}
 _HOLDS_TURNS = {"rotational_stiffness": 30.0, "rotational_damping": 0.06}  # N m/rad, N m s/rad
 _STANDING = 3  # feet on the ground that keep a robot from swinging about them
+_UPRIGHT = 0.7  # the least z of a base's z axis that stands upright
 _HALVINGS = 5  # of a stride that is too long
 _NAMED = 5  # links in a note
 _MISSED = 0.02  # of the reach, by which limbs of two joints may miss their footholds
@@ -39,23 +51,32 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
     path = os.path.abspath(os.fspath(file))
     notes: list[Note] = []
     model, full = compiled(path, bare(path)), described(path)
-    base = base_of(path, model)
+    hub = base_of(path, model)
+    base = int(model.body_rootid[hub])  # joints from there to the hub are of no limb, and held
     notes.append(Note("taken", f"base {model.body(base).name!r}", "the link that floats, or that all limbs meet in"))
-    limbs = limbs_of(path, full, model, base, notes)
+    limbs = limbs_of(path, full, model, hub, notes)
     reach_of = stretched(model, base, limbs)
     reach, mass = float(np.mean([hip.reach for hip in reach_of])), float(model.body_subtreemass[base])
-    proportions = _proportions(mass, reach)
+    slides = any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for chain in limbs.values() for j in chain.joints)
+    proportions = _proportions(mass, reach, slides)
     held = _held(model, base, limbs, notes)
     springs = _springs(model, limbs, driven_joints(full), proportions["control"], notes)
     _looks(full, model, base, notes)
+    _kept_upright(model, base, notes)
 
     key = keyframe(model)
+    if written := len(full.keys) - model.nkey:
+        why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
+        notes.append(Note("ignored", f"{written} keyframes", why))
     section = section_of(path, model, limbs, held, springs)
     standing = of_keyframe(model, base, limbs, key) if key is not None else None
     stance = checked(section, standing) if standing is not None else None
     if stance is not None:
         notes.append(Note("taken", f"stance of keyframe {model.key(key).name!r}", "the feet stand where it puts them"))
     else:
+        if key is not None:
+            why = "no stance: feet above the base's frame, or joints at or beyond their limits with the feet level"
+            notes.append(Note("ignored", f"keyframe {model.key(key).name!r}", why))
         stance = searched(path, section, reach_of)
         notes.append(Note("changed", "stance", "searched: feet below and around their hips, joints off their limits"))
     section["height"] = stance.height
@@ -63,7 +84,9 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
         section["limbs"][name]["foothold"] = [float(v) for v in foothold]
 
     gait = _gait(section, stance, limbs, reach, notes)
-    notes.append(Note("changed", "contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m"))
+    stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
+    why = f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}"
+    notes.append(Note("changed", "contact and control", why))
     if len(limbs) <= _STANDING:
         proportions["contact"] |= {key: _two_digits(value * mass / _MASS * (reach / _REACH) ** 2)
                                    for key, value in _HOLDS_TURNS.items()}  # fmt: skip
@@ -137,22 +160,43 @@ def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: list[No
     for body in np.flatnonzero(model.body_jntnum > 0):
         if model.body_mass[body] <= SPECK:
             notes.append(Note("changed", f"link {model.body(body).name!r}", "has no mass: it gets a speck of one"))
+        elif model.body_inertia[body].max() <= SPECK_MOMENT:
+            notes.append(Note("taken", f"link {model.body(body).name!r}", "as a point: the file gives it a mass alone"))
+    if model.body_gravcomp.any():
+        notes.append(Note("ignored", "gravity compensation", "all links weigh what they weigh"))
     if names := [repr(body.name) for body in full.bodies if impossible(body)]:
         which = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
         notes.append(Note("changed", "moments of inertia", f"no body can have those of {which}: made equal"))
 
 
+def _kept_upright(model: mujoco.MjModel, base: int, notes: list[Note]) -> None:
+    """Note a base that the file stands on another of its axes than z."""
+    up = np.empty(3)
+    mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.body_quat[base])
+    if up[2] < _UPRIGHT:
+        why = "is taken as up, although the file stands it otherwise"
+        notes.append(Note("changed", f"z axis of {model.body(base).name!r}", why))
+
+
 def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: list[Note]) -> None:
-    """Note what is taken with the joints."""
+    """Note what is taken with the joints, and what they lack."""
     joints = [joint for chain in limbs.values() for joint in chain.joints]
     dofs = model.jnt_dofadr[joints]
-    limits = np.where(model.jnt_actfrclimited[joints], model.jnt_actfrcrange[joints, 1], 0.0)
+    limited = [joint for joint in joints if model.jnt_actfrclimited[joint]]
+    limits = np.array([one_limit(*model.jnt_actfrcrange[joint]) for joint in limited])
     for values, what in (
         (model.dof_armature[dofs], "armature of the joints"), (model.dof_damping[dofs], "damping of the joints"),
         (model.dof_frictionloss[dofs], "dry friction of the joints"), (limits, "torque limits"),
     ):  # fmt: skip
         if values.any():
-            notes.append(Note("taken", what, f"{values.min():.3g} to {values.max():.3g}"))
+            of = "" if what != "torque limits" or len(limited) == len(joints) else f", of {len(limited)} joints"
+            notes.append(Note("taken", what, f"{values.min():.3g} to {values.max():.3g}{of}"))
+    if model.dof_dampingpoly[dofs].any() or model.jnt_stiffnesspoly[joints].any():
+        notes.append(Note("ignored", "damping and stiffness", "beyond the part that is linear"))
+    free = [joint for joint in joints if not model.jnt_limited[joint]]
+    if free:
+        how = f"half a turn either way, or {REACH:g} m where they slide"
+        notes.append(Note("changed", f"limits of {len(free)} joints", f"the file has none: {how}"))
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -173,10 +217,15 @@ def _gait(
         if all(margin(stance) > 0 for stance in stances):
             break
         stride, step = stride / 2, step / 2
+    else:
+        why = "limbs do not reach footholds even so near to those where they stand: look at the stance"
+        notes.append(Note("changed", f"stride {_two_digits(stride):g} m", why))
     share = 1 - 1 / len(limbs)
     duty = max(0.75, -(-share * 100 // 1) / 100)
     names = list(limbs)
-    notes.append(Note("changed", "gait", f"a crawl in proportion to limbs of {reach:.3g} m"))
+    shorter = round(_STRIDE * reach / _REACH / stride)
+    within = f", the stride 1/{shorter} of that for joint limits" if shorter > 1 else ""
+    notes.append(Note("changed", "gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}"))
     return {
         "cycle": float(len(limbs)),
         "duty": duty,
@@ -186,10 +235,14 @@ def _gait(
     }
 
 
-def _proportions(mass: float, reach: float) -> dict[str, Any]:
-    """Return grip and gains of HubRobo for another weight and length."""
+def _proportions(mass: float, reach: float, slides: bool) -> dict[str, Any]:
+    """Return grip and gains of HubRobo for another weight and length.
+
+    kp is one number for N m/rad and N/m: sliding joints shorter than a metre need the stiffness that turning ones have
+    at the foot.
+    """
     heavier = mass / _MASS
-    turning = heavier * reach / _REACH
+    turning = heavier * reach / _REACH * (max(1.0, reach**-2) if slides else 1.0)
     return {
         "gravity": [0.0, 0.0, -1.62],
         "contact": {name: _two_digits(value * heavier) for name, value in _CONTACT.items()},

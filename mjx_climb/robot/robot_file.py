@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, bare, compiled, line_of
+from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, bare, compiled, one_limit
+from mjx_climb.robot.places import line_of
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import Limb, RobotFile
 
 LINKS = ("coxa", "femur", "tibia")  # of a limb of three joints
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
-_REACH = 1.0  # m, of a sliding joint without limits, either way
+REACH = 1.0  # m, of a sliding joint without limits, either way
 _NO_INERTIA = np.zeros((3, 3))
 _SHORT = 1e-3  # m, links too short to draw
 _PAD = (1e-9, 1e-12)  # kg, kg m^2: of a joint that only fills up a limb of fewer joints than others, at its foot
@@ -29,7 +30,7 @@ class _Link(NamedTuple):
 
 def model_of(source: RobotFile) -> mujoco.MjModel:
     """Return the model of a robot file, as `spec_of` describes it."""
-    return _compile(source, spec_of(source))
+    return compiled_robot(source, spec_of(source))
 
 
 def spec_of(source: RobotFile) -> mujoco.MjSpec:
@@ -185,6 +186,8 @@ def _no_more(
             raise _error(source, "limbs", expected, repr(name), name)
     joints, root = mujoco.mjtEq.mjEQ_JOINT, file.body_rootid[base]
     for n in range(file.neq):
+        if not file.eq_active0[n]:
+            continue
         ends = [int(end) for end in (file.eq_obj1id[n], file.eq_obj2id[n]) if end >= 0]
         kind, holds = file.eq_type[n], file.eq_objtype[n] == mujoco.mjtObj.mjOBJ_BODY
         if kind == joints:
@@ -261,7 +264,7 @@ def _axes(file: mujoco.MjModel, data: mujoco.MjData, chain: list[int]) -> list[n
 def _limits(source: RobotFile, file: mujoco.MjModel, limb: str, joint: int) -> tuple[float, float]:
     slides = file.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
     if not file.jnt_limited[joint]:
-        return (-_REACH, _REACH) if slides else (-np.pi, np.pi)
+        return (-REACH, REACH) if slides else (-np.pi, np.pi)
     lower, upper = file.jnt_range[joint]
     if not lower < upper:
         name = file.joint(joint).name
@@ -330,7 +333,8 @@ def _add_limb(
             group=PASSIVE if spring else 0,
         )
         if file.jnt_actfrclimited[joint]:
-            moved.actfrcrange, moved.actfrclimited = file.jnt_actfrcrange[joint], mujoco.mjtLimited.mjLIMITED_TRUE
+            most = one_limit(*file.jnt_actfrcrange[joint])
+            moved.actfrcrange, moved.actfrclimited = [-most, most], mujoco.mjtLimited.mjLIMITED_TRUE
         link = links[n]
         if not link.mass:
             if all(not other.mass for other in links[n:]) and not file.dof_armature[dof]:
@@ -365,7 +369,12 @@ def _frame(axis: np.ndarray, towards: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
-def _compile(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
+def compiled_robot(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Return the model of what `spec_of` or `unposed` describe.
+
+    Raises:
+        RobotError: masses or inertias that no body can have.
+    """
     try:
         return spec.compile()
     except ValueError as error:
@@ -374,7 +383,7 @@ def _compile(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 def _stand(source: RobotFile, spec: mujoco.MjSpec, offset: np.ndarray) -> None:
     """Give the model its rest stance as a keyframe."""
-    model = _compile(source, spec)
+    model = compiled_robot(source, spec)
     limbs = _around(source)
     feet = np.array([[*limb.foothold, -source.height] for limb in limbs.values()]) - offset
     joints = limb_joints(model, feet)

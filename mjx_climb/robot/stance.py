@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import FILLING, PASSIVE, RobotError, compiled
+from mjx_climb.robot.description import FILLING, PASSIVE, RobotError
 from mjx_climb.robot.found_limbs import Chain, at_zero
 from mjx_climb.robot.posture import limb_joints
-from mjx_climb.robot.robot_file import unposed
+from mjx_climb.robot.robot_file import compiled_robot, unposed
 from mjx_climb.scenario.model import RobotFile
 
 _SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out and how far down a foot may stand
@@ -124,7 +124,7 @@ def _posed(section: dict[str, Any], footholds: np.ndarray) -> _Posed:
     """Return the robot; `footholds` (L, 2) m are somewhere about where the feet are to stand."""
     source = _source(section, footholds)
     spec, offset = unposed(source)
-    model = compiled(source.file, spec)
+    model = compiled_robot(source, spec)
     order = [model.site(s).name.removesuffix("_foot") for s in range(model.nsite)]
     return _Posed(model, [list(section["limbs"]).index(name) for name in order], offset)
 
@@ -186,7 +186,8 @@ def searched(path: str, section: dict[str, Any], hips: list[Hip]) -> Stance:
         at_random = _sampled(posed, np.array([away[row] for row in posed.rows]), reach)
         best = None if at_random is None else checked(section, at_random)
     if best is None:
-        raise RobotError(f"{path}: expected a stance with all feet in reach, found none")
+        expected = "a stance with all feet in reach below the base link, whose own z axis is up"
+        raise RobotError(f"{path}: expected {expected}, found none")
     return best
 
 

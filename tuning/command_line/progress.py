@@ -134,7 +134,7 @@ def opening(console: Console, scenario: "mc.Scenario | None" = None) -> None:
     """Print where compiled programs are kept, and what to know of a scenario before it is walked."""
     from tuning.report import remarks
 
-    warnings = [] if scenario is None else [f"warning: {line}" for line in remarks.swings(scenario)]
+    warnings = [] if scenario is None else [f"warning: {line}" for line in remarks.ahead_of(scenario)]
     for line in [_cache_state(), *warnings]:
         console.print(line, soft_wrap=True)
 

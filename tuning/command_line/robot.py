@@ -29,6 +29,8 @@ def robot(
     from mjx_climb.files import dataset
     from mjx_climb.robot.proposal import propose
 
+    if write is not None and write.resolve() == file.resolve():
+        raise mc.ConfigError(f"{write}: expected another file than the robot's own")
     proposal = propose(file)
     scenario = mc.Scenario.model_validate({**proposal.sections, "time_step": 0.001})
     step = min(0.001, largest_time_step(scenario, str(file)))

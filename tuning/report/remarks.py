@@ -30,14 +30,30 @@ def weightless(walks: Walks) -> list[str]:
     return ["min TSM is a moment over the weight, with next to no weight it is no length: see min GIA margin"]
 
 
-def swings(scenario: "mc.Scenario") -> list[str]:
-    """Return what speaks against a scenario's way of swinging its feet, before any walk."""
+def ahead_of(scenario: "mc.Scenario") -> list[str]:
+    """Return what speaks against a scenario before any walk."""
+    return _swings(scenario) + _horizon(scenario)
+
+
+def _swings(scenario: "mc.Scenario") -> list[str]:
     heavy = sum(value**2 for value in scenario.gravity) > WEIGHT**2
     if scenario.gait.swing != "low_reaction" or scenario.contact.capture_distance is not None or not heavy:
         return []
     return [
         "gait.swing: low_reaction under weight without contact.capture_distance: grippers that shut off the ground are "
         "pulled there, and forces may vary more than with cubic swings"
+    ]
+
+
+def _horizon(scenario: "mc.Scenario") -> list[str]:
+    control, step = scenario.control, scenario.time_step
+    if control.controller != "base_admittance" or control.reading != "measured_pose":
+        return []
+    if scenario.hardware.control_period or step == type(scenario).model_fields["time_step"].default:
+        return []
+    return [
+        f"control.reading: measured_pose looks one period ahead, which is the time step, {step:g} s, without a "
+        "hardware.control_period: what its gains do depends on it"
     ]
 
 

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 import mjx_climb as mc
 from mjx_climb.control.motion import Motion, begin, move
 from mjx_climb.control.virtual_model import rest
+from mjx_climb.scenario.profiles import load_hardware
+from mjx_climb.scenario.shipped import config_path
 from tuning.command_line import main
 from tuning.gains import admittance_control, gains_file, gains_tables, ros2_control
 from tuning.judged import margins, stability_limit
@@ -283,3 +285,11 @@ def test_gains_of_another_law_are_refused(export, judged, tmp_path, key, value):
     (tmp_path / "config.yaml").write_text(mc.load_scenario("case_1_2", {key: value}).to_yaml())
     code, out, err = export(SPLIT)
     assert (code, out, len(err.splitlines())) == (2, "", 1) and key in err
+
+
+@pytest.mark.parametrize("case", ["case_1_1", "case_1_2", "case_2"])
+def test_the_shipped_gains_are_stable_in_the_robots_controllers(case):
+    period = load_hardware("dynamixel_x").control_period
+    gains = gains_file.load(config_path(f"gains/dynamixel_x_{case}.yaml"))
+    ros2_control.check(gains, 1 / period, case)
+    admittance_control.check(gains, period, case)

@@ -1,0 +1,243 @@
+"""What robots' files may hold that their authors meant otherwise than a quick reader takes it."""
+
+import re
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.checks.time_step import growth
+from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot.description import bare, compiled, described, driven_joints
+from mjx_climb.robot.found_limbs import base_of, limbs_of
+from mjx_climb.robot.proposal import propose
+from tests.robot import climbers
+from tests.robot.test_robot_file import urdf
+from tuning.command_line import main
+
+PLAIN = climbers.mjcf(4, 3).replace("><", ">\n<")
+FEET = re.compile(r'<site name="foot\d" pos="0.15 0 0"/>')
+
+
+def written(tmp_path, text, name="robot.xml"):
+    file = tmp_path / name
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return str(file)
+
+
+def found(file):
+    """Return the limbs of a file by name, and what was noted."""
+    model, notes = compiled(file, bare(file)), []
+    return limbs_of(file, described(file), model, base_of(file, model), notes), " ".join(map(" ".join, notes))
+
+
+@pytest.mark.parametrize(
+    ("shape", "at"),
+    [
+        ('<frame pos="0.08 0 0"><geom type="capsule" size="0.01 0.07" euler="0 90 0"/></frame>', [0.15, 0, 0]),
+        ('<geom type="box" size="0.07 0.01 0.01" pos="0.08 0 0"/>', [0.15, 0, 0]),
+        ('<body pos="0.1 0 0"><geom type="box" size="0.02 0.03 0.01" pos="0.03 0 0"/></body>', [0.15, 0, 0]),
+    ],
+)  # fmt: skip
+def test_a_limb_ends_where_its_shape_does(tmp_path, shape, at):
+    """In a frame, turned by angles, in a part welded on: the place is the one that MuJoCo gives the shape."""
+    limbs, told = found(written(tmp_path, FEET.sub(shape, PLAIN)))
+    for limb in limbs.values():
+        np.testing.assert_allclose(limb.at, at, atol=1e-5)
+    assert "ends" not in told
+
+
+def test_an_end_that_is_guessed_is_told(tmp_path):
+    limbs, told = found(written(tmp_path, FEET.sub("", PLAIN)))
+    assert limbs["L0"].at == (0.15, 0.004, 0.0) and "ends of last links not in the file" in told
+
+
+def test_joints_driven_in_any_way(tmp_path):
+    """By a motor, one in the parent's frame, and a tendon; the fourth limb's last joint has none."""
+    tendons = "".join(f'<fixed name="t{n}"><joint joint="L{n}_2" coef="2"/></fixed>' for n in range(3))
+    motors = "".join(
+        f'<motor joint="L{n}_0"/><motor jointinparent="L{n}_1"/>{f"""<motor tendon="t{n}"/>""" if n < 3 else ""}'
+        for n in range(4)
+    )
+    text = PLAIN.replace("</worldbody>", f"</worldbody><tendon>{tendons}</tendon><actuator>{motors}</actuator>")
+    joints = {f"L{n}_{k}" for n in range(4) for k in range(3)}
+    assert driven_joints(described(written(tmp_path, text))) == joints - {"L3_2"}
+
+
+LIMITS = {
+    '<motor joint="{}" forcerange="-3 2"/>': 2,  # the smaller of two
+    '<motor joint="{}" forcerange="0 2" gear="-4"/>': 8,  # one that pulls
+    '<motor joint="{}" forcelimited="false" forcerange="-1 1"/>': None,
+    '<motor joint="{}" ctrllimited="false" ctrlrange="-1 1"/>': None,
+    '<motor joint="{0}" ctrlrange="-1 1" gear="2"/><motor jointinparent="{0}" forcerange="-3 3"/>': 5,  # in sum
+    '<motor joint="{0}" forcerange="-3 3"/><velocity joint="{0}" kv="1"/>': None,
+}
+
+
+def test_torque_limits_of_actuators(tmp_path):
+    """Those in force, of all actuators of a joint together."""
+    motors = "".join(motor.format(f"L{n // 3}_{n % 3}") for n, motor in enumerate(LIMITS))
+    file = written(tmp_path, PLAIN.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>"))
+    model = compiled(file, bare(file))
+    for n, limit in enumerate(LIMITS.values()):
+        joint = model.joint(f"L{n // 3}_{n % 3}").id
+        assert bool(model.jnt_actfrclimited[joint]) == (limit is not None)
+        assert limit is None or model.jnt_actfrcrange[joint, 1] == limit
+
+
+def test_motors_of_a_ball_joint_drive_its_hinges(tmp_path):
+    ball = re.sub(r'<joint name="L0_1"[^>]*>', '<joint name="L0_1" type="ball"/>', PLAIN)
+    motors = '<motor joint="L0_1" gear="0 1 0"/><motor joint="L0_1" gear="0 0 2"/>'
+    text = ball.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
+    assert driven_joints(described(written(tmp_path, text))) == {"L0_1_y", "L0_1_z"}
+
+
+def test_small_and_bounded_weights_are_mujocos(tmp_path):
+    """Inertias of an insect, and least ones that the file asks for, are what MuJoCo makes of the file."""
+    insect, bounded = ("", "1e-6", "4e-12 4e-12 5e-12"), ('boundmass="0.2" boundinertia="1e-3"', "0.15", "0 0 0")
+    for compiler, mass, inertia in (insect, bounded):
+        weighed = re.sub(r'mass="[^"]*" diaginertia="[^"]*"', f'mass="{mass}" diaginertia="{inertia}"', PLAIN)
+        file = written(tmp_path, weighed.replace("<compiler", f"<compiler {compiler}"))
+        ours, theirs = compiled(file, bare(file)), mujoco.MjModel.from_xml_path(file)
+        np.testing.assert_array_equal(ours.body_mass, theirs.body_mass)
+        np.testing.assert_allclose(ours.body_inertia, theirs.body_inertia, rtol=1e-12)
+
+
+def test_a_file_is_what_is_in_it_whatever_its_name(tmp_path):
+    """A URDF called .xml needs no meshes, and an MJCF called .urdf has the weights of its shapes."""
+    file = written(tmp_path, urdf(0)[0])
+    assert compiled(file, bare(file)).nmesh == 0
+    shapes = re.sub(r'<inertial pos="0.075[^>]*>', '<geom type="capsule" size="0.01" fromto="0 0 0 0.1 0 0"/>', PLAIN)
+    file = written(tmp_path, shapes, "robot.urdf")
+    assert compiled(file, bare(file)).body("L0_2").mass[0] > 0.01
+
+
+PEBBLE = '<body name="pebble"><freejoint/><geom size="0.1"/></body>'
+SLIDES = '<joint name="rx" type="slide" axis="1 0 0"/>'
+
+
+def test_a_base_that_slides_beside_a_pebble_that_floats(tmp_path):
+    file = written(tmp_path, PLAIN.replace("<freejoint/>", SLIDES).replace("<worldbody>", f"<worldbody>{PEBBLE}"))
+    model = compiled(file, bare(file))
+    assert model.body(base_of(file, model)).name == "trunk"
+
+
+def test_what_is_told_of_a_robot_with_little_in_its_file(tmp_path):
+    """On a waist, without limits, with a short keyframe, a switched off constraint, and more that is passed over."""
+    text = re.sub(r' range="[^"]*"', "", PLAIN)
+    text = text.replace('<body name="trunk">\n<freejoint/>', '<body name="pelvis"><freejoint/><inertial pos="0 0 0" '
+        'mass="1" diaginertia="1e-2 1e-2 1e-2"/><body name="trunk" gravcomp="1"><joint name="waist"/>')  # fmt: skip
+    text = text.replace("</worldbody>", '</body></worldbody><keyframe><key name="home" qpos="0 0 1"/></keyframe>'
+        '<equality><joint joint1="L0_1" joint2="L1_1" active="false"/></equality>')  # fmt: skip
+    text = text.replace('joint name="L0_1"', 'joint name="L0_1" damping="0.1 0.2"')
+    proposal = propose(written(tmp_path, text))
+    told = "\n".join(" ".join(note) for note in proposal.notes)
+    for line in (
+        "taken base 'pelvis'",
+        "changed joint 'waist' of no limb",
+        "ignored 1 keyframes not of the 20 positions",
+        "changed limits of 12 joints the file has none",
+        "ignored gravity compensation",
+        "ignored damping and stiffness beyond",
+    ):
+        assert line in told
+    robot = mc.Scenario.model_validate(proposal.sections | {"time_step": 1e-4}).robot
+    assert load_robot(robot).base_mass[0] == pytest.approx(2.2)
+
+
+LIMB = '<mujoco>\n<body name="x">\n<joint name="bad" axis="0 0 z"/>\n</body>\n</mujoco>'
+PART = PLAIN.replace("<worldbody>", '<worldbody>\n<include file="part.xml"/>')
+TWICE = urdf(0)[0].replace("><", ">\n<").replace('<link name="LF_toe"/>', '<link name="LF_hip"/>')
+AGAIN = TWICE[: TWICE.rindex('<link name="LF_hip"/>')].count("\n") + 1
+WRONG = {  # name of the file, its text, of part.xml, where it is and what is said
+    "in an included file": ("robot.xml", PART, LIMB, r"part.xml:3: .*'axis'"),
+    "limits in an included file": (
+        "robot.xml", PART, LIMB.replace("0 0 z", '0 0 1" range="2 1'), r"part.xml:3: joint 'bad': expected limits",
+    ),
+    "a weight in an included file": (
+        "robot.xml", PART, LIMB.replace('axis="0 0 z"/>', '/>\n<geom size="1" mass="-1"/>'), r"part.xml:4: .*negative",
+    ),
+    "another alphabet": (
+        "robot.xml", PLAIN.replace("trunk", "tr\xfcnk").encode("latin-1"), "", r"xml:\d+: expected names in UTF-8",
+    ),
+    "a weight that is no number": (
+        "robot.urdf", re.sub('mass value="[^"]*"', 'mass value="nan"', urdf(0)[0], count=1), "",
+        r"urdf:1: link 'trunk': .*nan",
+    ),
+    "limits without end": (
+        "robot.xml", PLAIN.replace("-20 100", "-20 inf", 1), "", r"xml:\d+: joint 'L0_1': expected finite",
+    ),
+    "a motor of no joint": (
+        "robot.xml", PLAIN.replace("</mujoco>", '<actuator>\n<motor joint="gone"/></actuator></mujoco>'), "",
+        r"xml:\d+: .*'gone'",
+    ),
+    "a macro": (
+        "robot.urdf", '<robot name="r">\n<xacro:leg/></robot>', "", r"urdf:2: .*written out, got <xacro:leg>",
+    ),
+    "two of a name": ("robot.urdf", TWICE, "", rf"urdf:{AGAIN}: .*repeated"),
+    "a mesh that weighs": (
+        "robot.xml",
+        PLAIN.replace("<worldbody>", '<asset>\n<mesh name="m" file="gone.stl"/></asset><worldbody>').replace(
+            "<freejoint/>", '<freejoint/><body><geom type="mesh" mesh="m"/></body>'
+        ), "", r"xml:\d+: .*gone.stl",
+    ),
+    "another kind": ("robot.sdf", "<sdf/>", "", r"sdf: expected a file whose name ends in .xml or .urdf"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_told_where_it_stands(tmp_path, name):
+    named, text, part, expected = WRONG[name]
+    if part:
+        written(tmp_path, part, "part.xml")
+    file = written(tmp_path, text, named)
+    with pytest.raises(mc.RobotError) as refused:
+        compiled(file, bare(file))
+    assert "\n" not in str(refused.value) and str(refused.value).startswith(str(tmp_path))
+    assert re.search(expected, str(refused.value)), refused.value
+
+
+def test_the_robots_own_file_is_not_written_over(tmp_path, capsys):
+    file = written(tmp_path, PLAIN)
+    with pytest.raises(SystemExit) as ended:
+        main(["robot", file, "--write", str(tmp_path / "." / "robot.xml")])
+    assert ended.value.code == 2 and "another file than the robot's own" in capsys.readouterr().err
+    assert (tmp_path / "robot.xml").read_text() == PLAIN
+
+
+def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
+    """A foot that comes near its yaw axis leaves the joint little inertia: explicit damping holds for h kd < 2 I."""
+    limbs = "".join(
+        f'<body name="B{n}" pos="{0.15 * x} {0.15 * y} 0" euler="0 0 {turn}"><joint name="B{n}_slide" type="slide" '
+        'axis="0 0 1" range="-0.08 0.08"/><inertial pos="0 0 0" mass="0.2" diaginertia="2e-4 2e-4 2e-4"/>'
+        f'<body pos="0.02 0 0"><joint name="B{n}_yaw" axis="0 0 1" range="-50 50"/><inertial pos="0 0 0" mass="0.1" '
+        f'diaginertia="1e-4 1e-4 1e-4"/><body pos="0.02 0 0"><joint name="B{n}_pitch" axis="0 1 0" range="0 100"/>'
+        f'<inertial pos="0.1 0 0" mass="0.2" diaginertia="1e-4 8e-4 8e-4"/><site name="foot{n}" pos="0.22 0 0"/>'
+        "</body></body></body>"
+        for n, (x, y, turn) in enumerate(((1, 0, 0), (0, 1, 90), (-1, 0, 180), (0, -1, 270)))
+    )
+    file = written(
+        tmp_path,
+        '<mujoco><worldbody><body name="hub"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="0.02 0.02 0.03"/>'
+        f"{limbs}</body></worldbody></mujoco>",
+    )
+    out, stride, kd = 0.051, 0.045, 6.5  # m, from the pitch axis; m; N m s/rad
+    far = 0.19 + out
+    feet = {"B0": [far, 0], "B1": [0, far], "B2": [-far, 0], "B3": [0, -far]}
+    sections = {
+        "robot": {"file": file, "height": 0.17, "limbs": {
+            limb: {"joints": [f"{limb}_{joint}" for joint in ("slide", "yaw", "pitch")], "foot": f"foot{limb[1]}",
+                   "foothold": foot} for limb, foot in feet.items()}},
+        "gait": {"sequence": list(feet), "stride": stride}, "control": {"kp": 1600.0, "kd": kd}, "time_step": 1e-5,
+    }  # fmt: skip
+    scenario = mc.Scenario.model_validate(sections)
+    model = load_model(scenario.robot)
+    data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))
+    data.qpos[:] = model.key_qpos[0]
+    limb = next(n for n in range(4) if model.site(n).name == "B2_foot")
+    data.qpos[7 + 3 * limb + 2] = np.arccos((out - stride) / 0.22)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    inertia = 1 / np.linalg.inv(mass)[6 + 3 * limb + 1, 6 + 3 * limb + 1]
+    assert growth(scenario, 2.2 * inertia / kd) > 1
