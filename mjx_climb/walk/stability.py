@@ -11,6 +11,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from mjx_climb.walk.chosen import smallest_row
+
 
 def net_external_wrench(
     foot_position: jax.Array, foot_force: jax.Array, base_position: jax.Array, push: jax.Array
@@ -110,7 +112,7 @@ def _support_axes(foot_position: jax.Array, support: jax.Array) -> _Axes:
 
 def _smallest_over_axes(margin: jax.Array, axes: _Axes) -> jax.Array:
     """Minimum over the axes of the polygon (B,), not below zero; zero where there is no polygon."""
-    smallest = jnp.where(axes.polygon, margin, jnp.inf).min(0)
+    smallest = smallest_row(jnp.where(axes.polygon, margin, jnp.inf))
     return jnp.where(axes.polygon.any(0), jnp.maximum(smallest, 0.0), 0.0)
 
 

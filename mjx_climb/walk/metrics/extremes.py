@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.lax import stop_gradient
 
+from mjx_climb.walk.chosen import larger, largest_row, smaller, smallest_row
 from mjx_climb.walk.metrics.metric import Context, Metric, Value
 from mjx_climb.walk.metrics.table import PREFIX
 from mjx_climb.walk.sample import Sample
@@ -36,7 +37,7 @@ def peak(name: str, unit: str, long_name: str, value: Value) -> Metric:
         long_name,
         larger_is_better=False,
         init=lambda zero: zero,
-        update=lambda running, sample, context: jnp.maximum(running, _rows(value, sample, context).max(0)),
+        update=lambda running, sample, context: larger(running, largest_row(_rows(value, sample, context))),
         finish=lambda running, _: running,
         smooth=Metric(
             PREFIX + name,
@@ -60,7 +61,7 @@ def smallest(
         long_name,
         larger_is_better,
         init=lambda zero: zero + jnp.inf,
-        update=lambda running, sample, context: jnp.minimum(running, _rows(value, sample, context).min(0)),
+        update=lambda running, sample, context: smaller(running, smallest_row(_rows(value, sample, context))),
         finish=lambda running, _: running,
         smooth=Metric(
             PREFIX + name,
@@ -117,7 +118,7 @@ def _power(value: Array) -> Array:
 
 
 def _with_large(mean: _Mean, values: Array) -> _Mean:
-    extreme = stop_gradient(jnp.maximum(mean.extreme, values.max(0)))
+    extreme = jnp.maximum(stop_gradient(mean.extreme), stop_gradient(values).max(0))
     scale = jnp.where(extreme > 0, extreme, 1.0)
     total = mean.total * _power(mean.extreme / scale) + _power(values / scale).sum(0)
     return _Mean(extreme, mean.unit, total, mean.count + values.shape[0])
@@ -125,9 +126,9 @@ def _with_large(mean: _Mean, values: Array) -> _Mean:
 
 def _with_small(mean: _Mean, values: Array) -> _Mean:
     first = mean.count == 0
-    least = stop_gradient(values.min(0))
+    least = stop_gradient(values).min(0)
     unit = jnp.where(first, jnp.maximum(jnp.abs(least), 1e-6) / _SHARPNESS, mean.unit)
-    extreme = stop_gradient(jnp.minimum(mean.extreme, least))
+    extreme = jnp.minimum(stop_gradient(mean.extreme), least)
     before = jnp.where(first, 0.0, mean.total * jnp.exp((extreme - jnp.where(first, extreme, mean.extreme)) / unit))
     return _Mean(extreme, unit, before + jnp.exp((extreme - values) / unit).sum(0), mean.count + values.shape[0])
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.dynamics.spatial import norm
+from mjx_climb.walk.chosen import largest_row
 from mjx_climb.walk.metrics.extremes import peak, smallest
 from mjx_climb.walk.metrics.metric import Context, Metric
 from mjx_climb.walk.metrics.table import MetricTable
@@ -89,7 +90,7 @@ class _Variation(NamedTuple):
 
 
 def _more_variation(running: _Variation, sample: Sample, context: Context) -> _Variation:
-    force = foot_forces(sample, context).max(0)
+    force = largest_row(foot_forces(sample, context))
     return _Variation(running.total + jnp.where(context.first, 0.0, jnp.abs(force - running.last)), force)
 
 
