@@ -7,6 +7,7 @@ adds is in `tuning.judged.stability_limit`.
 """
 
 import functools
+import itertools
 import math
 from collections.abc import Iterator
 
@@ -100,12 +101,13 @@ def _with_numbers(scenario: Scenario, numbers: Parameters) -> Scenario:
 
 
 def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield mass, stiffness and damping matrix (18, 18) at stance and at the height of every swing, by steps of `h`."""
+    """Yield mass, stiffness and damping matrix (18, 18) at stance and on the way of every swing, by steps of `h`."""
     model = load_model(scenario.robot)
     contact, control, walk, servo = scenario.contact, scenario.control, scenario.gait, scenario.hardware.servo
     feet = np.arange(model.nsite)
-    for limb in (None, *feet):
-        mass, jacobians, turning = _at(scenario.robot, walk.stride, walk.step_height, limb)
+    swings = itertools.product(feet, ((walk.stride / 2, walk.step_height), (walk.stride, 0.0), (-walk.stride, 0.0)))
+    for limb, away in ((None, (0.0, 0.0)), *swings):
+        mass, jacobians, turning = _at(scenario.robot, limb, *away)
         joint = np.diag(np.repeat([0.0, 1.0], [6, model.nv - 6]))
         driven = np.repeat(1.0, model.nv)
         driven[6:] = model.jnt_group[1:] != PASSIVE
@@ -128,25 +130,27 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
 
 
 @functools.lru_cache(maxsize=64)
-def _at(
-    robot: str | RobotFile, stride: float, step_height: float, swinging: int | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at stance or with one foot lifted.
-
-    It is lifted half a stride ahead.
-    """
+def _moved(robot: str | RobotFile, ahead: float, up: float) -> np.ndarray:
+    """Return joint angles (L, N) with all feet as far from the stance; those of the stance where one cannot be."""
     model = load_model(robot)
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[0]
     mujoco.mj_kinematics(model, data)
+    targets = data.site_xpos + np.array([ahead, 0, up])
+    solved = limb_joints(model, (targets - data.qpos[:3]) @ data.xmat[1].reshape(3, 3))
+    return np.where(solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(len(targets), -1))
+
+
+@functools.lru_cache(maxsize=256)
+def _at(
+    robot: str | RobotFile, swinging: int | None, ahead: float, up: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at stance or with one foot moved."""
+    model = load_model(robot)
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[0]
     if swinging is not None:
-        rotation = data.xmat[1].reshape(3, 3)
-        targets = data.site_xpos.copy()
-        targets[swinging] += [stride / 2, 0, step_height]
-        solved = limb_joints(model, (targets - data.qpos[:3]) @ rotation)
-        data.qpos[7:] = np.where(
-            solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(len(targets), -1)
-        ).ravel()
+        data.qpos[7:].reshape(model.nsite, -1)[swinging] = _moved(robot, ahead, up)[swinging]
     mujoco.mj_forward(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)

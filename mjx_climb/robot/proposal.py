@@ -57,7 +57,8 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
     limbs = limbs_of(path, full, model, hub, notes)
     reach_of = stretched(model, base, limbs)
     reach, mass = float(np.mean([hip.reach for hip in reach_of])), float(model.body_subtreemass[base])
-    proportions = _proportions(mass, reach)
+    slides = any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for chain in limbs.values() for j in chain.joints)
+    proportions = _proportions(mass, reach, slides)
     held = _held(model, base, limbs, notes)
     springs = _springs(model, limbs, driven_joints(full), proportions["control"], notes)
     _looks(full, model, base, notes)
@@ -83,7 +84,9 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
         section["limbs"][name]["foothold"] = [float(v) for v in foothold]
 
     gait = _gait(section, stance, limbs, reach, notes)
-    notes.append(Note("changed", "contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m"))
+    stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
+    why = f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}"
+    notes.append(Note("changed", "contact and control", why))
     if len(limbs) <= _STANDING:
         proportions["contact"] |= {key: _two_digits(value * mass / _MASS * (reach / _REACH) ** 2)
                                    for key, value in _HOLDS_TURNS.items()}  # fmt: skip
@@ -232,10 +235,14 @@ def _gait(
     }
 
 
-def _proportions(mass: float, reach: float) -> dict[str, Any]:
-    """Return grip and gains of HubRobo for another weight and length."""
+def _proportions(mass: float, reach: float, slides: bool) -> dict[str, Any]:
+    """Return grip and gains of HubRobo for another weight and length.
+
+    kp is one number for N m/rad and N/m: sliding joints shorter than a metre need the stiffness that turning ones have
+    at the foot.
+    """
     heavier = mass / _MASS
-    turning = heavier * reach / _REACH
+    turning = heavier * reach / _REACH * (max(1.0, reach**-2) if slides else 1.0)
     return {
         "gravity": [0.0, 0.0, -1.62],
         "contact": {name: _two_digits(value * heavier) for name, value in _CONTACT.items()},

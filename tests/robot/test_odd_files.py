@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.checks.time_step import growth
+from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import bare, compiled, described, driven_joints
 from mjx_climb.robot.found_limbs import base_of, limbs_of
 from mjx_climb.robot.proposal import propose
@@ -203,3 +204,40 @@ def test_the_robots_own_file_is_not_written_over(tmp_path, capsys):
         main(["robot", file, "--write", str(tmp_path / "." / "robot.xml")])
     assert ended.value.code == 2 and "another file than the robot's own" in capsys.readouterr().err
     assert (tmp_path / "robot.xml").read_text() == PLAIN
+
+
+def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
+    """A foot that comes near its yaw axis leaves the joint little inertia: explicit damping holds for h kd < 2 I."""
+    limbs = "".join(
+        f'<body name="B{n}" pos="{0.15 * x} {0.15 * y} 0" euler="0 0 {turn}"><joint name="B{n}_slide" type="slide" '
+        'axis="0 0 1" range="-0.08 0.08"/><inertial pos="0 0 0" mass="0.2" diaginertia="2e-4 2e-4 2e-4"/>'
+        f'<body pos="0.02 0 0"><joint name="B{n}_yaw" axis="0 0 1" range="-50 50"/><inertial pos="0 0 0" mass="0.1" '
+        f'diaginertia="1e-4 1e-4 1e-4"/><body pos="0.02 0 0"><joint name="B{n}_pitch" axis="0 1 0" range="0 100"/>'
+        f'<inertial pos="0.1 0 0" mass="0.2" diaginertia="1e-4 8e-4 8e-4"/><site name="foot{n}" pos="0.22 0 0"/>'
+        "</body></body></body>"
+        for n, (x, y, turn) in enumerate(((1, 0, 0), (0, 1, 90), (-1, 0, 180), (0, -1, 270)))
+    )
+    file = written(
+        tmp_path,
+        '<mujoco><worldbody><body name="hub"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="0.02 0.02 0.03"/>'
+        f"{limbs}</body></worldbody></mujoco>",
+    )
+    out, stride, kd = 0.051, 0.045, 6.5  # m, from the pitch axis; m; N m s/rad
+    far = 0.19 + out
+    feet = {"B0": [far, 0], "B1": [0, far], "B2": [-far, 0], "B3": [0, -far]}
+    sections = {
+        "robot": {"file": file, "height": 0.17, "limbs": {
+            limb: {"joints": [f"{limb}_{joint}" for joint in ("slide", "yaw", "pitch")], "foot": f"foot{limb[1]}",
+                   "foothold": foot} for limb, foot in feet.items()}},
+        "gait": {"sequence": list(feet), "stride": stride}, "control": {"kp": 1600.0, "kd": kd}, "time_step": 1e-5,
+    }  # fmt: skip
+    scenario = mc.Scenario.model_validate(sections)
+    model = load_model(scenario.robot)
+    data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))
+    data.qpos[:] = model.key_qpos[0]
+    limb = next(n for n in range(4) if model.site(n).name == "B2_foot")
+    data.qpos[7 + 3 * limb + 2] = np.arccos((out - stride) / 0.22)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    inertia = 1 / np.linalg.inv(mass)[6 + 3 * limb + 1, 6 + 3 * limb + 1]
+    assert growth(scenario, 2.2 * inertia / kd) > 1
