@@ -48,6 +48,11 @@ def growth(scenario: Scenario, time_step: float | None = None) -> float:
     return float(worst)
 
 
+def short_enough(scenario: Scenario) -> bool:
+    """Return whether contacts and joints can follow the scenario's time step."""
+    return growth(scenario) <= 1 + _ROUNDING
+
+
 def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     """Return the largest round time step, s, that is short enough and divides duration and gait cycle.
 

@@ -28,6 +28,9 @@ _CONTACT = {"stiffness": 1.0e4, "damping": 20.0, "holding_limit": 15.0}
 _CONTROL = {"damping": 5.0e3, "stiffness": 5.0e4}
 _LOOP = {"kp": 50.0, "kd": 0.2}
 _HOLDS_TURNS = {"rotational_stiffness": 30.0, "rotational_damping": 0.06}  # N m/rad, N m s/rad
+_FIRM = {"rotational_stiffness": 10.0, "kp": 10.0, "rotational_damping": 3.0, "kd": 3.0}  # times as much, on one foot
+_ATTITUDE = 6  # joints of a limb that can keep its foot's attitude
+_SHORT_STRIDE = 8  # the part of a stride that turns feet, which cannot but turn, little enough
 _STANDING = 3  # feet on the ground that keep a robot from swinging about them
 _UPRIGHT = 0.7  # the least z of a base's z axis that stands upright
 _HALVINGS = 5  # of a stride that is too long
@@ -88,9 +91,7 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
     why = f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}"
     notes.append(Note("changed", "contact and control", why))
     if len(limbs) <= _STANDING:
-        proportions["contact"] |= {key: _two_digits(value * mass / _MASS * (reach / _REACH) ** 2)
-                                   for key, value in _HOLDS_TURNS.items()}  # fmt: skip
-        notes.append(Note("changed", "grip", "transmits moments: on one or two feet held as points the robot swings"))
+        _hold_turns(section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2, notes)
     _drives(model, limbs, notes)
     sections = {"robot": section, "gait": gait, "duration": 2 * gait["cycle"], **proportions}
     return Proposal(sections, tuple(notes))
@@ -233,6 +234,33 @@ def _gait(
         "step_height": _two_digits(step),
         "sequence": [names[n] for n in order],
     }
+
+
+def _hold_turns(
+    section: dict[str, Any], proportions: dict[str, Any], gait: dict[str, Any], size: float, notes: list[Note]
+) -> None:
+    """Give a robot that stands on one or two feet grips that transmit moments; `size` is its mass times reach squared.
+
+    What swings about one foot sags by grip and joints, and the other one shuts where it should not, so both are firm
+    where limbs can keep the attitude of their feet. Others turn them as the base moves.
+    """
+    contact, control = proportions["contact"], proportions["control"]
+    contact |= {key: value * size for key, value in _HOLDS_TURNS.items()}
+    springs = section.get("springs", {})
+    driven = min(sum(joint not in springs for joint in limb["joints"]) for limb in section["limbs"].values())
+    why = "transmits moments: on one or two feet held as points the robot swings"
+    if driven >= _ATTITUDE:
+        for part in (contact, control):
+            part |= {key: value * part[key] for key, value in _FIRM.items() if key in part}
+        notes.append(Note("changed", "grip", why + "; it and the joint loop are firm enough for one foot"))
+    else:
+        gait["stride"] = _two_digits(gait["stride"] / _SHORT_STRIDE)
+        why += (
+            f"; it resists limbs of under {_ATTITUDE} joints, which turn their feet: short strides, and it may let go"
+        )
+        notes.append(Note("changed", "grip", why))
+    for part in (contact, control):
+        part |= {key: _two_digits(part[key]) for key in (*_HOLDS_TURNS, "kp", "kd") if key in part}
 
 
 def _proportions(mass: float, reach: float, slides: bool) -> dict[str, Any]:

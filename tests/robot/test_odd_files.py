@@ -241,3 +241,23 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
     mujoco.mj_fullM(model, data, mass)
     inertia = 1 / np.linalg.inv(mass)[6 + 3 * limb + 1, 6 + 3 * limb + 1]
     assert growth(scenario, 2.2 * inertia / kd) > 1
+
+
+def test_a_held_joint_is_a_body_turned(tmp_path):
+    """Mass matrix and bias of a robot with a joint held are those of one whose body is written turned, without it."""
+    arm = '<body pos="0 0 0.03"{}>{}<inertial pos="0.02 0 0.1" mass="0.4" diaginertia="1e-3 2e-3 1.5e-3"/></body>'
+    held = climbers.mjcf(2, 3, on_base=arm.format("", '<joint name="mast" axis="0 1 0"/>'))
+    turned = climbers.mjcf(2, 3, on_base=arm.format(f' euler="0 {np.degrees(0.7)} 0"', ""))
+    rng, found = np.random.default_rng(0), []
+    position, rate = rng.uniform(-0.5, 0.5, 6), rng.normal(size=12)
+    for name, text, locked in (("held.xml", held, {"mast": 0.7}), ("turned.xml", turned, {})):
+        sections = climbers.config(written(tmp_path, text, name), 2, 3)
+        sections["robot"]["locked"] = locked
+        model = load_model(mc.Scenario.model_validate(sections).robot)
+        data, mass = mujoco.MjData(model), np.empty((12, 12))
+        data.qpos[:], data.qvel[:] = [0, 0, 0, 0.6, 0.8, 0, 0, *position], rate
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        found.append((mass, data.qfrc_bias.copy()))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)

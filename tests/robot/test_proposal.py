@@ -217,6 +217,7 @@ def oddities():
         "a weightless link": ("xml", two.replace('mass="0.15" diaginertia="1e-4 1.2e-4 1e-4"',
                                                   'mass="0" diaginertia="0 0 0"', 1)),
         "two joints a limb": ("xml", climbers.mjcf(4, 2)),
+        "two arms of seven": ("xml", climbers.mjcf(2, 7)),
     }  # fmt: skip
 
 

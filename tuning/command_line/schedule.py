@@ -110,9 +110,8 @@ def schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
     from tuning.command_line.report import change, gain, number, plain_table
     from tuning.searches.retuned_pd import NAME
 
-    table = plain_table(
-        "gravity G", "cargo kg", *gains, "force variation N", "vs config %", "vs retuned %", "vs pd %", ""
-    )
+    beside = ("variation\nN", "vs\nconfig %", "vs\nretuned %", "vs\npd %")
+    table = plain_table("gravity\nG", "cargo\nkg", *gains, *beside, "")
     table.columns[-1].no_wrap = False  # words give way to numbers
     for row in rows:
         tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 import mjx_climb as mc
+from mjx_climb.checks.time_step import short_enough
 from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
@@ -88,15 +89,19 @@ def walked_on_grid(
 def on_grid(scenario: mc.Scenario, *, engine: str = DEFAULT_ENGINE) -> dict[str, float] | None:
     """Return kp and kd with which pd has the least force variation of a grid and holds, None where it never does.
 
+    Those that are too much for the time step, with which no walk alone would be begun, are left out.
+
     What a sweep, which looks for the same among the gains of a law, is to be compared with.
     """
     table = mc.MetricTable(mc.METRICS[name] for name in _JUDGED_BY)
     gains, walks = walked_on_grid(scenario, table, engine=engine)
     holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
     variation = np.where(holds, walks["force_variation"], np.inf)
-    if not np.isfinite(variation).any():
-        return None
-    return {name: float(values[variation.argmin()]) for name, values in gains.items()}
+    for place in np.argsort(variation)[: np.isfinite(variation).sum()]:
+        joint = {name: float(values[place]) for name, values in gains.items()}
+        if short_enough(scenario.with_overrides({f"control.{name}": value for name, value in joint.items()})):
+            return joint
+    return None
 
 
 def _kept_in(out: Path) -> Path:
