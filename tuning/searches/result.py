@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.checks.time_step import short_enough
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper, with_gains
 from mjx_climb.scenario.messages import ConfigError
@@ -54,6 +55,7 @@ def from_history(problem: Problem, search: Search, arrays: Mapping[str, np.ndarr
     """Return the result of the points judged so far.
 
     The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
+    A point whose joint gains are too much for the time step is neither, and has a penalty without end.
 
     Raises:
         ValueError: nothing was judged.
@@ -62,6 +64,7 @@ def from_history(problem: Problem, search: Search, arrays: Mapping[str, np.ndarr
         raise ValueError("expected a judged point, got none")
     scenario, space, law, metrics = problem.scenario, problem.space, problem.law, problem.metrics
     count = len(arrays["value"])
+    arrays = _without_the_unsteady(problem, arrays)
     best = best_of(arrays)
     data: dict[str, Any] = {
         "theta": (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})
@@ -84,6 +87,22 @@ def from_history(problem: Problem, search: Search, arrays: Mapping[str, np.ndarr
     if law is not None:
         history.attrs["law"] = reference(law)
     return _of(history, scenario, search, gains, best, law, metrics)
+
+
+def _without_the_unsteady(problem: Problem, arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """Return the arrays with a penalty for each point that would be the best, were its time step short enough.
+
+    Joint gains shake at a long time step. A search may see little of it in one walk, but nobody can walk with them.
+    """
+    penalty, feasible = np.array(arrays["penalty"], float), np.array(arrays["feasible"])
+    judged = {**arrays, "penalty": penalty, "feasible": feasible}
+    while np.isfinite(penalty[best := best_of(judged)]):
+        gains = by_name(to_gains64(problem.space, np.asarray(arrays["theta"][best], float)))
+        joint = {f"control.{name}": float(gains[name]) for name in ("kp", "kd") if gains.get(name) is not None}
+        if not joint or short_enough(problem.scenario.with_overrides(joint)):
+            break
+        penalty[best], feasible[best] = np.inf, False
+    return judged
 
 
 def best_of(arrays: Mapping[str, np.ndarray]) -> int:

@@ -65,6 +65,24 @@ def test_pins_bounds_and_joint_gains(scenario):
     assert space.on_bound(space.lower) == list(space.names)
 
 
+def test_joint_gains_that_shake_at_the_time_step_are_no_result(scenario):
+    """One walk may seem well with them; nobody could walk with what was found."""
+    settings = search.make({"joint_gains": True})
+    space = spaces.space(scenario, settings)
+    problem = Problem(scenario, space, objectives.Objective((), ()))
+    gains = [mc.Gains(1.0, 1e2, 3e3, kp=50.0, kd=kd) for kd in (0.9, 0.3, 0.8, 0.2)]
+    arrays = {
+        "theta": np.array([space.from_gains(each) for each in gains]), "value": np.array([0.1, 0.4, 0.2, 0.3]),
+        "penalty": np.zeros(4), "feasible": np.ones(4, bool), "env_steps": np.arange(4),
+    }  # fmt: skip
+    found = result.from_history(problem, settings, arrays, interrupted=False)
+    assert float(found.gains.kd) == pytest.approx(0.2) and found.feasible
+    assert found.history["feasible"].values.tolist() == [False, True, False, True]
+    assert result.best_of({name: found.history[name].values for name in ("value", "penalty", "feasible")}) == 3
+    none = {**arrays, "theta": np.repeat(arrays["theta"][:1], 4, axis=0)}
+    assert not result.from_history(problem, settings, none, interrupted=False).feasible
+
+
 def test_bounds_are_those_of_the_robot(scenario):
     """HubRobo's as declared, in proportion for a robot from a file; joint gains about the scenario's own."""
     law = law_of(scenario)
