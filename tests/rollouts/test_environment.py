@@ -46,6 +46,7 @@ def test_one_robot_walks_as_in_a_rollout_bit_for_bit(scenario, alone):
         np.testing.assert_array_equal(getattr(alone[1], name), getattr(trajectory, name), err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_batch_walks_as_its_robots_do(scenario, env, walked):
     stiffness = np.array([1e3, 5e4, 1e5])
     _, together = walked(env.reset(gains={"stiffness": stiffness[:, None]}))

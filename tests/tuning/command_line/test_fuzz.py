@@ -21,7 +21,7 @@ from tuning.judged import deployment
 from tuning.problem import evaluation
 
 ROOT = Path(__file__).parents[3]
-CASES, CHUNK, QUICK = 1000, 50, 250
+CASES, CHUNK, QUICK = 1000, 50, 150
 PATIENCE = 20  # s for one call; a second is long
 
 

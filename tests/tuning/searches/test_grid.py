@@ -32,6 +32,7 @@ def whole(scenario):
     return grid.sweep(scenario, STIFFNESS, DAMPING, batch_size=SIZE)
 
 
+@pytest.mark.slow
 def test_every_cell_is_the_walk_with_its_gains(scenario, whole):
     assert whole["peak_foot_force"].dims == ("stiffness", "damping")
     for k, d in ((1e3, 1e3), (1e5, 1e2), (1e5, 1e3)):
