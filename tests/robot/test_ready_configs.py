@@ -1,11 +1,14 @@
 """The robots that come with configs: each stands, and walks its habitat with all grippers holding."""
 
 import pytest
+from PIL import Image
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.files import dataset
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.shipped import config_path
+from tuning.command_line import main
 
 READY = {  # limbs, joints of each
     "hubrobo_v3_2_cliff": (4, 3),
@@ -45,3 +48,17 @@ def test_a_ready_config_walks(name):
     way = scenario.gait.stride * scenario.duration / scenario.gait.cycle
     assert measured["travel"] == pytest.approx(way, rel=0.2)
     assert measured["joint_limit_margin"] > 0
+
+
+@pytest.mark.slow
+def test_six_limbs_are_drawn_stored_and_compared_at_the_shell(tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "hexapod_ceiling", "--set", "duration=0.2", "--compare", "pd", "--out", str(tmp_path)])
+    assert not ended.value.code, capsys.readouterr().err
+    scenario = mc.load_scenario("hexapod_ceiling")
+    stored = dataset.load(tmp_path / "trajectory.nc")
+    assert stored["limb"].values.tolist() == list(load_robot(scenario.robot).limbs)
+    assert stored["support"].shape == (200, 6)
+    for name in ("walk", "feet", "comparison"):
+        with Image.open(tmp_path / f"{name}.png") as picture:
+            assert len(picture.getcolors(picture.width * picture.height) or []) > 100
