@@ -1,7 +1,7 @@
 """All commands, one file each, and how they end.
 
-Exit codes: 0 done; 1 what doctor gives where something is wrong; 2 bad input, with one line on stderr; 130 interrupted,
-with a line that says what was kept.
+Exit codes: 0 done; 1 what doctor gives where something is wrong, and run where its walk failed; 2 bad input, with one
+line on stderr; 130 interrupted, with a line that says what was kept.
 Commands import JAX and all that is heavy when they run, so that `--help` is quick.
 """
 

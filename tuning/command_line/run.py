@@ -40,6 +40,8 @@ def run(
     In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
     pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
 
+    Exit code 1: the robot lost a gripper, or the walk diverged; all is written, and the line says what failed first.
+
     \b
     Examples:
       mjx-climb run case_2
@@ -116,3 +118,5 @@ def run(
             from mjx_climb import rendering
 
             rendering.view(*walks, until=interruption.requested)
+        if metrics["diverged"] or metrics["detached_limb"] is not None:
+            raise typer.Exit(1)

@@ -235,7 +235,7 @@ def test_run_takes_metrics_of_ones_own(call, tmp_path):
 def test_run_says_who_let_go(call, tmp_path):
     code, out, _ = call("run", CONFIG, *SHORT, *WEAK, "--controller", "pd", "--out", tmp_path, "--json")
     metrics = strict_json(out)
-    assert code == 0
+    assert code == 1
     assert metrics["detached_limb"] in ("LF", "LH", "RH", "RF")
     code, out, _ = call("run", CONFIG, *SHORT, *WEAK, "--controller", "pd", "--out", tmp_path)
     assert out.rstrip().endswith(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
@@ -244,7 +244,7 @@ def test_run_says_who_let_go(call, tmp_path):
 def test_run_survives_divergence(call, tmp_path):
     law = ["--set", "control.reading=measured_pose", "--set", "control.damping=1e7"]
     code, out, _ = call("run", CONFIG, *SHORT, *law, "--out", tmp_path)
-    assert code == 0
+    assert code == 1
     assert "diverged at 0." in out
     metrics = strict_json((tmp_path / "metrics.json").read_text())
     assert metrics["diverged"] is True
