@@ -22,7 +22,7 @@ from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
-_ROUNDING = 1e-9
+_ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
 _STIFFENING = {
     "control.kp": "kp",
     "control.kd": "kd",
