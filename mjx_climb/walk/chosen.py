@@ -2,7 +2,8 @@
 
 JAX takes the derivative of a maximum where a value equals it. A compiler that works out the two apart, in two kernels
 that round differently, finds no value equal: the derivative of a maximum over rows is then 0/0, of two values 0. Here
-one comparison chooses value and derivative. Of equal values the first is chosen; numbers are expected, no NaN.
+one comparison chooses value and derivative. Of equal values the first is chosen; what is not a number stays, as in
+JAX's own.
 """
 
 from collections.abc import Callable
@@ -13,12 +14,12 @@ from jax import Array
 
 def larger(one: Array, other: Array) -> Array:
     """Return the larger of two values, element by element."""
-    return jnp.where(one >= other, one, other)
+    return jnp.where((one >= other) | (one != one), one, other)
 
 
 def smaller(one: Array, other: Array) -> Array:
     """Return the smaller of two values, element by element."""
-    return jnp.where(one <= other, one, other)
+    return jnp.where((one <= other) | (one != one), one, other)
 
 
 def largest_row(rows: Array) -> Array:

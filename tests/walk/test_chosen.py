@@ -26,6 +26,16 @@ def test_equal_rows_have_the_derivative_of_the_first():
         assert jax.jvp(ours, (jnp.ones((3, 1)),), (jnp.arange(1.0, 4.0)[:, None],))[1] == 1
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_what_is_not_a_number_stays(first):
+    """A metric of a user's own that is undefined at one instant of a walk says so at its end."""
+    rows = jnp.array([[1.0, np.nan, 3.0], [np.nan, 2.0, 1.0], [0.0, 1.0, 2.0]])
+    assert np.isnan(chosen.largest_row(rows)).tolist() == [True, True, False]
+    assert np.isnan(chosen.smallest_row(rows)).tolist() == [True, True, False]
+    pair = (jnp.array(np.nan), jnp.array(1.0)) if first else (jnp.array(1.0), jnp.array(np.nan))
+    assert np.isnan(chosen.larger(*pair)) and np.isnan(chosen.smaller(*pair))
+
+
 def test_no_derivative_of_a_walk_looks_for_an_equal_number():
     """Where two kernels round differently there is none, and a slope is 0/0: so it was in whole programs of XLA's."""
     simulate = mc.simulator(mc.Scenario(duration=0.01), smooth=True)
