@@ -2,7 +2,7 @@
 
 Each command runs twice undisturbed, then again and again, and gets SIGINT or SIGTERM at an instant drawn evenly from
 that time (or from `--length S`). It must end with code 130 and one last line that says what was kept, or have come to
-its end before. Prints how the tries ended and how long the commands took to obey.
+its end before. Prints how the tries ended and how long the commands took to obey. `--jobs N` tries so many at a time.
 """
 
 import argparse
@@ -13,6 +13,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,11 +22,13 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
+ROBOT = str(ROOT / "mjx_climb" / "robot" / "models" / "hubrobo_v3_2.xml")
 SHORT = [CASE, "--set", "duration=0.1"]
-COMMANDS = {  # {gains} stands for a gains file
+GRID = ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2"]
+COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} for that of its shards
     "run": ["run", *SHORT, "--compare", "pd"],
-    "sweep": ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2", "--batch-size", "1"],
-    "shard": ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2", "--shard", "1/2"],
+    "sweep": [*GRID, "--batch-size", "1"],
+    "shard": [*GRID, "--shard", "1/2"],
     "tune": ["tune", *SHORT, "--starts", "2", "--iterations", "3"],
     "ensemble": ["tune", *SHORT, "--ensemble", "ensemble", "--members", "2", "--starts", "2", "--iterations", "2"],
     "pareto": ["pareto", *SHORT, "--points", "2"],
@@ -33,11 +37,16 @@ COMMANDS = {  # {gains} stands for a gains file
     "margins": ["margins", *SHORT, "--gains", "{gains}"],
     "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4"],
     "export": ["export", "{gains}", "--update-rate", "500"],
+    "merge": ["merge", "{shards}"],
+    "plot": ["plot", "{swept}"],
+    "robot": ["robot", ROBOT],
     "schema": ["schema"],
     "doctor": ["doctor"],
     "bench": ["bench", "--quick", "--batch", "64"],
 }
-IN_A_FOLDER = ("run", "sweep", "shard", "tune", "ensemble", "pareto", "schedule", "margins", "judge", "reproduce")
+IN_A_FOLDER = (
+    "run", "sweep", "shard", "tune", "ensemble", "pareto", "schedule", "margins", "judge", "reproduce", "merge", "plot",
+)  # fmt: skip
 GAINS = "inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n"
 
 FINE = ("interrupted", "ended before", "before the program's first line")
@@ -55,12 +64,24 @@ class Attempt(NamedTuple):
     said: str  # last line on standard error
 
 
-def start(command: str, folder: Path) -> subprocess.Popen[str]:
+def prepared(folder: Path) -> dict[str, Path]:
+    """Return what commands are given, made here: a gains file, the folder of a sweep, one that holds its shards."""
+    places = {"gains": folder / "gains.yaml", "swept": folder / "swept", "shards": folder / "shards"}
+    places["gains"].write_text(GAINS)
+    for name, options in (("swept", []), ("shards", ["--shard", "1/2"]), ("shards", ["--shard", "2/2"])):
+        arguments = [*GRID, *options, "--out", str(places[name])]
+        assert _process(arguments, folder).wait() == 0, arguments
+    return places
+
+
+def start(command: str, given: Mapping[str, Path], folder: Path) -> subprocess.Popen[str]:
     """Start a command that writes below a folder."""
-    gains = folder / "gains.yaml"
-    gains.write_text(GAINS)
-    arguments = [argument.format(gains=gains) for argument in COMMANDS[command]]
+    arguments = [argument.format(**given) for argument in COMMANDS[command]]
     arguments += ["--out", str(folder / "out")] if command in IN_A_FOLDER else []
+    return _process(arguments, folder)
+
+
+def _process(arguments: list[str], folder: Path) -> subprocess.Popen[str]:
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": path, "MUJOCO_GL": "off"}
     return subprocess.Popen(
@@ -69,11 +90,11 @@ def start(command: str, folder: Path) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-def undisturbed(command: str, folder: Path) -> float:
+def undisturbed(command: str, given: Mapping[str, Path], folder: Path) -> float:
     """Return how long a command takes, in s, once its programs are compiled."""
     for _ in range(2):
         begin = time.monotonic()
-        process = start(command, folder)
+        process = start(command, given, folder)
         _, errors = process.communicate()
         length = time.monotonic() - begin
         if process.returncode != 0:
@@ -81,13 +102,17 @@ def undisturbed(command: str, folder: Path) -> float:
     return length
 
 
-def attempts(command: str, count: int, length: float, rng: np.random.Generator, folder: Path) -> list[Attempt]:
-    """Return how a command ends at so many instants of its length in s."""
-    return [_attempt(command, rng.uniform(0, length), rng.choice(["SIGINT", "SIGTERM"]), folder) for _ in range(count)]
+def attempts(
+    command: str, instants: np.ndarray, rng: np.random.Generator, given: Mapping[str, Path], folder: Path, jobs: int = 1
+) -> list[Attempt]:
+    """Return how a command ends at some instants in s after its start, so many tried at a time."""
+    signals = rng.choice(["SIGINT", "SIGTERM"], len(instants))
+    with ThreadPoolExecutor(jobs) as pool:
+        return list(pool.map(lambda after, name: _attempt(command, after, name, given, folder), instants, signals))
 
 
-def _attempt(command: str, after: float, name: str, folder: Path) -> Attempt:
-    process = start(command, _folder(folder))
+def _attempt(command: str, after: float, name: str, given: Mapping[str, Path], folder: Path) -> Attempt:
+    process = start(command, given, Path(tempfile.mkdtemp(dir=folder)))
     time.sleep(after)
     begin = time.monotonic()
     before = process.poll() is not None
@@ -117,33 +142,34 @@ def _kind(code: int, errors: str, last: str, before: bool) -> str:
     return "interrupted" if last.startswith("mjx-climb: interrupted") else "no last line"
 
 
-def _folder(parent: Path) -> Path:
-    return Path(tempfile.mkdtemp(dir=parent))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=list(COMMANDS))
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=None)
     parser.add_argument("--length", type=float, default=None, help="of each command, s")
+    parser.add_argument("--jobs", type=int, default=1, help="tries at a time")
     chosen = parser.parse_args()
     rng = np.random.default_rng(chosen.seed)
     wrong = 0
-    for command in chosen.commands:
-        with tempfile.TemporaryDirectory() as folder:
-            length = chosen.length or undisturbed(command, _folder(Path(folder)))
-            tries = attempts(command, chosen.count, length, rng, Path(folder))
-        took = [attempt.took for attempt in tries if attempt.kind == "interrupted"] or [0.0]
-        kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(attempt.kind for attempt in tries).items())
-        obeyed = f"to the end {np.median(took):.2f} s in the median, {max(took):.2f} s at most"
-        print(f"{command}, {length:.1f} s: {kinds}; {obeyed}")
-        for attempt in tries:
-            if attempt.kind not in FINE:
-                wrong += 1
-                print(f"  {attempt}")
-        sys.stdout.flush()
+    with tempfile.TemporaryDirectory() as name:
+        given = prepared(Path(name))
+        for command in chosen.commands:
+            folder = Path(tempfile.mkdtemp(dir=name))
+            length = chosen.length or undisturbed(command, given, folder)
+            tries = attempts(command, rng.uniform(0, length, chosen.count), rng, given, folder, chosen.jobs)
+            wrong += _told(command, length, tries)
     sys.exit(wrong > 0)
+
+
+def _told(command: str, length: float, tries: list[Attempt]) -> int:
+    """Print how a command's tries ended, and return how many ended wrong."""
+    took = [attempt.took for attempt in tries if attempt.kind == "interrupted"] or [0.0]
+    kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(attempt.kind for attempt in tries).items())
+    obeyed = f"to the end {np.median(took):.2f} s in the median, {max(took):.2f} s at most"
+    wrong = [attempt for attempt in tries if attempt.kind not in FINE]
+    print(f"{command}, {length:.1f} s: {kinds}; {obeyed}", *wrong, sep="\n  ", flush=True)
+    return len(wrong)
 
 
 if __name__ == "__main__":

@@ -119,6 +119,8 @@ def test_a_command_that_came_to_its_end_says_so(monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize("command", ["schema", "export", "run"])  # the others take minutes: the script has them
 def test_signals_at_random_instants(command, tmp_path):
     """Four of the two hundred that `python -m tests.interrupts` tries."""
-    length = interrupts.undisturbed(command, tmp_path)
-    tries = interrupts.attempts(command, 4, length, np.random.default_rng(), tmp_path)
+    given, rng = {"gains": tmp_path / "gains.yaml"}, np.random.default_rng()
+    given["gains"].write_text(interrupts.GAINS)
+    length = interrupts.undisturbed(command, given, tmp_path)
+    tries = interrupts.attempts(command, rng.uniform(0, length, 4), rng, given, tmp_path)
     assert not [attempt for attempt in tries if attempt.kind not in interrupts.FINE], tries
