@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from mjx_climb.robot.constants import RobotError
     from mjx_climb.rollouts.environment import BaseShift, Environment, EnvironmentState, JointTargets
     from mjx_climb.rollouts.histories import rollout_histories
-    from mjx_climb.rollouts.rollout import metrics, rollout, rollout_metrics, simulator
+    from mjx_climb.rollouts.judged import metrics
+    from mjx_climb.rollouts.rollout import rollout, rollout_metrics, simulator
     from mjx_climb.rollouts.slopes import rollout_slopes
     from mjx_climb.rollouts.trajectory import Trajectory
     from mjx_climb.scenario.load import load_scenario
@@ -32,7 +33,8 @@ _PUBLIC = {
     "robot.constants": ("RobotError",),
     "rollouts.environment": ("BaseShift", "Environment", "EnvironmentState", "JointTargets"),
     "rollouts.histories": ("rollout_histories",),
-    "rollouts.rollout": ("metrics", "rollout", "rollout_metrics", "simulator"),
+    "rollouts.judged": ("metrics",),
+    "rollouts.rollout": ("rollout", "rollout_metrics", "simulator"),
     "rollouts.slopes": ("rollout_slopes",),
     "rollouts.trajectory": ("Trajectory",),
     "scenario.load": ("load_scenario",),

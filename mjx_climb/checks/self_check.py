@@ -23,7 +23,8 @@ from mjx_climb.dynamics.state import State
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.robot.constants import load_model
-from mjx_climb.rollouts.rollout import Metrics, named, simulator
+from mjx_climb.rollouts.judged import named
+from mjx_climb.rollouts.rollout import Metrics, simulator
 from mjx_climb.scenario.model import Scenario
 
 MUJOCO = "mujoco"  # among the engines: its C code

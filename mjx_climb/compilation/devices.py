@@ -8,6 +8,7 @@ robot keeps its bits.
 """
 
 import contextlib
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -18,8 +19,10 @@ from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
 # up to so many robots: shares of so many; few enough to keep several cores busy
-_CPU_SHARES = {1: 1, 8: 2, 64: 16}
-_FULL_SHARE = 64  # of 128 engine limb takes 0.8 of the time, but two shares under engine mjx wait for ever
+_CPU_SHARES = {1: 1, 8: 2, 64: 16, math.inf: 64}
+# In pieces a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA works out by several
+# threads: two shares of 128 under engine mjx wait for each other for ever.
+_CPU_SHARES_IN_PIECES = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
 
 
 class LostProcess(RuntimeError):
@@ -36,19 +39,21 @@ def on_host() -> contextlib.AbstractContextManager[object]:
     return contextlib.nullcontext() if jax.default_backend() == "cpu" else jax.default_device(host())
 
 
-def share_size(robots: int, limit: int | None, backend: str | None = None) -> int:
+def share_size(robots: int, limit: int | None, backend: str | None = None, *, in_pieces: bool) -> int:
     """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time.
 
-    `backend` is where they walk, where that is not JAX's default.
+    `backend` is where they walk, where that is not JAX's default; `in_pieces` whether their steps are compiled so, for
+    values alone.
     """
     if (backend or jax.default_backend()) == "cpu":
-        share = next((share for most, share in _CPU_SHARES.items() if robots <= most), _FULL_SHARE)
+        shares = _CPU_SHARES_IN_PIECES if in_pieces else _CPU_SHARES
+        share = next(share for most, share in shares.items() if robots <= most)
     else:
         share = -(-min(robots, limit or robots) // jax.device_count())
     return min(share, limit or share)
 
 
-def walking_with(robots: range, whole: int) -> range:
+def walking_with(robots: range, whole: int, *, in_pieces: bool) -> range:
     """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits.
 
     A robot's last bits depend on its place in a share, as vector units finish a row of robots one by one. So whole
@@ -57,10 +62,10 @@ def walking_with(robots: range, whole: int) -> range:
     """
     if jax.default_backend() != "cpu":
         return robots
-    share = share_size(whole, None)
+    share = share_size(whole, None, in_pieces=in_pieces)
     begin = robots.start // share * share
     count = -(-(robots.stop - begin) // share) * share
-    while share_size(count, None) != share:
+    while share_size(count, None, in_pieces=in_pieces) != share:
         count += 1
     return range(begin, begin + count)
 

@@ -1,5 +1,6 @@
 """A fast program where it can be built, else the plain one: said once, and remembered."""
 
+import functools
 import threading
 import warnings
 from collections.abc import Callable, Hashable
@@ -11,6 +12,29 @@ from jax.errors import JaxRuntimeError
 from mjx_climb.compilation.unsupported import Unsupported
 
 _Result = TypeVar("_Result")
+# XLA:CPU works out large arrays by several threads of one pool, in which two programs may wait for each other for ever
+_one_at_a_time = threading.Lock()
+
+
+def in_pieces_or_whole(compiled: Callable[[bool], Callable[..., _Result]]) -> Callable[..., _Result]:
+    """Return a program on CPUs whose steps are compiled in pieces, or as a whole where XLA cannot do that.
+
+    It cannot where a piece has arrays so large that XLA would work them out by several threads (jaxlib 0.10).
+    `compiled` gives the program of a `mjx_climb.walk.step.Structure` and trees of arrays, in pieces or not.
+    """
+
+    @functools.cache
+    def whole() -> Callable[..., _Result]:
+        plain = compiled(False)
+
+        def walk(structure: Any, *arrays: Any) -> _Result:
+            with _one_at_a_time:
+                result: _Result = jax.block_until_ready(plain(structure._replace(in_pieces=False), *arrays))
+                return result
+
+        return walk
+
+    return first_possible(compiled(True), whole, "a step in pieces")
 
 
 def first_possible(

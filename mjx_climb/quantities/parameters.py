@@ -1,10 +1,11 @@
 """The numbers of a scenario as a pytree: what may differ from one environment of a batch to the next."""
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -121,6 +122,11 @@ def _or_infinite(value: float | None) -> float:
 
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
     """Return the numbers of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
+    return parameters_by(functools.partial(jnp.asarray, dtype=dtype or jnp.result_type(float)), scenario)
+
+
+def parameters_by(array: Callable[[Any], Any], scenario: Scenario) -> Parameters:
+    """Return the numbers of a scenario as arrays that a function makes."""
     contact, control, gait = scenario.contact, scenario.control, scenario.gait
     cargo, pushes = scenario.disturbance.cargo, scenario.disturbance.pushes
     values = dict(
@@ -150,11 +156,9 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
         capture_distance=_or_infinite(contact.capture_distance),
         **_hardware(scenario.hardware),
     )
-    arrays = {}
-    for name, value in values.items():
-        array = jnp.asarray(value, dtype or jnp.result_type(float))
-        without_pushes = name in ("push_force", "push_moment") and array.size == 0
-        arrays[name] = array.reshape(0, 3) if without_pushes else array
+    arrays = {name: array(value) for name, value in values.items()}
+    if not pushes:
+        arrays |= {name: arrays[name].reshape(0, 3) for name in ("push_force", "push_moment")}
     return Parameters(**arrays)
 
 

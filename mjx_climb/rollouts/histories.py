@@ -11,15 +11,13 @@ from jaxtyping import Float
 from numpy.typing import DTypeLike
 
 from mjx_climb.checks.time_step import check_time_step
-from mjx_climb.compilation.kept_programs import kept
-from mjx_climb.compilation.options import compiler_options, pieces_pay
+from mjx_climb.compilation.options import pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.rollouts.given import AnyGains
-from mjx_climb.rollouts.identity import identity
-from mjx_climb.rollouts.rollout import Metrics, backend_of, given_in, walk_batch, walk_recorded
+from mjx_climb.rollouts.rollout import Metrics, backend_of, compiled_walk, given_in, walk_batch, walk_recorded
 from mjx_climb.rollouts.trajectory import Trajectory, to_samples
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric
@@ -113,4 +111,4 @@ def _histories_of(structure: Structure, law: Law, numbers: Parameters) -> Metric
 
 @functools.cache
 def _compiled(batch: int, in_pieces: bool, backend: str | None) -> Callable[..., Metrics]:
-    return kept(_histories_of, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))
+    return compiled_walk(_histories_of, batch, in_pieces, backend)

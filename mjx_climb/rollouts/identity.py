@@ -3,13 +3,13 @@
 import hashlib
 from typing import Any
 
-import jax
 import numpy as np
 
 from mjx_climb.control import LAWS, Law
 from mjx_climb.dynamics import ENGINES
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.walk.metrics import METRICS
+from mjx_climb.scenario.model import RobotFile
+from mjx_climb.walk.metrics import METRICS, MetricTable
 from mjx_climb.walk.step import Structure
 
 _PACKAGE = __name__.split(".")[0] + "."
@@ -22,26 +22,34 @@ def identity(structure: Structure, law: Law, *trees: Any) -> str | None:
     """
     parts = structure._asdict()
     robot, metrics = parts.pop("robot"), parts.pop("metrics")
-    shipped = {metric.name: metric for metric in METRICS.with_companions}
-    if type(law) not in LAWS.values() or any(shipped.get(metric.name) is not metric for metric in metrics):
+    if type(law) not in LAWS.values() or not all_shipped(metrics):
         return None
     if not ENGINES[structure.engine].__module__.startswith(_PACKAGE) or not all(map(_is_plain, parts.values())):
         return None
-    body: Any = robot
-    if not isinstance(robot, str):
-        if structure.engine != "limb":  # which knows the robot by its constants alone
-            return None
-        body = _digest(load_robot(robot))
+    if not isinstance(robot, str) and structure.engine != "limb":  # which knows the robot by its constants alone
+        return None
     kind = f"{type(law).__module__}.{type(law).__qualname__}"
-    return repr((body, metrics.names, sorted(parts.items()), kind))
+    return repr((of_robot(robot), metrics.names, sorted(parts.items()), kind))
+
+
+def all_shipped(metrics: MetricTable) -> bool:
+    """Return whether all metrics are this package's own."""
+    shipped = {metric.name: metric for metric in METRICS.with_companions}
+    return all(shipped.get(metric.name) is metric for metric in metrics)
 
 
 def _is_plain(value: Any) -> bool:
     return all(map(_is_plain, value)) if isinstance(value, tuple) else isinstance(value, (str, int, float, type(None)))
 
 
-def _digest(tree: Any) -> str:
-    leaves, structure = jax.tree.flatten(tree)
-    arrays = [np.asarray(leaf) for leaf in leaves]
-    content = [str(structure).encode(), *(repr((a.shape, a.dtype.str)).encode() + a.tobytes() for a in arrays)]
-    return hashlib.sha256(b"\n".join(content)).hexdigest()
+def of_robot(robot: str | RobotFile) -> str:
+    """Return a robot's name, or a digest of all that its file says but where it lies."""
+    if isinstance(robot, str):
+        return robot
+    constants = vars(load_robot(robot))
+    content = [repr((name, _content(constants[name]))) for name in sorted(constants) if name != "model"]
+    return hashlib.sha256("\n".join(content).encode()).hexdigest()
+
+
+def _content(value: Any) -> Any:
+    return (value.shape, value.dtype.str, value.tobytes()) if isinstance(value, np.ndarray) else value

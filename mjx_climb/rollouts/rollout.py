@@ -5,7 +5,7 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,24 +18,25 @@ from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cache import enable_cache
 from mjx_climb.compilation.cpu_pieces import in_kernels
-from mjx_climb.compilation.first_possible import first_possible
+from mjx_climb.compilation.first_possible import first_possible, in_pieces_or_whole
 from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.gpu_kernel import over_robots
 from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.compilation.options import compiler_options, kernel_pays, pieces_pay, walks_on_host
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, rows_of, varying
-from mjx_climb.quantities.parameters import Parameters, parameters
+from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, varying
+from mjx_climb.quantities.parameters import Parameters, parameters, parameters_by
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.given import AnyGains, Given, checked, given, recorded
 from mjx_climb.rollouts.identity import identity
-from mjx_climb.rollouts.trajectory import Trajectory, from_samples, to_samples
+from mjx_climb.rollouts.trajectory import Trajectory, from_samples
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.metrics import METRICS, Context, Metric, MetricTable, running
+from mjx_climb.walk.metrics import METRICS, Context, Metric, running
 from mjx_climb.walk.sample import Sample
-from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure, weighing
+from mjx_climb.walk.step import Carry, Structure, advance, begin, prepare, structure
 
+_Result = TypeVar("_Result")
 Metrics = dict[str, Array]
 Progress = tuple[Carry, running.Running]
 
@@ -76,14 +77,25 @@ def _samples_of(structure: Structure, law: Law, numbers: Parameters) -> Sample:
     return jax.lax.scan(step, begin(walk, 1), jnp.arange(structure.steps))[1]
 
 
+def compiled_walk(
+    function: Callable[..., _Result], batch: int, in_pieces: bool, backend: str | None
+) -> Callable[..., _Result]:
+    """Return the program of a function of a structure, law, numbers and more, kept on disk, for so many robots."""
+
+    def compiled(in_pieces: bool) -> Callable[..., _Result]:
+        return kept(function, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))
+
+    return in_pieces_or_whole(compiled) if in_pieces else compiled(False)
+
+
 @functools.cache
 def _compiled_samples(in_pieces: bool) -> Callable[..., Sample]:
-    return kept(_samples_of, identity, compiler_options(1, in_pieces=in_pieces, backend="cpu"))
+    return compiled_walk(_samples_of, 1, in_pieces, "cpu")
 
 
 @functools.cache
 def _compiled_metrics(batch: int, in_pieces: bool, backend: str | None) -> Callable[..., Metrics]:
-    return kept(metrics_of, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))
+    return compiled_walk(metrics_of, batch, in_pieces, backend)
 
 
 def _metrics_in_kernel(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
@@ -231,51 +243,9 @@ def given_in(
     """
     array = functools.partial(np.asarray, dtype=dtype)
     with devices.on_host(), jax.enable_x64(True):
-        numbers = parameters(scenario) if numbers is None else numbers
+        if numbers is None:
+            numbers = parameters_by(functools.partial(np.array, dtype=dtype), scenario)
         return given(scenario, law, gains, jax.tree.map(array, numbers), array)
-
-
-def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict[str, float | str | bool | None]:
-    """Return the metrics of one walk, those of `mjx_climb.METRICS` or others, in their units.
-
-    `detached_at` and `detached_limb` (a name) are None while all limbs hold, as is what is not defined. Where the state
-    stopped being finite, `diverged`, the others are those of the walk until then.
-
-    Raises:
-        ValueError: two metrics of one name, or one that does not keep its shapes.
-    """
-    robot, numbers = load_robot(trajectory.scenario.robot), trajectory.numbers
-    samples = to_samples(trajectory)
-    dtype = samples.base_position.dtype
-    robot = jax.tree.map(lambda value: np.asarray(value, dtype), robot)  # by NumPy: nothing is compiled
-    context = Context(
-        weighing(robot, np.asarray(numbers.mass_scale, dtype)[None]),
-        np.asarray(numbers.gravity, dtype)[:, None],
-        np.asarray(numbers.heading, dtype)[None],
-        trajectory.scenario.time_step,
-    )
-    with devices.on_host(), jax.enable_x64(dtype == np.float64):
-        table = MetricTable(metrics)
-        found = _accumulated(table, samples, context)
-        values = {name: found[name].item() for name in table.names}
-    return named(values, trajectory.limbs)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _accumulated(metrics: MetricTable, samples: Sample, context: Context) -> Metrics:
-    def step(values: running.Running, sample: Sample) -> tuple[running.Running, None]:
-        return running.accumulate(metrics, values, sample, context), None
-
-    values = running.start(metrics, 1, samples.base_position.dtype)
-    return running.finish(metrics, jax.lax.scan(step, values, samples)[0], context)
-
-
-def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
-    """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
-    result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
-    if "detached_limb" in values:
-        result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
-    return result
 
 
 def rollout_metrics(
@@ -327,6 +297,11 @@ def rollout_metrics(
     return walk_batch(program, walk, walkers, batch_size=batch_size, progress=progress, backend=backend)
 
 
+def walks_in_pieces(scenario: Scenario, numbers: Parameters | None = None, engine: str = DEFAULT_ENGINE) -> bool:
+    """Return whether the steps of a batch that walks on JAX's default device are compiled in pieces."""
+    return structure(scenario, engine, numbers, in_pieces=pieces_pay(engine)).in_pieces
+
+
 def backend_of(walkers: Given, engine: str, dtype: DTypeLike, slopes: int = 0) -> str | None:
     """Return where a batch walks, each robot with so many slopes: None for JAX's default."""
     return "cpu" if walks_on_host(math.prod(walkers.shape), engine, dtype, slopes) else None
@@ -355,23 +330,34 @@ def walk_batch(
     """
     law, numbers, shape, _ = walkers
     count = math.prod(shape)
-    share = devices.share_size(count, batch_size, backend)
+    # slopes have the arrays of several walks
+    small = structure.in_pieces and not others
+    share = devices.share_size(count, batch_size, backend, in_pieces=small)
     trees: list[Any] = [law, numbers]
     axes: list[Any] = [own_axes(law), own_axes(numbers)]
     if others:
         trees, axes = [*trees, dict(others)], [*axes, dict(own_axes_of_others)]
-    flat = flattened(trees, axes, shape)
-    double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(trees))
+    law, numbers, *rest = flattened(trees, axes, shape)
+    # batched, come what may: one robot's would have lost the axis
+    numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, count))
+    rest = [_batched(tree, own, count) for tree, own in zip(rest, axes[2:], strict=True)]
+    leaves, tree = jax.tree.flatten((law, numbers, *rest))
+    varies = [leaf.ndim > own for leaf, own in zip(leaves, jax.tree.leaves(axes), strict=True)]
+    double = any(leaf.dtype == np.float64 for leaf in leaves)
     enable_cache()
     walked = functools.partial(compiled(share), structure)
 
+    @functools.cache
+    def same_for_all(sharding: Sharding) -> list[Array]:
+        """Return what does not vary on a device, put there once."""
+        same: list[Array] = jax.device_put([v for v, own in zip(leaves, varies, strict=True) if not own], sharding)
+        return same
+
     def walk(rows: np.ndarray, sharding: Sharding) -> Metrics:
-        law, numbers, *others = rows_of(flat, axes, rows)
-        # batched, come what may: one robot's would have lost the axis
-        numbers = dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, share))
-        others = [_batched(tree, own, share) for tree, own in zip(others, axes[2:], strict=True)]
         with devices.on_host(), jax.enable_x64(double):  # holds for one thread
-            return walked(*jax.device_put((law, numbers, *others), sharding))
+            each = jax.device_put([leaf[rows] for leaf, own in zip(leaves, varies, strict=True) if own], sharding)
+            by_kind = {True: iter(each), False: iter(same_for_all(sharding))}
+            return walked(*jax.tree.unflatten(tree, [next(by_kind[own]) for own in varies]))
 
     result = devices.spread(walk, count, share, progress, backend)
     return {name: value.reshape((*shape, *value.shape[1:])) for name, value in result.items()}

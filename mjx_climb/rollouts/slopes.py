@@ -14,14 +14,14 @@ from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation.first_possible import first_possible
 from mjx_climb.compilation.gpu_kernel import slopes_over_robots
 from mjx_climb.compilation.kept_programs import kept
-from mjx_climb.compilation.options import compiler_options, kernel_pays, pieces_pay
+from mjx_climb.compilation.options import kernel_pays, pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import varying
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.rollouts.given import AnyGains, Given, values_by_name
 from mjx_climb.rollouts.identity import identity
-from mjx_climb.rollouts.rollout import Metrics, backend_of, given_in, metrics_of, walk_batch
+from mjx_climb.rollouts.rollout import Metrics, backend_of, compiled_walk, given_in, metrics_of, walk_batch
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.step import Structure, structure
@@ -153,7 +153,7 @@ def _slopes_in_kernel(structure: Structure, law: Law, numbers: Parameters, along
 
 @functools.cache
 def _compiled(batch: int, in_pieces: bool, backend: str | None) -> Callable[..., Metrics]:
-    return kept(_slopes_of, identity, compiler_options(batch, in_pieces=in_pieces, backend=backend))
+    return compiled_walk(_slopes_of, batch, in_pieces, backend)
 
 
 @functools.cache

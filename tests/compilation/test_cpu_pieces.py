@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from jax import Array
 
+import mjx_climb as mc
 from mjx_climb.compilation.cpu_pieces import in_kernels
 
 HERE = Path(__file__).parent
@@ -79,3 +80,25 @@ def test_what_a_function_says_twice_is_worked_out_once():
     assert {name: program.count(f" {name} ") for name in ("sin", "cos", "exp")} == {"sin": 3, "cos": 1, "exp": 1}
     assert "[5,1]" not in program
     np.testing.assert_allclose(jax.jit(in_kernels(twice, 3))(angle), twice(angle), rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_step_with_large_arrays_is_compiled_whole():
+    """XLA works them out by several threads, and refuses the piece that they are in."""
+    rng = np.random.default_rng(1)
+    first, second = (rng.normal(size=shape).astype(np.float32) for shape in ((512, 3), (4, 512)))
+
+    def value(force, array):
+        return abs(array.dot(second, array.tanh(array.dot(first, force)))).sum(0)
+
+    net = mc.Metric(
+        "net", "1", "a net of one's own", larger_is_better=False,
+        init=lambda zero: zero,
+        update=lambda running, sample, _: jnp.maximum(running, value(sample.foot_force[:, 0], jnp)),
+        finish=lambda running, _: running,
+    )  # fmt: skip
+    scenario = mc.load_scenario("case_1_2", ["duration=0.01"])
+    with pytest.warns(UserWarning, match="a step in pieces cannot do"):
+        found = mc.rollout_metrics(scenario, {"stiffness": np.full((193, 6), 3e3)}, metrics=(*mc.METRICS, net))
+    forces = mc.rollout(scenario, {"stiffness": np.full(6, 3e3)}).foot_force[:, 0]
+    np.testing.assert_allclose(found["net"], value(forces.T, np).max(), rtol=1e-4)

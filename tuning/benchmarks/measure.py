@@ -121,7 +121,7 @@ def _work(
     from mjx_climb.compilation import devices
     from tuning.benchmarks import mujoco_batch, mujoco_rollout, programs
 
-    steps, share = plan.steps, devices.share_size(batch, None)
+    steps, share = plan.steps, devices.share_size(batch, None, in_pieces=False)  # as slopes walk
 
     def in_shares(function: Callable[[jax.Array], object], shift: jax.Array) -> Callable[[], object]:
         """Return what walks a batch as rollouts do: on a CPU in small shares on all cores."""

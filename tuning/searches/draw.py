@@ -13,6 +13,7 @@ import mjx_climb as mc
 from mjx_climb.files import scenario_files
 from mjx_climb.quantities.batches import own_axes
 from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.rollouts.rollout import walks_in_pieces
 from tuning.gains.gains_file import by_name
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import under_pd
@@ -43,6 +44,11 @@ class Draw:
     def size(self) -> int:
         """How many members walk at a time."""
         return grid.default_batch_size(self.rows, self.scenario.steps)
+
+    @property
+    def in_pieces(self) -> bool:
+        """Whether their steps are compiled in pieces."""
+        return walks_in_pieces(self.scenario, self.numbers, self.engine)
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Return the metrics of some members, (rows, gains)."""

@@ -18,6 +18,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import larger_is_better, sweep_dataset
 from mjx_climb.rollouts.histories import LINES, stretches
+from mjx_climb.rollouts.rollout import walks_in_pieces
 from tuning.problem.spaces import JOINT
 from tuning.searches import identity, shards
 from tuning.searches.finished_parts import Parts
@@ -95,6 +96,11 @@ class Grid:
     def keeps_histories(self) -> bool:
         """Whether the grid is small enough to keep time histories."""
         return self.rows <= HISTORIES
+
+    @property
+    def in_pieces(self) -> bool:
+        """Whether their steps are compiled in pieces."""
+        return walks_in_pieces(self.scenario, engine=self.engine)
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Return the metrics of some rows, and their time histories where they are kept."""

@@ -67,6 +67,10 @@ class Work(Protocol):
     def size(self) -> int:
         """How many walk at a time."""
 
+    @property
+    def in_pieces(self) -> bool:
+        """Whether steps are compiled in pieces, as `mjx_climb.compilation.devices` asks."""
+
     def identity(self) -> dict[str, Any]:
         """Return all that determines the numbers of a row, bit by bit, as plain JSON values; `kind` among them."""
 
@@ -128,7 +132,7 @@ def _walk_part(work: Work, part: range) -> dict[str, np.ndarray]:
     own = range(part.start - begin, part.stop - begin)
     # the last part is filled up with its last row: every part has the shape that was compiled
     filled = own.stop == work.rows - begin and not own.start
-    walking = range(work.size) if filled else devices.walking_with(own, work.size)
+    walking = range(work.size) if filled else devices.walking_with(own, work.size, in_pieces=work.in_pieces)
     last = min(work.size, work.rows - begin) - 1
     arrays = work.walk(begin + np.minimum(np.array(walking), last))
     return {name: values[own.start - walking.start : own.stop - walking.start] for name, values in arrays.items()}
