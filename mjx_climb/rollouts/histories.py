@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax import Array
@@ -14,6 +14,7 @@ from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation.options import pieces_pay
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.dynamics.spatial import norm
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.rollouts.given import AnyGains
@@ -80,15 +81,22 @@ def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme st
     return {name: np.asarray(value)[0] for name, value in _extremes(lines).items()}
 
 
-def _lines(sample: Sample) -> dict[str, Array]:
-    """Return `LINES` of a sample, (B,), or of samples stacked over time, (T, B)."""
+def _lines(sample: Sample, length: Callable[..., Any] = np.linalg.norm) -> dict[str, Array]:
+    """Return `LINES` of samples stacked over time, (T, B), or as `length` works along an axis."""
     offset = sample.base_position - sample.base_reference
-    sqrt = offset.__array_namespace__().sqrt  # JAX's in a walk, NumPy's after it
     return {
-        "foot_force_history": sqrt((sample.foot_force**2).sum(-3)).max(-2),
-        "base_deviation_history": sqrt((offset**2).sum(-2)),
+        "foot_force_history": length(sample.foot_force, axis=-3).max(-2),
+        "base_deviation_history": length(offset, axis=-2),
         "joint_torque_history": abs(sample.joint_torque).max((-3, -2)),
     }
+
+
+def _lines_now(sample: Sample) -> dict[str, Array]:
+    """Return `LINES` of a sample of a walk, (B,).
+
+    Lengths are the metrics' own: equal equations are carried out once, so a line's largest value is its metric.
+    """
+    return _lines(sample, lambda vectors, axis: norm(vectors))
 
 
 def _extremes(lines: Mapping[str, Array]) -> dict[str, Array]:
@@ -104,7 +112,7 @@ def _extremes(lines: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _histories_of(structure: Structure, law: Law, numbers: Parameters) -> Metrics:
-    metrics, lines = walk_recorded(structure, law, numbers, _lines)
+    metrics, lines = walk_recorded(structure, law, numbers, _lines_now)
     shape = batch_shape(law, numbers)
     return metrics | {name: v.reshape(*shape, *v.shape[1:]) for name, v in _extremes(lines).items()}
 
