@@ -21,6 +21,7 @@ from jax.extend import core
 from mjx_climb.compilation.element_moves import MOVES
 from mjx_climb.compilation.element_operations import ELEMENTWISE
 from mjx_climb.compilation.lost_operands import losing
+from mjx_climb.compilation.trigonometry import VECTORISED, vectorises
 
 _Result = TypeVar("_Result")
 _Parts = dict[int, tuple[jax.Array, int, list[jax.Array]]]
@@ -132,7 +133,8 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
 
     XLA would do the last as well. But what it makes needless must not be the parameter of a kernel, see `_parts`. And
     what is worked out again later in a step, as the engine does the frames of the links, it sees within a piece alone:
-    here equal equations are carried out once.
+    here equal equations are carried out once. Functions of the C library are written out, see
+    `mjx_climb.compilation.trigonometry`.
     """
     values: dict[core.Var, Any] = {}
     # id of a concatenation: itself, so that the id stays its own, the axis, and what it is made of
@@ -156,6 +158,9 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
                 continue
             if name == "jit":
                 inner = equation.params["jaxpr"]
+                results = evaluated(inner.jaxpr, inner.consts, given)
+            elif vectorises(name, given):
+                inner = jax.make_jaxpr(VECTORISED[name])(*given)
                 results = evaluated(inner.jaxpr, inner.consts, given)
             elif name == "slice":
                 results = [_sliced(given[0], parts, **equation.params)]
