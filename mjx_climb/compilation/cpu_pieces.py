@@ -21,14 +21,14 @@ from jax.extend import core
 from mjx_climb.compilation.element_moves import MOVES
 from mjx_climb.compilation.element_operations import ELEMENTWISE
 from mjx_climb.compilation.lost_operands import losing
-from mjx_climb.compilation.trigonometry import VECTORISED, vectorises
+from mjx_climb.compilation.trigonometry import NAMES, in_single
 
 _Result = TypeVar("_Result")
 _Parts = dict[int, tuple[jax.Array, int, list[jax.Array]]]
 
 EQUATIONS = 150  # in a piece: with fewer the calls cost more, with more fusion repeats more
 
-_FITTING = {*ELEMENTWISE, *MOVES, "iota"}  # XLA:CPU is known to compile these within a kernel
+_FITTING = {*ELEMENTWISE, *MOVES, *NAMES, "iota"}  # XLA:CPU is known to compile these within a kernel
 
 _REDUCTIONS = {
     "reduce_sum": lax.add,
@@ -133,7 +133,7 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
 
     XLA would do the last as well. But what it makes needless must not be the parameter of a kernel, see `_parts`. And
     what is worked out again later in a step, as the engine does the frames of the links, it sees within a piece alone:
-    here equal equations are carried out once. Functions of the C library are written out, see
+    here equal equations are carried out once. Functions of the C library are replaced, see
     `mjx_climb.compilation.trigonometry`.
     """
     values: dict[core.Var, Any] = {}
@@ -159,9 +159,8 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
             if name == "jit":
                 inner = equation.params["jaxpr"]
                 results = evaluated(inner.jaxpr, inner.consts, given)
-            elif vectorises(name, given):
-                inner = jax.make_jaxpr(VECTORISED[name])(*given)
-                results = evaluated(inner.jaxpr, inner.consts, given)
+            elif (single := in_single(name, given)) is not None:
+                results = [single]
             elif name == "slice":
                 results = [_sliced(given[0], parts, **equation.params)]
             elif name == "squeeze" and (id(given[0]), equation.params["dimensions"]) in expanded:

@@ -9,12 +9,15 @@ References:
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 
 _HALF_PI = (1.5703125, 4.8375129699707031e-4, 7.5497899548918821e-8)  # products with small whole numbers are exact
 _SINE = (-1.9515295891e-4, 8.3321608736e-3, -1.6666654611e-1)
@@ -24,43 +27,39 @@ _STEEP = math.tan(math.pi / 8)
 _LARGEST = np.float32(0.8)  # above pi / 4: of angles so large that nothing is left of them the sine is still one
 
 
-def sine(angle: Array) -> Array:
-    """Return the sine of an angle in radians."""
+def in_single(name: str, operands: Sequence[Any]) -> Array | None:
+    """Return what a primitive of JAX's gives, by operations on vectors; None where there are none for it."""
+    if name not in _SINGLE or any(operand.dtype != np.float32 for operand in operands):
+        return None
+    result: Array = _SINGLE[name].bind(*operands)
+    return result
+
+
+def _sine(angle: Array) -> Array:
     return _of_quarter(*_reduced(angle))
 
 
-def cosine(angle: Array) -> Array:
-    """Return the cosine of an angle in radians."""
+def _cosine(angle: Array) -> Array:
     turns, rest = _reduced(angle)
     return _of_quarter(turns + 1, rest)
 
 
-def angle_of(y: Array, x: Array) -> Array:
-    """Return the angle of vectors (x, y) in radians, in the half plane of y's sign, also of zero's."""
-    # selections by one comparison each, no absolute values or maxima: their derivatives go wrong at zero and at ties
+def _angle(y: Array, x: Array) -> Array:
+    """Return the angle of vectors (x, y), in the half plane of y's sign, also of zero's."""
+    y, x = jnp.broadcast_arrays(y, x)
     below, behind = _negative(y), _negative(x)
-    high, wide = jnp.where(below, -y, y), jnp.where(behind, -x, x)
+    high, wide = jnp.abs(y), jnp.abs(x)
     upright = high > wide
-    short, long = jnp.where(upright, wide, high), jnp.where(upright, high, wide)
+    short, long = lax.select(upright, wide, high), lax.select(upright, high, wide)
     steep = short > _STEEP * long
-    top, bottom = jnp.where(steep, short - long, short), jnp.where(steep, short + long, long)
-    zero = bottom == 0
-    slope = jnp.where(zero, 0.0, top) / jnp.where(zero, 1.0, bottom)
+    top, bottom = lax.select(steep, short - long, short), lax.select(steep, short + long, long)
+    slope = top / lax.select(bottom == 0, lax.full_like(bottom, 1), bottom)
     square = slope * slope
     angle = _polynomial(_ANGLE, square) * square * slope + slope
-    angle = jnp.where(steep, math.pi / 4 + angle, angle)
-    angle = jnp.where(upright, math.pi / 2 - angle, angle)
-    angle = jnp.where(behind, math.pi - angle, angle)
-    return jnp.where(below, -angle, angle)
-
-
-# by the names of JAX's primitives
-VECTORISED: dict[str, Callable[..., Array]] = {"sin": sine, "cos": cosine, "atan2": angle_of}
-
-
-def vectorises(name: str, operands: list[Any]) -> bool:
-    """Return whether a primitive has a form here for these operands."""
-    return name in VECTORISED and all(operand.dtype == np.float32 for operand in operands)
+    angle = lax.select(steep, math.pi / 4 + angle, angle)
+    angle = lax.select(upright, math.pi / 2 - angle, angle)
+    angle = lax.select(behind, math.pi - angle, angle)
+    return lax.select(below, -angle, angle)
 
 
 def _reduced(angle: Array) -> tuple[Array, Array]:
@@ -78,8 +77,8 @@ def _of_quarter(turns: Array, rest: Array) -> Array:
     sine = _polynomial(_SINE, square) * square * rest + rest
     cosine = _polynomial(_COSINE, square) * square * square - 0.5 * square + 1
     quarter = turns - 4 * jnp.floor(turns / 4)  # 0, 1, 2, 3: whole numbers of any size are exact
-    value = jnp.where((quarter == 1) | (quarter == 3), cosine, sine)
-    return jnp.where(quarter >= 2, -value, value)
+    value = lax.select((quarter == 1) | (quarter == 3), cosine, sine)
+    return lax.select(quarter >= 2, -value, value)
 
 
 def _polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
@@ -92,3 +91,28 @@ def _polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
 
 def _negative(x: Array) -> Array:
     return lax.bitcast_convert_type(x, np.int32) < 0
+
+
+def _elementwise(name: str, function: Callable[..., Array], *slopes: Callable[..., Array]) -> Primitive:
+    """Return a primitive like JAX's own: its slopes are known, and it is written out where it is compiled."""
+    primitive = Primitive(name)
+    primitive.def_impl(jax.jit(function))
+    primitive.def_abstract_eval(lambda *of: of[0].update(shape=np.broadcast_shapes(*(each.shape for each in of))))
+    batching.defvectorized(primitive) if len(slopes) == 1 else batching.defbroadcasting(primitive)
+    ad.defjvp(primitive, *slopes)
+    mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
+    return primitive
+
+
+# by the names of JAX's
+_SINGLE: dict[str, Primitive] = {
+    "sin": _elementwise("sin_single", _sine, lambda rate, angle: rate * _SINGLE["cos"].bind(angle)),
+    "cos": _elementwise("cos_single", _cosine, lambda rate, angle: -rate * _SINGLE["sin"].bind(angle)),
+    "atan2": _elementwise(
+        "atan2_single",
+        _angle,
+        lambda rate, y, x: rate * (x / (x * x + y * y)),
+        lambda rate, y, x: rate * (-y / (x * x + y * y)),
+    ),
+}
+NAMES = frozenset(primitive.name for primitive in _SINGLE.values())

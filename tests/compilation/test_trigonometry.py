@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from mjx_climb.compilation.cpu_pieces import in_kernels
-from mjx_climb.compilation.trigonometry import angle_of, cosine, sine
+from mjx_climb.compilation.trigonometry import in_single
 
-FUNCTIONS = {"sin": (sine, np.sin), "cos": (cosine, np.cos)}
+
+def replaced(name):
+    return lambda *operands: in_single(name, operands)
+
+
+FUNCTIONS = {"sin": (replaced("sin"), np.sin), "cos": (replaced("cos"), np.cos)}
+angle_of = replaced("atan2")
 
 
 def units_off(found, exact):
@@ -79,11 +85,45 @@ def test_derivatives_of_the_angle_of_a_vector(y, x):
         np.testing.assert_allclose(slope, exact, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize(("dtype", "written_out"), [(np.float32, True), (np.float64, False)])
-def test_steps_in_pieces_call_no_library_in_single_precision(dtype, written_out):
-    def step(x):
-        return jnp.sin(x) + jnp.cos(2 * x) + jnp.arctan2(x, 1 + x)
+@pytest.mark.parametrize("name", [*FUNCTIONS, "atan2"])
+def test_takes_the_place_of_the_library_in_single_precision_alone(name):
+    function = {"sin": jnp.sin, "cos": jnp.cos, "atan2": lambda x: jnp.arctan2(x, 1 + x)}[name]
+    for dtype, expected in ((np.float32, True), (np.float64, False)):
+        with jax.enable_x64(True):
+            jaxpr = jax.make_jaxpr(in_kernels(function))(np.linspace(0, 1, 5).astype(dtype))
+        assert (f" {name} " not in str(jaxpr)) == expected
+        assert (f" {name}_single " in str(jaxpr)) == expected
 
-    with jax.enable_x64(True):
-        text = str(jax.make_jaxpr(in_kernels(step))(np.linspace(0, 1, 5).astype(dtype)))
-    assert [name not in text for name in (" sin ", " cos ", " atan2 ")] == [written_out] * 3
+
+def test_second_derivatives():
+    angle = jnp.float32(0.7)
+    sine = FUNCTIONS["sin"][0]
+    rate = lambda x: jax.jvp(sine, (x,), (jnp.float32(1),))[1]  # noqa: E731
+    np.testing.assert_allclose(jax.jvp(rate, (angle,), (jnp.float32(1),))[1], -np.sin(0.7), rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, "atan2"])
+def test_slopes_in_many_directions(name):
+    """As walks take them: mapped over directions."""
+    function = {"sin": jnp.sin, "cos": jnp.cos, "atan2": lambda x: jnp.arctan2(x, 1 + x[::-1])}[name]
+    at, along = jnp.linspace(0, 1, 5, dtype=jnp.float32), jnp.eye(5, dtype=jnp.float32)
+    found = jax.vmap(lambda rate: jax.jvp(in_kernels(function), (at,), (rate,))[1])(along)
+    exact = jax.vmap(lambda rate: jax.jvp(function, (at,), (rate,))[1])(along)
+    np.testing.assert_allclose(found, exact, rtol=1e-6)
+
+
+def test_mapped_over_either_operand():
+    x, y = np.linspace(-2, 2, 6, dtype=np.float32).reshape(2, 3), np.float32([1, 2, -3])
+    for axes in ((0, None), (None, 0)):
+        operands = (x, y) if axes[0] == 0 else (y, x)
+        np.testing.assert_allclose(jax.vmap(angle_of, axes)(*operands), np.arctan2(*operands), rtol=1e-6)
+
+
+def test_operands_broadcast():
+    x = np.linspace(-2, 2, 6, dtype=np.float32).reshape(2, 3)
+    np.testing.assert_allclose(angle_of(x[:, :1], x), np.arctan2(x[:, :1], x), rtol=1e-6)
+
+
+def test_other_operands_stay_as_they_are():
+    assert in_single("tan", [np.float32(1)]) is None
+    assert in_single("atan2", [np.float64(1), np.float32(1)]) is None
