@@ -1,5 +1,6 @@
 """`mjx-climb sweep`: a grid of stiffness and damping."""
 
+import importlib
 import math
 import shlex
 import time
@@ -92,11 +93,10 @@ def sweep(
     with processes.joined(apart=shard is not None) as team, options.reserved_stdout() as stdout:
         axes = axes_from(stiffness, damping, axis)
         part, which = launcher.shard_from(shard)
-        import tuning
         from tuning.command_line import progress, report
         from tuning.gains.gains_file import replaced
-        from tuning.output import swept
         from tuning.output.ahead import ahead
+        from tuning.output.beside import beside
         from tuning.searches import grid, shards
 
         begin = time.perf_counter()
@@ -129,6 +129,8 @@ def sweep(
         team.begin(out if one is None else one.folder(out), walked)
         if one is not None:
             told = {"again": options.typed_but("--shard", shards.SHARD), "name": config.stem, "repeat": again}
+            from tuning.output import swept
+
             swept.keep_beside(one, out, scenario, user_law, values, told)
             own = len(one.rows(math.prod(map(len, axes.values()))))
             with kept_in(one.folder(out), f"of {own} walks", there) as kept, meter.stage("grid") as show:
@@ -141,11 +143,13 @@ def sweep(
 
         walks = math.prod(map(len, axes.values()))
         with kept_in(out, f"of {walks} walks", there) as kept, ahead() as begin_work:
-            compared = swept.beside(scenario, user_law, values, axes, engine, begin_work)
+            begin_work(lambda _: importlib.import_module("tuning.output.swept"))  # 0.4 s, matplotlib's most of all
+            compared = beside(scenario, user_law, values, axes, engine, begin_work)
             with meter.stage("grid") as show:
-                found = tuning.sweep(
-                    scenario, axes, law=user_law, gains=values, progress=kept.told(show), out=out, **how
-                )
+                data = grid.sweep(walked, axes=axes, law=walking, out=out, progress=kept.told(show), **how)
+            from tuning.output import swept
+
+            found = swept.Swept(data, scenario, user_law, values, table, engine)
             origin = options.origin(config.stem, again)
             judged = found.write(out, origin=origin, figures=formats, stage=meter.stage, compared=compared)
 

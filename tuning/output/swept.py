@@ -21,7 +21,8 @@ from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
-from tuning.output.ahead import Asked, Begin, ahead, to_nobody
+from tuning.output.ahead import ahead, to_nobody
+from tuning.output.beside import GIVEN, Beside, beside, one_walk
 from tuning.output.folder import complete, made_from, write_config
 from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
@@ -37,19 +38,8 @@ from tuning.searches.shards import Shard
 
 FILES = "report.html, sweep.nc, maps.png, comparison.json, config.yaml"
 OWN_GAINS = "gains.yaml"
-GIVEN = "gains file"  # the name of a walk with gains that are not the config's
-# inertia, damping and stiffness of cases 1.1, 1.2 and 2
-PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 HATCHED = ("detached_limb", "diverged")  # shown on every map
 CAPTION = "All metrics over both gains; brighter is better."
-
-
-class Beside(NamedTuple):
-    """What a grid is compared with, whatever its walks give: works that wait to be asked for, or are under way."""
-
-    walks: Mapping[str, Asked[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
-    joint: Asked[dict[str, float] | None]  # kp and kd of pd retuned
-    radius: Asked[xr.DataArray]  # the limit of stability
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,26 +157,6 @@ class Judged(NamedTuple):
     summary: str  # all of it, JSON
 
 
-def beside(
-    scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains | None, axes: grid.Axes, engine: str, begin: Begin
-) -> Beside:
-    """Begin what a grid is compared with; the arguments are those of `tuning.sweep`."""
-    config = "paper" if _is_the_papers(scenario, law) else "config"
-    walkers = {"pd": (under_pd(scenario), None), config: (scenario, law)}
-    walked, own = walkers[config] if gains is None else replaced(scenario, law, gains)
-    if gains is not None:
-        walkers[GIVEN] = walked, own
-    return Beside(
-        {name: begin(_walk(*walker, engine)) for name, walker in walkers.items()},
-        begin(lambda _: retuned_pd.on_grid(scenario, engine=engine)),
-        begin(lambda _: stability_limit.over_axes(walked, axes, law=own, engine=engine)),
-    )
-
-
-def _walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Asked[mc.Trajectory]:
-    return lambda _: mc.rollout(scenario, law=law, engine=engine)
-
-
 def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = None) -> Judged:
     """Walk what the grid is compared with, and work out its limit of stability."""
     best, engine = grid.best_cell(found.data), found.engine
@@ -197,7 +167,7 @@ def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = No
         rival, limit = pool.submit(others.joint, to_nobody), pool.submit(others.radius, to_nobody)
         asked = dict(others.walks)
         if best is not None:
-            asked["best"] = _walk(*found.walker({name: best[name].item() for name in found.axes}), engine)
+            asked["best"] = one_walk(*found.walker({name: best[name].item() for name in found.axes}), engine)
         walking = {name: pool.submit(walk, to_nobody) for name, walk in reversed(asked.items())}
         joint = rival.result()
         walks = {name: each.result() for name, each in walking.items()}
@@ -224,11 +194,6 @@ def _worth(compared: Compared, joint: Mapping[str, float]) -> Worth:
     name = "force_variation"  # what the best cell has least of
     found, without = ({name: compared[walk][1][name]} for walk in ("best", retuned_pd.NAME))
     return retuned_pd.worth(found, without, joint)
-
-
-def _is_the_papers(scenario: mc.Scenario, law: mc.Law | None) -> bool:
-    control = scenario.control
-    return law is None and (control.inertia, control.damping, control.stiffness) in PAPER
 
 
 def _summary(compared: Compared, worth: Worth | None, counts: Mapping[str, Any]) -> str:
