@@ -5,8 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
 from mjx_climb.compilation.trigonometry import in_single
+
+
+@pytest.fixture(autouse=True)
+def on_a_cpu():
+    with devices.on_host():
+        yield
 
 
 def replaced(name):
