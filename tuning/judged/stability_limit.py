@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 import mjx_climb as mc
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.first_possible import in_pieces_or_whole
 from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.compilation.machine import source_digest
 from mjx_climb.control import Law, law_of
@@ -44,8 +45,9 @@ from mjx_climb.walk.inverse_kinematics import inverse_kinematics
 from mjx_climb.walk.step import Carry, Structure, Walk, advance, begin, prepare, structure
 
 ROUNDING = 1e-9  # a radius above 1 by less is 1
-_ENTRIES = 64 * 50**2  # of the matrices of one compiled batch, about
-_LARGEST_BATCH = 64  # gain sets
+# of the matrices of one compiled batch, about: with twice as many XLA refuses the pieces of some laws' steps
+_ENTRIES = 32 * 50**2
+_LARGEST_BATCH = 32  # gain sets
 _FINEST = 48  # values along an axis of a map
 _FINEST_WITH_MEMORY = 16  # the same where delays make the matrices large
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
@@ -219,9 +221,12 @@ def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
 
 @functools.cache
 def _program(batch: int, in_pieces: bool) -> Callable[..., jax.Array]:
-    options = mc.compiler_options(batch, in_pieces=in_pieces, backend="cpu")
-    options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
-    return kept(_columns, _identity, options)
+    def compiled(in_pieces: bool) -> Callable[..., jax.Array]:
+        options = mc.compiler_options(batch, in_pieces=in_pieces, backend="cpu")
+        options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
+        return kept(_columns, _identity, options)
+
+    return in_pieces_or_whole(compiled) if in_pieces else compiled(False)
 
 
 def _identity(shape: Structure, law: Law, *others: Any) -> str | None:

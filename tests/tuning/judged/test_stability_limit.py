@@ -31,6 +31,16 @@ def test_a_walk_diverges_where_the_loop_is_unstable(case):
     assert (radius.values[0] > 1 + 1e-6).tolist() == lost.tolist() == [False, False, True, True]
 
 
+@pytest.mark.slow
+def test_a_step_in_pieces_has_the_radius_of_a_whole_one(case, monkeypatch):
+    """Under the measured pose, whose pieces XLA refuses where a batch is twice as large (jaxlib 0.10)."""
+    scenario = case("case_1_2", "measured_pose")
+    gains = {"stiffness": np.full((2, 1), 2e4), "damping": np.array([[1e2], [1e4]])}
+    found = stability_limit.spectral_radius(scenario, gains)  # the warning that it is walked whole would be an error
+    monkeypatch.setattr(mc, "pieces_pay", lambda *_: False)
+    np.testing.assert_allclose(found, stability_limit.spectral_radius(scenario, gains), rtol=1e-9)
+
+
 def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
     monkeypatch.setattr(
         stability_limit, "spectral_radius", lambda scenario, gains, law, engine: gains["damping"][:, 0] / 1e2
