@@ -10,6 +10,7 @@ robot keeps its bits.
 import contextlib
 import math
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
@@ -18,8 +19,9 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
-# up to so many robots: shares of so many; few enough to keep several cores busy
-_CPU_SHARES = {1: 1, 8: 2, 64: 16, math.inf: 64}
+# up to so many robots: shares of so many; few enough to keep several cores busy. The last two of a search walk one by
+# one as the last one does, by its program.
+_CPU_SHARES = {2: 1, 8: 2, 64: 16, math.inf: 64}
 # In pieces a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA works out by several
 # threads: two shares of 128 under engine mjx wait for each other for ever.
 _CPU_SHARES_IN_PIECES = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
@@ -27,6 +29,16 @@ _CPU_SHARES_IN_PIECES = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
 
 class LostProcess(RuntimeError):
     """Another process ended while this one waited for its share; in one line, what JAX says."""
+
+
+def begin() -> None:
+    """Begin to start JAX's devices, for which a GPU takes seconds: imports go on beside."""
+
+    def start() -> None:
+        with contextlib.suppress(RuntimeError):  # who asks for a device is told
+            jax.device_put(np.zeros(())).block_until_ready()
+
+    threading.Thread(target=start, name="devices").start()
 
 
 def host() -> jax.Device:

@@ -21,7 +21,7 @@ from mjx_climb.compilation.elements import Number, Value, as_array
 from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.compilation.writer import Writer
 
-MOST_TERMS = 2  # of a sum that is not written out: with more or fewer a step of a walk takes more instructions
+MOST_TERMS = 3  # of a sum that is not written out: with more or fewer a walk takes longer
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

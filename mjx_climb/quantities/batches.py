@@ -53,12 +53,15 @@ def batch_last(tree: Tree, shape: Sequence[int], dtype: Any) -> Tree:
 
 
 def flattened(tree: Tree, axes: Tree, shape: Sequence[int]) -> Tree:
-    """Return arrays of numpy with one batch axis wherever they vary, before each value's own `axes`."""
+    """Return arrays of numpy with one batch axis wherever they vary, before each value's own `axes`.
+
+    Of a single robot those vary that have batch axes, so that it walks by the program of several.
+    """
     robots = math.prod(shape)
 
     def flat(value: np.ndarray, own: int) -> np.ndarray:
-        tail = value.shape[value.ndim - own :]
-        if math.prod(value.shape[: value.ndim - own]) == 1:
+        tail, varies = value.shape[value.ndim - own :], robots == 1 and value.ndim > own
+        if math.prod(value.shape[: value.ndim - own]) == 1 and not varies:
             return value.reshape(tail)
         return np.broadcast_to(value, (*shape, *tail)).reshape(robots, *tail)
 

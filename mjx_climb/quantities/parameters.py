@@ -125,6 +125,11 @@ def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters
     return parameters_by(functools.partial(jnp.asarray, dtype=dtype or jnp.result_type(float)), scenario)
 
 
+def own_numbers(scenario: Scenario) -> Parameters:
+    """Return the numbers of a scenario in double precision, as arrays of NumPy."""
+    return parameters_by(functools.partial(np.asarray, dtype=float), scenario)
+
+
 def parameters_by(array: Callable[[Any], Any], scenario: Scenario) -> Parameters:
     """Return the numbers of a scenario as arrays that a function makes."""
     contact, control, gait = scenario.contact, scenario.control, scenario.gait

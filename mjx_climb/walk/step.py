@@ -22,7 +22,7 @@ from mjx_climb.dynamics.spatial import dot, norm, quaternion_to_matrix, rotate_b
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.hardware.pace import pace as pace_of
 from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
-from mjx_climb.quantities.parameters import Parameters, parameters
+from mjx_climb.quantities.parameters import Parameters, own_numbers
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk import control_loop, disturbance, gait
@@ -91,9 +91,7 @@ def structure(
         ConfigError: no such engine.
         ValueError: two metrics of one name.
     """
-    if numbers is None:
-        with jax.enable_x64(True), jax.ensure_compile_time_eval():
-            numbers = parameters(scenario)
+    numbers = own_numbers(scenario) if numbers is None else numbers
     table = MetricTable(metrics)
     stages = _with_own_drives(stages_of(scenario, numbers), load_robot(scenario.robot))
     return Structure(

@@ -4,9 +4,13 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 
+import jax
 import numpy as np
 import pytest
+
+from mjx_climb.compilation import devices
 
 # 101 robots: no multiple of any number of devices tried here
 WALK = """
@@ -84,3 +88,20 @@ def test_fewer_robots_than_processes_need(tmp_path):
     (alone,) = _walk(tmp_path, 1, robots=12)
     for metrics in _walk(tmp_path, 1, processes=2, robots=12):
         _assert_same_bits(alone, metrics)
+
+
+def test_a_device_that_does_not_start_is_said_by_who_asks_for_one(monkeypatch, capfd):
+    """Not by the thread that began to start it."""
+
+    def refuse(_):
+        refused.set()
+        raise RuntimeError("no device")
+
+    refused = threading.Event()
+    monkeypatch.setattr(jax, "device_put", refuse)
+    devices.begin()
+    assert refused.wait(20)
+    for thread in threading.enumerate():
+        if thread.name == "devices":
+            thread.join()
+    assert capfd.readouterr().err == ""

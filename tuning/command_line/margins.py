@@ -50,6 +50,7 @@ def margins(
       mjx-climb margins case_1_2 --gains gains.yaml --hardware dynamixel_x --json
     """
     with options.reserved_stdout() as stdout:
+        options.start_devices()
         from mjx_climb.control import PD
         from mjx_climb.files import dataset, scenario_files
         from tuning.command_line import progress, report

@@ -316,6 +316,13 @@ def engine_option(engine: str) -> str:
     return "" if engine == DEFAULT_ENGINE else f" --engine {engine}"
 
 
+def start_devices() -> None:
+    """Begin to start what the command will walk on; before the rest is imported."""
+    from mjx_climb.compilation import devices
+
+    devices.begin()
+
+
 @contextlib.contextmanager
 def reserved_stdout() -> Iterator[TextIO]:
     """Give standard output to one writer; what anything else prints goes to standard error."""

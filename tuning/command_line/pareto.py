@@ -53,6 +53,7 @@ def pareto(
       mjx-climb pareto case_2 --against cost_of_transport --space split
     """
     with options.reserved_stdout() as stdout:
+        options.start_devices()
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import pareto as output

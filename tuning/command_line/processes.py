@@ -91,6 +91,7 @@ def joined(apart: bool = False) -> Iterator[Alone]:
     """
     process = None if apart else launcher.process()
     if process is None:
+        options.start_devices()
         yield Alone()
         return
     with tempfile.TemporaryDirectory(prefix="mjx_climb-") as temporary, _own_output():

@@ -61,6 +61,7 @@ def schedule(
       mjx-climb schedule case_2 --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
     with options.reserved_stdout() as stdout:
+        options.start_devices()
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import schedule as output

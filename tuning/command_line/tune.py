@@ -149,7 +149,7 @@ def tune(
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import tuned
-        from tuning.output.ahead import ahead
+        from tuning.output.ahead import BESIDE_A_SEARCH, ahead
         from tuning.problem import ensemble as ensembles
         from tuning.searches import robust as robust_search
         from tuning.searches import tune as searches
@@ -188,7 +188,7 @@ def tune(
                 how: dict[str, Any] = {"engine": engine, "law": user_law, "metrics": table}
                 problem = robust_search.problem_of(scenario, drawn, wanted, **how)
 
-        with kept_in(out, "rounds") as kept, ahead() as begin_work:
+        with kept_in(out, "rounds") as kept, ahead(BESIDE_A_SEARCH) as begin_work:
             beside = None if drawn else tuned.beside(problem, wanted, begin_work, out=out)
             with meter.stage("search", unit="rounds") as show:
                 told = kept.told(show)

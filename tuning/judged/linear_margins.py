@@ -11,6 +11,7 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.quantities.parameters import own_numbers
 from mjx_climb.rollouts.given import AnyGains
 from tuning.judged import stability_limit
 from tuning.judged.margins import (
@@ -19,7 +20,6 @@ from tuning.judged.margins import (
     changes,
     joint_gains,
     needed,
-    own_numbers,
     reaches,
     up_to,
     values_of,

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.compilation import devices
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning.judged import stability_limit
 from tuning.problem import objectives
@@ -74,7 +75,7 @@ def score_of(objective: objectives.Goal, metrics: Mapping[str, Any]) -> objectiv
         if not isinstance(value, str) and name != "detached_limb"
     }
     arrays["diverged"] = arrays["diverged"].astype(bool)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), devices.on_host():
         score = objective.score(arrays)
     held = ~np.isfinite(arrays["detached_at"].astype(float))
     value, descent, penalty, feasible = (np.asarray(part) for part in score)

@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.quantities.parameters import own_numbers
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.scenario.hardware import MAX_DELAY
 from tuning.gains.gains_file import by_name
@@ -80,6 +80,7 @@ def find(
     *,
     law: mc.Law | None = None,
     others: Mapping[str, Walker] = MappingProxyType({}),
+    walked: Mapping[str, xr.Dataset] = MappingProxyType({}),
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
 ) -> Found:
@@ -90,24 +91,25 @@ def find(
         gains: those in question; kp and kd replace the scenario's where given.
         law: whose gains they are, the scenario's where None.
         others: further ones to walk on the same hardware, by name, for the picture.
+        walked: what `on_the_grid` gave of pd and others, by name, where it has walked already.
         engine: the dynamics.
         progress: called with the number of walks done and of all.
     """
-    joint = joint_gains(scenario, {})
-    walkers = {"given": Walker(law, gains), "pd": Walker(PD(), joint), **others}
-    grid = np.stack([values_of(scenario, name) for name in QUANTITIES])
+    walkers = {"given": Walker(law, gains), "pd": pd_of(scenario), **others}
+    grid = _grid(scenario)
     total = 2 * len(walkers) * grid.size
 
-    def walk(values: np.ndarray, done: int) -> xr.Dataset:
+    def walk(values: np.ndarray, done: int, known: Mapping[str, xr.Dataset]) -> xr.Dataset:
         found = []
-        for walker in walkers.values():
-            found.append(_walked(scenario, walker, values, engine))
+        for name, walker in walkers.items():
+            found.append(known[name] if name in known else _walked(scenario, walker, values, engine))
             if progress is not None:
                 progress(done + len(found) * values.size, total)
         return xr.concat(found, xr.Variable("gains", list(walkers)))
 
-    coarse = walk(grid, 0)
-    fine = walk(np.stack([_between(scenario, coarse.sel(quantity=name)) for name in QUANTITIES]), total // 2)
+    coarse = walk(grid, 0, walked)
+    between = np.stack([_between(scenario, coarse.sel(quantity=name)) for name in QUANTITIES])
+    fine = walk(between, total // 2, {})
     walks = xr.concat([_ordered(coarse, fine, name) for name in QUANTITIES], "quantity")
     margins = {}
     for name in QUANTITIES:
@@ -117,6 +119,21 @@ def find(
         margins[name] = Margin(own_value(scenario, name), holds, better, float(values[-1]))
     holds, better = (bool(good[0]) for good in _verdicts(coarse.sel(quantity="joint_gains")))  # all of them
     return Found(margins, holds, better, walks)
+
+
+def on_the_grid(
+    scenario: mc.Scenario,
+    walker: Walker,
+    engine: str = DEFAULT_ENGINE,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    """Return the first walks of one set of gains in `find`, which are the same whatever gains are in question."""
+    return _walked(scenario, walker, _grid(scenario), engine, progress)
+
+
+def pd_of(scenario: mc.Scenario) -> Walker:
+    """Return what gains are compared with: pd, with the scenario's joint gains."""
+    return Walker(PD(), joint_gains(scenario, {}))
 
 
 def warnings(found: Found) -> list[str]:
@@ -198,13 +215,6 @@ def whole_steps(periods: np.ndarray, step: float) -> np.ndarray:
     return np.maximum(np.round(periods / step), 1) * step
 
 
-def own_numbers(scenario: mc.Scenario) -> mc.Parameters:
-    """Return the numbers of a scenario in double precision."""
-    with jax.enable_x64(True):
-        numbers: mc.Parameters = jax.tree.map(np.asarray, mc.parameters(scenario))
-    return numbers
-
-
 def joint_gains(scenario: mc.Scenario, gains: AnyGains) -> dict[str, float]:
     """Return kp and kd that gains come with, the scenario's where they have none."""
     values = by_name(gains)
@@ -226,7 +236,17 @@ def changes(own: mc.Parameters, quantity: str, values: np.ndarray, joint: Mappin
     return dataclasses.replace(own, **changed)
 
 
-def _walked(scenario: mc.Scenario, walker: Walker, values: np.ndarray, engine: str) -> xr.Dataset:
+def _grid(scenario: mc.Scenario) -> np.ndarray:
+    return np.stack([values_of(scenario, name) for name in QUANTITIES])
+
+
+def _walked(
+    scenario: mc.Scenario,
+    walker: Walker,
+    values: np.ndarray,
+    engine: str,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
     """Return what walks are worth on hardware with one quantity (Q, N) changed at a time."""
     own, joint = own_numbers(scenario), joint_gains(scenario, walker.gains)
     each = [changes(own, name, row, joint) for name, row in zip(QUANTITIES, values, strict=True)]
@@ -237,7 +257,7 @@ def _walked(scenario: mc.Scenario, walker: Walker, values: np.ndarray, engine: s
     }
     found = mc.rollout_metrics(
         scenario, without_joint(walker.gains), dataclasses.replace(own, **batch), law=walker.law, metrics=_METRICS,
-        engine=engine,
+        engine=engine, progress=progress,
     )  # fmt: skip
     dimensions = ("quantity", "point")
     walks = xr.Dataset({name: (dimensions, value) for name, value in found.items()}, {"quantity": list(QUANTITIES)})

@@ -37,6 +37,7 @@ from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.hardware.control_period import period_steps
 from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.batches import batch_last, flattened, own_axes, rows_of
+from mjx_climb.quantities.parameters import own_numbers
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.rollouts.identity import identity
 from mjx_climb.rollouts.rollout import given_in
@@ -237,8 +238,7 @@ def _identity(shape: Structure, law: Law, *others: Any) -> str | None:
 
 def _calm(scenario: mc.Scenario, numbers: mc.Parameters | None) -> mc.Parameters:
     """Return numbers, the scenario's own where None, without gravity and pushes, and with the cargo loaded."""
-    with jax.enable_x64(True):
-        numbers = jax.tree.map(np.asarray, mc.parameters(scenario) if numbers is None else numbers)
+    numbers = own_numbers(scenario) if numbers is None else jax.tree.map(np.asarray, numbers)
     changed = {name: getattr(numbers, name) * 0 for name in ("gravity", "push_force", "push_moment")}
     changed |= {"cargo_start": np.zeros(()), "cargo_stop": np.full((), np.inf)}
     calm: mc.Parameters = dataclasses.replace(numbers, **changed)

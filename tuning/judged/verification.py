@@ -18,7 +18,6 @@ from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Score
 from tuning.searches import grid
-from tuning.searches.methods.staged import STARTS
 from tuning.searches.methods.starts import CANDIDATES
 from tuning.searches.result import Result
 from tuning.searches.tune import problem_of
@@ -114,11 +113,16 @@ def tests(found: Result, problem: Problem | None = None) -> Tests:
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in axes)]
     # as many robots as searches have: they walk by programs that were compiled for it
     around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), len(axes))))
-    slopes = problem.evaluate(np.repeat(found.theta[None], STARTS, 0), axes).sharp[0]
+    slopes = slopes_at(problem, found.theta)
     single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
     alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
     limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=problem.engine)
     return Tests(_first(len(points), around), slopes, float(limit[0]))
+
+
+def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Return the slopes (n,) of the value at a point, true extremes, by the program of a search's last start."""
+    return np.asarray(problem.evaluate(theta[None], np.eye(problem.space.size)).sharp[0])
 
 
 def verify(

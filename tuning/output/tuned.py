@@ -34,11 +34,13 @@ from tuning.report.remarks import remarks
 from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
 from tuning.searches.retuned_pd import Worth
+from tuning.searches.tune import start_of
 
 FILES = (
     "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence.png, path.png, walks.png, margins.png, "
     "config.yaml, search.yaml"
 )
+_BY_SLOPES = {"gradient", "lbfgs"}  # methods
 CAPTIONS = {
     "convergence": "How the search converged.",
     "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
@@ -53,6 +55,7 @@ class Beside(NamedTuple):
     retuned: Asked[Result | None]  # pd retuned
     walks: Mapping[str, Asked[mc.Trajectory]]  # pd, config
     over: Asked[xr.Dataset | None] | None  # the map; None where the result bears on it
+    on_hardware: Mapping[str, Asked[xr.Dataset]]  # pd, config: the first walks on worse hardware
 
 
 class Judged(NamedTuple):
@@ -97,18 +100,23 @@ class Tuned(Result):
         found = self.write_found(folder, "from Python" if origin is None else origin.name)
         again = "mjx-climb tune config.yaml --search search.yaml --out again"
         origin = complete(origin, "tune(...)", again, found.scenario, folder)
-        judged = judge(found, stage, out=folder)
+        drawn, formats = {}, {"png", *figures}
+
+        def meanwhile(walks: Mapping[str, mc.Trajectory]) -> None:
+            drawn.update(draw(_of_the_walks(found, walks), folder, formats, stage))
+
+        judged = judge(found, stage, meanwhile, out=folder)
         dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
         if judged.over is not None:
             dataset.save(judged.over, folder / "map.nc")
-        pictures = draw(_pictures(found, judged), folder, {"png", *figures}, stage)
+        drawn.update(draw(_of_the_tests(found, judged), folder, formats, stage))
         with stage("report", compiles=False):
             shown = {name: judged.walks[name] for name in judged.compared}
             written = pages.page(
                 found, judged.checked, judged.over, shown, judged.compared,
                 outcome=[line[0].upper() + line[1:] for line in judged.outcome],
                 origin=origin,
-                pictures={CAPTIONS[name]: file for name, file in pictures.items()},
+                pictures={CAPTIONS[name]: file for name, file in drawn.items()},
             )  # fmt: skip
             page.write(written, folder)
         finished_parts.clear(folder)
@@ -126,6 +134,8 @@ def beside(problem: Problem, search: Search, begin: Begin, *, out: Path | None =
     `out` keeps the rounds in which pd is retuned until the result has been written.
     """
     scenario, law = problem.scenario, problem.law
+    if search.method not in _BY_SLOPES:  # the tests' program, which takes longest to compile or to load
+        begin(lambda _: verification.slopes_at(problem, start_of(problem)))
     bears = law is not None or not JOINT.keys().isdisjoint(problem.space.gains)  # the result, on the map
     return Beside(
         begin(
@@ -138,16 +148,31 @@ def beside(problem: Problem, search: Search, begin: Begin, *, out: Path | None =
             "config": begin(lambda _: mc.rollout(scenario, law=law, engine=problem.engine)),
         },
         None if bears else begin(lambda told: verification.map_with(problem, scenario, None, progress=told)),
+        {
+            "pd": begin(lambda told: margins.on_the_grid(scenario, margins.pd_of(scenario), problem.engine, told)),
+            "config": begin(lambda told: margins.on_the_grid(scenario, margins.Walker(law, {}), problem.engine, told)),
+        },
     )
 
 
-def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Judged:
-    """Walk a result, what it is compared with and the map around it, and test it; `out` is as of `beside`."""
+def judge(
+    found: Tuned,
+    stage: Stage = silent,
+    meanwhile: Callable[[Mapping[str, mc.Trajectory]], None] = to_nobody,
+    *,
+    out: Path | None = None,
+) -> Judged:
+    """Walk a result, what it is compared with and the map around it, and test it.
+
+    `meanwhile` is given the walks while the tests go on; `out` is as of `beside`.
+    """
     scenario, problem = found.scenario, found.problem
     how: dict[str, Any] = {"law": found.law, "engine": problem.engine}
     with ahead() as begin:
         tested = begin(lambda _: verification.tests(found, problem))  # the longest to compile
-        retuned_alone, compared_with, over_all = found.beside or beside(problem, found.search, begin, out=out)
+        retuned_alone, compared_with, over_all, on_hardware = found.beside or beside(
+            problem, found.search, begin, out=out
+        )
         mapped = over_all or begin(lambda told: verification.map_of(found, problem, progress=told))
         walking = {**compared_with, "tuned": begin(lambda _: mc.rollout(verification.tuned(found), **how))}
         with stage("retuned pd", unit="rounds") as told:
@@ -155,12 +180,16 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
         if retuned is not None:
             walking[retuned_pd.NAME] = begin(lambda _: mc.rollout(verification.tuned(retuned), engine=problem.engine))
         rivals = _rivals(problem.law, retuned)
-        margin = begin(lambda told: margins.find(scenario, found.gains, others=rivals, progress=told, **how))
+        walked = {name: walks(to_nobody) for name, walks in on_hardware.items()}
+        margin = begin(
+            lambda told: margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
+        )
         walks = {}
         for name, walk in walking.items():
             with stage(name) as told:
                 walks[name] = walk(told)
         metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
+        meanwhile(walks)
         with stage("map") as told:
             over = mapped(told)
         with stage("margins") as told:
@@ -183,14 +212,18 @@ def judge(found: Tuned, stage: Stage = silent, *, out: Path | None = None) -> Ju
     return Judged(walks, compared, over, hardware, checked, outcome, _summary(found, checked, compared, worth))
 
 
-def _pictures(found: Result, judged: Judged) -> dict[str, Callable[[], Figure]]:
-    """Return what draws the pictures of a result."""
-    over = judged.over
-    drawn: dict[str, Callable[[], Figure]] = {
+def _of_the_walks(found: Result, walks: Mapping[str, mc.Trajectory]) -> dict[str, Callable[[], Figure]]:
+    """Return what draws the search and its walks."""
+    return {
         "convergence": lambda: search_pictures.plot_convergence(found),
-        "walks": lambda: plots.plot_comparison(judged.walks),
-        "margins": lambda: plot_margins(judged.hardware, "tuned"),
+        "walks": lambda: plots.plot_comparison(walks),
     }
+
+
+def _of_the_tests(found: Result, judged: Judged) -> dict[str, Callable[[], Figure]]:
+    """Return what draws what the tests found."""
+    over = judged.over
+    drawn: dict[str, Callable[[], Figure]] = {"margins": lambda: plot_margins(judged.hardware, "tuned")}
     return drawn if over is None else drawn | {"path": lambda: search_pictures.plot_path(found, over)}
 
 

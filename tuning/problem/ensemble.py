@@ -11,13 +11,13 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Annotated, Any, Self
 
-import jax
 import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import given
+from mjx_climb.quantities.parameters import own_numbers
 from mjx_climb.scenario.hardware import MAX_DELAY
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import settings
@@ -153,8 +153,7 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
         values = span[0] + (span[1] - span[0]) * (strata + rng.random((members, count))) / members
         return values.reshape(members, 1, *shape)
 
-    with jax.enable_x64(True):
-        own = jax.tree.map(np.asarray, mc.parameters(scenario))
+    own = own_numbers(scenario)
     changes = {
         "contact_stiffness": own.contact_stiffness * np.exp(uniform(_logs(ensemble.grip_stiffness))),
         "mass_scale": uniform(ensemble.robot_mass),
@@ -163,7 +162,7 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
         changes |= {"cargo_mass": uniform(cargo.mass), "cargo_start": uniform(cargo.start)}
     if (gravity := ensemble.gravity) is not None:
         axis, angle = uniform((0.0, 2 * np.pi)), np.radians(uniform(gravity.slope))
-        changes["gravity"] = uniform(gravity.scale)[..., None] * _tilted(own.gravity, axis, angle)
+        changes["gravity"] = uniform(gravity.scale)[..., None] * _tilted(np.asarray(own.gravity), axis, angle)
     if (pushes := ensemble.pushes) is not None:
         n = pushes.count
         up, azimuth = uniform((-1.0, 1.0), n), uniform((0.0, 2 * np.pi), n)

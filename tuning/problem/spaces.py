@@ -20,6 +20,7 @@ import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
 from mjx_climb.hardware.stages import IDEAL, stages_of
+from mjx_climb.quantities.parameters import own_numbers
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper
 from mjx_climb.scenario.messages import ConfigError
@@ -183,8 +184,7 @@ def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
     """
     if search.joint_gains is not None:
         return search.joint_gains
-    with jax.enable_x64(True):
-        return stages_of(scenario, mc.parameters(scenario))._replace(capture=False) != IDEAL
+    return stages_of(scenario, own_numbers(scenario))._replace(capture=False) != IDEAL
 
 
 def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float, float]]:

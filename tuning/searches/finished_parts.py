@@ -1,16 +1,20 @@
 """Finished parts of a long computation, kept in a folder: what is interrupted goes on where it stopped."""
 
+import contextlib
 import io
 import json
 import shutil
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mjx_climb.files.dataset import OutputError, write_bytes_atomically, write_text_atomically
+
+Save = Callable[[int, Mapping[str, np.ndarray]], None]
 
 FOLDER = "parts"
 IDENTITY = "identity.json"
@@ -59,6 +63,27 @@ class Parts:
     def count(self) -> int:
         """Return how many parts are there."""
         return len(list(self.folder.glob("part-*.npz")))
+
+
+@contextlib.contextmanager
+def saved_beside(parts: Parts | None) -> Iterator[Save]:
+    """Give what saves a part while the next one is worked out, or nothing where there are no parts.
+
+    At the end all are saved, whatever ended it. What goes wrong is raised when the next part is to be saved, or at the
+    end.
+    """
+    last: list[Future[None]] = []
+
+    def save(number: int, arrays: Mapping[str, np.ndarray]) -> None:
+        if parts is not None:
+            while last:
+                last.pop().result()
+            last.append(disk.submit(parts.save, number, arrays))
+
+    with ThreadPoolExecutor(1) as disk:
+        yield save
+    while last:
+        last.pop().result()
 
 
 def clear(out: Path) -> None:

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -21,6 +20,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.files import dataset
+from mjx_climb.quantities.parameters import own_numbers
 from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
@@ -211,10 +211,8 @@ def _numbers(scenario: mc.Scenario, gravity: Sequence[float], cargo: Sequence[fl
     length = np.linalg.norm(down)
     down = down / length if length > 0 else np.array([0.0, 0.0, -1.0])
     level, load = np.meshgrid(gravity, cargo, indexing="ij")
-    with jax.enable_x64(True):
-        own = jax.tree.map(np.asarray, mc.parameters(scenario))
-    varied: mc.Parameters = dataclasses.replace(own, gravity=G * level.reshape(-1, 1) * down, cargo_mass=load.ravel())
-    return varied
+    gravities = G * level.reshape(-1, 1) * down
+    return dataclasses.replace(own_numbers(scenario), gravity=gravities, cargo_mass=load.ravel())
 
 
 def _dataset(

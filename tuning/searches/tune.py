@@ -29,7 +29,7 @@ from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Judge
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.searches import identity, result
-from tuning.searches.finished_parts import Parts
+from tuning.searches.finished_parts import Parts, saved_beside
 from tuning.searches.methods import METHODS, Method, Points, Request, Task
 from tuning.searches.methods.task import as_method, check_request
 from tuning.searches.result import Result
@@ -122,30 +122,30 @@ def run(
     rounds_in_all, points = chosen.rounds(task), chosen.run(task)
     arrays: dict[str, list[np.ndarray]] = {}
     spent, number, interrupted = 0, 0, False
-    try:
-        request = next(points)
-        while True:
-            check_request(request, task)
-            begin = time.perf_counter()
-            stored = None if kept is None else kept.load(number)
-            found = None if stored is None else restored(stored, request.theta, out)
-            if found is None:
-                found = problem.evaluate(request.theta, request.directions)
-                if kept is not None:
-                    kept.save(number, stored_arrays(found, request.theta))
-            spent += problem.env_steps(len(request.theta), request.tangents)
-            _append(arrays, request, found, number, spent)
-            number += 1
-            if progress is not None:
-                took = time.perf_counter() - begin
-                progress(_progress(arrays, found, request, number, rounds_in_all, spent, stored is None, took))
-            request = points.send(found)
-    except StopIteration:
-        pass
-    except KeyboardInterrupt:
-        if not arrays:
-            raise
-        interrupted = True
+    with saved_beside(kept) as save:
+        try:
+            request = next(points)
+            while True:
+                check_request(request, task)
+                begin = time.perf_counter()
+                stored = None if kept is None else kept.load(number)
+                found = None if stored is None else restored(stored, request.theta, out)
+                if found is None:
+                    found = problem.evaluate(request.theta, request.directions)
+                    save(number, stored_arrays(found, request.theta))
+                spent += problem.env_steps(len(request.theta), request.tangents)
+                _append(arrays, request, found, number, spent)
+                number += 1
+                if progress is not None:
+                    took = time.perf_counter() - begin
+                    progress(_progress(arrays, found, request, number, rounds_in_all, spent, stored is None, took))
+                request = points.send(found)
+        except StopIteration:
+            pass
+        except KeyboardInterrupt:
+            if not arrays:
+                raise
+            interrupted = True
     joined = {name: np.concatenate(values) for name, values in arrays.items()}
     return result.from_history(problem, search, joined, interrupted=interrupted)
 

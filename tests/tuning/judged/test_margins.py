@@ -8,6 +8,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD
+from mjx_climb.quantities.parameters import own_numbers
 from tuning.command_line import main
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
@@ -23,7 +24,7 @@ def walks(monkeypatch):
     """Walks whose failures are known: what is walked is kept."""
     kept = []
 
-    def walked(scenario, gains, numbers, *, law, metrics, engine):
+    def walked(scenario, gains, numbers, *, law, metrics, engine, progress):
         kept.append((law, gains, numbers))
         given = not isinstance(law, PD)
         variation = np.where(given, 50.0, 100.0) + given * 50.0 * np.maximum(numbers.force_delay, 0) / DEARER
@@ -49,6 +50,16 @@ def test_margins_lie_where_walks_begin_to_fail(walks, case):
     assert found["command_delay"].holds == found["command_delay"].worst == 0.03
     assert found["control_period"].holds == found["control_period"].better == pytest.approx(20e-3)
     assert found["joint_gains"].holds == found["joint_gains"].better == pytest.approx(WEAK, abs=0.02)
+
+
+def test_walks_of_the_first_grid_may_be_given(walks, case):
+    """pd's walks there are the same whatever gains are in question: they are not repeated, and nothing changes."""
+    scenario = case("case_1_2", "virtual_model")
+    whole = margins.find(scenario, GAINS)
+    known = {"pd": margins.on_the_grid(scenario, margins.pd_of(scenario))}
+    again = margins.find(scenario, GAINS, walked=known)
+    assert len(walks) == 2 * 4  # of given gains and of pd, on two grids
+    assert again.walks.identical(whole.walks) and again.margins == whole.margins
 
 
 def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
@@ -132,7 +143,7 @@ def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
     found = linear_margins.find(scenario, gains, {"force_delay": margin})["force_delay"]
     assert found.up_to == pytest.approx(margin.holds, rel=0.15) and found.up_to < found.tried
     radius = stability_limit.spectral_radius(
-        scenario, gains, margins.changes(margins.own_numbers(scenario), "force_delay",
+        scenario, gains, margins.changes(own_numbers(scenario), "force_delay",
                                          found.up_to * np.array([0.8, 1.2]), {"kp": 50.0, "kd": 0.2})
     )  # fmt: skip
     assert radius[0] < 1 < radius[1]

@@ -76,3 +76,20 @@ def test_works_that_nobody_asks_for_are_ended(monkeypatch):
         begin(endless)
         assert begun.wait(20)
         raise KeyboardInterrupt
+
+
+def test_a_search_leaves_one_core_of_two_to_one_work(monkeypatch):
+    """The second begins when the first has ended."""
+    monkeypatch.setattr(devices, "usable_cores", lambda: 2)
+    order, go = [], threading.Event()
+
+    def first(_):
+        assert go.wait(20)
+        order.append("first has ended")
+
+    with ahead(fewest=1) as begin:
+        results = [begin(first), begin(lambda _: order.append("second"))]
+        go.set()
+        for result in results:
+            result(to_nobody)
+    assert order == ["first has ended", "second"]

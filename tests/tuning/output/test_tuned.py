@@ -2,12 +2,16 @@
 
 import contextlib
 import json
+import types
 
+import numpy as np
 import pytest
 
 import mjx_climb as mc
 from tuning.gains import gains_file
 from tuning.judged import margins
+from tuning.output import tuned
+from tuning.problem.search import Search
 from tuning.searches import result
 from tuning.tune import tune
 
@@ -36,7 +40,8 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
     assert names == files | pictures
     walked = ["pd", "config", "tuned", "retuned_pd"]
-    assert stages == ["retuned pd", *walked, "map", "margins", "verification", "drawing", "report"]
+    tested = ["drawing", "map", "margins", "verification"]  # pictures of the walks while the tests go on
+    assert stages == ["retuned pd", *walked, *tested, "drawing", "report"]
     summary = json.loads(written.summary)
     torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
     assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
@@ -51,3 +56,19 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     assert result.load(tmp_path / "search.nc").value == found.value
     assert gains_file.load(tmp_path / "gains.yaml").stiffness == pytest.approx(found.gains.stiffness)
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("method", "more"), [("gradient", 0), ("cmaes", 1)])
+def test_a_search_without_slopes_has_the_program_of_the_tests_loaded_beside(monkeypatch, method, more):
+    asked = []
+    monkeypatch.setattr(tuned.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    space = types.SimpleNamespace(gains=["stiffness", "damping"])
+    problem = types.SimpleNamespace(scenario=scenario, law=None, space=space, engine="limb")
+    monkeypatch.setattr(tuned, "start_of", lambda problem: np.zeros(2))
+    works = []
+    tuned.beside(problem, Search(method=method), works.append)
+    assert len(works) == 6 + more  # pd retuned, two walks, the map, two on worse hardware
+    for work in works[:more]:
+        work(lambda *_: None)
+    assert asked == [(2,)] * more

@@ -8,12 +8,9 @@ from mjx_climb.compilation.options import kernel_pays
 from tuning.searches.methods.task import Points, Request, Task
 
 GENERATIONS = 60
-MANY, OF_MANY = 150, 96  # generations at most, and points per gain, where a GPU's kernel walks them
+MANY, OF_MANY = 150, 64  # generations at most, and points per gain, where a GPU's kernel walks them
 WALKS = 32_768  # at a time there, of all members of an ensemble
-FLAT, PATIENCE = (
-    1e-4,
-    10,
-)  # so many generations whose best differ by less are the last there
+FLAT, PATIENCE = 1e-4, 10  # the last of so many generations whose best differ by less is the last of all there
 SPREAD = 0.2  # of the first population, relative to the width of the box
 
 
