@@ -1,5 +1,6 @@
 """`mjx-climb tune`: a search for gains."""
 
+import importlib
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,10 +16,11 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     import mjx_climb as mc
+    from tuning.output.beside_search import Beside
     from tuning.output.robust import Judged as JudgedRobustly
     from tuning.output.robust import Robust
-    from tuning.output.tuned import Beside, Tuned
     from tuning.output.tuned import Judged as JudgedGains
+    from tuning.output.tuned import Tuned
     from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
     from tuning.problem.search import Search
@@ -148,8 +150,8 @@ def tune(
         }  # fmt: skip
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
-        from tuning.output import tuned
         from tuning.output.ahead import BESIDE_A_SEARCH, ahead
+        from tuning.output.beside_search import beside as begun_beside
         from tuning.problem import ensemble as ensembles
         from tuning.searches import robust as robust_search
         from tuning.searches import tune as searches
@@ -189,7 +191,9 @@ def tune(
                 problem = robust_search.problem_of(scenario, drawn, wanted, **how)
 
         with kept_in(out, "rounds") as kept, ahead(BESIDE_A_SEARCH) as begin_work:
-            beside = None if drawn else tuned.beside(problem, wanted, begin_work, out=out)
+            writes = "tuning.output.tuned" if drawn is None else "tuning.output.robust"
+            begin_work(lambda _: importlib.import_module(writes))  # matplotlib takes half a second
+            beside = None if drawn else begun_beside(problem, wanted, begin_work, out=out)
             with meter.stage("search", unit="rounds") as show:
                 told = kept.told(show)
                 found = searches.run(

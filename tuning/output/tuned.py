@@ -17,14 +17,13 @@ from mjx_climb.files import dataset
 from tuning.gains import gains_file
 from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
-from tuning.output.ahead import Asked, Begin, ahead, to_nobody
+from tuning.output.ahead import ahead, to_nobody
+from tuning.output.beside_search import Beside, beside
 from tuning.output.folder import complete
 from tuning.output.found import draw, write_gains
 from tuning.output.stages import Stage, silent
-from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal
-from tuning.problem.search import Search
-from tuning.problem.spaces import JOINT
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
 from tuning.report.comparison import Compared, gains_of
@@ -34,28 +33,17 @@ from tuning.report.remarks import remarks
 from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
 from tuning.searches.retuned_pd import Worth
-from tuning.searches.tune import start_of
 
 FILES = (
     "report.html, gains.yaml, search.nc, map.nc, summary.json, convergence.png, path.png, walks.png, margins.png, "
     "config.yaml, search.yaml"
 )
-_BY_SLOPES = {"gradient", "lbfgs"}  # methods
 CAPTIONS = {
     "convergence": "How the search converged.",
     "walks": "The walks over time: red crosses mark a torn gripper, shading a disturbance.",
     "path": "The way of the search over the map; the red line is the limit of stability.",
     "margins": "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges.",
 }
-
-
-class Beside(NamedTuple):
-    """What a search is compared with, whatever it finds: works that wait to be asked for, or are under way."""
-
-    retuned: Asked[Result | None]  # pd retuned
-    walks: Mapping[str, Asked[mc.Trajectory]]  # pd, config
-    over: Asked[xr.Dataset | None] | None  # the map; None where the result bears on it
-    on_hardware: Mapping[str, Asked[xr.Dataset]]  # pd, config: the first walks on worse hardware
 
 
 class Judged(NamedTuple):
@@ -126,33 +114,6 @@ class Tuned(Result):
         """Write what `tuning.output.found.write_gains` does, and return what it returns."""
         comment = f"{self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
         return write_gains(self, folder, f"mjx-climb tune {name}: {comment}", self.problem.law)
-
-
-def beside(problem: Problem, search: Search, begin: Begin, *, out: Path | None = None) -> Beside:
-    """Begin what a search is compared with.
-
-    `out` keeps the rounds in which pd is retuned until the result has been written.
-    """
-    scenario, law = problem.scenario, problem.law
-    if search.method not in _BY_SLOPES:  # the tests' program, which takes longest to compile or to load
-        begin(lambda _: verification.slopes_at(problem, start_of(problem)))
-    bears = law is not None or not JOINT.keys().isdisjoint(problem.space.gains)  # the result, on the map
-    return Beside(
-        begin(
-            lambda told: retuned_pd.search(
-                problem, search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
-            )
-        ),
-        {
-            "pd": begin(lambda _: mc.rollout(under_pd(scenario), engine=problem.engine)),
-            "config": begin(lambda _: mc.rollout(scenario, law=law, engine=problem.engine)),
-        },
-        None if bears else begin(lambda told: verification.map_with(problem, scenario, None, progress=told)),
-        {
-            "pd": begin(lambda told: margins.on_the_grid(scenario, margins.pd_of(scenario), problem.engine, told)),
-            "config": begin(lambda told: margins.on_the_grid(scenario, margins.Walker(law, {}), problem.engine, told)),
-        },
-    )
 
 
 def judge(

@@ -10,7 +10,7 @@ import pytest
 import mjx_climb as mc
 from tuning.gains import gains_file
 from tuning.judged import margins
-from tuning.output import tuned
+from tuning.output import beside_search
 from tuning.problem.search import Search
 from tuning.searches import result
 from tuning.tune import tune
@@ -61,13 +61,13 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
 @pytest.mark.parametrize(("method", "more"), [("gradient", 0), ("cmaes", 1)])
 def test_a_search_without_slopes_has_the_program_of_the_tests_loaded_beside(monkeypatch, method, more):
     asked = []
-    monkeypatch.setattr(tuned.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
+    monkeypatch.setattr(beside_search.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
     scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
     space = types.SimpleNamespace(gains=["stiffness", "damping"])
     problem = types.SimpleNamespace(scenario=scenario, law=None, space=space, engine="limb")
-    monkeypatch.setattr(tuned, "start_of", lambda problem: np.zeros(2))
+    monkeypatch.setattr(beside_search, "start_of", lambda problem: np.zeros(2))
     works = []
-    tuned.beside(problem, Search(method=method), works.append)
+    beside_search.beside(problem, Search(method=method), works.append)
     assert len(works) == 6 + more  # pd retuned, two walks, the map, two on worse hardware
     for work in works[:more]:
         work(lambda *_: None)
