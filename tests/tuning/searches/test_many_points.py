@@ -4,6 +4,7 @@ import types
 
 import numpy as np
 import pytest
+from cmaes import CMA
 
 import mjx_climb as mc
 from tuning.problem.search import Search
@@ -47,6 +48,27 @@ def test_many_points_go_to_the_bottom_and_end_there(kernel):
     assert set(sizes) == {cma_es.OF_MANY * SIZE}
     assert cma_es.PATIENCE < len(sizes) < cma_es.MANY / 2
     assert best[-1] < 1e-4 < best[0]
+
+
+@pytest.mark.parametrize("start", [0.5, 0.1])  # most points out of the bounds are drawn again
+def test_a_generation_is_what_the_package_draws_one_by_one(start):
+    """Through generations, of the same seed: to rounding."""
+    mine, theirs = (
+        CMA(np.full(SIZE, start), 0.2, np.tile([0.0, 1.0], (SIZE, 1)), seed=3, population_size=40) for _ in range(2)
+    )
+    for _ in range(5):
+        points = cma_es.drawn(mine)
+        one_by_one = np.array([theirs.ask() for _ in range(40)])
+        np.testing.assert_allclose(points, one_by_one, rtol=0, atol=1e-12)
+        for optimizer in (mine, theirs):
+            optimizer.tell([(point, float(((point - 0.3) ** 2).sum())) for point in one_by_one])
+
+
+def test_points_that_no_draw_puts_between_the_bounds_are_taken_there(monkeypatch):
+    monkeypatch.setattr(cma_es, "TRIES", 1)
+    optimizer = CMA(np.full(SIZE, 0.01), 1.0, np.tile([0.0, 1.0], (SIZE, 1)), seed=3, population_size=40)
+    points = cma_es.drawn(optimizer)
+    assert points.shape == (40, SIZE) and points.min() == 0 and points.max() == 1
 
 
 def test_members_and_settings_say_how_many(kernel):
