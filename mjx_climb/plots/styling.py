@@ -91,12 +91,15 @@ def legend(figure: Figure, handles: Sequence[Artist], title: str | None = None) 
 
 
 def legend_below(figure: Figure, handles: Sequence[Artist], columns: int) -> None:
-    """Put a legend below the panels."""
-    if handles:
-        figure.legend(
-            handles=handles, loc="outside lower center", ncols=min(columns, len(handles)), columnspacing=1.2,
-            handletextpad=0.5, borderaxespad=0.3,
+    """Put a legend below the panels, in so many columns or in as many as the figure is wide enough for."""
+    for count in range(min(columns, len(handles)), 0, -1):
+        legend = figure.legend(
+            handles=handles, loc="outside lower center", ncols=count, columnspacing=1.2, handletextpad=0.5,
+            borderaxespad=0.3,
         )  # fmt: skip
+        if count == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def legend_inside(panel: Axes, names: Sequence[str], colors: Sequence[str], extra: Sequence[Line2D] = ()) -> None:

@@ -7,6 +7,8 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
 import mjx_climb as mc
@@ -296,3 +298,14 @@ def test_files_are_small(walk, tmp_path):
 def test_package_loads_without_matplotlib():
     code = "import sys, mjx_climb; sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, cwd=mc.__path__[0] + "/..")
+
+
+@pytest.mark.parametrize(("words", "columns"), [(1, 3), (2, 2), (5, 1)])
+def test_a_legend_is_as_wide_as_its_figure_at_most(words, columns):
+    """As many columns as there is room for."""
+    figure = Figure(figsize=(3.5, 3), layout="constrained")
+    handles = [Line2D([], [], label=" ".join(["words"] * words)) for _ in range(6)]
+    plots.legend_below(figure, handles, 3)
+    [legend] = figure.legends
+    assert legend._ncols == columns
+    assert legend.get_window_extent().width <= figure.bbox.width

@@ -71,6 +71,9 @@ def plot_path(found: Result, walks: xr.Dataset) -> Figure:
     return figure
 
 
+_CROWD = 100  # points of a round
+
+
 class _Look(NamedTuple):
     """How the ways of some axes are drawn."""
 
@@ -101,16 +104,35 @@ def _draw_ways(panel: Axes, found: Result, gains: tuple[str, str], axes: str, lo
     for row in np.unique(history["row"].values[descending]):
         way = descending & (history["row"].values == row)
         panel.plot(ways[0][way], ways[1][way], "-", color=look.color, linewidth=0.7, zorder=3)
-    if descending.any():
-        text = f"descents, {axes}" if axes else "descents"
-        handles.append(Line2D([], [], color=look.color, linewidth=0.7, label=text))
+    leading = _best_of_crowds(history)
+    panel.plot(ways[0][leading], ways[1][leading], "-", color=look.color, linewidth=0.7, zorder=3)
+    for drawn, text in ((descending.any(), "descents"), (len(leading), "best of each round")):
+        if drawn:
+            text = f"{text}, {axes}" if axes else text
+            handles.append(Line2D([], [], color=look.color, linewidth=0.7, label=text))
     dots: dict[str, Any] = {"color": look.color, "marker": ".", "markersize": 2, "linestyle": "none"}
-    panel.plot(ways[0][~descending], ways[1][~descending], **dots, zorder=3)
+    others = ~descending & ~_crowded(history)
+    panel.plot(ways[0][others], ways[1][others], **dots, zorder=3)
     handles.append(Line2D([], [], **dots, label="other points"))
     if axes:
         points = [axis_values(tuned[gain])[look.axes] for gain in gains]
         handles[-1:] = [_mark(panel, points, look.marker, look.color, f"tuned, {axes}")]
     return handles
+
+
+def _crowded(history: xr.Dataset) -> np.ndarray:
+    """Return which points (N,) were judged beside so many that they would hide the map."""
+    sizes = np.bincount(history["round"].values)
+    return np.asarray(sizes[history["round"].values] > _CROWD)
+
+
+def _best_of_crowds(history: xr.Dataset) -> np.ndarray:
+    """Return the indices of the points with the least value plus penalty of each crowded round, one after the other."""
+    merit = (history["value"] + history["penalty"]).values
+    places = np.flatnonzero(_crowded(history) & np.isfinite(merit))
+    order = places[np.lexsort((merit[places], history["round"].values[places]))]
+    _, first = np.unique(history["round"].values[order], return_index=True)
+    return np.asarray(order[first])
 
 
 def _mark(panel: Axes, points: Sequence[np.ndarray], marker: str, color: str, label: str) -> Artist:
