@@ -19,8 +19,8 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
 
-# up to so many robots: shares of so many; few enough to keep several cores busy. The last two of a search walk one by
-# one as the last one does, by its program.
+# Up to so many robots: shares of so many, few enough to keep several cores busy. Two walk one by one: so the last two
+# starts of a search need no program but that of the last one.
 _CPU_SHARES = {2: 1, 8: 2, 64: 16, math.inf: 64}
 # In pieces a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA works out by several
 # threads: two shares of 128 under engine mjx wait for each other for ever.

@@ -317,7 +317,7 @@ def engine_option(engine: str) -> str:
 
 
 def start_devices() -> None:
-    """Begin to start what the command will walk on; before the rest is imported."""
+    """Begin to start what the command will walk on, before the rest is imported."""
     from mjx_climb.compilation import devices
 
     devices.begin()

@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 Asked = Callable[[Told], Result]  # gives a work's result; it tells how far it has come from there on
 _CORES = 4  # that a work keeps busy by itself
 FEWEST = 2  # works at once: while one loads its program or walks its last robots, another has a core
-BESIDE_A_SEARCH = 1  # for long its rounds need a core, and then leave one idle when they compile
+BESIDE_A_SEARCH = 1  # which waits for programs of its own on the other core
 
 
 class Begin(Protocol):
