@@ -150,7 +150,7 @@ def tune(
         }  # fmt: skip
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
-        from tuning.output.ahead import BESIDE_A_SEARCH, ahead
+        from tuning.output.ahead import ahead
         from tuning.output.beside_search import beside as begun_beside
         from tuning.problem import ensemble as ensembles
         from tuning.searches import robust as robust_search
@@ -190,7 +190,7 @@ def tune(
                 how: dict[str, Any] = {"engine": engine, "law": user_law, "metrics": table}
                 problem = robust_search.problem_of(scenario, drawn, wanted, **how)
 
-        with kept_in(out, "rounds") as kept, ahead(BESIDE_A_SEARCH) as begin_work:
+        with kept_in(out, "rounds") as kept, ahead(busy=1) as begin_work:
             writes = "tuning.output.tuned" if drawn is None else "tuning.output.robust"
             begin_work(lambda _: importlib.import_module(writes))  # matplotlib takes half a second
             beside = None if drawn else begun_beside(problem, wanted, begin_work, out=out)

@@ -15,8 +15,7 @@ from tuning.output.stages import Told
 Result = TypeVar("Result")
 Asked = Callable[[Told], Result]  # gives a work's result; it tells how far it has come from there on
 _CORES = 4  # that a work keeps busy by itself
-FEWEST = 2  # works at once: while one loads its program or walks its last robots, another has a core
-BESIDE_A_SEARCH = 1  # which waits for programs of its own on the other core
+_FEWEST = 2  # works at once: while one loads its program or walks its last robots, another has a core
 
 
 class Begin(Protocol):
@@ -26,14 +25,14 @@ class Begin(Protocol):
 
 
 @contextlib.contextmanager
-def ahead(fewest: int = FEWEST) -> Iterator[Begin]:
+def ahead(busy: int = 0) -> Iterator[Begin]:
     """Give a function that begins a work: at once where there is more than one core, else when its result is asked for.
 
-    `fewest` works are under way at once where cores are few.
+    So many cores as are `busy` with something else, a search that compiles for example, are left to it.
     At the end works that nobody has asked for are ended, the next time that they tell how far they have come.
     """
     cores = devices.usable_cores()
-    at_once = max(fewest, cores // _CORES)
+    at_once = min(max(_FEWEST, cores // _CORES), max(1, cores - busy))
     if cores == 1 or jax.process_count() > 1:  # several processes must do the same in the same order
         yield _when_asked
         return

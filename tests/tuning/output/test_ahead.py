@@ -87,7 +87,7 @@ def test_a_search_leaves_one_core_of_two_to_one_work(monkeypatch):
         assert go.wait(20)
         order.append("first has ended")
 
-    with ahead(fewest=1) as begin:
+    with ahead(busy=1) as begin:
         results = [begin(first), begin(lambda _: order.append("second"))]
         go.set()
         for result in results:
