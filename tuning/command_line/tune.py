@@ -150,8 +150,8 @@ def tune(
         }  # fmt: skip
         from mjx_climb.files import dataset
         from tuning.command_line import progress, report
+        from tuning.output import beside_search
         from tuning.output.ahead import ahead
-        from tuning.output.beside_search import beside as begun_beside
         from tuning.problem import ensemble as ensembles
         from tuning.searches import robust as robust_search
         from tuning.searches import tune as searches
@@ -193,7 +193,10 @@ def tune(
         with kept_in(out, "rounds") as kept, ahead(busy=1) as begin_work:
             writes = "tuning.output.tuned" if drawn is None else "tuning.output.robust"
             begin_work(lambda _: importlib.import_module(writes))  # matplotlib takes half a second
-            beside = None if drawn else begun_beside(problem, wanted, begin_work, out=out)
+            beside = None
+            if drawn is None:
+                beside_search.load_tests(problem, wanted, begin_work)
+                beside = beside_search.beside(problem, wanted, begin_work, out=out)
             with meter.stage("search", unit="rounds") as show:
                 told = kept.told(show)
                 found = searches.run(

@@ -34,8 +34,6 @@ def beside(problem: Problem, search: Search, begin: Begin, *, out: Path | None =
     `out` keeps the rounds in which pd is retuned until the result has been written.
     """
     scenario, law = problem.scenario, problem.law
-    if search.method not in _BY_SLOPES:  # the tests' program, which takes longest to compile or to load
-        begin(lambda _: verification.slopes_at(problem, start_of(problem)))
     bears = law is not None or not JOINT.keys().isdisjoint(problem.space.gains)  # the result, on the map
     return Beside(
         begin(
@@ -53,3 +51,9 @@ def beside(problem: Problem, search: Search, begin: Begin, *, out: Path | None =
             "config": begin(lambda told: margins.on_the_grid(scenario, margins.Walker(law, {}), problem.engine, told)),
         },
     )
+
+
+def load_tests(problem: Problem, search: Search, begin: Begin) -> None:
+    """Begin to walk by the program of a result's tests, long to compile and to load, where the search does not."""
+    if search.method not in _BY_SLOPES:
+        begin(lambda _: verification.slopes_at(problem, start_of(problem)))

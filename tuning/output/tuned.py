@@ -21,7 +21,7 @@ from tuning.output.ahead import ahead, to_nobody
 from tuning.output.beside_search import Beside, beside
 from tuning.output.folder import complete
 from tuning.output.found import draw, write_gains
-from tuning.output.stages import Stage, silent
+from tuning.output.stages import Stage, Told, silent
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal
 from tuning.report import page, search_pictures
@@ -141,10 +141,12 @@ def judge(
         if retuned is not None:
             walking[retuned_pd.NAME] = begin(lambda _: mc.rollout(verification.tuned(retuned), engine=problem.engine))
         rivals = _rivals(problem.law, retuned)
-        walked = {name: walks(to_nobody) for name, walks in on_hardware.items()}
-        margin = begin(
-            lambda told: margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
-        )
+
+        def find_margins(told: Told) -> margins.Found:
+            walked = {name: asked(to_nobody) for name, asked in on_hardware.items()}  # begun before this
+            return margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
+
+        margin = begin(find_margins)
         walks = {}
         for name, walk in walking.items():
             with stage(name) as told:

@@ -63,12 +63,10 @@ def test_a_search_without_slopes_has_the_program_of_the_tests_loaded_beside(monk
     asked = []
     monkeypatch.setattr(beside_search.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
     scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
-    space = types.SimpleNamespace(gains=["stiffness", "damping"])
-    problem = types.SimpleNamespace(scenario=scenario, law=None, space=space, engine="limb")
+    problem = types.SimpleNamespace(scenario=scenario)
     monkeypatch.setattr(beside_search, "start_of", lambda problem: np.zeros(2))
     works = []
-    beside_search.beside(problem, Search(method=method), works.append)
-    assert len(works) == 6 + more  # pd retuned, two walks, the map, two on worse hardware
-    for work in works[:more]:
+    beside_search.load_tests(problem, Search(method=method), works.append)
+    for work in works:
         work(lambda *_: None)
     assert asked == [(2,)] * more
