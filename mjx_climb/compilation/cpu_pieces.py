@@ -9,25 +9,31 @@ them is worked out once.
 
 import functools
 import itertools
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax._src.interpreters.ad import jvp_jaxpr  # not public; jax is pinned to one minor version
+from jax.custom_derivatives import SymbolicZero
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 
 from mjx_climb.compilation.element_moves import MOVES
 from mjx_climb.compilation.element_operations import ELEMENTWISE
 from mjx_climb.compilation.lost_operands import losing
+from mjx_climb.compilation.reach import carried_on
 from mjx_climb.compilation.trigonometry import NAMES, in_single
 
 _Result = TypeVar("_Result")
+_Carry = TypeVar("_Carry")
 _Parts = dict[int, tuple[jax.Array, int, list[jax.Array]]]
 
 EQUATIONS = 150  # in a piece: with fewer the calls cost more, with more fusion repeats more
 
+_CALLS = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 _FITTING = {*ELEMENTWISE, *MOVES, *NAMES, "iota"}  # XLA:CPU is known to compile these within a kernel
 
 _REDUCTIONS = {
@@ -47,20 +53,94 @@ def in_kernels(function: Callable[..., _Result], equations: int = EQUATIONS) -> 
 
     def cut(*arguments: Any) -> _Result:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        leaves = jax.tree.leaves(arguments)
-        closed = jax.make_jaxpr(lambda *values: _evaluated(closed.jaxpr, closed.consts, values))(*leaves)
-        jaxpr = closed.jaxpr
-        values = dict(zip(jaxpr.constvars, closed.consts, strict=True)) | dict(zip(jaxpr.invars, leaves, strict=True))
-        for inputs, piece, outputs, fits in _pieces(closed, equations):
-            part = core.ClosedJaxpr(jaxpr.replace(constvars=(), invars=inputs, outvars=outputs, eqns=piece), ())
-            carried_out = core.jaxpr_as_fun(part)
-            results = (_one_kernel(carried_out) if fits else carried_out)(*(values[variable] for variable in inputs))
-            values |= zip(outputs, results, strict=True)
-        results = [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in jaxpr.outvars]
+        program, outside = _of_what_may_move(closed)
+        results = _with_slopes(program, equations)(*outside, *jax.tree.leaves(arguments))
         result: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
         return result
 
     return cut
+
+
+def scan_in_kernels(
+    step: Callable[[_Carry, None], tuple[_Carry, Any]], start: _Carry, *, length: int, equations: int = EQUATIONS
+) -> tuple[_Carry, Any]:
+    """Return what `jax.lax.scan` does of a step that reads nothing, with the step in pieces, see `in_kernels`.
+
+    What has a rate after some steps has one from the start, so that a step with rates is traced once. `scan` traces it
+    again and again until it has found out.
+    """
+    closed, shape = jax.make_jaxpr(step, return_shape=True)(start, None)
+    program, outside = _of_what_may_move(closed)
+    values, tree = jax.tree.flatten(start)
+    walked = _with_slopes(program, equations)
+
+    @jax.custom_jvp
+    def begun(outside: list[Any], values: list[Any]) -> list[Any]:
+        return values
+
+    @functools.partial(begun.defjvp, symbolic_zeros=True)
+    def begun_with_rates(given: tuple[list[Any], ...], rates: tuple[list[Any], ...]) -> tuple[list[Any], list[Any]]:
+        common, first = ([not isinstance(rate, SymbolicZero) for rate in each] for each in rates)
+        body = program.jaxpr.replace(outvars=program.jaxpr.outvars[: len(values)])
+        moving = carried_on(body, common, first)
+        zeros = [
+            jnp.zeros_like(value) if moves and isinstance(rate, SymbolicZero) else rate
+            for value, rate, moves in zip(given[1], rates[1], moving, strict=True)
+        ]
+        return given[1], zeros
+
+    def one(carry: list[Any], _: None) -> tuple[list[Any], list[Any]]:
+        made = walked(*outside, *carry)
+        return made[: len(values)], made[len(values) :]
+
+    after, records = jax.lax.scan(one, begun(outside, values), length=length)
+    return jax.tree.unflatten(tree, after), jax.tree.unflatten(jax.tree.structure(shape[1]), records)
+
+
+def _of_what_may_move(closed: core.ClosedJaxpr) -> tuple[core.ClosedJaxpr, list[Any]]:
+    """Return a program as one of the traced values that it closes over and its arguments, and these values."""
+    pairs = list(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+    outside = [(variable, value) for variable, value in pairs if isinstance(value, jax.core.Tracer)]
+    numbers = [(variable, value) for variable, value in pairs if not isinstance(value, jax.core.Tracer)]
+    inputs = [*(variable for variable, _ in outside), *closed.jaxpr.invars]
+    jaxpr = closed.jaxpr.replace(constvars=[variable for variable, _ in numbers], invars=inputs)
+    return core.ClosedJaxpr(jaxpr, [value for _, value in numbers]), [value for _, value in outside]
+
+
+def _with_slopes(program: core.ClosedJaxpr, equations: int) -> Callable[..., list[Any]]:
+    """Return a program in pieces, and with slopes, where these are asked for.
+
+    They are taken of the whole program, not of the pieces, so that rules for larger parts of it hold.
+    """
+
+    @jax.custom_jvp
+    def values(*given: Any) -> list[Any]:
+        return _in_pieces(program, equations, given)
+
+    @functools.partial(values.defjvp, symbolic_zeros=True)
+    def slopes(given: Sequence[Any], rates: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+        moving = [not isinstance(rate, SymbolicZero) for rate in rates]
+        both, moved = jvp_jaxpr(program, moving, instantiate=False)
+        made = _in_pieces(both, equations, [*given, *itertools.compress(rates, moving)])
+        results, found = made[: len(moved)], iter(made[len(moved) :])
+        return results, [
+            next(found) if moves else SymbolicZero(variable.aval.to_tangent_aval())
+            for moves, variable in zip(moved, program.jaxpr.outvars, strict=True)
+        ]
+
+    return values
+
+
+def _in_pieces(program: core.ClosedJaxpr, equations: int, given: Sequence[Any]) -> list[Any]:
+    closed = jax.make_jaxpr(lambda *values: _evaluated(program.jaxpr, program.consts, values))(*given)
+    jaxpr = closed.jaxpr
+    values = dict(zip(jaxpr.constvars, closed.consts, strict=True)) | dict(zip(jaxpr.invars, given, strict=True))
+    for inputs, piece, outputs, fits in _pieces(closed, equations):
+        part = core.ClosedJaxpr(jaxpr.replace(constvars=(), invars=inputs, outvars=outputs, eqns=piece), ())
+        carried_out = core.jaxpr_as_fun(part)
+        results = (_one_kernel(carried_out) if fits else carried_out)(*(values[variable] for variable in inputs))
+        values |= zip(outputs, results, strict=True)
+    return [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in jaxpr.outvars]
 
 
 def _one_kernel(function: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
@@ -87,37 +167,69 @@ class _Piece(NamedTuple):
 
 def _pieces(closed: core.ClosedJaxpr, most: int) -> list[_Piece]:
     """Return pieces of at most so many equations in order of execution, without what nothing depends on."""
-    jaxpr = closed.jaxpr
-    needed = _variables(jaxpr.outvars)
-    living = []
-    for equation in reversed(jaxpr.eqns):
-        if any(variable in needed for variable in equation.outvars):
-            living.append(equation)
-            needed |= _variables(equation.invars)
-    living.reverse()
+    jaxpr, constants = closed.jaxpr, dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+    living = _needed(jaxpr.eqns, jaxpr.outvars)
+    numbers, others = _between_numbers(living, constants)
+    results, repeated = _variables(jaxpr.outvars), {v for equation in numbers for v in equation.outvars}
+    pieces = []
+    later = {variable: None for variable in results if variable not in repeated}
+    for part, fits in reversed(_parts(others, losing(living, constants), most)):
+        whole = [*_needed(numbers, [atom for equation in part for atom in equation.invars]), *part]
+        pieces.append(_piece(whole, later, fits=fits))
+        later |= dict.fromkeys(pieces[-1].inputs)
+    known = _piece(_needed(numbers, jaxpr.outvars), results, fits=False)
+    return [known, *reversed(pieces)] if known.equations else pieces[::-1]
 
-    result = []
-    later = _variables(jaxpr.outvars)
-    for part, fits in reversed(_parts(living, dict(zip(jaxpr.constvars, closed.consts, strict=True)), most)):
-        made = {variable: None for equation in part for variable in equation.outvars}
-        read = _variables([atom for equation in part for atom in equation.invars])
-        result.append(_Piece([v for v in read if v not in made], part, [v for v in made if v in later], fits))
-        later |= read
-    return result[::-1]
+
+def _piece(equations: list[core.JaxprEqn], later: Mapping[core.Var, None], *, fits: bool) -> _Piece:
+    """Return a piece of some equations, whose results are those that are read later."""
+    made = _variables([variable for equation in equations for variable in equation.outvars])
+    read = _variables([atom for equation in equations for atom in equation.invars])
+    return _Piece([v for v in read if v not in made], equations, [v for v in made if v in later], fits)
+
+
+def _needed(equations: Sequence[core.JaxprEqn], results: Sequence[core.Var | core.Literal]) -> list[core.JaxprEqn]:
+    """Return those of some equations that results depend on."""
+    read, found = _variables(results), []
+    for equation in reversed(equations):
+        if any(variable in read for variable in equation.outvars):
+            found.append(equation)
+            read |= _variables(equation.invars)
+    return found[::-1]
+
+
+def _between_numbers(
+    equations: Sequence[core.JaxprEqn], constants: Mapping[core.Var, Any]
+) -> tuple[list[core.JaxprEqn], list[core.JaxprEqn]]:
+    """Return the equations that nothing but numbers goes into and real numbers come out of, and the others.
+
+    Each piece has its own of those that it reads. As a kernel's parameters XLA would put them in their place, and
+    nothing would read the parameters, see `_parts`.
+    """
+    known = set(constants)
+    numbers, others = [], []
+    for equation in equations:
+        real = all(jnp.issubdtype(cast(Any, variable.aval).dtype, jnp.floating) for variable in equation.outvars)
+        if real and equation.primitive.name in _FITTING and all(v in known for v in _variables(equation.invars)):
+            known |= {*equation.outvars}
+            numbers.append(equation)
+        else:
+            others.append(equation)
+    return numbers, others
 
 
 def _parts(
-    equations: Sequence[core.JaxprEqn], constants: Mapping[core.Var, Any], most: int
+    equations: Sequence[core.JaxprEqn], lost: Collection[int], most: int
 ) -> list[tuple[list[core.JaxprEqn], bool]]:
     """Return the equations in parts of at most so many, and whether each fits in a kernel.
 
-    Others call libraries, or loop, or lose an operand when XLA simplifies them: XLA:CPU (jaxlib 0.10) stops the process
-    at a kernel with a parameter that nothing in it reads.
+    Others call libraries, or loop, or are, by their ids, among the `lost`, which XLA makes lose an operand, or
+    have no elements: XLA:CPU (jaxlib 0.10) stops the process at a kernel with a parameter that nothing in it reads.
     """
-    lost = losing(equations, constants)
 
     def fits(equation: core.JaxprEqn) -> bool:
-        return equation.primitive.name in _FITTING and id(equation) not in lost
+        avals = (cast(Any, atom.aval) for atom in (*equation.invars, *equation.outvars))
+        return equation.primitive.name in _FITTING and id(equation) not in lost and all(aval.size for aval in avals)
 
     runs = [(list(run), fitting) for fitting, run in itertools.groupby(equations, fits)]
     return [(run[start : start + most], fitting) for run, fitting in runs for start in range(0, len(run), most)]
@@ -156,8 +268,8 @@ def _evaluated(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[
             if key in done:
                 values.update(zip(equation.outvars, done[key][1], strict=True))
                 continue
-            if name == "jit":
-                inner = equation.params["jaxpr"]
+            if name in _CALLS:
+                inner = equation.params[_CALLS[name]]
                 results = evaluated(inner.jaxpr, inner.consts, given)
             elif (single := in_single(name, given)) is not None:
                 results = [single]
@@ -227,9 +339,10 @@ def _sliced(
     strides: Sequence[int] | None,
 ) -> jax.Array:
     """Return a slice of an array, of the one part that holds it where the array is a concatenation."""
-    starts, limits = list(start_indices), list(limit_indices)
-    strides = None if strides is None or all(stride == 1 for stride in strides) else strides
-    while strides is None and id(array) in parts:
+    starts, steps = list(start_indices), [1] * len(start_indices) if strides is None else list(strides)
+    counts = [len(range(*each)) for each in zip(starts, limit_indices, steps, strict=True)]
+    limits = [s + (count - 1) * step + 1 if count else s for s, count, step in zip(starts, counts, steps, strict=True)]
+    while all(counts) and id(array) in parts:
         _, axis, pieces = parts[id(array)]
         begin = 0
         for piece in pieces:
@@ -240,5 +353,4 @@ def _sliced(
         else:
             break
         array, starts[axis], limits[axis] = piece, starts[axis] - begin, limits[axis] - begin
-    whole = all(s == 0 for s in starts) and tuple(limits) == array.shape
-    return array if whole and strides is None else lax.slice(array, starts, limits, strides)
+    return array if tuple(counts) == array.shape else lax.slice(array, starts, limits, steps)

@@ -1,5 +1,6 @@
 """A kernel as text in CUDA C: a robot for each thread, or a limb of a robot."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,6 +14,8 @@ from mjx_climb.compilation.writer import Writer
 THREADS = 128  # in a block
 NAME = "walk"
 _WARP = "0xffffffffu"  # all threads of a warp
+_NAMES = re.compile(r"\bv\d+\b")
+_MADE = re.compile(r"const \S+ (v\d+) = ")
 
 # Arguments are words of 32 bits: `own` (rows, robots) of each robot, `common` of all, the first of which is the number
 # of robots, and what is written, `made` (rows, robots).
@@ -60,7 +63,7 @@ class CudaWriter(Writer):
         constants = f"__constant__ int constants[{size}] = {{{', '.join(map(str, self._table))}}};\n" if size else ""
         head = _HEAD.format(threads=THREADS, name=NAME, width=self.width)
         table = _TABLE.format(size=size) if size else ""
-        return "\n".join([FUNCTIONS + constants + head + table, *self._lines, *rows, "}\n"])
+        return "\n".join([FUNCTIONS + constants + head + table, *_needed(self._lines, rows), *rows, "}\n"])
 
     def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Number]) -> Value:
         text = expression(primitive.name, parameters, operands, [_text(operand) for operand in operands])
@@ -115,6 +118,21 @@ class CudaWriter(Writer):
         self._count += 1
         self._lines.append(f"const {typed(dtype)} v{self._count} = {text};")
         return Value(f"v{self._count}", np.dtype(dtype))
+
+
+def _needed(lines: Sequence[str], results: Sequence[str]) -> list[str]:
+    """Return the lines without values that nothing is made of.
+
+    NVIDIA's compiler would leave out the others itself, but not exchanges between lanes.
+    """
+    read = {name for line in results for name in _NAMES.findall(line)}
+    kept = []
+    for line in reversed(lines):
+        made = _MADE.match(line)
+        if made is None or made[1] in read:
+            kept.append(line)
+            read.update(_NAMES.findall(line))
+    return kept[::-1]
 
 
 def _text(number: Number) -> str:

@@ -74,7 +74,7 @@ class Operations:
             raise Unsupported(f"the operation {name} on complex numbers")
         if name in _CALLS:
             if name.startswith("custom") and any(map(self.moves, given)):
-                raise Unsupported(f"the slope of the operation {name}")
+                return self.writer.by_own_rule(self, equation, given)
             return self.closed(parameters[_CALLS[name]], given)
         if name in MOVES:
             move, understood = MOVES[name]
@@ -114,11 +114,14 @@ class Operations:
         return as_array(iter(result.reshape(-1)), result.shape)
 
     def runs_over_lanes(self, array: Elements, axis: int) -> bool:
-        """Return whether the elements along an axis are what the lanes have of one value, somewhere in an array."""
+        """Return whether the elements along an axis are what the lanes have of one value, somewhere in an array.
+
+        In any order: another one than theirs takes an exchange, once.
+        """
         if known(array) or self.writer.lanes == 1 or array.shape[axis] != self.writer.lanes:
             return False
         rows = np.moveaxis(array, axis, -1).reshape(-1, self.writer.lanes)
-        return any(_in_order(row) is not None for row in rows)
+        return any(_of_every_lane(row) for row in rows)
 
     def _of_all_lanes(
         self, primitive: core.Primitive, parameters: Mapping[str, Any], rows: Sequence[np.ndarray]
@@ -266,6 +269,12 @@ def _in_order(elements: "Sequence[Any] | np.ndarray") -> Value | None:
     value = first.value
     whole = all(isinstance(e, OfLane) and e.value is value and e.lane == n for n, e in enumerate(elements))
     return value if whole else None
+
+
+def _of_every_lane(elements: np.ndarray) -> bool:
+    """Return whether elements are what the lanes have of one value, each of another lane."""
+    values = {id(e.value) if isinstance(e, OfLane) else None for e in elements}
+    return len(values) == 1 and None not in values and len({e.lane for e in elements}) == len(elements)
 
 
 def _name(element: Number) -> Hashable:

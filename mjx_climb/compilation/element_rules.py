@@ -31,9 +31,12 @@ MOST_STEPS = 64  # of a loop that reads or writes something at each
 
 def _reduction(combine: core.Primitive) -> Rule:
     def rule(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
-        array = given[0]
-        for axis in sorted(equation.params["axes"], reverse=True):
-            array = do.together(combine, _some(along(array, axis), equation))
+        [array], axes = given, list(equation.params["axes"])
+        axes.sort(key=lambda axis: (do.runs_over_lanes(given[0], axis), -axis))  # first what a lane does on its own
+        while axes:
+            gone = axes.pop(0)
+            array = do.together(combine, _some(along(array, gone), equation))
+            axes = [axis - (axis > gone) for axis in axes]
         return [array]
 
     return rule
@@ -288,7 +291,11 @@ def _loop_of_numbers(
     carried = [cast(Any, variable.aval) for variable in body.jaxpr.outvars]
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in carried):
         raise Unsupported("a loop that carries random keys, other than as plain words,")
-    axes = [_axis_of_limbs(aval.shape, do.writer.lanes) for aval in carried]
+    kept = body.jaxpr.invars[len(common) :]
+    axes = [
+        None if _in_components(body, v) else _axis_of_limbs(a.shape, do.writer.lanes)
+        for v, a in zip(kept, carried, strict=True)
+    ]
     moving = carried_on(body.jaxpr, [*map(do.moves, common)], [*map(do.moves, start)])
 
     def numbers(inside: Operations, arrays: Sequence[Elements]) -> list[Number]:
@@ -329,6 +336,16 @@ def _axis_of_limbs(shape: tuple[int, ...], lanes: int) -> int | None:
     """Return the axis of the limbs of an array of the hot path: components first, limbs second, the batch last."""
     axis = 1 if len(shape) > 2 else 0
     return axis if lanes > 1 and len(shape) > 1 and shape[axis] == lanes else None
+
+
+def _in_components(body: core.ClosedJaxpr, variable: core.Var) -> bool:
+    """Return whether a loop takes an array (n, batch) apart along its first axis: a quaternion's four are no limbs."""
+    aval: Any = variable.aval
+    readers = [equation for equation in body.jaxpr.eqns if variable in equation.invars]
+    return len(aval.shape) == 2 and any(
+        reader.primitive.name == "slice" and cast(Any, reader.outvars[0].aval).shape[0] < aval.shape[0]
+        for reader in readers
+    )
 
 
 # --- random numbers

@@ -17,7 +17,7 @@ from jax import Array, lax
 from jax.extend import core
 
 from mjx_climb.compilation.element_operations import Operations
-from mjx_climb.compilation.elements import Number, Value, as_array
+from mjx_climb.compilation.elements import Element, Elements, Key, Number, OfLane, Value, as_array, flat
 from mjx_climb.compilation.unsupported import Unsupported
 from mjx_climb.compilation.writer import Writer
 
@@ -94,6 +94,16 @@ class SlopesWriter(Writer):
         made = self._of_lanes(self.value_of(value), lanes)
         return self.given(made, self._of_lanes(self.rate_of(value), lanes) if self.moves(value) else None)
 
+    def by_own_rule(self, do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
+        if equation.primitive.name != "custom_jvp_call":
+            raise Unsupported(f"the slope of the operation {equation.primitive.name}")
+        moving = [place for place, array in enumerate(given) if do.moves(array)]
+        values = [self._each(array, self.value_of) for array in given]
+        rates = [self._each(given[place], self.rate_of) for place in moving]
+        found = self._do.closed(_by_own_rule(equation, moving), [*values, *rates])
+        count = len(equation.outvars)
+        return [self._together(do, *pair) for pair in zip(found[:count], found[count:], strict=True)]
+
     def loop(self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]) -> list[Value]:
         moving = [self.moves(number) for number in start]
 
@@ -116,6 +126,36 @@ class SlopesWriter(Writer):
             return made
 
         return together(self._values.loop(steps, apart(start), both))
+
+    def _each(self, array: Elements, part: Callable[[Number], Number]) -> Elements:
+        """Return what `part` gives of each number, as elements of the writer of the values."""
+
+        def of(element: Element) -> Element:
+            if isinstance(element, Key):
+                raise Unsupported("random keys in a function whose slope comes by a rule of its own")
+            if not isinstance(element, OfLane):
+                return part(element)
+            number = part(element.value)
+            return self._do.of_lane(number, element.lane) if isinstance(number, Value) else number
+
+        return as_array(map(of, flat([array])), array.shape)
+
+    def _together(self, do: Operations, values: Elements, rates: Elements) -> Elements:
+        """Return elements of the writer of the values, with their rates."""
+        made: dict[tuple[int, int], Value] = {}  # what lanes have of one value stays that
+
+        def of(value: Number, rate: Number) -> Number:
+            lane = value.lane if isinstance(value, OfLane) else None
+            if lane is None:
+                rate = self._do.same_for_all(rate)
+            both = [number.value if isinstance(number, OfLane) else number for number in (value, rate)]
+            key = id(both[0]), id(both[1])
+            if key not in made:
+                made[key] = self.given(both[0], None if _is_zero(both[1]) else both[1])
+            return made[key] if lane is None else do.of_lane(made[key], lane)
+
+        pairs = zip(flat([values]), flat([rates]), strict=True)
+        return as_array((of(cast(Number, value), cast(Number, rate)) for value, rate in pairs), values.shape)
 
     def _slope(self, number: Number) -> Mapping[Number, Number]:
         if isinstance(number, np.generic):
@@ -149,6 +189,23 @@ class SlopesWriter(Writer):
 
     def _number(self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: Number) -> Number:
         return cast(Number, self._do.element(primitive, parameters, *operands))
+
+
+def _by_own_rule(equation: core.JaxprEqn, moving: Sequence[int]) -> core.ClosedJaxpr:
+    """Return a function with a rule of its own, of its operands and the rates of those that move: results and rates."""
+    count = len(equation.invars)
+
+    def both(*given: Array) -> tuple[Any, Any]:
+        def results(some: Sequence[Array]) -> Any:
+            every = list(given[:count])
+            for place, value in zip(moving, some, strict=True):
+                every[place] = value
+            return equation.primitive.bind(*every, **equation.primitive.get_bind_params(equation.params))
+
+        return jax.jvp(results, ([given[place] for place in moving],), ([*given[count:]],))
+
+    kinds = [cast(Any, atom.aval) for atom in equation.invars]
+    return jax.make_jaxpr(both)(*kinds, *(kinds[place] for place in moving))
 
 
 def _by_jax(primitive: core.Primitive, parameters: Mapping[str, Any], place: int) -> Callable[..., Array]:

@@ -1,11 +1,14 @@
 """The seam between the elements of a function and the kernel that is made of them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from jax.extend import core
 
-from mjx_climb.compilation.elements import Number, Value
+from mjx_climb.compilation.elements import Elements, Number, Value
+
+if TYPE_CHECKING:
+    from mjx_climb.compilation.element_operations import Operations
 
 
 class Writer(Protocol):
@@ -32,3 +35,7 @@ class Writer(Protocol):
     def moving(self, number: Number) -> Number:
         """Return a number that will move as a loop goes on, whether it does already or not."""
         return number
+
+    def by_own_rule(self, do: "Operations", equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
+        """Return a function's results, whose slopes are asked for and come by a rule of its own."""
+        raise AssertionError("slopes are not asked for")

@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike
 from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.compilation import devices
 from mjx_climb.compilation.cache import enable_cache
-from mjx_climb.compilation.cpu_pieces import in_kernels
+from mjx_climb.compilation.cpu_pieces import in_kernels, scan_in_kernels
 from mjx_climb.compilation.first_possible import first_possible, in_pieces_or_whole
 from mjx_climb.compilation.forward_only import forward_only
 from mjx_climb.compilation.gpu_kernel import over_robots
@@ -62,8 +62,8 @@ def walk_recorded(
         return (walked, running.accumulate(metrics, values, sample, context)), record(sample)
 
     start = (begin(walk, batch), running.start(metrics, batch, dtype))
-    step = in_kernels(step) if structure.in_pieces else step
-    (_, values), records = jax.lax.scan(step, start, length=structure.steps)
+    scan = scan_in_kernels if structure.in_pieces else jax.lax.scan
+    (_, values), records = scan(step, start, length=structure.steps)
     result = running.finish(metrics, values, context)
     return {name: value.reshape(shape) for name, value in result.items()}, records
 

@@ -16,8 +16,7 @@ primitives = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(primitives)
 
 ROBOTS, DIRECTIONS = 3, 2
-# nor has JAX the first two; `logaddexp`, among the last, has a rule of its own, which kernels do not know
-NO_SLOPES = {"custom_vjp_call", "nextafter", "exponents"}
+NO_SLOPES = {"custom_vjp_call", "nextafter"}  # nor has JAX
 BEYOND_JAX = {"clamp"}  # between scalars that move
 
 
@@ -89,6 +88,33 @@ def motion(vector, matrix, number):
 def test_a_motion_of_limbs(limbs):
     """What the loop's start does not move, but moves later, and shares of equal ones."""
     agree(motion, limbs=limbs)
+
+
+@pytest.mark.parametrize("limbs", [1, 4])
+def test_slopes_by_a_rule_of_ones_own(limbs):
+    """Of some operands or all, in a loop, for what the lanes have of their own and for what is of all of them."""
+
+    @jax.custom_jvp
+    def spring(angle, shared, still):
+        return angle * shared**2 + still, angle.sum(1) * shared
+
+    @spring.defjvp
+    def rates_of_spring(given, rates):  # not the derivatives: so it is seen
+        (angle, shared, still), (turn, change, _) = given, rates
+        return spring(angle, shared, still), (3 * turn * still + angle * change, turn[:, 0] * shared + turn.sum(1))
+
+    def function(vector, matrix, number):
+        def step(carry, _):
+            angle, shared, passive = carry
+            (angle, total), (passive, _) = spring(angle, shared, matrix[0, 0]), spring(passive, matrix[0, 1], 2.0)
+            return (jnp.sin(angle), jnp.cos(total[0] + shared), passive[:, ::-1] * 0.1), None
+
+        begin = jnp.stack([vector, 2 * vector, vector * vector[2], jnp.ones(3)], 1)[..., None]  # (3, limbs, 1)
+        start = begin, vector[:1], jnp.broadcast_to(matrix.T[..., None], begin.shape)
+        angle, shared, passive = jax.lax.scan(step, start, length=3)[0]
+        return {"angle": angle[..., 0], "shared": shared, "passive": passive + number}
+
+    agree(function, limbs=limbs)
 
 
 def test_slopes_are_as_precise_as_values(without_nvrtc):
