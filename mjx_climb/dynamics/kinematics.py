@@ -105,12 +105,12 @@ def foot_velocity_per_rate(robot: Robot, link: int, axis: Array, lever: Array) -
 def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo_mass: Array) -> Array:
     """Return the centre of mass (3, B) m, world, of the robot with `cargo_mass` (B,) kg at the base's own."""
     moment: Array = sum(
-        (mass * (position + rotate(rotation, center))).sum(1)
+        mass * (position + rotate(rotation, center))
         for mass, center, position, rotation in zip(
             robot.link_mass, robot.link_center, frames.position, frames.rotation, strict=True
         )
     )
-    return base_position + moment * (1 / (cargo_mass + robot.total_mass))
+    return base_position + moment.sum(1) * (1 / (cargo_mass + robot.total_mass))
 
 
 def joint_torque_of_foot_force(feet: Feet, foot_force: Array) -> Array:

@@ -7,17 +7,23 @@ Dynamics Algorithms, 2008: chapters 5 and 6). Everything is elementwise over (li
 the base's centre of mass.
 """
 
+import functools
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 
-from mjx_climb.dynamics.kinematics import LimbFrames, base_wrench_of_foot_force, foot_velocity_per_rate, limb_frames
+from mjx_climb.dynamics.inverse_dynamics import Forces, Wrench, missing_forces
+from mjx_climb.dynamics.kinematics import LimbFrames, limb_frames
 from mjx_climb.dynamics.spatial import chosen, compose, cross, dot, quaternion_to_matrix, rotate, rotate_back
 from mjx_climb.dynamics.state import Acceleration, State
 from mjx_climb.robot.constants import Robot
+
+_Parts = tuple[Array, Array, Array]  # of an `Acceleration`, as JAX can take it apart
 
 
 class Inertia(NamedTuple):
@@ -29,16 +35,6 @@ class Inertia(NamedTuple):
 
     def plus(self, other: "Inertia") -> "Inertia":
         return Inertia(self.mass + other.mass, self.moment + other.moment, self.rotational + other.rotational)
-
-
-class Wrench(NamedTuple):
-    """A force and its moment about the base's centre of mass."""
-
-    force: Array  # (3, ...) N
-    moment: Array  # (3, ...) N m
-
-    def plus(self, other: "Wrench") -> "Wrench":
-        return Wrench(self.force + other.force, self.moment + other.moment)
 
 
 def symmetric_times(symmetric: Array, vector: Array) -> Array:
@@ -76,7 +72,7 @@ class Limbs(NamedTuple):
     """Mass matrix and bias of the limbs, all of it (..., L, B)."""
 
     inertia: Inertia  # of each whole limb
-    bias: Wrench  # on the base
+    bias: Wrench  # on the base, of what the ground does to the feet too
     joint_bias: Array  # (N, L, B) N m
     joint_mass: dict[tuple[int, int], Array]  # M_jj, upper triangle
     coupling: list[Wrench]  # M_bj, a column for each joint
@@ -91,7 +87,7 @@ def joint_motion(robot: Robot, frames: LimbFrames, joint: int) -> tuple[Array, A
     return chosen(slides, jnp.zeros_like(axis), axis), chosen(slides, axis, turning)
 
 
-def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array) -> Limbs:
+def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, foot_force: Array, gravity: Array) -> Limbs:
     """Return what the limbs contribute: Newton-Euler outward with the accelerations at zero, composites inward."""
     angular_velocity = state.base_angular_velocity[:, None]
     angular_acceleration = jnp.zeros_like(angular_velocity)
@@ -130,7 +126,8 @@ def limb_dynamics(robot: Robot, frames: LimbFrames, state: State, gravity: Array
         inertias.append(about_base(robot.link_mass[link], center, rotational))
         forces.append(Wrench(force, moment + cross(center, force)))
 
-    composite, bias = inertias[-1], forces[-1]
+    composite = inertias[-1]
+    bias = Wrench(forces[-1].force - foot_force, forces[-1].moment - cross(frames.foot, foot_force))
     joint_bias: dict[int, Array] = {}
     joint_mass: dict[tuple[int, int], Array] = {}
     coupling: dict[int, Wrench] = {}
@@ -193,15 +190,48 @@ def solve(factor: Factor, right: Array) -> Array:
     return jnp.stack([solution[row] for row in range(size)])
 
 
-def solve_base(linear: Array, mixed: Array, rotational: Array, force: Array, moment: Array) -> tuple[Array, Array]:
-    """Solve `[A C; C^T D] [a; alpha] = [f; n]` by blocks, for symmetric A, D (6, B) and C (3, 3, B)."""
+class BaseFactor(NamedTuple):
+    """A matrix `[A C; C^T D]` factorised by blocks."""
+
+    linear: Factor  # of A
+    columns: Array  # (3, 3, B), A^-1 C
+    angular: Factor  # of D - C^T A^-1 C
+
+
+def factorize_base(linear: Array, mixed: Array, rotational: Array) -> BaseFactor:
+    """Return the factors of `[A C; C^T D]`, for symmetric A, D (6, B) and C (3, 3, B)."""
     order = (0, 3, 4, 1, 5, 2)
     pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     first = factorize({pair: linear[k] for pair, k in zip(pairs, order, strict=True)})
-    columns = jnp.stack([solve(first, mixed[:, j]) for j in range(3)], axis=1)  # A^-1 C
+    columns = jnp.stack([solve(first, mixed[:, j]) for j in range(3)], axis=1)
     schur = {(i, j): rotational[k] - dot(mixed[:, i], columns[:, j]) for k, (i, j) in zip(order, pairs, strict=True)}
-    angular = solve(factorize(schur), moment - rotate_back(columns, force))
-    return solve(first, force) - rotate(columns, angular), angular
+    return BaseFactor(first, columns, factorize(schur))
+
+
+def solve_base(factor: BaseFactor, force: Array, moment: Array) -> tuple[Array, Array]:
+    """Return the solution [a; alpha] of `[A C; C^T D] [a; alpha] = [f; n]`."""
+    angular = solve(factor.angular, moment - rotate_back(factor.columns, force))
+    return solve(factor.linear, force) - rotate(factor.columns, angular), angular
+
+
+class Factors(NamedTuple):
+    """The factorised mass matrix: of the limbs, and of the base when they are eliminated."""
+
+    joints: Factor
+    force_rows: Array  # (N, 3, L, B): force on the base per acceleration of a joint
+    moment_rows: Array
+    base: BaseFactor
+
+
+def accelerations(factors: Factors, forces: Forces) -> Acceleration:
+    """Return what generalised forces accelerate."""
+    freed = solve(factors.joints, forces.joint)
+    force = forces.base.force + (forces.limbs.force - rotate_back(factors.force_rows, freed)).sum(1)
+    moment = forces.base.moment + (forces.limbs.moment - rotate_back(factors.moment_rows, freed)).sum(1)
+    linear, angular = solve_base(factors.base, force, moment)
+    given_way = rotate(factors.force_rows, linear[:, None]) + rotate(factors.moment_rows, angular[:, None])
+    joints = solve(factors.joints, forces.joint - given_way)
+    return Acceleration(linear, angular, joints)
 
 
 def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], Acceleration]:
@@ -210,53 +240,99 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
     def forward_dynamics(
         state: State, torque: Array, foot_force: Array, base_wrench: Array, cargo_mass: Array, gravity: Array
     ) -> Acceleration:
-        rotation = quaternion_to_matrix(state.base_orientation)
-        frames = limb_frames(robot, rotation, state.joint_angles)
-        limbs = limb_dynamics(robot, frames, state, gravity)
-
-        # right-hand sides: what acts, less the bias
-        lever = [frames.foot - position for position in frames.position]
-        joint_force = torque - limbs.joint_bias
-        joint_force = joint_force + jnp.stack(
-            [
-                dot(foot_velocity_per_rate(robot, k, frames.rotation[k][:, 2], lever[k]), foot_force)
-                for k in range(robot.joints)
-            ]
-        )
-        base_rotational = rotated_inertia(rotation, robot.base_inertia)
-        omega = state.base_angular_velocity
-        wrench = base_wrench + base_wrench_of_foot_force(frames.foot, foot_force)
-        base_mass = robot.base_mass + cargo_mass
-        force = wrench[:3] + base_mass * gravity - limbs.bias.force.sum(1)
-        moment = wrench[3:] - cross(omega, symmetric_times(base_rotational, omega)) - limbs.bias.moment.sum(1)
-
-        # eliminate the joints: G = M_jj^-1 M_bj^T, a column for each of the base's six axes
-        factor = factorize(limbs.joint_mass)
-        force_rows = jnp.stack([column.force for column in limbs.coupling])  # (joint, 3, L, B)
-        moment_rows = jnp.stack([column.moment for column in limbs.coupling])
-        force_solved, moment_solved = solve(factor, force_rows), solve(factor, moment_rows)
-        freed = solve(factor, joint_force)
-        force = force - rotate_back(force_rows, freed).sum(1)
-        moment = moment - rotate_back(moment_rows, freed).sum(1)
-
-        # Schur complement on the base
-        pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-        total_mass = base_mass + limbs.inertia.mass.sum(0)
-        hx, hy, hz = limbs.inertia.moment.sum(1)
-        zero = jnp.zeros_like(hx)
-        diagonal = jnp.stack([total_mass + zero] * 3 + [zero] * 3)
-        linear = diagonal - jnp.stack([dot(force_rows[:, i], force_solved[:, j]).sum(0) for i, j in pairs])
-        rotational = (
-            base_rotational
-            + limbs.inertia.rotational.sum(1)
-            - jnp.stack([dot(moment_rows[:, i], moment_solved[:, j]).sum(0) for i, j in pairs])
-        )
-        skew = jnp.stack([jnp.stack([zero, hz, -hy]), jnp.stack([-hz, zero, hx]), jnp.stack([hy, -hx, zero])])
-        mixed = skew - jnp.stack(
-            [jnp.stack([dot(force_rows[:, i], moment_solved[:, j]).sum(0) for j in range(3)]) for i in range(3)]
-        )
-        base_linear, base_angular = solve_base(linear, mixed, rotational, force, moment)
-        joints = freed - rotate(force_solved, base_linear[:, None]) - rotate(moment_solved, base_angular[:, None])
-        return Acceleration(base_linear, base_angular, joints)
+        parts = _forward_dynamics(robot, state, torque, foot_force, base_wrench, cargo_mass, gravity)
+        return Acceleration(*parts)
 
     return forward_dynamics
+
+
+@jax.custom_jvp
+def _forward_dynamics(
+    robot: Robot,
+    state: State,
+    torque: Array,
+    foot_force: Array,
+    base_wrench: Array,
+    cargo_mass: Array,
+    gravity: Array,
+) -> _Parts:
+    return _parts(accelerations(*equations(robot, state, torque, foot_force, base_wrench, cargo_mass, gravity)))
+
+
+@functools.partial(_forward_dynamics.defjvp, symbolic_zeros=True)
+def _rates(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[_Parts, _Parts]:
+    """Return the accelerations and their rates: `M^-1` times the rates of what the forces leave over at them.
+
+    So the mass matrix and its factors need no derivatives (Carpentier and Mansard, Analytical Derivatives of Rigid Body
+    Dynamics Algorithms, 2018). Orientations stay of unit length.
+    """
+    factors, forces = equations(*primals)
+    acceleration = accelerations(factors, forces)
+    leaves, tree = jax.tree.flatten(primals)
+    rates = jax.tree.leaves(tangents, is_leaf=_is_zero)
+    moving = [place for place, rate in enumerate(rates) if not _is_zero(rate)]
+
+    def missing(values: list[Array]) -> Forces:
+        every = list(leaves)
+        for place, value in zip(moving, values, strict=True):
+            every[place] = value
+        robot, state, *acting = jax.tree.unflatten(tree, every)
+        return missing_forces(robot, state, acceleration, *acting)
+
+    change = jax.jvp(missing, ([leaves[place] for place in moving],), ([rates[place] for place in moving],))[1]
+    rate = accelerations(factors, change)
+    return _parts(acceleration), _parts(rate)
+
+
+def _parts(acceleration: Acceleration) -> _Parts:
+    return acceleration.base_linear, acceleration.base_angular, acceleration.joints
+
+
+def _is_zero(rate: Any) -> bool:
+    return isinstance(rate, SymbolicZero)
+
+
+def equations(
+    robot: Robot,
+    state: State,
+    torque: Array,
+    foot_force: Array,
+    base_wrench: Array,
+    cargo_mass: Array,
+    gravity: Array,
+) -> tuple[Factors, Forces]:
+    """Return the mass matrix, factorised, and what acts less the bias."""
+    rotation = quaternion_to_matrix(state.base_orientation)
+    frames = limb_frames(robot, rotation, state.joint_angles)
+    limbs = limb_dynamics(robot, frames, state, foot_force, gravity)
+
+    base_rotational = rotated_inertia(rotation, robot.base_inertia)
+    omega = state.base_angular_velocity
+    base_mass = robot.base_mass + cargo_mass
+    spin = cross(omega, symmetric_times(base_rotational, omega))
+    on_base = Wrench(base_wrench[:3] + base_mass * gravity, base_wrench[3:] - spin)
+    forces = Forces(torque - limbs.joint_bias, Wrench(-limbs.bias.force, -limbs.bias.moment), on_base)
+
+    # eliminate the joints: G = M_jj^-1 M_bj^T, a column for each of the base's six axes
+    factor = factorize(limbs.joint_mass)
+    force_rows = jnp.stack([column.force for column in limbs.coupling])  # (joint, 3, L, B)
+    moment_rows = jnp.stack([column.moment for column in limbs.coupling])
+    force_solved, moment_solved = solve(factor, force_rows), solve(factor, moment_rows)
+
+    # Schur complement on the base: what each limb adds, less what its joints give way
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    mass, (hx, hy, hz) = limbs.inertia.mass, limbs.inertia.moment
+    zero = jnp.zeros_like(hx)
+    linear = jnp.stack([-dot(force_rows[:, i], force_solved[:, j]).sum(0) for i, j in pairs])
+    linear = linear + jnp.stack([base_mass + mass.sum(0) + zero[0]] * 3 + [zero[0]] * 3)
+    given_way = jnp.stack([dot(moment_rows[:, i], moment_solved[:, j]) for i, j in pairs])
+    rotational = base_rotational + (limbs.inertia.rotational - given_way).sum(1)
+    skew = ((zero, hz, -hy), (-hz, zero, hx), (hy, -hx, zero))
+    mixed = jnp.stack(
+        [
+            jnp.stack([(skew[i][j] - dot(force_rows[:, i], moment_solved[:, j])).sum(0) for j in range(3)])
+            for i in range(3)
+        ]
+    )
+    base = factorize_base(linear, mixed, rotational)
+    return Factors(factor, force_rows, moment_rows, base), forces

@@ -28,7 +28,7 @@ def chosen(mask: np.ndarray, one: Array, other: Array) -> Array:
     return jnp.where(mask, one, other) if mask.any() else other
 
 
-def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *_"]:
+def cross(a: Float[Array | np.ndarray, "3 *#rest"], b: Float[Array | np.ndarray, "3 *#rest"]) -> Float[Array, "3 *_"]:
     """Return the vector product over the leading axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
