@@ -165,6 +165,12 @@ def _frame(axis: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
+def _exact(value: np.ndarray) -> np.ndarray:
+    """Return an array with 0, 1 and -1 where rounding has missed them: a kernel leaves out what these multiply."""
+    whole = value.round()
+    return np.where((np.abs(value - whole) < 1e-14) & (np.abs(whole) < 2), whole, value)
+
+
 def _flags(mask: np.ndarray) -> tuple[tuple[bool, ...], ...]:
     """Return a mask (N, L, 1) as tuples, empty where it is false throughout."""
     return tuple(map(tuple, mask[..., 0].tolist())) if mask.any() else ()
@@ -211,8 +217,8 @@ def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
             column["mass"].append(model.body_mass[body])
             column["center"].append(rotation.T @ (data.xipos[body] - position))
             column["inertia"].append(inertia(body, rotation))
-            column["position"].append(parent_rotation.T @ (position - parent_position))
-            column["rotation"].append(parent_rotation.T @ rotation)
+            column["position"].append(_exact(parent_rotation.T @ (position - parent_position)))
+            column["rotation"].append(_exact(parent_rotation.T @ rotation))
             column["lower"].append(model.jnt_range[joint, 0] if model.jnt_limited[joint] else -np.pi)
             column["upper"].append(model.jnt_range[joint, 1] if model.jnt_limited[joint] else np.pi)
             for key, field in _DRIVES.items():

@@ -14,17 +14,13 @@ import jax.numpy as jnp
 from mjx_climb.walk.chosen import smallest_row
 
 
-def net_external_wrench(
-    foot_position: jax.Array, foot_force: jax.Array, base_position: jax.Array, push: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Ground reactions and push on the base summed: force (3, B) N, moment about the world origin (3, B) N m.
+def net_external_wrench(base_wrench: jax.Array, base_position: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Ground reactions and pushes summed: force (3, B) N, moment about the world origin (3, B) N m.
 
-    `foot_position` m and `foot_force` N, of the ground on the foot: (3, L, B); `base_position` (3, B) m;
-    `push` (6, B): force N, then moment N m about the base. World axes.
+    `base_wrench` (6, B): the same force, N, and its moment about the base, N m; `base_position` (3, B) m. World axes.
     """
-    force = foot_force.sum(1) + push[:3]
-    moment = _cross(foot_position, foot_force).sum(1) + _cross(base_position, push[:3]) + push[3:]
-    return force, moment
+    force = base_wrench[:3]
+    return force, base_wrench[3:] + _cross(base_position, force)
 
 
 def tumble_stability_margin(

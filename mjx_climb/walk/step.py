@@ -104,7 +104,7 @@ def structure(
         metrics=table.with_companions if smooth else table,
         smooth=smooth,
         stages=stages,
-        in_pieces=in_pieces and not stages.rotational,
+        in_pieces=in_pieces,
     )
 
 
@@ -268,6 +268,17 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
 
     cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
     push = disturbance.push(numbers, step, walk.time_step)
+    # the margins before the accelerations: a kernel then has registers for these
+    mass = cargo + robot.total_mass
+    com = center_of_mass(robot, frames, state.base_position, cargo)
+    net_force, net_moment = net_external_wrench(wrench + push, state.base_position)
+    # a gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet
+    holding = jnp.where(jnp.isfinite(numbers.holding_limit), numbers.holding_limit, 0.0)
+    tsm = tumble_stability_margin(
+        feet.position, held.support, net_force, net_moment, mass, norm(numbers.gravity), holding
+    )
+    margin = gia_margin(feet.position, held.support, com, net_force, mass, holding)
+
     # s (H qdd + c) = f has the accelerations of H qdd + c = f / s: no engine needs to know of mass_scale
     share = 1 / numbers.mass_scale
     torque = driven.drive.joint_torque
@@ -288,11 +299,6 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         jnp.asarray(numbers.gravity),
     )
 
-    mass = cargo + robot.total_mass
-    com = center_of_mass(robot, frames, state.base_position, cargo)
-    net_force, net_moment = net_external_wrench(feet.position, held.force, state.base_position, outside)
-    # a gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet
-    holding = jnp.where(jnp.isfinite(numbers.holding_limit), numbers.holding_limit, 0.0)
     sample = Sample(
         time=step * jnp.asarray(walk.time_step, com.dtype),
         base_position=state.base_position,
@@ -324,10 +330,8 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         push=push,
         cargo_mass=cargo,
         center_of_mass=com,
-        tsm=tumble_stability_margin(
-            feet.position, held.support, net_force, net_moment, mass, norm(numbers.gravity), holding
-        ),
-        gia_margin=gia_margin(feet.position, held.support, com, net_force, mass, holding),
+        tsm=tsm,
+        gia_margin=margin,
     )
     after = Carry(integrate(state, acceleration, walk.time_step), contact, memory, law_state, hardware)
     # what all environments share (a gait of one timing, say) has a batch axis of one until here

@@ -1,5 +1,6 @@
 """The robots that come with configs: each stands, and walks its habitat with all grippers holding."""
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -7,6 +8,8 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.files import dataset
 from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.rollout import walks_in_pieces
+from mjx_climb.scenario.profiles import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from tuning.command_line import main
 
@@ -34,6 +37,22 @@ def test_a_ready_config_begins_to_walk(name):
     """XLA has ended the process while it compiled one of them."""
     scenario = mc.load_scenario(config_path(f"{name}.yaml")).with_overrides({"duration": 0.02})
     assert not mc.metrics(mc.rollout(scenario))["diverged"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hardware", ["ideal", pytest.param("dynamixel_x", marks=pytest.mark.nightly)])
+def test_where_grips_transmit_moments_slopes_are_differences(hardware):
+    """In steps in pieces, at which XLA has ended the process."""
+    scenario = mc.load_scenario(config_path("station_arms_handrail.yaml")).with_overrides({"duration": 0.2})
+    scenario = with_hardware(scenario, load_hardware(hardware))
+    assert walks_in_pieces(scenario)
+    stiffness, step = np.full((1, 6), 3e3), 10.0
+    _, slopes = mc.rollout_slopes(scenario, {"stiffness": stiffness}, {"stiffness": np.ones((1, 1, 6))}, dtype=float)
+    moved = {"stiffness": stiffness + np.array([[step], [-step]])}
+    both = mc.rollout_metrics(scenario, moved, dtype=float)
+    for name in ("cost_of_transport", "peak_foot_force", "travel"):
+        more, less = both[name]
+        assert slopes[name][0, 0] == pytest.approx((more - less) / (2 * step), rel=1e-3), name
 
 
 @pytest.mark.slow

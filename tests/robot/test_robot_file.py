@@ -168,6 +168,16 @@ def test_the_closed_form_reaches_what_the_joints_reach(written, seed):
     np.testing.assert_allclose(standing.T, wanted, atol=1e-9)
 
 
+def test_axes_along_each_other_are_exactly_so():
+    """Kernels leave out what zeros and ones multiply, but not what 1e-17 does."""
+    robot = load_robot("hubrobo_v3_2")
+    for value in (robot.frame_rotation, robot.frame_position):
+        whole = np.round(value)
+        near = abs(value - whole) < 1e-9
+        assert near.any()
+        np.testing.assert_array_equal(value[near], whole[near])
+
+
 def test_axes_written_with_few_digits_are_meant_square(written):
     """A URDF with 1.5708 for a right angle gives the robot of the exact one, to the digits written."""
     rough, exact = (

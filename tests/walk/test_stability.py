@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
 jax.config.update("jax_enable_x64", True)
@@ -136,8 +137,9 @@ def test_margins_of_foot_forces_and_push_are_those_of_climblab(name):
     push = np.zeros((6, len(walk["time"])))
     for start, stop, pushed in PUSHES[name]:
         push[:3, (walk["time"] > start - 1e-6) & (walk["time"] < stop + 1e-6)] = np.reshape(pushed, (3, 1))
-    batch_last = (jnp.asarray(walk[key].T) for key in ("foot_pos", "foot_force", "base_pos"))
-    force, moment = net_external_wrench(*batch_last, jnp.asarray(push))
+    position, foot_force, base = (jnp.asarray(walk[key].T) for key in ("foot_pos", "foot_force", "base_pos"))
+    wrench = base_wrench_of_foot_force(position - base[:, None], foot_force) + push
+    force, moment = net_external_wrench(wrench, base)
     feet, support, com = walk["foot_pos"], walk["support_for_margins"], walk["com"]
     tsm, margin = both_margins(feet, support, com, force.T, moment.T, MASS, gravity, HOLDING_FORCE)
     assert_close_to_climblab(walk, tsm, margin)

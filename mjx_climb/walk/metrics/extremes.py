@@ -37,7 +37,7 @@ def peak(name: str, unit: str, long_name: str, value: Value) -> Metric:
         long_name,
         larger_is_better=False,
         init=lambda zero: zero,
-        update=lambda running, sample, context: larger(running, largest_row(_rows(value, sample, context))),
+        update=lambda running, sample, context: larger(running, _best(largest_row, value(sample, context))),
         finish=lambda running, _: running,
         smooth=Metric(
             PREFIX + name,
@@ -45,7 +45,7 @@ def peak(name: str, unit: str, long_name: str, value: Value) -> Metric:
             f"{long_name}, smooth",
             larger_is_better=False,
             init=lambda zero: _Mean(zero, zero + 1, zero, zero),
-            update=lambda mean, sample, context: _with_large(mean, _rows(value, sample, context)),
+            update=lambda mean, sample, context: _with_large(mean, value(sample, context)),
             finish=lambda mean, _: _power_mean(mean),
         ),
     )
@@ -61,7 +61,7 @@ def smallest(
         long_name,
         larger_is_better,
         init=lambda zero: zero + jnp.inf,
-        update=lambda running, sample, context: smaller(running, smallest_row(_rows(value, sample, context))),
+        update=lambda running, sample, context: smaller(running, _best(smallest_row, value(sample, context))),
         finish=lambda running, _: running,
         smooth=Metric(
             PREFIX + name,
@@ -69,7 +69,7 @@ def smallest(
             f"{long_name}, smooth",
             larger_is_better,
             init=lambda zero: _Mean(zero + jnp.inf, zero, zero, zero),
-            update=lambda mean, sample, context: _with_small(mean, _rows(value, sample, context)),
+            update=lambda mean, sample, context: _with_small(mean, value(sample, context)),
             finish=lambda mean, _: _soft_minimum(mean),
         ),
         scale=scale,
@@ -94,10 +94,15 @@ def _negated(metric: Metric) -> Metric:
     return dataclasses.replace(metric, finish=lambda running, context: -finish(running, context))
 
 
-def _rows(value: Value, sample: Sample, context: Context) -> Array:
-    """Return the values (n, B) of a sample."""
-    values = value(sample, context)
-    return values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
+def _best(row: Callable[[Array], Array], values: Array) -> Array:
+    """Return the best (B,) of values (..., B), axis after axis: `row` gives that of the first one."""
+    while values.ndim > 1:
+        values = row(values)
+    return values
+
+
+def _leading(values: Array) -> tuple[int, ...]:
+    return tuple(range(values.ndim - 1))
 
 
 @jax.tree_util.register_dataclass
@@ -118,19 +123,24 @@ def _power(value: Array) -> Array:
 
 
 def _with_large(mean: _Mean, values: Array) -> _Mean:
-    extreme = jnp.maximum(stop_gradient(mean.extreme), stop_gradient(values).max(0))
+    extreme = jnp.maximum(stop_gradient(mean.extreme), stop_gradient(values).max(_leading(values)))
     scale = jnp.where(extreme > 0, extreme, 1.0)
-    total = mean.total * _power(mean.extreme / scale) + _power(values / scale).sum(0)
-    return _Mean(extreme, mean.unit, total, mean.count + values.shape[0])
+    total = mean.total * _power(mean.extreme / scale) + _power(values / scale).sum(_leading(values))
+    return _Mean(extreme, mean.unit, total, mean.count + math.prod(values.shape[:-1]))
 
 
 def _with_small(mean: _Mean, values: Array) -> _Mean:
     first = mean.count == 0
-    least = stop_gradient(values).min(0)
+    least = stop_gradient(values).min(_leading(values))
     unit = jnp.where(first, jnp.maximum(jnp.abs(least), 1e-6) / _SHARPNESS, mean.unit)
     extreme = jnp.minimum(stop_gradient(mean.extreme), least)
     before = jnp.where(first, 0.0, mean.total * jnp.exp((extreme - jnp.where(first, extreme, mean.extreme)) / unit))
-    return _Mean(extreme, unit, before + jnp.exp((extreme - values) / unit).sum(0), mean.count + values.shape[0])
+    return _Mean(
+        extreme,
+        unit,
+        before + jnp.exp((extreme - values) / unit).sum(_leading(values)),
+        mean.count + math.prod(values.shape[:-1]),
+    )
 
 
 def _share(mean: _Mean) -> tuple[Array, Array]:
