@@ -133,6 +133,11 @@ def test_a_sum_over_joints_and_limbs_is_first_of_each_limbs_own():
     assert exchanges(lambda carry: (jnp.sin(carry[0]), carry[1] + carry[0].sum(1).sum(0)), joints) == 3 * 2
 
 
+def test_limbs_in_two_other_orders_take_an_exchange_each():
+    step = lambda carry: (carry[0][:, ::-1] * jnp.roll(jnp.sin(carry[0]), 1, axis=1), carry[1])  # noqa: E731
+    assert exchanges(step, (1, 4, 1)) == 2
+
+
 def test_a_quaternion_is_no_four_limbs():
     """A loop leaves it in all lanes, where the step takes it apart."""
 

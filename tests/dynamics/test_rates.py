@@ -38,8 +38,9 @@ def robot(request):
     shape = ROBOTS[request.param]
     if shape is None:
         return jax.tree.map(jnp.asarray, load_robot("hubrobo_v3_2"))
-    model = mujoco.MjModel.from_xml_string(mjcf(*shape))
-    return jax.tree.map(jnp.asarray, robot_from_model(model, "random"))
+    read = robot_from_model(mujoco.MjModel.from_xml_string(mjcf(*shape)), "random")
+    armature = np.random.default_rng(2).uniform(0.01, 0.05, read.joint_lower.shape)
+    return jax.tree.map(jnp.asarray, dataclasses.replace(read, armature=armature))
 
 
 @pytest.fixture
