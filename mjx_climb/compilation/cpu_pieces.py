@@ -9,7 +9,7 @@ them is worked out once.
 
 import functools
 import itertools
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
@@ -66,35 +66,51 @@ def scan_in_kernels(
 ) -> tuple[_Carry, Any]:
     """Return what `jax.lax.scan` does of a step that reads nothing, with the step in pieces, see `in_kernels`.
 
-    What has a rate after some steps has one from the start, so that a step with rates is traced once. `scan` traces it
-    again and again until it has found out.
+    With rates asked for, a step without them is not cut, and a step with them once: what has a rate after some steps
+    has one from the start. `scan` would trace both, and the rates again until it had found out.
     """
     closed, shape = jax.make_jaxpr(step, return_shape=True)(start, None)
     program, outside = _of_what_may_move(closed)
     values, tree = jax.tree.flatten(start)
-    walked = _with_slopes(program, equations)
+    count = len(values)
 
     @jax.custom_jvp
-    def begun(outside: list[Any], values: list[Any]) -> list[Any]:
-        return values
+    def scanned(outside: list[Any], values: list[Any]) -> list[Any]:
+        def one(carry: list[Any], _: None) -> tuple[list[Any], list[Any]]:
+            made = _in_pieces(program, equations, [*outside, *carry])
+            return made[:count], made[count:]
 
-    @functools.partial(begun.defjvp, symbolic_zeros=True)
-    def begun_with_rates(given: tuple[list[Any], ...], rates: tuple[list[Any], ...]) -> tuple[list[Any], list[Any]]:
-        common, first = ([not isinstance(rate, SymbolicZero) for rate in each] for each in rates)
-        body = program.jaxpr.replace(outvars=program.jaxpr.outvars[: len(values)])
-        moving = carried_on(body, common, first)
-        zeros = [
-            jnp.zeros_like(value) if moves and isinstance(rate, SymbolicZero) else rate
-            for value, rate, moves in zip(given[1], rates[1], moving, strict=True)
+        after, records = jax.lax.scan(one, values, length=length)
+        return [*after, *records]
+
+    @functools.partial(scanned.defjvp, symbolic_zeros=True)
+    def with_rates(given: tuple[list[Any], ...], rates: tuple[list[Any], ...]) -> tuple[list[Any], list[Any]]:
+        outside, values = given
+        common, moving = ([not isinstance(rate, SymbolicZero) for rate in each] for each in rates)
+        begun: list[bool] = []
+        while begun != moving:  # once, but for rules that give rates to what nothing moves
+            begun = carried_on(program.jaxpr.replace(outvars=program.jaxpr.outvars[:count]), common, moving)
+            also = [*begun, *[False] * (len(program.jaxpr.outvars) - count)]
+            both, moved = jvp_jaxpr(program, [*common, *begun], instantiate=also)
+            moving = moved[:count]
+        of_outside = [*itertools.compress(rates[0], common)]
+
+        def one(carry: tuple[list[Any], ...], _: None) -> tuple[tuple[list[Any], ...], tuple[list[Any], ...]]:
+            made = _in_pieces(both, equations, [*outside, *carry[0], *of_outside, *carry[1]])
+            results, found = made[: len(moved)], made[len(moved) :]
+            return (results[:count], found[: sum(begun)]), (results[count:], found[sum(begun) :])
+
+        first = [
+            jnp.zeros_like(value) if isinstance(rate, SymbolicZero) else rate
+            for value, rate in itertools.compress(zip(values, rates[1], strict=True), begun)
         ]
-        return given[1], zeros
+        after, records = jax.lax.scan(one, (values, first), length=length)
+        results, found = [*after[0], *records[0]], iter([*after[1], *records[1]])
+        return results, _where(moved, found, results)
 
-    def one(carry: list[Any], _: None) -> tuple[list[Any], list[Any]]:
-        made = walked(*outside, *carry)
-        return made[: len(values)], made[len(values) :]
-
-    after, records = jax.lax.scan(one, begun(outside, values), length=length)
-    return jax.tree.unflatten(tree, after), jax.tree.unflatten(jax.tree.structure(shape[1]), records)
+    results = scanned(outside, values)
+    records = jax.tree.unflatten(jax.tree.structure(shape[1]), results[count:])
+    return jax.tree.unflatten(tree, results[:count]), records
 
 
 def _of_what_may_move(closed: core.ClosedJaxpr) -> tuple[core.ClosedJaxpr, list[Any]]:
@@ -123,12 +139,17 @@ def _with_slopes(program: core.ClosedJaxpr, equations: int) -> Callable[..., lis
         both, moved = jvp_jaxpr(program, moving, instantiate=False)
         made = _in_pieces(both, equations, [*given, *itertools.compress(rates, moving)])
         results, found = made[: len(moved)], iter(made[len(moved) :])
-        return results, [
-            next(found) if moves else SymbolicZero(variable.aval.to_tangent_aval())
-            for moves, variable in zip(moved, program.jaxpr.outvars, strict=True)
-        ]
+        return results, _where(moved, found, results)
 
     return values
+
+
+def _where(moved: Sequence[bool], rates: Iterator[Any], results: Sequence[Any]) -> list[Any]:
+    """Return the rates of the results that have one, in their places."""
+    return [
+        next(rates) if moves else SymbolicZero(jax.typeof(result).to_tangent_aval())
+        for moves, result in zip(moved, results, strict=True)
+    ]
 
 
 def _in_pieces(program: core.ClosedJaxpr, equations: int, given: Sequence[Any]) -> list[Any]:
