@@ -95,13 +95,14 @@ def scan_in_kernels(
             moving = moved[:count]
         of_outside = [*itertools.compress(rates[0], common)]
 
-        def one(carry: tuple[list[Any], ...], _: None) -> tuple[tuple[list[Any], ...], tuple[list[Any], ...]]:
+        def one(carry: Any, _: None) -> tuple[Any, Any]:
             made = _in_pieces(both, equations, [*outside, *carry[0], *of_outside, *carry[1]])
             results, found = made[: len(moved)], made[len(moved) :]
             return (results[:count], found[: sum(begun)]), (results[count:], found[sum(begun) :])
 
-        first = [
-            jnp.zeros_like(value) if isinstance(rate, SymbolicZero) else rate
+        some = next(rate for rate in (*of_outside, *rates[1]) if not isinstance(rate, SymbolicZero))
+        first: list[Any] = [
+            _zeros(value, some) if isinstance(rate, SymbolicZero) else rate
             for value, rate in itertools.compress(zip(values, rates[1], strict=True), begun)
         ]
         after, records = jax.lax.scan(one, (values, first), length=length)
@@ -111,6 +112,11 @@ def scan_in_kernels(
     results = scanned(outside, values)
     records = jax.tree.unflatten(jax.tree.structure(shape[1]), results[count:])
     return jax.tree.unflatten(tree, results[:count]), records
+
+
+def _zeros(value: Any, rate: Any) -> jax.Array:
+    """Return rates of zero of a value, for `vmap` as many as of another rate: it traces a loop to find that out."""
+    return jnp.where(False, rate.reshape(-1)[0].astype(value.dtype), jnp.zeros_like(value))
 
 
 def _of_what_may_move(closed: core.ClosedJaxpr) -> tuple[core.ClosedJaxpr, list[Any]]:
