@@ -100,12 +100,13 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
         "vs_mujoco_c": rates["mujoco_c"] / own,
         "vs_mjx": rates["mjx"] / own,
         "vs_mujoco_batch": rates["mujoco_batch"] / own,
+        "vs_mujoco_warp": rates["mujoco_warp"] / own if "mujoco_warp" in rates else None,
         "vs_numpy_loop_single": single_rates["numpy_loop"] / single_rates["single"],
         "gradient_cost_2": rates["gradient_2"] / rates["value"],
         "gradient_cost_12": rates["gradient_12"] / rates["value"] if 12 in plan.tangents else None,
         "single_steps_per_s": 1 / single_rates["single"],
         "peers_steps_per_s": {
-            **{name: 1 / rates[name] for name in ("mujoco_c", "mjx", "mujoco_batch")},
+            **{name: 1 / rates[name] for name in ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp") if name in rates},
             "numpy_loop": 1 / single_rates["numpy_loop"],
         },
     }
@@ -119,7 +120,7 @@ def _work(
     import jax
 
     from mjx_climb.compilation import devices
-    from tuning.benchmarks import mujoco_batch, mujoco_rollout, programs
+    from tuning.benchmarks import mujoco_batch, mujoco_rollout, mujoco_warp, programs
 
     steps, share = plan.steps, devices.share_size(batch, None, in_pieces=False)  # as slopes walk
 
@@ -151,6 +152,9 @@ def _work(
         "mujoco_c": (batch * plan.peer_steps, bare.run),
         "mujoco_batch": (batch * plan.peer_steps // 2, lambda: steered.run(plan.peer_steps // 2)),
     }
+    if not _on_cpu() and mujoco_warp.is_installed():  # on a CPU it steps on one core, which nobody would take it for
+        falling = mujoco_warp.Peer(case, batch)
+        peers["mujoco_warp"] = (batch * plan.peer_steps, lambda: falling.run(plan.peer_steps))
     return ours, single, peers, bare.close
 
 

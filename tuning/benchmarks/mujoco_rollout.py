@@ -8,14 +8,20 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import load_spec
 
 
+def bare_model(scenario: mc.Scenario) -> mujoco.MjModel:
+    """Return the scenario's robot without contacts and constraints."""
+    model = load_spec(scenario.robot).compile()
+    model.opt.gravity[:] = scenario.gravity
+    model.opt.timestep = scenario.time_step
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    return model
+
+
 class Peer:
     """Robots that fall freely from the rest stance."""
 
     def __init__(self, scenario: mc.Scenario, count: int, steps: int, threads: int):
-        self.model = load_spec(scenario.robot).compile()
-        self.model.opt.gravity[:] = scenario.gravity
-        self.model.opt.timestep = scenario.time_step
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        self.model = bare_model(scenario)
         self.data = [mujoco.MjData(self.model) for _ in range(threads)]
         mujoco.mj_resetDataKeyframe(self.model, self.data[0], 0)
         every = mujoco.mjtState.mjSTATE_FULLPHYSICS

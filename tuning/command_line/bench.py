@@ -21,6 +21,7 @@ ROWS = (
     ("vs_mujoco_c", "against mujoco.rollout, bare dynamics", "times", "1 or more"),
     ("vs_mjx", "against the closed loop with engine mjx", "times", "5 or more"),
     ("vs_mujoco_batch", "against mujoco.batch with NumPy control", "times", "3 or more"),
+    ("vs_mujoco_warp", "against mujoco_warp, bare dynamics, on a GPU", "times", ""),
     ("single_steps_per_s", "one robot", "steps/s", ""),
     ("vs_numpy_loop_single", "against a loop over mj_step with NumPy control", "times", "10 or more"),
     ("gradient_cost_2", "value and gradient by 2 gains, in values", "times", "4 or less"),
@@ -63,7 +64,8 @@ def bench(
 
     A batch of robots walks under base admittance in single precision, all metrics worked out. Its peers on the same
     cores: mujoco.rollout of the bare dynamics; this program with the dynamics of MJX; mujoco.batch, and a loop over
-    mj_step, under the same control law and grip in NumPy. Medians of rounds in which all take turns. Then what a user
+    mj_step, under the same control law and grip in NumPy. On a GPU mujoco_warp too, where the extra `compare` has
+    installed it: the bare dynamics, in CUDA graphs. Medians of rounds in which all take turns. Then what a user
     waits for, whole commands in processes of their own, with an empty cache and again. Needs the machine for itself,
     and a few minutes.
 

@@ -6,7 +6,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.robot.constants import load_model
 from tests.robot.test_robot_file import keys, urdf
-from tuning.benchmarks import mujoco_batch, mujoco_loop, mujoco_rollout
+from tuning.benchmarks import mujoco_batch, mujoco_loop, mujoco_rollout, mujoco_warp
 
 CASE = "configs/case_1_2.yaml"
 SETS = [  # damping, stiffness; inertia 1
@@ -121,6 +121,15 @@ def test_robots_of_ones_own_fall_freely(of_ones_own):
     path = np.asarray(of_ones_own.gravity) * of_ones_own.time_step**2 * steps * (steps + 1) / 2
     ends = peer.states[:, -1, 1:20]  # after the time
     np.testing.assert_allclose(ends, [start + np.pad(path, (0, 16))] * 2, atol=1e-12)
+
+
+def test_mujoco_warp_falls_as_mujoco_does(of_ones_own):
+    pytest.importorskip("mujoco_warp")
+    peer, other = mujoco_warp.Peer(of_ones_own, 2), mujoco_rollout.Peer(of_ones_own, 2, 20, threads=1)
+    peer.run(19)  # and one to compile
+    other.run()
+    other.close()
+    np.testing.assert_allclose(peer.data.qpos.numpy(), other.states[:, -1, 1:20], atol=1e-6)
 
 
 def test_peers_lose_a_gripper_in_the_same_step():
