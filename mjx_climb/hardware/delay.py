@@ -36,7 +36,7 @@ def weights(steps: Array, length: int) -> tuple[Array, ...]:
     Between samples the signal is linear, so that the delay has a derivative: at a whole number of steps the one towards
     longer delays. A delay beyond the buffer is cut to what the buffer holds.
     """
-    steps = jnp.minimum(steps, length - 2)
+    steps = jnp.minimum(steps, length - 1)
     whole = jax.lax.stop_gradient(jnp.floor(steps))
     part = steps - whole
     return tuple(jnp.where(whole == age, 1 - part, jnp.where(whole == age - 1, part, 0.0)) for age in range(length))

@@ -82,6 +82,20 @@ def test_each_robot_of_a_batch_walks_as_it_does_alone(scenario):
     assert len(np.unique(together["peak_foot_force"])) == 8
 
 
+@pytest.mark.slow
+def test_a_walk_does_not_depend_on_the_longest_delay_of_its_batch():
+    short = mc.load_scenario("case_1_2", {"duration": 0.05, "control.damping": 150.0, "control.stiffness": 3e3})
+
+    def varied(force, command):
+        numbers = dataclasses.replace(mc.parameters(short), force_delay=force * 1e-3, command_delay=command * 1e-3)
+        return mc.rollout_metrics(short, numbers=numbers, dtype=np.float64)["force_variation"]
+
+    force, command = np.array([6.5, 6.9, 0.0, 0.0, 9.0]), np.array([0.0, 0.0, 6.5, 6.9, 9.0])
+    together = varied(force, command)
+    np.testing.assert_allclose(varied(force[:4], command[:4]), together[:4], rtol=1e-9)
+    assert len(np.unique(together.round(6))) == 5
+
+
 def test_an_ideal_profile_is_no_hardware():
     plain = mc.load_scenario("case_1_2", {"duration": 0.1})
     assert with_hardware(plain, load_hardware("ideal")) == plain
