@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.quantities.whole_steps import whole_steps
+
 Tree = TypeVar("Tree")
 
 
 def period_steps(period: Array, time_step: float) -> Array:
     """Return how many time steps a period in s has, (B,), at least one."""
-    return jnp.maximum(jnp.round(period / time_step), 1.0)
+    return jnp.maximum(whole_steps(period, time_step), 1.0)
 
 
 def steps_into(step: Array, steps: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from mjx_climb.quantities.whole_steps import ROUNDING
 from mjx_climb.scenario.hardware import MAX_DELAY
 
 _MULTIPLE = 4  # lengths are rounded up to it, so that drawing other delays seldom needs another program
@@ -22,7 +23,7 @@ def samples(delay: ArrayLike, time_step: float) -> int:
         return 0
     if not longest <= MAX_DELAY:
         raise ValueError(f"delay: expected at most {MAX_DELAY} time steps of {time_step:g} s, got {longest:g}")
-    return -(-(int(longest * (1 + 1e-6)) + 2) // _MULTIPLE) * _MULTIPLE
+    return -(-(int(longest * (1 + 2 * ROUNDING)) + 2) // _MULTIPLE) * _MULTIPLE
 
 
 def start(value: Array, length: int) -> tuple[Array, ...]:
@@ -37,7 +38,7 @@ def weights(steps: Array, length: int) -> tuple[Array, ...]:
     longer delays. A delay beyond the buffer is cut to what the buffer holds.
     """
     steps = jnp.minimum(steps, length - 1)
-    whole = jax.lax.stop_gradient(jnp.floor(steps))
+    whole = jax.lax.stop_gradient(jnp.floor(steps * (1 + ROUNDING)))
     part = steps - whole
     return tuple(jnp.where(whole == age, 1 - part, jnp.where(whole == age - 1, part, 0.0)) for age in range(length))
 

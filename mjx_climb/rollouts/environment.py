@@ -20,8 +20,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.stages import stages_of
 from mjx_climb.quantities.batches import batch_last, own_axes
-from mjx_climb.quantities.parameters import Parameters
-from mjx_climb.quantities.parameters import parameters as parameters_of
+from mjx_climb.quantities.parameters import Parameters, own_numbers
 from mjx_climb.rollouts.given import AnyGains, checked, given
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk import action as hot
@@ -108,7 +107,7 @@ class Environment:
         self.law = law_of(scenario) if law is None else checked(law)
         self.dtype = jnp.dtype(jnp.result_type(float) if dtype is None else dtype)
         self._structure = structure(scenario, engine, in_pieces=pieces)
-        own = given(scenario, self.law, None, parameters_of(scenario, self.dtype), self._array)
+        own = given(scenario, self.law, None, own_numbers(scenario), self._array)
         self._kind = _kind(own.law, own.numbers)
 
     def reset(
@@ -125,8 +124,7 @@ class Environment:
             ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, or parameters
                 with hardware that the scenario does not have.
         """
-        numbers = parameters_of(self.scenario, self.dtype) if parameters is None else parameters
-        numbers = jax.tree.map(self._array, numbers)
+        numbers = own_numbers(self.scenario) if parameters is None else parameters
         law, numbers, shape, _ = given(self.scenario, self.law, gains, numbers, self._array)
         self._check_hardware(numbers)
         shape = jnp.broadcast_shapes(shape, tuple(batch))

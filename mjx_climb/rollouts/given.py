@@ -12,6 +12,7 @@ import numpy as np
 from mjx_climb.control import PD, Law, law_of
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.quantities.whole_steps import with_whole_steps
 from mjx_climb.scenario.model import Scenario
 
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name
@@ -24,9 +25,9 @@ class Given(NamedTuple):
     """What walks: a law whose gains have their full length, parameters, and the batch shape of both."""
 
     law: Law
-    numbers: Parameters  # with the joint gains that were given
+    numbers: Parameters  # with the joint gains that were given, and with times that are whole time steps
     shape: tuple[int, ...]
-    replaced: dict[str, Any]  # the joint gains of the parameters themselves, where others were given
+    own: Parameters  # as they were given, without either
 
 
 def given(
@@ -42,7 +43,7 @@ def given(
         scenario: whose own law walks where `law` is None.
         law: with its own gains.
         gains: values that replace those of the law by name; `kp` and `kd` replace those of the parameters.
-        numbers: the parameters.
+        numbers: the parameters, in any precision.
         array: makes arrays of the precision of the walk.
 
     Raises:
@@ -52,14 +53,14 @@ def given(
     values = values_by_name(law, gains)
     joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
     law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
-    replaced = {name: getattr(numbers, name) for name in joint}
+    own, numbers = numbers, jax.tree.map(array, with_whole_steps(numbers, scenario.time_step))
     numbers = dataclasses.replace(numbers, **joint)
     # gains of a law without any still say how many walk
     others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
     shape = jnp.broadcast_shapes(batch_shape(law, numbers), *others)
     if shape != batch_shape(law, numbers):
         numbers = dataclasses.replace(numbers, kp=_broadcast(numbers.kp, shape))
-    return Given(law, numbers, shape, replaced)
+    return Given(law, numbers, shape, own)
 
 
 def with_gains(law: Law, gains: AnyGains) -> Law:
@@ -83,7 +84,7 @@ def recorded(scenario: Scenario, gains: AnyGains | None, walker: Given) -> Gains
 
     A law of translations leaves the rotations as they were given, or as the scenario has them.
     """
-    joint = {name: getattr(walker.numbers, name) for name in walker.replaced}
+    joint = {name: getattr(walker.numbers, name) for name in _JOINT_LOOP if name in values_by_name(walker.law, gains)}
     if not has_gains_of_the_paper(walker.law):
         return {name: getattr(walker.law, name) for name in walker.law.GAINS} | joint
     dtype, six = walker.numbers.kp.dtype, {}

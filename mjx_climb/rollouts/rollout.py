@@ -26,7 +26,7 @@ from mjx_climb.compilation.options import compiler_options, kernel_pays, pieces_
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, varying
-from mjx_climb.quantities.parameters import Parameters, parameters, parameters_by
+from mjx_climb.quantities.parameters import Parameters, own_numbers
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.given import AnyGains, Given, checked, given, recorded
 from mjx_climb.rollouts.identity import identity
@@ -177,7 +177,7 @@ def _simulate(scenario: Scenario, law: Law, shape: Structure) -> Callable[..., M
     def simulate(gains: AnyGains | None = None, numbers: Parameters | None = None) -> Metrics:
         dtype = _floating_dtype(law if gains is None else gains)
         array = functools.partial(jnp.asarray, dtype=dtype)
-        numbers = jax.tree.map(array, parameters(scenario, dtype) if numbers is None else numbers)
+        numbers = own_numbers(scenario) if numbers is None else numbers
         walking, numbers, *_ = given(scenario, law, gains, numbers, array)
         if shape.in_pieces:
             walking, numbers = forward_only((walking, numbers), "for reverse mode make it without in_pieces")
@@ -226,7 +226,7 @@ def rollout(
         with jax.enable_x64(np.dtype(dtype) == np.float64):
             samples = _compiled_samples(shape.in_pieces)(shape, walker.law, walker.numbers)
             samples = jax.tree.map(np.asarray, samples)
-    own = dataclasses.replace(walker.numbers, **walker.replaced)
+    own = jax.tree.map(functools.partial(np.asarray, dtype=dtype), walker.own)
     name = "" if law is None else type(law).__name__
     return from_samples(
         samples, scenario, recorded(scenario, gains, walker), own, load_robot(scenario.robot).limbs, name
@@ -243,9 +243,7 @@ def given_in(
     """
     array = functools.partial(np.asarray, dtype=dtype)
     with devices.on_host(), jax.enable_x64(True):
-        if numbers is None:
-            numbers = parameters_by(functools.partial(np.array, dtype=dtype), scenario)
-        return given(scenario, law, gains, jax.tree.map(array, numbers), array)
+        return given(scenario, law, gains, own_numbers(scenario) if numbers is None else numbers, array)
 
 
 def rollout_metrics(

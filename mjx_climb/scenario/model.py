@@ -329,7 +329,7 @@ class Scenario(Section):
             if delay / self.time_step > MAX_DELAY:
                 expected = f"at most {MAX_DELAY} time steps of {self.time_step:g} s"
                 raise failure(expected, key=f"hardware.{key}", got=delay)
-        if round((1 - self.gait.duty) * self.gait.cycle / self.time_step) < 2:
+        if int((1 - self.gait.duty) * self.gait.cycle / self.time_step + 1e-6) < 2:
             expected = f"a swing, (1 - duty) cycle, of two time steps of {self.time_step:g} s or more"
             raise failure(expected, key="gait.duty", got=self.gait.duty)
         return self

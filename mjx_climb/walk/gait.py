@@ -11,6 +11,7 @@ from jax import Array
 from mjx_climb.dynamics.spatial import quaternion_about_z, quaternion_multiply, rotate, rotation_about_z
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.quantities.swing import added_shapes, rest_to_rest
+from mjx_climb.quantities.whole_steps import stance_steps, whole_steps
 from mjx_climb.robot.constants import Robot
 
 
@@ -49,7 +50,7 @@ def plan(
     `lift_off` are the names of the limbs, each with the share of the cycle at which it lifts off.
     """
     heading = rotation_about_z(numbers.heading)
-    cycle_steps = jnp.round(numbers.cycle / time_step)
+    cycle_steps = whole_steps(numbers.cycle, time_step)
     phase = jnp.asarray([dict(lift_off)[limb] for limb in robot.limbs], numbers.cycle.dtype)
     zero = jnp.zeros_like(numbers.stride)
     return Plan(
@@ -61,8 +62,8 @@ def plan(
         step_height=jnp.asarray(numbers.step_height),
         swing_path=_turned(heading, numbers.step_height, jnp.asarray(numbers.swing_path)),
         cycle_steps=cycle_steps,
-        swing_steps=jnp.round((1 - numbers.duty) * numbers.cycle / time_step),
-        swing_offset=jnp.round(phase[:, None] * cycle_steps),
+        swing_steps=cycle_steps - stance_steps(numbers.duty, cycle_steps),
+        swing_offset=whole_steps(phase[:, None] * cycle_steps, 1),
     )
 
 

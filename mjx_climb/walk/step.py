@@ -56,6 +56,7 @@ class Walk(NamedTuple):
     numbers: Parameters
     grip_numbers: Parameters  # with an infinite holding limit where nothing is torn off
     plan: gait.Plan
+    windows: disturbance.Windows
     controller: control_loop.Controller
     engine: Callable[[Robot], ForwardDynamics]
     drives: Robot  # as the engine takes it: with the armature of the drives
@@ -134,6 +135,7 @@ def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> 
         numbers=numbers,
         grip_numbers=dataclasses.replace(numbers, holding_limit=unlimited) if structure.smooth else numbers,
         plan=plan,
+        windows=disturbance.windows(numbers, time_step),
         controller=control_loop.Controller(begun, geometry, own, stages, pace, time_step),
         engine=ENGINES[structure.engine],
         drives=drives,
@@ -266,8 +268,8 @@ def advance(walk: Walk, carry: Carry, step: Array, action: Action = None) -> tup
         action,
     )
 
-    cargo = disturbance.cargo_mass(numbers, step, walk.time_step)
-    push = disturbance.push(numbers, step, walk.time_step)
+    cargo = disturbance.cargo_mass(numbers, walk.windows.cargo, step)
+    push = disturbance.push(numbers, walk.windows.pushes, step)
     # the margins before the accelerations: a kernel then has registers for these
     mass = cargo + robot.total_mass
     com = center_of_mass(robot, frames, state.base_position, cargo)

@@ -85,8 +85,8 @@ class Walker:
 
         limbs = [foot.split("_")[0] for foot in FEET]
         self.cycle = round(gait.cycle / scenario.time_step)
-        self.swing = round((1 - gait.duty) * gait.cycle / scenario.time_step)
-        self.lift_off = np.array([round(gait.sequence.index(limb) / len(limbs) * self.cycle) for limb in limbs])
+        self.swing = self.cycle - math.ceil(gait.duty * self.cycle - 1e-6)
+        self.lift_off = np.array([int(gait.sequence.index(limb) / len(limbs) * self.cycle + 0.5) for limb in limbs])
         self.stride, self.step_height = gait.stride, gait.step_height
 
         data = mujoco.MjData(model)

@@ -1,0 +1,126 @@
+"""The gait step by step against integers, and steps that are counted alike in both precisions."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.hardware.pace import pace
+from mjx_climb.hardware.stages import stages_of
+from mjx_climb.quantities.batches import batch_last
+from mjx_climb.quantities.parameters import own_numbers
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.given import given
+from mjx_climb.rollouts.rollout import given_in
+from mjx_climb.walk import disturbance, gait
+
+STEP = 1e-3
+LIMBS = load_robot("hubrobo_v3_2").limbs
+PUSH = {"start": 0.1, "stop": 0.2, "force": [1.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]}
+
+
+def plan_of(scenario, numbers, shape=()):
+    """The plan of a walk of parameters, in the layout of the hot path."""
+    last = batch_last(numbers, shape, numbers.kp.dtype)
+    return gait.plan(
+        load_robot(scenario.robot), jnp.zeros((3, 4, 1)), last, tuple(scenario.gait.lift_off.items()), STEP
+    )
+
+
+def counted(scenario, changes, dtype, count):
+    """Cycle, swing and lift-offs in steps of parameters with changes, as a walk in a precision has them."""
+    walker = given_in(scenario, None, None, dataclasses.replace(own_numbers(scenario), **changes), dtype)
+    plan = jax.jit(lambda numbers: plan_of(scenario, numbers, (count,)))(walker.numbers)
+    assert plan.cycle_steps.dtype == dtype
+    return np.vstack([plan.cycle_steps, plan.swing_steps, plan.swing_offset])
+
+
+def test_cycles_have_the_same_steps_in_both_precisions():
+    """Of whole milliseconds against integers, half a step being one; of others against each other.
+
+    Swings are cut to whole steps: a limb that lifts off next does not before.
+    """
+    scenario, number = mc.load_scenario("case_1_2"), np.arange(1000, 6000)
+    quarters = [round(scenario.gait.lift_off[limb] * 4) for limb in LIMBS]
+    whole = np.array([number, number // 4, *((k * number + 2) // 4 for k in quarters)])
+    lift_offs = np.sort([*whole[2:], number], axis=0)
+    assert (lift_offs[:-1] + whole[1] <= lift_offs[1:]).all()
+    any_duty = {"cycle": np.random.default_rng(0).uniform(1, 6, 5000), "duty": np.float64(0.7003)}
+    for dtype in (np.float32, np.float64):
+        np.testing.assert_array_equal(counted(scenario, {"cycle": number * STEP}, dtype, 5000), whole)
+        single = np.float32(number * STEP)  # what a caller without double precision has
+        np.testing.assert_array_equal(counted(scenario, {"cycle": single}, dtype, 5000), whole)
+    np.testing.assert_array_equal(*(counted(scenario, any_duty, dtype, 5000) for dtype in (np.float32, np.float64)))
+
+
+@pytest.mark.parametrize("traced", [False, True])
+def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
+    """From JAX's transformations too, where nothing is known in double precision; and the gait's."""
+    scenario = mc.load_scenario("case_1_2", {"disturbance.pushes": [PUSH]})
+    half_steps = np.arange(1, 10001, 7)
+    times = half_steps * STEP / 2
+    windows = dict.fromkeys(("push_start", "push_stop"), times[:, None])
+    spans = dict.fromkeys(("cycle", "cargo_start", "cargo_stop", "control_period"), times)
+    numbers = dataclasses.replace(own_numbers(scenario), **windows, **spans)
+
+    def resolved(numbers):
+        return given(scenario, None, None, numbers, lambda value: jnp.asarray(value, numbers.kp.dtype)).numbers
+
+    @jax.jit
+    def steps(numbers):
+        numbers = resolved(numbers) if traced else numbers
+        last = batch_last(numbers, times.shape, numbers.kp.dtype)
+        windows = disturbance.windows(last, STEP)
+        hardware = stages_of(scenario, own_numbers(scenario))._replace(control_period=True)
+        plan = plan_of(scenario, numbers, times.shape)
+        return [*windows.cargo, *(w[0] for w in windows.pushes), pace(last, hardware, STEP).period, plan.cycle_steps]
+
+    for dtype in (np.float32, np.float64):
+        own = jax.tree.map(lambda value: np.asarray(value, dtype), numbers)  # noqa: B023
+        for found in steps(own if traced else resolved(own)):
+            assert found.dtype == dtype
+            np.testing.assert_array_equal(found, (half_steps + 1) // 2)
+
+
+def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
+    """Towards longer delays: their derivative moves weight from the sample to the next older one."""
+    scenario, number = mc.Scenario(), np.arange(1, 200)
+    for dtype in (np.float32, np.float64):
+        numbers = dataclasses.replace(own_numbers(scenario), command_delay=dtype(number * STEP))
+
+        def weights(delay, numbers=numbers):
+            changed = dataclasses.replace(numbers, command_delay=delay)
+            return jnp.stack(pace(changed, stages_of(scenario, numbers), STEP).command)
+
+        found, rate = jax.jvp(weights, (numbers.command_delay,), (jnp.ones(len(number), dtype),))
+        np.testing.assert_allclose(found, np.arange(len(found))[:, None] == number, atol=5e-5)
+        np.testing.assert_array_equal(np.argmin(rate, axis=0), number)
+        np.testing.assert_array_equal(np.argmax(rate, axis=0), number + 1)
+
+
+def test_supports_step_by_step():
+    """Three groups of limbs whose lift-offs are no whole steps, over two cycles, against a count in integers."""
+    groups, cycle = [["LF"], ["RH", "LH"], ["RF"]], 1.0
+    scenario = mc.Scenario().with_overrides({"gait.sequence": groups, "gait.duty": 0.7005, "gait.cycle": cycle})
+    steps, swing = np.arange(2000), 299  # of 299.5
+    lift_off = {limb: (2 * 1000 * place + 3) // 6 for place, group in enumerate(groups) for limb in group}
+    now = jax.jit(lambda numbers: gait.schedule(plan_of(scenario, numbers), steps))(mc.parameters(scenario))
+    assert sorted(lift_off.values()) == [0, 333, 333, 667]
+    for row, limb in enumerate(LIMBS):
+        since = (steps - lift_off[limb]) % 1000
+        np.testing.assert_array_equal(now.closed[row], since >= swing, err_msg=limb)
+        np.testing.assert_allclose(now.swing_phase[row], since / swing, rtol=1e-12)
+        past_middle = steps % 1000 >= lift_off[limb] + swing / 2
+        np.testing.assert_array_equal(now.foothold[row], steps // 1000 + past_middle, err_msg=limb)
+    np.testing.assert_array_equal(now.cycle, steps // 1000)
+    np.testing.assert_allclose(now.cycle_phase, steps % 1000 / 1000, rtol=1e-12)
+
+
+def test_a_batch_walks_the_gait_of_one_robot():
+    scenario = mc.load_scenario("case_1_2", {"gait.cycle": 1.022, "duration": 0.3})
+    alone, batch = mc.rollout(scenario), mc.rollout_metrics(scenario)
+    assert (~alone.support[:, LIMBS.index("LH")]).sum() == 255
+    np.testing.assert_allclose(batch["min_gia_margin"], mc.metrics(alone)["min_gia_margin"], rtol=1e-3, atol=1e-3)
