@@ -64,7 +64,7 @@ def rounded(force: Array, resolution: Array) -> Array:
     return force + jnp.where(resolution > 0, jax.lax.stop_gradient(unit * jnp.round(force / unit) - force), 0.0)
 
 
-def share(cutoff: Array, time_step: float) -> Array:
+def share(cutoff: Array, time_step: float | Array) -> Array:
     """Return the share of an input held over a step that a first-order filter takes in it, `1 - exp(-2 pi f h)`."""
     return -jnp.expm1(-2 * jnp.pi * time_step * cutoff)
 

@@ -26,12 +26,18 @@ def pace(numbers: Parameters, stages: Stages, time_step: float) -> Pace:
     def weights(seconds: Any, length: int) -> tuple[Any, ...]:
         return delay.weights(jnp.asarray(seconds) / time_step, length) if length else ()
 
-    period, cutoff = jnp.asarray(numbers.control_period), jnp.asarray(numbers.force_filter)
+    period: Any = ()
+    if stages.control_period:
+        period = control_period.period_steps(jnp.asarray(numbers.control_period), time_step)
+    filter_share: Any = ()
+    if stages.force_filter or stages.sampled_filter:
+        step = time_step * period if stages.sampled_filter and stages.control_period else time_step
+        filter_share = force_sensor.share(jnp.asarray(numbers.force_filter), step)
     return Pace(
         force=weights(numbers.force_delay, stages.force_delay),
         base=weights(numbers.base_delay, stages.base_delay),
         command=weights(numbers.command_delay, stages.command_delay),
         servo=weights(numbers.servo_delay, stages.servo_delay),
-        filter_share=force_sensor.share(cutoff, time_step) if stages.force_filter else (),
-        period=control_period.period_steps(period, time_step) if stages.control_period else (),
+        filter_share=filter_share,
+        period=period,
     )

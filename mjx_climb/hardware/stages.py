@@ -19,6 +19,7 @@ class Stages(NamedTuple):
     force_bias: bool = False
     force_resolution: bool = False
     force_filter: bool = False
+    sampled_filter: bool = False  # the law filters what it samples
     base_delay: int = 0
     base_noise: bool = False
     control_period: bool = False
@@ -48,7 +49,7 @@ def stages_of(scenario: Scenario, numbers: Parameters) -> Stages:
     """Return the stages that some environment of a batch needs.
 
     Arguments:
-        scenario: says how targets move between two periods.
+        scenario: says how targets move between two periods, and who filters.
         numbers: with any leading batch axes; buffers are as long as the longest delay needs.
 
     Raises:
@@ -58,13 +59,15 @@ def stages_of(scenario: Scenario, numbers: Parameters) -> Stages:
         if isinstance(value, jax.core.Tracer):
             raise TypeError(f"numbers.{name}: expected an array, got one that JAX traces")
     step = scenario.time_step
-    period = given(numbers.control_period)
+    period, filtered = given(numbers.control_period), finite(numbers.force_filter)
+    by_law = scenario.hardware.force_sensor.filtered_by == "law"
     return Stages(
         force_delay=samples(numbers.force_delay, step),
         force_noise=given(numbers.force_noise),
         force_bias=given(numbers.force_bias),
         force_resolution=given(numbers.force_resolution),
-        force_filter=finite(numbers.force_filter),
+        force_filter=filtered and not by_law,
+        sampled_filter=filtered and by_law,
         base_delay=samples(numbers.base_delay, step),
         base_noise=given(numbers.position_noise) or given(numbers.velocity_noise),
         control_period=period,

@@ -21,6 +21,10 @@ class ForceSensor(Section):
     bias: Number = Field(default=0.0, description="offset on every axis of every sensor, world axes, N")
     resolution: NonNegative = Field(default=0.0, description="smallest step that the sensor tells, N; 0: any")
     filter: PositiveOrNull = Field(default=None, description="first-order low pass, cut-off, Hz; null: none")
+    filtered_by: Literal["sensor", "law"] = Field(
+        default="sensor",
+        description="forces of each foot every time step, or the law's own samples of them and of the wrench",
+    )
 
 
 class BaseEstimate(Section):

@@ -42,6 +42,7 @@ class Memory(NamedTuple):
     """What the stages of hardware remember; empty where a walk has no such stage."""
 
     force_sensor: force_sensor.ForceSensor
+    filtered: Any  # (3, L, B) N and (6, B) N, N m, of what the law samples; () where it filters nothing
     base_estimate: Any
     said: Any  # `Said`
     targets: Any  # buffer of joint targets (N, L, B) rad
@@ -71,13 +72,14 @@ def start(state: State, feet: Array, controller: Controller) -> Memory:
     """Return the memory of a robot that has always rested in a state, with `feet` (3, L, B) m in the world."""
     angles, stages = state.joint_angles, controller.stages
     said: Any = ()
+    no_force, no_shift = jnp.zeros_like(feet), jnp.zeros_like(jnp.concatenate([state.base_position] * 2))
     if stages.control_period:
-        no_shift = jnp.zeros_like(jnp.concatenate([state.base_position, state.base_position]))
         command = Command(state.base_position, state.base_orientation, feet, no_shift)
         joints = JointSolution(angles, jnp.ones(angles.shape[1:], bool))
         said = Said(command, joints, angles if stages.linear else ())
     return Memory(
-        force_sensor=force_sensor.start(jnp.zeros_like(feet), stages),
+        force_sensor=force_sensor.start(no_force, stages),
+        filtered=(no_force, no_shift) if stages.sampled_filter else (),
         base_estimate=base_estimate.start(base_estimate.true_base(state), stages),
         said=said,
         targets=delay.start(angles, stages.command_delay),
@@ -111,6 +113,16 @@ def run(
         sensor, force = force_sensor.measured(sensor, force, step, numbers, stages, pace.force, pace.filter_share)
         wrench = base_wrench_of_foot_force(contacts.lever, force)
         wrench = wrench + contacts.moment if stages.rotational else wrench
+    if stages.control_period:
+        into = control_period.steps_into(step, pace.period)
+        now = into == 0
+    filtered = memory.filtered
+    if stages.sampled_filter:
+        pairs = zip(filtered, (force, wrench), strict=True)
+        force, wrench = (force_sensor.low_passed(before, new, pace.filter_share) for before, new in pairs)
+        if stages.control_period:
+            force, wrench = control_period.held(now, (force, wrench), filtered)
+        filtered = force, wrench
     buffers, base = base_estimate.estimated(
         memory.base_estimate, base_estimate.true_base(state), step, numbers, stages, pace.base
     )
@@ -133,8 +145,6 @@ def run(
 
     said = memory.said
     if stages.control_period:
-        into = control_period.steps_into(step, pace.period)
-        now = into == 0
         after = control_period.held(now, after, law_state)
         before: Any = control_period.held(now, said.joints.joint_angles, said.before) if stages.linear else ()
         said = Said(*control_period.held(now, (command, joints), (said.command, said.joints)), before)
@@ -152,4 +162,4 @@ def run(
     servos, drive = servo.driven(
         memory.servo, asked, state.joint_rates, numbers, stages, pace.servo, controller.time_step
     )
-    return Memory(sensor, buffers, said, targets, servos, posture), after, Driven(command, joints, drive)
+    return Memory(sensor, filtered, buffers, said, targets, servos, posture), after, Driven(command, joints, drive)

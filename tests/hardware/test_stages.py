@@ -292,3 +292,6 @@ def test_stages_are_those_with_a_number():
     )
     wanted = IDEAL._replace(force_delay=8, force_filter=True, torque_limit=True, dry_friction=True, capture=True)
     assert stages_of(changed, mc.parameters(changed)) == wanted
+    by_law = changed.with_overrides({"hardware.force_sensor.filtered_by": "law"})
+    wanted = wanted._replace(force_filter=False, sampled_filter=True)
+    assert stages_of(by_law, mc.parameters(by_law)) == wanted

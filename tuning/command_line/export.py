@@ -57,8 +57,8 @@ def export(
     """Write gains for the robot's own controller.
 
     First they walk in the config, on its hardware and at the update rate: gains that are unstable there, or tear a
-    gripper off, are refused, and a margin of less than twice the hardware (see mjx-climb margins) is a warning. The
-    force filter of the config's hardware is written with them.
+    gripper off, are refused, and a margin of less than twice the hardware (see mjx-climb margins) is a warning. A
+    force filter that the law has (hardware.force_sensor.filtered_by=law) is written with them.
 
     ros2_control's admittance_controller integrates the law with explicit damping, so gains that are fine here may
     diverge there: those are refused, and you are told which update rate or virtual inertia would do. The library
@@ -91,11 +91,18 @@ def export(
             rate = round(1 / (scenario.hardware.control_period or scenario.time_step))
             if form == "admittance_control":
                 scenario = scenario.with_overrides({"control.integration": "semi_implicit"})
-        rate = rate or 1000
+        rate, notes = rate or 1000, []
+        cutoff = None if scenario is None else scenario.hardware.force_sensor.filter
 
         if form == "ros2_control":
             ros2_control.check(loaded, rate, source)
-            cutoff = None if scenario is None else scenario.hardware.force_sensor.filter
+            if scenario is not None and cutoff is not None and scenario.hardware.force_sensor.filtered_by == "sensor":
+                notes.append(
+                    f"the config's sensors filter their forces at {cutoff:g} Hz: filter_coefficient 1, so that they "
+                    "are not filtered twice; where admittance_controller is to filter in their place, walk and search "
+                    "with hardware.force_sensor.filtered_by=law"
+                )
+                cutoff = None
             text = ros2_control.write(loaded, rate, name, cutoff)
         elif form == "admittance_control":
             admittance_control.check(loaded, 1 / rate, source)
@@ -103,13 +110,15 @@ def export(
             motion = getattr(law, "motion", Motion())
             forces = scenario is not None and scenario.control.controller == "end_effector_admittance"
             text = admittance_control.write(loaded, 1 / rate, motion, forces_only=forces)
+            if cutoff is not None:
+                notes.append(f"admittance_control filters nothing: give it forces behind a low pass of {cutoff:g} Hz")
         else:
             text = {"json": gains_tables.write_json, "csv": gains_tables.write_csv}[form](loaded)
         if scenario is None:
             said = [f"note: no {_BESIDE} beside {gains.name} and no --config: these gains were not walked"]
         else:
             said = deployment.check(scenario, loaded, source, engine=options.engine_from(engine))
-            said = [f"warning: {line}" for line in said]
+            said = [f"note: {line}" for line in notes] + [f"warning: {line}" for line in said]
         for line in said:
             print(f"mjx-climb: {line}", file=sys.stderr)
         if out is None:

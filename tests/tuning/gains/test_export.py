@@ -8,6 +8,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 import mjx_climb as mc
 from mjx_climb.control.motion import Motion, begin, move
@@ -253,7 +254,7 @@ def test_the_librarys_limit_is_that_of_its_substeps(factor):
 
 def test_filter_and_rate_are_those_that_were_walked(export, judged, tmp_path):
     """A config beside the gains is the one; a filter of 30 Hz halves a step after ln 2 / (2 pi 30) s."""
-    changes = {"hardware.control_period": 0.002, "hardware.force_sensor.filter": 30.0}
+    changes = {"hardware.control_period": 0.002, "hardware.force_sensor": {"filter": 30.0, "filtered_by": "law"}}
     (tmp_path / "config.yaml").write_text(mc.load_scenario("case_1_2", changes).to_yaml())
     code, text, err = export(SPLIT)
     parameters = yaml.safe_load(text)["admittance_controller"]["ros__parameters"]
@@ -261,6 +262,53 @@ def test_filter_and_rate_are_those_that_were_walked(export, judged, tmp_path):
     coefficient = parameters["ft_sensor"]["filter_coefficient"]
     assert (1 - coefficient) ** (math.log(2) / (2 * math.pi * 30) * 500) == pytest.approx(0.5)
     assert "filter_coefficient: 30 Hz" in text
+
+
+def test_what_the_sensors_filter_is_not_filtered_once_more(export, judged, tmp_path):
+    config = mc.load_scenario("case_1_2", {"hardware.force_sensor.filter": 30.0})
+    (tmp_path / "config.yaml").write_text(config.to_yaml())
+    _, text, err = export(SPLIT)
+    parameters = yaml.safe_load(text)["admittance_controller"]["ros__parameters"]
+    assert parameters["ft_sensor"]["filter_coefficient"] == 1 and judged["asked"] == [config]
+    assert "filtered_by=law" in err and len(err.splitlines()) == 1
+    err = export(SPLIT, "--format", "admittance_control")[2]
+    assert "filters nothing: give it forces behind a low pass of 30 Hz" in err and len(err.splitlines()) == 1
+
+
+def received(walk, gains, share, period):
+    """Offsets (T, 6) of a controller that takes a sample of a walk's wrench every `period` steps and filters these."""
+    inertia, damping, stiffness = ros2_control.six(gains)
+    zero, h = np.zeros((6, 6)), period * walk.scenario.time_step
+    # offset, rate and the force that is held over a period
+    system = np.block([[zero, np.eye(6), zero], [-np.diag(stiffness / inertia), -np.diag(damping / inertia),
+                                                 np.diag(1 / inertia)], [zero, zero, zero]])  # fmt: skip
+    transition, state, wrench, offsets = expm(system * h), np.zeros(12), np.zeros(6), []
+    for step, sample in enumerate(walk.base_wrench):
+        if step % period == 0:
+            wrench = share * sample + (1 - share) * wrench
+            state = (transition @ np.concatenate([state, -wrench]))[:12]
+        offsets.append(state[:6])
+    return np.array(offsets)
+
+
+@pytest.mark.slow
+def test_the_walk_has_the_filter_of_the_controller_that_gets_it():
+    """At 200 Hz, of 40 Hz, with the coefficient that is written; filtered by the sensors it is another walk."""
+    sensor = {
+        "duration": 0.4,
+        "gait.cycle": 1.0,
+        "hardware.control_period": 0.005,
+        "hardware.force_sensor.filter": 40.0,
+    }
+    gains, off = mc.Gains(1.0, 150.0, 3e3), {}
+    written = yaml.safe_load(ros2_control.write(gains, 200, cutoff=40.0))["admittance_controller"]["ros__parameters"]
+    for who in ("law", "sensor"):
+        walk = mc.rollout(mc.load_scenario("case_1_2", sensor | {"hardware.force_sensor.filtered_by": who}), gains)
+        expected = received(walk, gains, written["ft_sensor"]["filter_coefficient"], 5)
+        error = walk.base_displacement - expected
+        off[who] = np.sqrt((error**2).mean(0) / (expected**2).mean(0))
+    np.testing.assert_allclose(off["law"], 0, atol=1e-9)
+    assert (off["sensor"] > 0.01).all() and off["sensor"].max() > 0.05
 
 
 @pytest.mark.parametrize(
