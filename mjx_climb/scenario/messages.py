@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError
@@ -74,14 +74,19 @@ def _suggestion(root: type[BaseModel], where: Sequence[str | int]) -> str:
     name, beside = str(where[-1]), list(_section(root, where[:-1]).model_fields)
     if near := difflib.get_close_matches(name, beside, 1):
         return f" (did you mean {near[0]}?)"
-    places = [f"{key}.{inner}" for key in root.model_fields for inner in _keys(root, key)]
+    places = list(keys(root))
     near = difflib.get_close_matches(name, [place.split(".")[-1] for place in places], 1)
-    return f" (did you mean {' or '.join(place for place in places if place.endswith('.' + near[0]))}?)" if near else ""
+    return f" (did you mean {' or '.join(place for place in places if place.split('.')[-1] == near[0])}?)" if near else ""
 
 
-def _keys(root: type[BaseModel], key: str) -> list[str]:
-    kind = root.model_fields[key].annotation
-    return list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []
+def keys(root: type[BaseModel]) -> Iterator[str]:
+    """Yield the dotted keys that hold a value in a model and its sections."""
+    for name, field in root.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from (f"{name}.{inner}" for inner in keys(kind))
+        else:
+            yield name
 
 
 def show(value: Any) -> str:

@@ -85,8 +85,7 @@ def structure(
 ) -> Structure:
     """Return what a compiled walk of the scenario depends on beside its law and its numbers: its own where None.
 
-    With `smooth` the metrics have their smooth companions, and no gripper is torn off. Grips that transmit moments are
-    never compiled in pieces: XLA:CPU (jaxlib 0.10) stops the process at such a step.
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off.
 
     Raises:
         ConfigError: no such engine.

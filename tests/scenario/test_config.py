@@ -127,6 +127,7 @@ BAD_FILES = [
     ("gait: {dutty: 0.8}", "gait.dutty: expected a known key, got an unknown one (did you mean duty?)"),
     ("holding_limits: 3", "did you mean contact.holding_limit?"),
     ("stifness: 3", "did you mean contact.stiffness or control.stiffness?"),
+    ("torque_limit: 3", "did you mean hardware.servo.torque_limit?"),
     ("robot: ''", "robot: expected the name of a robot"),
     ("gravity: [0, 0]", "gravity: expected a list of three finite numbers, got [0, 0]"),
     ("gravity: [0, 0, .nan]", "gravity: expected a list of three finite numbers"),

@@ -1,4 +1,4 @@
-"""What a shell completes. A key press waits for it, so nothing heavy is imported and the names stand here again."""
+"""What a shell completes. A key press waits for it, so nothing heavy is imported; what that holds stands here again."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -35,6 +35,14 @@ def engine(incomplete: str) -> list[str]:
 def metric(incomplete: str) -> list[str]:
     """Return the metrics that a word may become."""
     return _beginning(incomplete, METRICS)
+
+
+def key(incomplete: str) -> list[str]:
+    """Return the keys of a scenario that a word may become."""
+    from mjx_climb.scenario.messages import keys
+    from mjx_climb.scenario.model import Scenario
+
+    return _beginning(incomplete, (f"{name}=" for name in keys(Scenario)))
 
 
 def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:

@@ -4,6 +4,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from tuning.command_line import interruption
 
@@ -72,6 +73,8 @@ def _message(error: Exception) -> str | None:
     if hasattr(error, "format_message"):  # usage, from typer
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
+        if hasattr(error, "option_name") and hasattr(error, "possibilities"):
+            return f"No such option: {error.option_name}{_nearest(error.option_name, context.command)}{hint}"
         return f"{error.format_message()}{hint}"
     kinds: list[type[Exception]] = [InputError]
     if "mjx_climb" in sys.modules:
@@ -88,3 +91,20 @@ def _message(error: Exception) -> str | None:
 
         kinds.append(RenderingError)
     return str(error) if isinstance(error, tuple(kinds)) else None
+
+
+def _nearest(option: str, command: Any) -> str:
+    """Return the option or the key of the scenario that is nearest to one that a command does not have, in words."""
+    from difflib import get_close_matches
+
+    from mjx_climb.scenario.messages import keys
+    from mjx_climb.scenario.model import Scenario
+
+    options = {name.lstrip("-"): [name] for parameter in command.params for name in parameter.opts}
+    changes: dict[str, list[str]] = {}
+    for key in keys(Scenario) if "set" in options else ():
+        for name in {key, key.rpartition(".")[2]}:
+            changes.setdefault(name, []).append(f"--set {key}=")
+    known = changes | options
+    near = get_close_matches(option.lstrip("-"), known, 1)
+    return f" (did you mean {' or '.join(known[near[0]])}?)" if near else ""

@@ -41,6 +41,7 @@ Set = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a key of the config, SI units; may be given several times. Example: control.damping=2e3",
+        autocompletion=completion.key,
     ),
 ]
 Hardware = Annotated[

@@ -1,6 +1,7 @@
 """The settings of a search: what is searched, how, and for what; validated, and enough to repeat it."""
 
 import os
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal, get_args
 
 import yaml
@@ -89,7 +90,12 @@ def check_metrics(search: Search, metrics: MetricTable, source: str = "search") 
     """
     for name in (*search.weights, *search.limits):
         if name not in metrics.names or name in FAILURES:
-            raise ConfigError(f"{source}: {name!r} is no metric to weigh or limit")
+            known = [metric for metric in metrics.names if metric not in FAILURES]
+            near = get_close_matches(name, known)
+            hint = f" (did you mean {' or '.join(near)}?)" if near else ""
+            raise ConfigError(
+                f"{source}: {name!r} is no metric to weigh or limit{hint}, expected one of {', '.join(known)}"
+            )
 
 
 def load(path: str | os.PathLike[str]) -> Search:
