@@ -76,7 +76,8 @@ def _suggestion(root: type[BaseModel], where: Sequence[str | int]) -> str:
         return f" (did you mean {near[0]}?)"
     places = list(keys(root))
     near = difflib.get_close_matches(name, [place.split(".")[-1] for place in places], 1)
-    return f" (did you mean {' or '.join(place for place in places if place.split('.')[-1] == near[0])}?)" if near else ""
+    meant = [place for place in places if place.split(".")[-1] in near]
+    return f" (did you mean {' or '.join(meant)}?)" if near else ""
 
 
 def keys(root: type[BaseModel]) -> Iterator[str]:

@@ -5,6 +5,7 @@ import importlib
 import inspect
 import re
 import shlex
+import sys
 import tomllib
 from pathlib import Path
 from typing import get_args
@@ -174,6 +175,22 @@ def test_every_dependency_has_its_line():
         if name != "package"
     ]
     assert sorted(listed) == sorted(declared)
+
+
+def test_the_packages_import_what_they_depend_on():
+    """Nothing of the extra `test`. Optuna is imported by the method of that name alone."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    modules = {"mujoco_mjx": "mujoco", "pyyaml": "yaml", "pillow": "PIL"}
+    along = ("glfw", "jaxlib", "markupsafe", "pydantic_core")  # come with mujoco, jax, jinja2 and pydantic
+    declared = [bare(name).replace("-", "_") for name in (*project["dependencies"], *along, "optuna")]
+    allowed = {modules.get(name, name) for name in declared} | {"mjx_climb", "tuning"} | sys.stdlib_module_names
+    others = set()
+    for file in (file for package in ("mjx_climb", "tuning") for file in (ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) else []
+            others |= {(file.name, name) for name in names if name.partition(".")[0] not in allowed}
+    assert not others
 
 
 def bare(requirement: str) -> str:

@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.linalg import expm
 
 import mjx_climb as mc
 from mjx_climb.mujoco_import import mujoco
@@ -196,8 +195,21 @@ def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.nd
     system = np.zeros((len(unique), 3, 3))
     system[:, 0, 1] = 1.0
     system[:, 1] = np.stack([-k / m, -d / m, 1 / m], axis=-1)
-    rows = expm(system * time_step)[back.ravel(), :2].reshape(*stiffness.shape, 2, 3)
+    rows = _exponential(system * time_step)[back.ravel(), :2].reshape(*stiffness.shape, 2, 3)
     return np.ascontiguousarray(np.moveaxis(rows, (0, 1, 2, 3), (3, 2, 0, 1)))
+
+
+def _exponential(matrices: np.ndarray) -> np.ndarray:
+    """Return the exponential of each matrix (n, 3, 3): the Taylor series of a halved one, squared as often."""
+    halvings = np.maximum(np.ceil(np.log2(np.abs(matrices).sum(-1).max(-1))) + 1, 0).astype(int)
+    scaled = matrices / 2.0 ** halvings[:, None, None]
+    result = np.tile(np.eye(3), (len(matrices), 1, 1))
+    for order in range(15, 0, -1):  # Horner; what is left out is below 0.5^16 / 16!
+        result = np.eye(3) + scaled @ result / order
+    for done in range(halvings.max()):
+        left = halvings > done
+        result[left] = result[left] @ result[left]
+    return result
 
 
 def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndarray]:
