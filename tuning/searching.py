@@ -86,10 +86,11 @@ def sweep_shard(
     batch_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Walk a shard of what `sweep` walks, with the same arguments, for `merge`; `mjx-climb sweep --shard 3/16`.
+    """Walk a shard of what `sweep` walks, for `merge`; `mjx-climb sweep --shard 3/16`.
+
+    The arguments that are not listed are those of `sweep`.
 
     Arguments:
-        scenario, axes, law, gains, metrics, engine, batch_size: as of `sweep`.
         shard: which one, from 1, and how many there are.
         out: the folder below which all shards are kept, each in a folder of its own. A shard that was interrupted goes
             on from there.
@@ -148,7 +149,7 @@ def judge(
 ) -> Judged:
     """Judge gains on walks that no search over the ensemble has seen, beside the scenario's own and pd.
 
-    `judge(scenario, gains, ensemble).write(folder)` is `mjx-climb judge`.
+    `judge(scenario, gains, ensemble).write(folder)` is `mjx-climb judge`. `metrics` and `engine` are those of `sweep`.
 
     Arguments:
         scenario: what walks where, under an admittance law.
@@ -156,7 +157,6 @@ def judge(
         ensemble: what the walks may meet; drawn again with another seed.
         members: walks of each set of gains.
         law: whose gains they are, where it is not the scenario's.
-        metrics, engine: as of `sweep`.
         out: a folder that keeps each finished part, so that what was interrupted goes on from there, bit by bit.
         progress: called with the number of members that have walked and the number in all.
 

@@ -34,6 +34,7 @@ def _notebook(config, path: Path) -> list[File]:
         unique = f"{path.stem}_{name}"
         text = text.replace(f"]({name})", f"]({unique})")
         made.append(File.generated(config, f"notebooks/{unique}", content=content))
+    text = f"---\nhide: [toc]\n---\n{text}"  # its 120 columns take all the room there is
     return [File.generated(config, f"notebooks/{path.stem}.md", content=text), *made]
 
 

@@ -23,30 +23,30 @@ _JOINT_LOOP = ("kp", "kd")
 
 
 class Measurement(NamedTuple):
-    """What the robot's sensors tell, and the base pose it works out from them; world axes, layout of the hot path."""
+    """What the robot's sensors tell, and the base pose it works out from them; world axes, the batch last."""
 
-    base_position: Array  # (3, B) m
-    base_orientation: Array  # (4, B) wxyz
-    base_linear_velocity: Array  # (3, B) m/s
+    base_position: Array  # (3, B) m, of the base's centre of mass
+    base_orientation: Array  # (4, B) wxyz, base to world
+    base_linear_velocity: Array  # (3, B) m/s, of the base's centre of mass
     base_angular_velocity: Array  # (3, B) rad/s
-    foot_force: Array  # (3, L, B) N
-    wrench: Array  # (6, B) N, N m: w = J_b^T F_e
-    support: Array  # (L, B) bool
+    foot_force: Array  # (3, L, B) N, of the ground on the foot
+    wrench: Array  # (6, B) N, N m: w = J_b^T F_e, moments about the base's centre of mass
+    support: Array  # (L, B) bool: the gripper is shut and holds
 
 
 class Reference(NamedTuple):
     """What the gait asks for; world axes. What all environments share may have a batch axis of one."""
 
-    base_position: Array  # (3, B) m
-    base_orientation: Array  # (4, B) wxyz
+    base_position: Array  # (3, B) m, of the base's centre of mass
+    base_orientation: Array  # (4, B) wxyz, base to world: the axes of the reference
     foot_position: Array  # (3, L, B) m
 
 
 class Command(NamedTuple):
     """Targets for the inverse kinematics, world axes, and the shift that led to them."""
 
-    base_position: Array  # (3, B) m
-    base_orientation: Array  # (4, B) wxyz
+    base_position: Array  # (3, B) m, of the base's centre of mass
+    base_orientation: Array  # (4, B) wxyz, base to world
     foot_position: Array  # (3, L, B) m
     base_displacement: Array  # (6, B) m, rad: the law's shift of the base, reference axes
 

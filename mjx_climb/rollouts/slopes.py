@@ -45,11 +45,10 @@ def rollout_slopes(
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Walk a batch of robots and return their metrics and the slopes of these along k directions in the gains.
 
-    A direction costs about as much as the walk itself, and nothing is kept over time.
+    A direction costs about as much as the walk itself, and nothing is kept over time. The arguments that are not listed
+    are those of `mjx_climb.rollout_metrics`.
 
     Arguments:
-        scenario, gains, numbers, law, metrics, dtype, batch_size, progress, engine, smooth: as
-            `mjx_climb.rollout_metrics` takes them.
         directions: rates of change of the gains, in their units and by their names: values (k, *batch, n), of length 1
             and for `kp` and `kd` (k, *batch), with batch axes that broadcast to the gains'. A gain of the law without
             rates stays as it is.

@@ -1,0 +1,25 @@
+"""The fields of a class in the reference of the API: each with the comment that stands beside it in the code."""
+
+import re
+
+import griffe
+
+PRIVATE = re.compile(r"\b_[A-Z]\w*")  # the name of a module's own type
+
+
+class Fields(griffe.Extension):
+    """Adds the fields to the docstring of their class."""
+
+    def on_class(self, *, cls: griffe.Class, **_) -> None:
+        """Add a section of them, where they have comments."""
+        rows, commented = [], False
+        for name, field in cls.attributes.items():
+            if not name.islower() or name.startswith("_"):  # AXES and the like are no fields
+                continue
+            lines = cls.lines_collection[cls.filepath][field.lineno - 1 : field.endlineno]
+            comment = " ".join(found[1] for line in lines if (found := re.search(r"  # (.*)", line)))
+            kind = PRIVATE.sub("Array", str(field.annotation)).replace("Array | Array", "Array")
+            rows.append(f"    {name} ({kind}): {comment}")
+            commented |= bool(comment)
+        if commented and cls.docstring:
+            cls.docstring.value = "\n".join([cls.docstring.value, "", "Attributes:", *rows])
