@@ -10,7 +10,7 @@ class Filtered(VirtualModelAdmittance):
     """Base admittance that sees the wrench through a first-order filter."""
 
     cutoff: object = mc.gain("Hz", bounds=(1.0, 200.0), default=20.0, long_name="cut-off of the filter")
-    share: object = mc.gain("1", length=1, bounds=(0.05, 1.0), default=1.0, long_name="share of the wrench that counts")
+    share: object = mc.gain("1", length=1, bounds=(0.05, 1.0), default=1.0, long_name="share of the wrench")
 
     def init(self, start):
         """Return the state of Eq. 3, the filter's pole and its last output, (6, B) each."""

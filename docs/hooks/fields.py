@@ -16,7 +16,7 @@ class Fields(griffe.Extension):
         for name, field in cls.attributes.items():
             if not name.islower() or name.startswith("_"):  # AXES and the like are no fields
                 continue
-            lines = cls.lines_collection[cls.filepath][field.lineno - 1 : field.endlineno]
+            lines = cls.lines_collection[field.filepath][field.lineno - 1 : field.endlineno]  # it may be inherited
             comment = " ".join(found[1] for line in lines if (found := re.search(r"  # (.*)", line)))
             kind = PRIVATE.sub("Array", str(field.annotation)).replace("Array | Array", "Array")
             rows.append(f"    {name} ({kind}): {comment}")

@@ -30,7 +30,7 @@ class Measurement(NamedTuple):
     base_linear_velocity: Array  # (3, B) m/s, of the base's centre of mass
     base_angular_velocity: Array  # (3, B) rad/s
     foot_force: Array  # (3, L, B) N, of the ground on the foot
-    wrench: Array  # (6, B) N, N m: w = J_b^T F_e, moments about the base's centre of mass
+    wrench: Array  # (6, B) N, N m: `w = J_b^T F_e`, moments about the base's centre of mass
     support: Array  # (L, B) bool: the gripper is shut and holds
 
 

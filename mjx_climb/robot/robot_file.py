@@ -1,7 +1,8 @@
 """A user's own robot: from her MJCF or URDF and the joints and feet that she names, to the model simulated here."""
 
 import itertools
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,6 @@ from mjx_climb.robot.places import line_of
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.model import Limb, RobotFile
 
-LINKS = ("coxa", "femur", "tibia")  # of a limb of three joints
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
 REACH = 1.0  # m, of a sliding joint without limits, either way
 _NO_INERTIA = np.zeros((3, 3))
@@ -73,9 +73,9 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     trunk.add_freejoint(name="base")
     _weigh(trunk, body._replace(center=np.zeros(3), inertia=axes.T @ body.inertia @ axes))
     _box(trunk, np.array([_base_anchor(data, chain, axes, body) for chain in chains.values()]))
-    joints = max(map(len, chains.values()))
+    names = _joint_names([limb.joints for limb in limbs.values()])
     for limb, chain in chains.items():
-        _add_limb(source, trunk, limb, chain, joints, file, data, part, axes, body.center)
+        _add_limb(source, trunk, limb, chain, names, file, data, part, axes, body.center)
     return spec, axes.T @ (body.center - data.xpos[base])
 
 
@@ -288,12 +288,36 @@ def _weigh(body: mujoco.MjsBody, link: _Link) -> None:
     body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
 
 
+def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
+    """Return names of the joints from the base outwards: the file's, without what tells its limbs apart.
+
+    LF_hip_joint, LF_knee_joint, RF_hip_joint and RF_knee_joint are hip and knee. Where nothing is left, or names are
+    alike, joint1, joint2 and so on.
+    """
+
+    def beginning(names: Sequence[list[str]]) -> list[str]:
+        alike = itertools.takewhile(lambda words: len(set(words)) == 1, zip(*names, strict=False))
+        return [words[0] for words in alike]
+
+    def shared(names: Sequence[list[str]]) -> tuple[list[str], list[str]]:
+        """Return with which words all of the names begin, and with which they end."""
+        head = beginning(names)
+        return head, beginning([name[len(head) :][::-1] for name in names])[::-1]
+
+    places = [[re.split(r"[\W_]+", name) for name in place if name] for place in itertools.zip_longest(*limbs)]
+    words = [list(itertools.chain(*shared(place))) for place in places]
+    head, tail = shared(words)
+    names = [" ".join(place[len(head) : len(place) - len(tail)]) for place in words]
+    told_apart = len(set(names)) == len(names) and all(re.search("[A-Za-z]", name) for name in names)
+    return names if told_apart else [f"joint{n + 1}" for n in range(len(places))]
+
+
 def _add_limb(
     source: RobotFile,
     trunk: mujoco.MjsBody,
     limb: str,
     chain: list[int],
-    joints: int,
+    names: Sequence[str],
     file: mujoco.MjModel,
     data: mujoco.MjData,
     part: np.ndarray,
@@ -308,7 +332,6 @@ def _add_limb(
         for n, (body, at) in enumerate(zip(stands, data.xanchor[chain], strict=True))
     ]
     anchors = [data.xanchor[joint] for joint in chain]
-    names = LINKS if joints == len(LINKS) else [f"joint{n + 1}" for n in range(joints)]
     body, ends = trunk, [*anchors[1:], foot]
     for n, (joint, axis, origin, end) in enumerate(zip(chain, _axes(file, data, chain), anchors, ends, strict=True)):
         axes = _frame(axis, end - origin)
@@ -344,7 +367,7 @@ def _add_limb(
         _draw(body, axes.T @ (end - origin), first=n == 0, last=n == len(chain) - 1)
         parent_axes, parent_origin = axes, origin
     at_foot = parent_axes.T @ (foot - parent_origin)
-    for n in range(len(chain), joints):
+    for n in range(len(chain), len(names)):
         body = body.add_body(name=f"{limb}_{names[n]}", pos=at_foot)
         limits = dict(range=[-np.pi, np.pi], limited=mujoco.mjtLimited.mjLIMITED_TRUE)
         body.add_joint(

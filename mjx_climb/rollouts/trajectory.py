@@ -20,10 +20,10 @@ class Trajectory:
     A row holds the state at `time`, and the forces and accelerations that act in the step from there.
     """
 
-    scenario: Scenario
+    scenario: Scenario  # as it walked
     gains: Gains | Mapping[str, np.ndarray]  # by name, where the law has others than the paper's
     numbers: Parameters  # the scenario's, or what was given in their place
-    limbs: tuple[str, ...]
+    limbs: tuple[str, ...]  # their names, in order
     time: Float[np.ndarray, " time"]  # s
     base_position: Float[np.ndarray, "time 3"]  # m, of the base's centre of mass
     base_orientation: Float[np.ndarray, "time 4"]  # wxyz
@@ -50,7 +50,7 @@ class Trajectory:
     reachable: Bool[np.ndarray, "time limb"]  # the foot target was within reach
     base_reference: Float[np.ndarray, "time 3"]  # m, where the gait wants the base
     base_displacement: Float[np.ndarray, "time 6"]  # m, rad: shift by the control law, axes of the reference
-    base_wrench: Float[np.ndarray, "time 6"]  # N, N m: J_b^T F_e
+    base_wrench: Float[np.ndarray, "time 6"]  # N, N m: `J_b^T F_e`
     push: Float[np.ndarray, "time 6"]  # N, N m, on the base from outside
     cargo_mass: Float[np.ndarray, " time"]  # kg
     center_of_mass: Float[np.ndarray, "time 3"]  # m, robot and cargo

@@ -34,7 +34,7 @@ class Sample(NamedTuple):
     reachable: Array  # (L, B) bool: the target was within the limb's reach
     base_reference: Array  # (3, B) m
     base_displacement: Array  # (6, B) m, rad: shift of the base by the control law, reference axes
-    base_wrench: Array  # (6, B) N, N m: J_b^T F_e
+    base_wrench: Array  # (6, B) N, N m: `J_b^T F_e`
     push: Array  # (6, B) N, N m, on the base from outside
     cargo_mass: Array  # (B,) kg
     center_of_mass: Array  # (3, B) m, of robot and cargo

@@ -272,6 +272,29 @@ def test_a_relative_path_starts_at_the_config(written, tmp_path, monkeypatch):
     assert mc.load_scenario(tmp_path / "again.yaml") == scenario
 
 
+@pytest.mark.parametrize(
+    ("theirs", "expected"),
+    [
+        (("{}_hip_joint", "{}_thigh_joint", "{}_calf_joint"), ("hip", "thigh", "calf")),
+        (("j_c1_{}", "j_hip_pitch_{}", "j_tibia_{}"), ("c1", "hip pitch", "tibia")),
+        (("{}.1", "{}.2", "{}.3"), ("joint1", "joint2", "joint3")),  # numbers are no names
+        (("hip{}", "knee{}", "ankle{}"), ("joint1", "joint2", "joint3")),  # one word each, of every limb another
+    ],
+)
+def test_joints_are_called_what_the_file_calls_them(written, theirs, expected):
+    """In pictures and netCDF files, where the limb stands beside: without what tells the limbs apart."""
+    own = {f"{limb}_{link}": theirs[n].format(limb) for limb in LIMBS for n, link in enumerate(("yaw", "lift", "knee"))}
+
+    def renamed(robot):
+        for limb in robot["limbs"].values():
+            limb["joints"] = [own[name] for name in limb["joints"]]
+
+    data = written(0, [(f'joint name="{name}"', f'joint name="{other}"') for name, other in own.items()], renamed)
+    robot = load_robot(mc.Scenario.model_validate(data).robot)
+    assert robot.joint_names == expected
+    assert robot.limbs == tuple(LIMBS)
+
+
 def test_an_mjcf_is_a_file_like_any_other(tmp_path):
     """HubRobo's own MJCF as a user's: the robot is the one that comes by name."""
     from mjx_climb.robot.constants import model_path

@@ -36,7 +36,7 @@ class Metric:
     name: str  # in mappings, options and files
     unit: str  # "1" where there is none
     long_name: str  # for people: on pictures, in tables
-    larger_is_better: bool
+    larger_is_better: bool  # of two walks the one with more is the better one
     init: Callable[[Array], Any]  # of zeros (B,): the running value before the first sample
     update: Callable[[Any, Sample, Context], Any]  # the running value with one more sample
     finish: Callable[[Any, Context], Array]  # the metric (B,) of the last running value; NaN where it is not defined
