@@ -8,9 +8,7 @@ not what was written, is made anew.
 import contextlib
 import functools
 import hashlib
-import os
 import pickle
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
@@ -21,8 +19,9 @@ import jax
 from jax import monitoring
 from jax.experimental import serialize_executable
 
-from mjx_climb.compilation.cache import cache_folder, cache_in_use
+from mjx_climb.compilation.cache import cache_folder, cache_in_use, may_be_anothers
 from mjx_climb.compilation.machine import machine, source_digest
+from mjx_climb.files.writing import whole
 
 _Result = TypeVar("_Result")
 Identity = Callable[..., str | None]
@@ -94,6 +93,8 @@ def _loaded(file: Path, trees: tuple[Any, ...]) -> Callable[..., Any] | None:
     """Return a kept program, None where there is none."""
     begin = time.perf_counter()
     try:
+        if may_be_anothers(file):
+            return None
         digest, content = file.read_bytes().split(b"\n", 1)
         if hashlib.sha256(content).hexdigest().encode() != digest:
             return None
@@ -155,10 +156,9 @@ def _made(
         return compiled
     with contextlib.suppress(Exception):  # no room, no rights, or a program that cannot be written down: not kept
         content = pickle.dumps(serialize_executable.serialize(compiled))
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as whole:
-            whole.write(hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
-        os.replace(whole.name, file)
+        with whole(file) as place:
+            place.touch(mode=0o600)  # read again by its owner alone
+            place.write_bytes(hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
     return compiled
 
 

@@ -14,7 +14,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +25,7 @@ import jax
 from mjx_climb.compilation import trial
 from mjx_climb.compilation.cache import cache_folder
 from mjx_climb.compilation.machine import machine, source_digest
+from mjx_climb.files.writing import OutputError, write_text_atomically
 
 PATHS = {"pieces": "the CPU's pieces", "kernel": "the GPU kernel"}
 _WAITING = {path: threading.Lock() for path in PATHS}
@@ -101,13 +101,8 @@ def _file(path: str) -> Path | None:
 
 
 def _keep(found: Verdict, file: Path) -> None:
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as whole:
-            json.dump(found._asdict(), whole)
-        os.replace(whole.name, file)
-    except OSError:
-        pass  # no room, no rights: tried again in the next process
+    with contextlib.suppress(OutputError):  # no room, no rights: tried again in the next process
+        write_text_atomically(file, json.dumps(found._asdict()))
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""Results as labelled arrays with units, and files that are either whole or not there."""
+"""Results as labelled arrays with units."""
 
 import contextlib
 import dataclasses
@@ -6,7 +6,6 @@ import importlib.metadata
 import json
 import os
 import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,10 @@ import jax
 import numpy as np
 import xarray as xr
 
+from mjx_climb.files.writing import OutputError as OutputError
+from mjx_climb.files.writing import check_folder as check_folder
+from mjx_climb.files.writing import write_bytes_atomically as write_bytes_atomically
+from mjx_climb.files.writing import write_text_atomically as write_text_atomically
 from mjx_climb.quantities.parameters import Gains, Parameters, parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
@@ -105,11 +108,6 @@ COORDINATES: dict[str, tuple[str, str]] = {
     "backlash": ("rad", "backlash"),
     "servo_delay": ("s", "delay of the servos"),
 }
-
-
-class OutputError(ValueError):
-    """A place that cannot be written to; in one line: path, what was expected, what was got."""
-
 
 # ------------------------------------------------------------------------------------------------------------
 # Labelled arrays
@@ -306,54 +304,3 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     limbs = tuple(str(limb) for limb in dataset["limb"].values)
     given = Parameters(**numbers | pushes)
     return Trajectory(scenario_of(dataset), gains, given, limbs, law=dataset.attrs.get("law", ""), **arrays)
-
-
-def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:
-    """Write UTF-8 text as `write_bytes_atomically` does."""
-    return write_bytes_atomically(path, text.encode())
-
-
-def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memoryview) -> Path:
-    """Write a file by way of a temporary one beside it and return its path; missing folders are made.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    path = Path(path)
-    try:
-        partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the path, or no name
-        raise _refused(path, "a file that can be written", error) from None
-    return path
-
-
-def check_folder(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that a folder is there or can be made and takes files; leave nothing in it.
-
-    Raises:
-        OutputError: it does not, or cannot.
-    """
-    folder = Path(path).absolute()
-    for place in (folder, *folder.parents):
-        try:
-            tempfile.TemporaryFile(dir=place).close()
-            return
-        except FileNotFoundError:
-            continue  # to be made in the folder above
-        except (OSError, ValueError) as error:
-            raise _refused(path, "a folder that can be written to", error) from None
-
-
-def _refused(path: str | os.PathLike[str], expected: str, error: OSError | ValueError) -> OutputError:
-    reason = (getattr(error, "strerror", None) or str(error)).lower()
-    place = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
-    return OutputError(f"{place}: expected {expected}, got {reason}")

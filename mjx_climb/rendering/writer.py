@@ -1,6 +1,5 @@
 """Pictures into files: PNG, and videos that browsers and slides play (H.264 in MP4)."""
 
-import contextlib
 import io
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mjx_climb.files.dataset import OutputError, write_bytes_atomically
+from mjx_climb.files.writing import whole, write_bytes_atomically
 from mjx_climb.rendering import film
 from mjx_climb.rollouts.trajectory import Trajectory
 
@@ -62,27 +61,18 @@ def encode(
     """
     import av
 
-    path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # the index in front lets a browser start before all is there
-        with av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-            stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": QUALITY, "preset": "veryfast"})
-            stream.width, stream.height = size
-            stream.pix_fmt = "yuv420p"  # what all players decode
-            stream.codec_context.time_base = Fraction(1, fps)
-            for done, picture in enumerate(pictures, 1):
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-                progress(done)
-            container.mux(stream.encode(None))
-        part.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: expected a place to write a video, got: {error.strerror or error}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
-    return path
+    # the index in front lets a browser start before all is there
+    how = {"format": "mp4", "options": {"movflags": "+faststart"}}
+    with whole(path) as part, av.open(str(part), "w", **how) as container:
+        stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": QUALITY, "preset": "veryfast"})
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"  # what all players decode
+        stream.codec_context.time_base = Fraction(1, fps)
+        for done, picture in enumerate(pictures, 1):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            progress(done)
+        container.mux(stream.encode(None))
+    return Path(path)
 
 
 def save_image(path: str | os.PathLike[str], picture: np.ndarray) -> Path:

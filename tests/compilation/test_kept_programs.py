@@ -1,12 +1,18 @@
 """Programs kept on disk: found by the next process, the same bits; never a wrong one, never a broken one."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from mjx_climb.compilation import cache, kept_programs, probe
+from tuning.command_line import diagnosis
+
 ROOT = Path(__file__).parents[2]
+AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user")
 # a program small enough to be compiled often; `identity` and `answer` differ from process to process
 WALK = """
 import sys
@@ -37,10 +43,9 @@ with jax.enable_x64(double):
 def walk(tmp_path, monkeypatch):
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
 
-    def run(identity="a", answer="1.0", shape="4", double="single"):
-        done = subprocess.run(
-            [sys.executable, "-c", WALK, identity, answer, shape, double], cwd=ROOT, capture_output=True, text=True
-        )
+    def run(identity="a", answer="1.0", shape="4", double="single", umask=0o022):
+        command = [sys.executable, "-c", WALK, identity, answer, shape, double]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, umask=umask)
         assert done.returncode == 0, done.stderr
         traced, *values = done.stdout.split()
         return int(traced), values
@@ -95,3 +100,65 @@ def test_a_program_that_does_not_run_is_made_anew(walk, tmp_path):
     [wrong] = set((tmp_path / "programs").iterdir()) - {right}
     right.write_bytes(wrong.read_bytes())
     assert walk() == (1, values)
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    """A cache with an entry of XLA's and a folder of programs, as others may look into it but not write."""
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+    cache.forget()
+    (tmp_path / "programs").mkdir(mode=0o755)
+    (tmp_path / "xla-cache").touch(mode=0o644)
+    tmp_path.chmod(0o755)
+    yield tmp_path
+    cache.forget()
+
+
+CHANGES = [
+    lambda place: place.chmod(0o777),
+    lambda place: place.chmod(0o775),
+    pytest.param(lambda place: os.chown(place, 65534, 65534), marks=AS_ROOT),
+]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("what", [".", "programs", "xla-cache"])
+def test_a_folder_in_which_another_user_may_have_put_a_program_is_not_used(folder, what, change, monkeypatch):
+    """What lies there is executed, XLA's own entries too; it is said once."""
+    assert cache.cache_folder() == folder and cache.doubt() is None
+    cache.forget()
+    change(folder / what)
+    with pytest.warns(UserWarning, match=f"cache is off: {folder / what} is not this user's own, or others") as said:
+        assert (cache.cache_folder(), cache.cache_folder()) == (None, None)
+    assert len(said) == 1
+    monkeypatch.setattr(cache, "cache_in_use", lambda: None)  # the tests' own is
+    assert diagnosis.cache().findings == (cache.doubt(),)
+
+
+def test_a_program_that_another_user_may_have_written_is_not_executed(walk, tmp_path):
+    _, values = walk()
+    [file] = (tmp_path / "programs").iterdir()
+    file.chmod(0o666)
+    assert walk() == (1, values)
+
+
+def test_a_folder_that_is_made_here_lets_nobody_else_in(walk, tmp_path, monkeypatch):
+    """Whatever the user's umask."""
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "cache"))
+    _, values = walk(umask=0)
+    assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
+    assert walk(umask=0) == (0, values)
+
+
+def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
+    """Neither of a program nor of a verdict on a fast path."""
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(kept_programs, "_file", lambda *_: tmp_path / "programs" / "program")
+    monkeypatch.setattr(os, "replace", full)
+    program = kept_programs.kept(lambda structure, values: values + structure, lambda *_: "a", {})
+    assert program(1.0, np.zeros(2)).tolist() == [1.0, 1.0]
+    probe._keep(probe.Verdict(True, "tried"), tmp_path / "probes" / "verdict")
+    assert [path.name for path in tmp_path.rglob("*")] == ["programs", "probes"]

@@ -288,7 +288,7 @@ def test_an_interrupted_video_leaves_nothing(tmp_path):
 
 def test_a_video_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="expected a place to write a video"):
+    with pytest.raises(OutputError, match="expected a file that can be written, got"):
         rendering.encode(tmp_path / "file" / "walk.mp4", iter([]), 25, (64, 64))
 
 

@@ -95,12 +95,13 @@ def _version(package: str) -> str | None:
 
 def cache() -> Part:
     """Return the state of XLA's compilation cache."""
-    from mjx_climb.compilation.cache import VARIABLE, cache_in_use
+    from mjx_climb.compilation.cache import VARIABLE, cache_in_use, doubt
 
     folder = cache_in_use()
     if folder is None:
         text = f"off ({VARIABLE}): every start compiles again"
-        return Part("cache", text, {"on": False, "folder": None})
+        why = doubt()
+        return Part("cache", text, {"on": False, "folder": None}, () if why is None else (why,))
     sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
     facts = {"on": True, "folder": folder, "programs": len(sizes), "bytes": sum(sizes), "writable": True}
     text = f"{folder}, {len(sizes)} programs, {sum(sizes) / 1e6:.0f} MB"

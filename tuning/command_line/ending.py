@@ -79,7 +79,7 @@ def _message(error: Exception) -> str | None:
     kinds: list[type[Exception]] = [InputError]
     if "mjx_climb" in sys.modules:
         from mjx_climb import ConfigError, RobotError
-        from mjx_climb.files.dataset import OutputError
+        from mjx_climb.files.writing import OutputError
 
         kinds += [ConfigError, RobotError, OutputError]
     if "mjx_climb.compilation.devices" in sys.modules:

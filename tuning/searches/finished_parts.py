@@ -1,10 +1,10 @@
 """Finished parts of a long computation, kept in a folder: what is interrupted goes on where it stopped."""
 
 import contextlib
+import hashlib
 import io
 import json
 import shutil
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from mjx_climb.files.dataset import OutputError, write_bytes_atomically, write_text_atomically
+from mjx_climb.files.writing import OutputError, write_bytes_atomically, write_text_atomically
 
 Save = Callable[[int, Mapping[str, np.ndarray]], None]
 
 FOLDER = "parts"
 IDENTITY = "identity.json"
+_SEAL = 64  # characters of a digest
 
 
 class Parts:
@@ -30,9 +31,9 @@ class Parts:
             OutputError: the folder cannot be written, or holds parts of another computation.
         """
         self.folder = Path(out) / FOLDER
-        file = self.folder / IDENTITY
-        wanted = json.loads(json.dumps(identity))
-        stored = _read(file)
+        self._identity = json.dumps(identity)
+        wanted = json.loads(self._identity)
+        stored = identity_in(self.folder)
         if stored is not None and stored != wanted:
             differs = ", ".join(differences(stored, wanted)) or "its keys"
             raise OutputError(
@@ -40,29 +41,34 @@ class Parts:
                 f"(repeat its command to finish it, remove {self.folder}, or choose another --out)"
             )
         if stored is None:
-            write_text_atomically(file, json.dumps(wanted, indent=1))
+            sealed = {"sha256": _digest(self._identity), "of": wanted}
+            write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
 
     def _file(self, number: int) -> Path:
         return self.folder / f"part-{number:06d}.npz"
 
     def load(self, number: int) -> dict[str, np.ndarray] | None:
-        """Return a part, None where it is not there or cannot be read."""
+        """Return a part, None where it is not there, is damaged, or is another part or one of something else."""
         try:
-            with np.load(io.BytesIO(self._file(number).read_bytes()), allow_pickle=False) as arrays:
-                return dict(arrays)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            content = self._file(number).read_bytes()
+        except OSError:
             return None
+        if content != self._sealed(number, content[: -_SEAL - 2] + b"\0\0"):
+            return None
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return dict(arrays)
 
     def save(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Keep a part: it is there as a whole or not at all."""
         buffer = io.BytesIO()
         contents: dict[str, Any] = dict(arrays)
         np.savez(buffer, **contents)
-        write_bytes_atomically(self._file(number), buffer.getvalue())
+        write_bytes_atomically(self._file(number), self._sealed(number, buffer.getvalue()))
 
-    def count(self) -> int:
-        """Return how many parts are there."""
-        return len(list(self.folder.glob("part-*.npz")))
+    def _sealed(self, number: int, archive: bytes) -> bytes:
+        """Return an archive without a comment with the digest of it, its number and its computation as its comment."""
+        seal = _digest(self._identity, str(number), archive)
+        return archive[:-2] + _SEAL.to_bytes(2, "little") + seal.encode()
 
 
 @contextlib.contextmanager
@@ -103,12 +109,22 @@ def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[st
     return found
 
 
-def _read(file: Path) -> dict[str, Any] | None:
-    """Return a stored identity: None where there is none, empty where it is damaged."""
+def identity_in(folder: Path) -> dict[str, Any] | None:
+    """Return the identity that the parts in a folder have: None where there is none, empty where it is damaged."""
     try:
-        stored = json.loads(file.read_text())
+        stored = json.loads((folder / IDENTITY).read_text())
+        found = stored["of"]
+        whole = isinstance(found, dict) and stored["sha256"] == _digest(json.dumps(found))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return {}
-    return stored if isinstance(stored, dict) else {}
+    return found if whole else {}
+
+
+def _digest(*contents: str | bytes) -> str:
+    """Return a digest of some contents, of length `_SEAL`."""
+    digest = hashlib.sha256()
+    for content in contents:
+        digest.update((content.encode() if isinstance(content, str) else content) + b"\n")
+    return digest.hexdigest()

@@ -65,9 +65,9 @@ def claim(
         RobotError: no such robot.
     """
     grid = of(scenario, stiffness, damping, **how)
-    if shard is not None:
-        return shards.there(grid, shards.claim(grid, out, shard), shard.rows(grid.rows))
-    return min(Parts(out, grid.identity()).count() * grid.size, grid.rows)
+    if shard is None:
+        return shards.there(grid, Parts(out, grid.identity()), range(grid.rows))
+    return shards.there(grid, shards.claim(grid, out, shard), shard.rows(grid.rows))
 
 
 @dataclasses.dataclass(frozen=True)

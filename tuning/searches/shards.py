@@ -266,12 +266,12 @@ def _folders_in(folder: Path) -> list[Path]:
 
 def _read(folder: Path) -> Kept:
     try:
-        identity = json.loads((folder / finished_parts.FOLDER / finished_parts.IDENTITY).read_text())
+        identity = finished_parts.identity_in(folder / finished_parts.FOLDER) or {}
         about = json.loads((folder / FILE).read_text())
-        number, count = identity["shard"]
-        about["again"]
-        return Kept(folder, Shard(int(number), int(count)), identity, dict(about))
-    except (OSError, ValueError, TypeError, KeyError):
+        if not all(isinstance(about[name], str) for name in ("again", *about)):
+            raise TypeError
+        return Kept(folder, Shard(*identity["shard"]), identity, about)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         raise ConfigError(f"{folder}: expected the folder of a shard, got one that is damaged or empty") from None
 
 

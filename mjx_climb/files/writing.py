@@ -1,0 +1,96 @@
+"""Files that are either whole or not there."""
+
+import contextlib
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+
+class OutputError(ValueError):
+    """A place that cannot be written to; in one line: path, what was expected, what was got."""
+
+
+@contextlib.contextmanager
+def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary path that becomes the file where the block ends well, and is removed where it does not.
+
+    Missing folders are made. A link is written through. What is no regular file, a pipe for example, is never replaced:
+    it is itself what is given.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    try:
+        if _is_special(path):
+            yield Path(path)
+            return
+        target = Path(os.path.realpath(path))
+        partial = target.with_name(f".{target.name}.{os.getpid()}.part")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield partial
+            with partial.open("rb") as file:
+                os.fsync(file.fileno())
+            os.replace(partial, target)
+        finally:
+            with contextlib.suppress(OSError):
+                partial.unlink()
+    except OSError as error:
+        raise refused(path, "a file that can be written", error) from None
+
+
+def _is_special(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path, or what it links to, is there and no regular file.
+
+    Raises:
+        OSError: it cannot be told, as of links in a circle.
+        OutputError: a path that can be no file's.
+    """
+    try:
+        return not stat.S_ISREG(os.stat(path).st_mode)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except ValueError as error:  # a null byte
+        raise refused(path, "a file that can be written", error) from None
+
+
+def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:
+    """Write UTF-8 text as `write_bytes_atomically` does."""
+    return write_bytes_atomically(path, text.encode())
+
+
+def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memoryview) -> Path:
+    """Write a file by way of a temporary one beside it, see `whole`, and return its path.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with whole(path) as place, place.open("wb") as file:
+        file.write(content)
+    return Path(path)
+
+
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Check, before a long computation, that a folder is there or can be made and takes files; leave nothing in it.
+
+    Raises:
+        OutputError: it does not, or cannot.
+    """
+    folder = Path(path).absolute()
+    for place in (folder, *folder.parents):
+        try:
+            tempfile.TemporaryFile(dir=place).close()
+            return
+        except FileNotFoundError:
+            continue  # to be made in the folder above
+        except (OSError, ValueError) as error:
+            raise refused(path, "a folder that can be written to", error) from None
+
+
+def refused(path: str | os.PathLike[str], expected: str, error: OSError | ValueError) -> OutputError:
+    """Return the error of a place that cannot be written to."""
+    reason = (getattr(error, "strerror", None) or str(error)).lower()
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
+    return OutputError(f"{shown}: expected {expected}, got {reason}")
