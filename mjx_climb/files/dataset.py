@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import hashlib
 import importlib.metadata
 import json
 import os
@@ -25,6 +26,7 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
+_TIMES = 16  # more than one damaged block of a disk takes away
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
 AXES = ["x", "y", "z"]
@@ -265,18 +267,28 @@ def save(dataset: xr.Dataset, path: str | os.PathLike[str]) -> Path:
     }
     if "scenario" in dataset.attrs:
         dataset = dataset.assign_attrs(scenario=scenario_of(dataset).relative_to(Path(path).parent).to_yaml())
-    return write_bytes_atomically(path, dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
+    content = bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
+    return write_bytes_atomically(path, content + _seal(content))
+
+
+def _seal(content: bytes) -> bytes:
+    """Return what stands behind a netCDF file, where readers do not look: its digest, over and over."""
+    return f"sha256 {hashlib.sha256(content).hexdigest()}\n".encode() * _TIMES
 
 
 def load(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Read a dataset that `save` wrote.
+    """Read a dataset that `save` wrote, or another program.
 
     Raises:
-        ConfigError: no netCDF4 file.
+        ConfigError: no netCDF4 file, or not what `save` wrote: HDF5 may hang where a file is damaged.
     """
     try:
+        content = Path(path).read_bytes()
+        seal = content[-len(_seal(b"")) :]
+        if seal.count(b"sha256 ") and seal != _seal(content[: -len(seal)]):
+            raise ValueError("damaged")
         return xr.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, LookupError, TypeError, RuntimeError) as error:  # what its readers raise
         number = getattr(error, "errno", None)  # HDF5's own text is long
         reason = os.strerror(number) if number else "another file, or a damaged one"
         raise ConfigError(f"{os.fspath(path)}: expected a netCDF4 file, got {reason.lower()}") from None

@@ -173,3 +173,19 @@ def test_other_files_are_told_in_one_line(tmp_path):
     ):
         with pytest.raises(mc.ConfigError, match=rf"{name}: expected .*, got {reason}"):
             ds.load_trajectory(tmp_path / name)
+
+
+def test_a_damaged_file_is_refused_before_hdf5_opens_it(tmp_path, monkeypatch):
+    """HDF5 may hang in one: any block of zeros, in the digest too. A file of another program's has none and is read."""
+    path = ds.save(sweep(), tmp_path / "sweep.nc")
+    xr.testing.assert_equal(xr.load_dataset(path), sweep())  # by whatever reads netCDF
+    whole = path.read_bytes()
+    sweep().to_netcdf(tmp_path / "own.nc", engine="h5netcdf")
+    xr.testing.assert_equal(ds.load(tmp_path / "own.nc"), sweep())
+    monkeypatch.setattr(xr, "load_dataset", lambda *_, **__: pytest.fail("opened"))
+    for begin in range(0, len(whole), 512):
+        path.write_bytes(whole[:begin] + bytes(len(whole[begin : begin + 512])) + whole[begin + 512 :])
+        if path.read_bytes() == whole:  # zeros before
+            continue
+        with pytest.raises(mc.ConfigError, match=r"sweep\.nc: expected a netCDF4 file, got another file, or a damaged"):
+            ds.load(path)

@@ -3,13 +3,17 @@
 An exception out of a signal handler surfaces wherever the process happens to be, and is lost where that is a callback
 of JAX's. So the handler only notes the signal; commands look between rounds, parts and stages. Python runs handlers
 when the main thread next runs Python, which may be after minutes in XLA's compiler: a second thread, woken by the
-signal itself, sees to it that a second signal ends the process even then.
+signal itself, sees to it that a second signal ends the process even then. Where no Python runs at all any more, as in
+a library that hangs, the system does (glibc's): a handler is good for one signal, until that thread puts it back.
 """
 
+import contextlib
+import ctypes
 import os
 import signal
 import socket
 import threading
+from collections.abc import Callable
 from contextvars import ContextVar
 from types import FrameType
 
@@ -28,6 +32,7 @@ class Watch:
         signal.set_wakeup_fd(self._waker.fileno(), warn_on_full_buffer=False)
         for number in SIGNALS:
             signal.signal(number, self._note)
+        self._put_back = _for_one_signal()
         threading.Thread(target=self._listen, daemon=True).start()
 
     def _note(self, _: int, __: FrameType | None) -> None:
@@ -38,6 +43,7 @@ class Watch:
         while arrived := self._woken.recv(1):  # nothing once the other end is closed
             if arrived[0] not in SIGNALS:
                 continue
+            self._put_back(arrived[0])
             count, self.requested = count + 1, True
             if count > 1:
                 _say(b"interrupted at once: what was finished is kept; the same command goes on from there")
@@ -80,6 +86,23 @@ def check() -> None:
     """Raise KeyboardInterrupt where the program was asked to end."""
     if requested():
         raise KeyboardInterrupt
+
+
+def _for_one_signal() -> Callable[[int], None]:
+    """Have the handlers of both signals be good for one, the next then ends the process; return what puts one back."""
+    handlers = {number: ctypes.c_void_p() for number in SIGNALS}
+
+    def put(number: int) -> None:
+        with contextlib.suppress(AttributeError):  # no such function here
+            libc.sysv_signal(number, handlers[number])
+
+    libc = ctypes.CDLL(None)
+    for number in SIGNALS:
+        action = ctypes.create_string_buffer(1024)  # more than a struct sigaction, which begins with the handler
+        libc.sigaction(number, None, action)
+        handlers[number] = ctypes.c_void_p.from_buffer_copy(action)
+        put(number)
+    return put
 
 
 def _say(text: bytes) -> None:

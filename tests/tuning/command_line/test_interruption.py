@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -96,6 +97,32 @@ def test_the_second_signal_ends_what_never_looks():
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err == "mjx-climb: interrupted at once: what was finished is kept; the same command goes on from there\n"
+
+
+_HUNG = """
+import itertools
+from tuning.command_line import interruption
+interruption.watch()
+print("busy", flush=True)
+sum(itertools.repeat(0))  # as in a library that hangs: no Python runs in any thread
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks glibc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_second_signal_ends_what_lets_no_python_run(number):
+    process = subprocess.Popen([sys.executable, "-c", _HUNG], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "busy\n"
+    process.send_signal(number)
+    status = Path(f"/proc/{process.pid}/status")
+    while int(re.search(r"ShdPnd:\s*(\w+)", status.read_text())[1], 16):
+        pass  # not delivered yet
+    process.send_signal(number)
+    try:
+        assert process.wait(timeout=60) == -number
+    finally:
+        process.kill()
+        process.stdout.close()
 
 
 @pytest.mark.parametrize("asked", [True, False])
