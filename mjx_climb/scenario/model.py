@@ -20,6 +20,8 @@ from mjx_climb.scenario.values import (
     Duty,
     FileName,
     Gain,
+    Gravity,
+    Height,
     Heights,
     JointNames,
     Limit,
@@ -32,6 +34,7 @@ from mjx_climb.scenario.values import (
     Swings,
     Threshold,
     Vector,
+    Way,
     Word,
 )
 from mjx_climb.scenario.yaml_text import dump, parse
@@ -70,8 +73,8 @@ class Gait(Section):
 
     cycle: Positive = Field(default=4.0, description="period of the gait, s; a whole number of time steps")
     duty: Duty = Field(default=0.75, description="share of the cycle that each limb is gripped, 1")
-    stride: NonNegative = Field(default=0.05, description="way of the base per cycle, m")
-    step_height: Positive = Field(default=0.03, description="height of a swing foot's arc over the ground, m")
+    stride: Way = Field(default=0.05, description="way of the base per cycle, m")
+    step_height: Height = Field(default=0.03, description="height of a swing foot's arc over the ground, m")
     sequence: Swings = Field(
         default=("LH", "LF", "RH", "RF"),
         description="order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",
@@ -299,7 +302,7 @@ class Scenario(Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
     robot: AnyRobot = Field(default="hubrobo_v3_2", description="name of the robot, or one's own from a file")
-    gravity: Vector = Field(default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it")
+    gravity: Gravity = Field(default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it")
     duration: Positive = Field(default=8.0, description="length of the walk, s; a whole number of time steps")
     time_step: Positive = Field(default=0.001, description="time step of the simulation, s")
     gait: Gait = Field(default=Gait(), description="how the limbs move")
@@ -318,6 +321,9 @@ class Scenario(Section):
             if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
                 raise failure(f"a whole number of time steps of {self.time_step:g} s", key=key, got=span)
         period = self.hardware.control_period / self.time_step
+        if period > MAX_STEPS:
+            expected = f"at most {MAX_STEPS} time steps of {self.time_step:g} s"
+            raise failure(expected, key="hardware.control_period", got=self.hardware.control_period)
         if not math.isclose(period, round(period), rel_tol=1e-9, abs_tol=1e-9):
             expected = f"a whole number of time steps of {self.time_step:g} s, or 0"
             raise failure(expected, key="hardware.control_period", got=self.hardware.control_period)

@@ -25,8 +25,11 @@ def _is_name(text: str) -> str:
     return text
 
 
+MAX_GRAVITY = 1e4  # m/s^2, a thousand G
+MAX_LENGTH = 100.0  # m, of a step
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]  # strict: no booleans, no strings
 
+_Gravity = Annotated[Finite, Field(ge=-MAX_GRAVITY, le=MAX_GRAVITY)]
 Number = Annotated[Finite, _expects("a finite number")]
 Positive = Annotated[Finite, Field(gt=0), _expects("a finite number above 0")]
 NonNegative = Annotated[Finite, Field(ge=0), _expects("a finite number, 0 or above")]
@@ -49,6 +52,11 @@ Gain = Annotated[
     Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive],
     _expects("a finite number above 0, or a list of six"),
 ]
+Gravity = Annotated[
+    tuple[_Gravity, _Gravity, _Gravity], _expects(f"a list of three numbers from {-MAX_GRAVITY:g} to {MAX_GRAVITY:g}")
+]
+Way = Annotated[Finite, Field(ge=0, le=MAX_LENGTH), _expects(f"a number from 0 to {MAX_LENGTH:g}")]
+Height = Annotated[Finite, Field(gt=0, le=MAX_LENGTH), _expects(f"a number above 0, {MAX_LENGTH:g} at most")]
 Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")]
 Name = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the name of a robot")]
 Word = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name in the robot's file")]

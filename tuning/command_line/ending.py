@@ -1,6 +1,8 @@
 """How a command ends when it does not end well: what the user did wrong, or that she stopped it."""
 
 import contextlib
+import errno
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -58,6 +60,7 @@ def kept_in(out: Path, what: str, done: int = 0) -> Iterator[Kept]:
 
 
 _LONGEST = 1000  # characters
+_OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
 
 
 def user_error(error: Exception) -> str | None:
@@ -69,7 +72,25 @@ def user_error(error: Exception) -> str | None:
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
 
 
+def leave_output() -> None:
+    """Drop what standard output does not take: Python would try again as it ends, and say so."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _message(error: Exception) -> str | None:
+    if isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT:  # files raise OutputError
+        reason = os.strerror(error.errno).lower()
+        return f"standard output: expected a place that takes what is printed, got '{reason}'"
+    if isinstance(error, RuntimeError) and "Unable to initialize backend" in str(error):
+        return f"JAX_PLATFORMS: expected devices that JAX can use, got '{str(error).partition(' (set ')[0]}'"
+    if type(error).__name__ in ("InternalFloatingPointError", "FloatingPointError"):
+        return (
+            "JAX_DEBUG_NANS, JAX_DEBUG_INFS: expected none of them: what a walk does not have is NaN or infinite here"
+        )
     if hasattr(error, "format_message"):  # usage, from typer
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""

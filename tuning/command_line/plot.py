@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tuning.command_line import completion, options
-from tuning.command_line.ending import InputError
+from tuning.command_line.ending import InputError, user_error
 
 
 def plot(
@@ -43,16 +43,25 @@ def plot(
     """
     formats = options.figures_from(figures)
     inches = None if size is None else _inches(size)
-    from mjx_climb import plots
+    from mjx_climb import ConfigError, plots
     from tuning.output import redrawn
 
     out = out or folder
     with plots.over_style(_style(style)):
-        for name, figure in redrawn.figures(folder, metric or ()):
-            if inches is not None:
-                figure.set_size_inches(*inches)
-            for path in plots.save_figure(figure, out / name, formats, dpi=dpi):
-                typer.echo(path)
+        try:
+            for name, figure in redrawn.figures(folder, metric or ()):
+                if inches is not None:
+                    figure.set_size_inches(*inches)
+                for path in plots.save_figure(figure, out / name, formats, dpi=dpi):
+                    typer.echo(path)
+        except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            if user_error(error):
+                raise
+            # a file of another program, or one with gaps
+            got = f"one that cannot be drawn ({type(error).__name__}: {error})"
+            raise ConfigError(
+                f"{folder}: expected a result as a command wrote it, with all its files, got {got}"
+            ) from None
 
 
 def _inches(text: str) -> tuple[float, float]:

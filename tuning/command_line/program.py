@@ -5,6 +5,8 @@ line on stderr; 130 interrupted, with a line that says what was kept.
 Commands import JAX and all that is heavy when they run, so that `--help` is quick.
 """
 
+import contextlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -30,7 +32,7 @@ from tuning.command_line import (
     tune,
 )
 from tuning.command_line import run as walk
-from tuning.command_line.ending import Interrupted, user_error
+from tuning.command_line.ending import InputError, Interrupted, leave_output, user_error
 
 NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
 
@@ -88,7 +90,9 @@ def run(arguments: Sequence[str]) -> int:
     """Run the program and return its exit code; what went wrong is said on standard error."""
     options.ARGUMENTS.set(tuple(arguments))
     try:
+        _check_surroundings(arguments)
         code = app(arguments or ["--help"], prog_name="mjx-climb", standalone_mode=False)
+        sys.stdout.flush()
     except (Interrupted, KeyboardInterrupt) as interrupt:
         _say(f"interrupted: {interrupt}" if str(interrupt) else NOTHING_KEPT)
         return interruption.CODE
@@ -100,6 +104,7 @@ def run(arguments: Sequence[str]) -> int:
         if message is None:
             raise
         _say(f"error: {message}")
+        leave_output()
         return 2
     if code == interruption.CODE:  # a KeyboardInterrupt that typer caught
         _say(NOTHING_KEPT)
@@ -109,5 +114,25 @@ def run(arguments: Sequence[str]) -> int:
     return code or 0
 
 
+def _check_surroundings(arguments: Sequence[str]) -> None:
+    """Refuse what a command would fail on when its work is done.
+
+    Raises:
+        InputError: in one line, what.
+    """
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")
+    if sys.stdout is None:
+        raise InputError("standard output: expected an open one, got a closed one (>/dev/null drops what is printed)")
+    try:
+        texts = {"the working folder": os.getcwd(), **{f"argument {n}": text for n, text in enumerate(arguments, 1)}}
+    except OSError as error:
+        raise InputError(f"the working folder: expected one that is there, got '{error.strerror}'") from None
+    for name, text in texts.items():
+        if text != text.encode(errors="replace").decode():
+            raise InputError(f"{name}: expected UTF-8, which reports are written in, got {text!r}")
+
+
 def _say(text: str) -> None:
-    print(f"mjx-climb: {text}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody can read it
+        print(f"mjx-climb: {text}", file=sys.stderr, flush=True)

@@ -112,10 +112,10 @@ def _compared(file: Path) -> Compared:
     """Return gains and metrics of the walks that a summary holds; none where it cannot be read."""
     try:
         found: dict[str, Any] = json.loads(file.read_text())
-    except (OSError, ValueError):
+        walks = {name: entry for name, entry in found.items() if isinstance(entry, dict) and "metrics" in entry}
+        return {name: (_numbers(entry.get("gains")), entry["metrics"]) for name, entry in walks.items()}
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return {}
-    walks = {name: entry for name, entry in found.items() if isinstance(entry, dict) and "metrics" in entry}
-    return {name: (_numbers(entry.get("gains")), entry["metrics"]) for name, entry in walks.items()}
 
 
 def _numbers(gains: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 """The program: what it prints, writes and returns, and how it refuses."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -119,6 +120,10 @@ BAD = [
     ("judge {config} --gains {files}/gains.yaml --controller pd", "--controller: expected a law"),
     ("judge {config} --gains nowhere.yaml --ensemble nowhere", "nowhere.yaml: expected a readable file"),
     ("run {config} --set contact.stiffness=1e308", "case_1_2.yaml: time_step: expected"),
+    ("run {config} --set hardware.control_period=1e308", "hardware.control_period: expected at most 10000000 time"),
+    ("run {config} --set gravity=[0,0,-1e308]", "gravity: expected a list of three numbers from -10000 to 10000, got"),
+    ("run {config} --set gait.stride=1e308", "gait.stride: expected a number from 0 to 100, got 1e+308"),
+    ("run {config} --set gait.step_height=1e308", "gait.step_height: expected a number above 0, 100 at most, got"),
     ("run {config} --out=\x1b[31m --frob", "No such option"),
     ("tune {config} --pin stiffness.q=1", "--pin stiffness.q: expected one of damping, stiffness"),
     ("tune {config} --bound damping=2:1", "--bound damping: expected low < high"),
@@ -191,6 +196,37 @@ def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(searc
     assert (code, out) == (2, "")
     assert expected in err.splitlines()[-1]
     assert set(tmp_path.iterdir()) == before
+
+
+WALK = f"run {CONFIG} --set duration=0.02 --out out"
+SURROUNDINGS = {  # a line for the shell, and what is said
+    "no tpu": (f"JAX_PLATFORMS=tpu {{program}} {WALK}", "JAX_PLATFORMS: expected devices that JAX can use"),
+    "no nan": (f"JAX_DEBUG_NANS=1 {{program}} {WALK}", "JAX_DEBUG_NANS, JAX_DEBUG_INFS: expected none"),
+    "full": ("{program} schema >/dev/full", "standard output: expected a place that takes what is printed, got 'no"),
+    "full, little": ("{program} --version >/dev/full", "standard output: expected a place that takes what is"),
+    "closed": ("{program} schema >&-", "standard output: expected an open one"),
+    "other text": (f"{{program}} {WALK}-$'\\xff'", "argument 6: expected UTF-8, which reports are written in"),
+    "gone": ("rmdir $PWD && {program} schema", "the working folder: expected one that is there"),
+}
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="writes to /dev/full")
+@pytest.mark.parametrize("case", SURROUNDINGS)
+def test_surroundings_that_a_command_cannot_work_in_get_one_line(case, tmp_path):
+    line, expected = SURROUNDINGS[case]
+    line = "set -o pipefail; " + line.format(program=f"{sys.executable} -m tuning.command_line")
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.splitlines()[-1].startswith(f"mjx-climb: error: {expected}"), done.stderr
+
+
+def test_a_closed_standard_error_leaves_standard_output_alone(tmp_path):
+    line = f"{sys.executable} -m tuning.command_line run nowhere 2>&-"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
 
 
 def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+import mjx_climb as mc
 from mjx_climb.files import dataset
 from tuning.command_line import main
 
@@ -70,3 +71,38 @@ def test_what_cannot_be_drawn_gets_one_line(plot, folder, arguments, message):
 def test_a_folder_without_a_result_is_refused(plot, tmp_path):
     assert plot(tmp_path)[0] == 2
     assert "expected a folder with a result" in plot(tmp_path)[2]
+
+
+def _walk(**changes):
+    attrs = {"scenario": mc.Scenario().to_yaml(), "gains": "{}", "parameters": "{}"} | changes
+    lengths = {"time": 2, "axis": 3, "six": 6, "quaternion": 4, "limb": 4, "joint": 3}
+    data = {name: (dims, np.ones([lengths[d] for d in dims])) for name, (dims, *_) in dataset.VARIABLES.items()}
+    coords = {"time": [0.0, 0.1], "limb": ["LF", "LH", "RH", "RF"]}
+    return xr.Dataset(data, coords, {name: value for name, value in attrs.items() if value is not None})
+
+
+BROKEN = {
+    "no table": ("sweep.nc", None, {"comparison.json": None}),
+    "table of something else": ("sweep.nc", None, {"comparison.json": '{"pd": {"metrics": 1, "gains": 2}}'}),
+    "deep table": ("sweep.nc", None, {"comparison.json": "[" * 100_000}),
+    "sweep of other axes": ("sweep.nc", lambda: xr.Dataset({"a": ("b", [1.0])}), {}),
+    "empty": ("search.nc", xr.Dataset, {}),
+    "no gains": ("trajectory.nc", lambda: _walk(gains=None), {}),
+    "no scenario": ("trajectory.nc", lambda: _walk(scenario=None), {}),
+    "foreign gains": ("trajectory.nc", lambda: _walk(gains='{"a": "b"}'), {}),
+    "deep parameters": ("trajectory.nc", lambda: _walk(parameters="[" * 100_000), {}),
+    "foreign parameters": ("trajectory.nc", lambda: _walk(parameters='{"a": 1}'), {}),
+    "number for text": ("trajectory.nc", lambda: _walk(parameters=1), {}),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_what_another_program_wrote_or_what_has_gaps_gets_one_line(plot, folder, case):
+    name, made, files = BROKEN[case]
+    if made is not None:
+        (folder / "sweep.nc").unlink()
+        made().to_netcdf(folder / name, engine="h5netcdf")
+    for file, text in files.items():
+        (folder / file).unlink() if text is None else (folder / file).write_text(text)
+    code, out, err = plot(folder)
+    assert (code, out) == (2, []) and str(folder) in err and "expected" in err and "\n" not in err
