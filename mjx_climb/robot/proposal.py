@@ -19,7 +19,17 @@ from mjx_climb.robot.description import (
 )
 from mjx_climb.robot.found_limbs import Chain, Note, base_of, limbs_of
 from mjx_climb.robot.robot_file import REACH
-from mjx_climb.robot.stance import Stance, checked, judge, keyframe, of_keyframe, searched, section_of, stretched
+from mjx_climb.robot.stance import (
+    STANDING,
+    Stance,
+    checked,
+    judge,
+    keyframe,
+    of_keyframe,
+    searched,
+    section_of,
+    stretched,
+)
 
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
 _MASS, _REACH = 2.2539, 0.287  # kg, m
@@ -31,7 +41,6 @@ _HOLDS_TURNS = {"rotational_stiffness": 30.0, "rotational_damping": 0.06}  # N m
 _FIRM = {"rotational_stiffness": 10.0, "kp": 10.0, "rotational_damping": 3.0, "kd": 3.0}  # times as much, on one foot
 _ATTITUDE = 6  # joints of a limb that can keep its foot's attitude
 _SHORT_STRIDE = 8  # the part of a stride that turns feet, which cannot but turn, little enough
-_STANDING = 3  # feet on the ground that keep a robot from swinging about them
 _UPRIGHT = 0.7  # the least z of a base's z axis that stands upright
 _HALVINGS = 5  # of a stride that is too long
 _NAMED = 5  # links in a note
@@ -78,10 +87,12 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
         notes.append(Note("taken", f"stance of keyframe {model.key(key).name!r}", "the feet stand where it puts them"))
     else:
         if key is not None:
-            why = "no stance: feet above the base's frame, or joints at or beyond their limits with the feet level"
+            why = "no stance: feet above the base, or with them level limbs singular or joints at their limits"
             notes.append(Note("ignored", f"keyframe {model.key(key).name!r}", why))
         stance = searched(path, section, reach_of)
-        notes.append(Note("changed", "stance", "searched: feet below and around their hips, joints off their limits"))
+        notes.append(
+            Note("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
+        )
     section["height"] = stance.height
     for name, foothold in zip(limbs, stance.footholds, strict=True):
         section["limbs"][name]["foothold"] = [float(v) for v in foothold]
@@ -90,7 +101,7 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
     stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
     why = f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}"
     notes.append(Note("changed", "contact and control", why))
-    if len(limbs) <= _STANDING:
+    if len(limbs) <= STANDING:
         _hold_turns(section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2, notes)
     _drives(model, limbs, notes)
     sections = {"robot": section, "gait": gait, "duration": 2 * gait["cycle"], **proportions}

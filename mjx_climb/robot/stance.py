@@ -1,4 +1,4 @@
-"""How a robot may stand: as a keyframe has it, or where its joints are well off their limits."""
+"""How a robot may stand: as a keyframe has it, or where its joints are off their limits and its limbs not singular."""
 
 import itertools
 from collections.abc import Callable
@@ -9,12 +9,13 @@ import numpy as np
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import FILLING, PASSIVE, RobotError
 from mjx_climb.robot.found_limbs import Chain, at_zero
-from mjx_climb.robot.posture import limb_joints
+from mjx_climb.robot.posture import SINGULAR, keeps_attitude, limb_joints, smallest_singular_values
 from mjx_climb.robot.robot_file import compiled_robot, unposed
 from mjx_climb.scenario.model import RobotFile
 
 _SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out and how far down a foot may stand
-_WELL = 0.15  # of a joint's range to its limits: a stance that will do
+STANDING = 3  # feet on the ground that keep a robot from swinging about them: grips of fewer limbs hold attitudes
+_WELL = 0.15  # of a joint's range to its limits: more counts for no more
 _MET = 1e-9  # m
 _SAMPLES, _HEIGHTS, _TRIED = 3000, 15, 4  # postures at random, heights looked at, postures tried at each
 _LOW = 0.2  # of a limb's reach: a base nearer to the ground is for robots that cannot stand higher
@@ -130,39 +131,44 @@ def _posed(section: dict[str, Any], footholds: np.ndarray) -> _Posed:
 
 
 def judge(section: dict[str, Any], footholds: np.ndarray, missing: float = 0.0) -> Callable[[Stance], float]:
-    """Return what tells of a stance how far its joints are off their limits, as a share of the range; below 0: unmet.
+    """Return what tells the worth of a stance: below 0 a foot misses its place or a joint its limits, 0 is singular.
 
-    `footholds` (L, 2) m are somewhere about where the feet are to stand. Limbs that cannot put a foot anywhere in space
-    may miss their places by `missing` m.
+    It is the smallest singular value of the limbs' Jacobians, for what the grips hold, and less within `_WELL` of a
+    joint's limit. `footholds` (L, 2) m are somewhere about where the feet are to stand. Limbs that cannot put a foot
+    anywhere in space may miss their places by `missing` m.
     """
     posed = _posed(section, footholds)
     lower, upper = posed.limits
     near = np.where(posed.driven.sum(1) < _IN_SPACE, max(missing, _MET), _MET)
+    turned = len(section["limbs"]) <= STANDING and keeps_attitude(posed.model)
 
-    def margin(stance: Stance) -> float:
+    def worth(stance: Stance) -> float:
         feet = np.column_stack([stance.footholds, np.full(len(near), -stance.height)])[posed.rows] - posed.offset
         found = limb_joints(posed.model, feet)
-        share = np.minimum(found.angles - lower, upper - found.angles) / (upper - lower)
-        return float(share.min()) if (found.errors < near).all() else -1.0
+        share = float((np.minimum(found.angles - lower, upper - found.angles) / (upper - lower)).min())
+        if share <= 0 or not (found.errors < near).all():
+            return -1.0
+        least = float(smallest_singular_values(posed.model, found.angles, turned).min())
+        return least * min(share / _WELL, 1.0) if least > SINGULAR else 0.0
 
-    return margin
+    return worth
 
 
 def checked(section: dict[str, Any], stance: Stance) -> Stance | None:
-    """Return a stance to as few digits as will do, None where its joints would be beyond their limits."""
-    margin = judge(section, stance.footholds)
+    """Return a stance to as few digits as will do, None where joints pass their limits, or it is singular."""
+    worth = judge(section, stance.footholds)
     for digits in (4, 12):
         rounded = Stance(round(stance.height, digits), stance.footholds.round(digits))
-        if margin(rounded) > 0:
+        if worth(rounded) > 0:
             return rounded
     return None
 
 
 def searched(path: str, section: dict[str, Any], hips: list[Hip]) -> Stance:
-    """Return a stance, the feet some way out and down, whose joints are well off their limits, or the best there is.
+    """Return the stance of most worth among those with the feet some way out and down, or else at random.
 
     Raises:
-        RobotError: none was found.
+        RobotError: none was found, or singular ones alone.
     """
     reach = min(hip.reach for hip in hips)
     places = np.array([hip.place for hip in hips])
@@ -174,20 +180,18 @@ def searched(path: str, section: dict[str, Any], hips: list[Hip]) -> Stance:
             if np.hypot(out, down) < 1 and height > 0:
                 stances.append(Stance(height, (places[:, :2] + out * reach * away).round(4)))
     posed = _posed(section, places[:, :2] + 0.5 * reach * away)
-    best, most = None, 0.0
+    best, most = None, -1.0
     if (posed.driven.sum(1) >= _IN_SPACE).all() and stances:
-        margin = judge(section, stances[0].footholds)
-        for stance in stances:
-            if (found := margin(stance)) > most:
-                best, most = stance, found
-            if most > _WELL:
-                break
-    if best is None:
+        worth = judge(section, stances[0].footholds)
+        most, best = max(((worth(stance), stance) for stance in stances), key=lambda found: found[0])
+    if most < 0:
         at_random = _sampled(posed, np.array([away[row] for row in posed.rows]), reach)
         best = None if at_random is None else checked(section, at_random)
-    if best is None:
+        most = -1.0 if best is None else 1.0
+    if best is None or most <= 0:
         expected = "a stance with all feet in reach below the base link, whose own z axis is up"
-        raise RobotError(f"{path}: expected {expected}, found none")
+        singular = "singular ones alone: in them a limb cannot move its foot, or turn what its grip holds, every way"
+        raise RobotError(f"{path}: expected {expected}, found {'none' if most < 0 else singular}")
     return best
 
 

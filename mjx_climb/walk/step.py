@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from mjx_climb.checks.stance import check_stance
 from mjx_climb.control import Law, Reference, Start, running
 from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import (
@@ -88,9 +89,10 @@ def structure(
     With `smooth` the metrics have their smooth companions, and no gripper is torn off.
 
     Raises:
-        ConfigError: no such engine.
+        ConfigError: no such engine, or a rest stance that is singular.
         ValueError: two metrics of one name.
     """
+    check_stance(scenario)
     numbers = own_numbers(scenario) if numbers is None else numbers
     table = MetricTable(metrics)
     stages = _with_own_drives(stages_of(scenario, numbers), load_robot(scenario.robot))

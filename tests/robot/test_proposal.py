@@ -4,6 +4,7 @@ import dataclasses
 import re
 
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -11,8 +12,9 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step, largest_time_step
 from mjx_climb.dynamics.kinematics import limb_frames
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.proposal import propose
+from mjx_climb.robot.stance import Stance, judge
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
@@ -181,6 +183,47 @@ def test_any_number_of_limbs(tmp_path, limbs, joints):
     assert (robot.stance_joints > robot.joint_lower).all() and (robot.stance_joints < robot.joint_upper).all()
     assert len(scenario.gait.sequence) == limbs and scenario.gait.duty >= 1 - 1 / limbs
     assert (scenario.contact.rotational_stiffness > 0) == (limbs <= 3)
+
+
+def test_a_stance_is_not_singular_for_what_the_grips_hold(tmp_path):
+    """Six joints whose third pitch follows a roll: with the roll in the middle of its range four axes are parallel."""
+    file = tmp_path / "climber.xml"
+    file.write_text(climbers.mjcf(3, 6))
+    model = load_model(scenario_of(propose(file)).robot)
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[0]
+    mujoco.mj_forward(model, data)
+    for limb in range(3):
+        jacobian = np.empty((6, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], limb)
+        jacobian[:3] /= 0.33  # m, a limb's length
+        assert np.linalg.svd(jacobian[:, 6 + 6 * limb : 12 + 6 * limb], compute_uv=False)[-1] > 0.02
+
+
+def test_the_stance_is_the_least_singular(tmp_path):
+    """None of others as far off the joints' limits is farther from singular."""
+    file = tmp_path / "climber.xml"
+    file.write_text(climbers.mjcf(4, 3))
+    section = propose(file).sections["robot"]
+    feet = np.array([limb["foothold"] for limb in section["limbs"].values()])
+    worth = judge(section, feet)
+    others = [Stance(height, share * feet) for height in (0.05, 0.12, 0.2) for share in (0.6, 0.8, 1.0, 1.2)]
+    assert worth(Stance(section["height"], feet)) >= max(worth(stance) for stance in others) > 0
+
+
+def test_a_singular_stance_is_named_and_refused(tmp_path, monkeypatch):
+    """Limbs stretched straight; grips that hold attitudes on limbs that cannot turn their feet about every axis."""
+    file = tmp_path / "climber.xml"
+    file.write_text(climbers.mjcf(4, 3))
+    straight = {"foothold": 0.11 + np.sqrt(0.3**2 - 0.08**2) - 1e-6, "height": 0.08}
+    stretched = mc.Scenario.model_validate(climbers.config(file, 4, 3, **straight))
+    for walk in (mc.rollout, mc.simulator):
+        with pytest.raises(mc.ConfigError, match=r"robot.limbs.limb\d.foothold: expected .* singular"):
+            walk(stretched.with_overrides({"duration": 0.004, "time_step": 0.0001}))
+    monkeypatch.setattr(climbers, "ROLLS", ())
+    file.write_text(climbers.mjcf(2, 6))
+    with pytest.raises(mc.RobotError, match="singular ones alone"):
+        propose(file)
 
 
 def six_limbs():

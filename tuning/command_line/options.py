@@ -149,6 +149,7 @@ def scenario_from(
 ) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     import mjx_climb as mc
+    from mjx_climb.checks.stance import check_stance
     from mjx_climb.checks.time_step import check_time_step
     from mjx_climb.compilation import probe
     from mjx_climb.quantities.ground import check_reach
@@ -163,6 +164,7 @@ def scenario_from(
         scenario = overridden(profiles.with_hardware(scenario, profile, hardware), changes or (), str(config))
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
+    check_stance(scenario, str(config))
     check_time_step(scenario, str(config))
     check_reach(scenario, str(config))
     return scenario
