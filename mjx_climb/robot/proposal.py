@@ -31,6 +31,7 @@ from mjx_climb.robot.stance import (
     stretched,
 )
 
+EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
 _MASS, _REACH = 2.2539, 0.287  # kg, m
 _STRIDE, _STEP_HEIGHT = 0.05, 0.03  # m
@@ -43,6 +44,7 @@ _ATTITUDE = 6  # joints of a limb that can keep its foot's attitude
 _SHORT_STRIDE = 8  # the part of a stride that turns feet, which cannot but turn, little enough
 _UPRIGHT = 0.7  # the least z of a base's z axis that stands upright
 _HALVINGS = 5  # of a stride that is too long
+_CRAWLING = 4  # limbs of a robot that swings each of them in a second
 _NAMED = 5  # links in a note
 _MISSED = 0.02  # of the reach, by which limbs of two joints may miss their footholds
 
@@ -54,8 +56,10 @@ class Proposal(NamedTuple):
     notes: tuple[Note, ...]
 
 
-def propose(file: str | os.PathLike[str]) -> Proposal:
+def propose(file: str | os.PathLike[str], gravity: float = EARTH) -> Proposal:
     """Return sections of a scenario for the robot in an MJCF or URDF; what remains is to choose a time step.
+
+    It stands on level ground under `gravity`, m/s^2.
 
     Raises:
         RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more.
@@ -104,7 +108,9 @@ def propose(file: str | os.PathLike[str]) -> Proposal:
     if len(limbs) <= STANDING:
         _hold_turns(section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2, notes)
     _drives(model, limbs, notes)
-    sections = {"robot": section, "gait": gait, "duration": 2 * gait["cycle"], **proportions}
+    notes.append(Note("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another"))
+    walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"]}
+    sections = {"robot": section, **walk, **proportions}
     return Proposal(sections, tuple(notes))
 
 
@@ -238,8 +244,9 @@ def _gait(
     shorter = round(_STRIDE * reach / _REACH / stride)
     within = f", the stride 1/{shorter} of that for joint limits" if shorter > 1 else ""
     notes.append(Note("changed", "gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}"))
+    load = max(1.0, (_CRAWLING - 1) / (len(limbs) - 1))  # of each foot on the ground, in that of a robot of four
     return {
-        "cycle": float(len(limbs)),
+        "cycle": len(limbs) * load,
         "duty": duty,
         "stride": _two_digits(stride),
         "step_height": _two_digits(step),
@@ -283,7 +290,6 @@ def _proportions(mass: float, reach: float, slides: bool) -> dict[str, Any]:
     heavier = mass / _MASS
     turning = heavier * reach / _REACH * (max(1.0, reach**-2) if slides else 1.0)
     return {
-        "gravity": [0.0, 0.0, -1.62],
         "contact": {name: _two_digits(value * heavier) for name, value in _CONTACT.items()},
         "control": {name: _two_digits(value * heavier) for name, value in _CONTROL.items()}
         | {name: _two_digits(value * turning) for name, value in _LOOP.items()},

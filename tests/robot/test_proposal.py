@@ -15,6 +15,7 @@ from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.proposal import propose
 from mjx_climb.robot.stance import Stance, judge
+from mjx_climb.rollouts import remedies
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
@@ -182,6 +183,7 @@ def test_any_number_of_limbs(tmp_path, limbs, joints):
     assert (len(robot.limbs), robot.joints) == (limbs, joints)
     assert (robot.stance_joints > robot.joint_lower).all() and (robot.stance_joints < robot.joint_upper).all()
     assert len(scenario.gait.sequence) == limbs and scenario.gait.duty >= 1 - 1 / limbs
+    assert scenario.gait.cycle == limbs * max(1, 3 / (limbs - 1))  # as four limbs have it, for the load on a foot
     assert (scenario.contact.rotational_stiffness > 0) == (limbs <= 3)
 
 
@@ -284,13 +286,36 @@ def test_odd_files_walk_on_a_slope(tmp_path, name):
     assert measured["travel"] == pytest.approx(way, abs=0.3 * scenario.gait.stride)
 
 
+@pytest.mark.parametrize(("gravity", "asked"), [(9.81, []), (1.62, ["--gravity", "1.62"])])
+def test_the_gravity_is_the_earths_unless_told(tmp_path, gravity, asked, capsys, monkeypatch):
+    """It is said and written, also where the walk says that it does not hold; no time is spent on walking here."""
+    monkeypatch.setattr(remedies, "slow_enough", lambda scenario: (scenario, False, "falls"))
+    file, config = tmp_path / "dog.xml", tmp_path / "dog.yaml"
+    file.write_text(dog())
+    with pytest.raises(SystemExit) as ended:
+        main(["robot", str(file), "--write", str(config), *asked])
+    out = capsys.readouterr().out
+    assert ended.value.code == 1 and re.search(r"failed +walk +falls", out)
+    assert f"taken    gravity {gravity} m/s^2" in out
+    assert mc.load_scenario(config).gravity == (0, 0, -gravity)
+
+
+def test_a_gravity_that_is_none_is_refused(tmp_path, capsys):
+    file = tmp_path / "dog.xml"
+    file.write_text(dog())
+    with pytest.raises(SystemExit) as ended:
+        main(["robot", str(file), "--gravity", "inf"])
+    assert ended.value.code == 2 and "gravity: expected a list of three finite numbers" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_the_command_leaves_a_config_that_runs(tmp_path, capsys):
     file, config = tmp_path / "dog.xml", tmp_path / "dog.yaml"
     file.write_text(dog())
     with pytest.raises(SystemExit) as ended:
         main(["robot", str(file), "--write", str(config)])
     out = capsys.readouterr().out
-    assert ended.value.code == 0
+    assert ended.value.code == 0 and "holds for 8 s at a cycle of 4 s" in out
     assert "taken    base 'trunk'" in out and f"mjx-climb run {config}" in out
     assert yaml.safe_load(config.read_text())["robot"]["file"] == "dog.xml"
     check_time_step(mc.load_scenario(config))

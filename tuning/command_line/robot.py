@@ -12,35 +12,51 @@ def robot(
         Path | None,
         typer.Option(metavar="CONFIG", help="Scenario to write, ready for run.", show_default="print it"),
     ] = None,
+    gravity: Annotated[
+        float,
+        typer.Option(min=0.0, metavar="M/S2", help="Gravity on level ground, m/s^2; on the Moon 1.62."),
+    ] = 9.81,
 ) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
     Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
     stance is a keyframe's, or searched. Stride, grip and gains are HubRobo's in proportion to mass and reach. Prints
     what was taken from the file, changed and ignored, each with the reason; then the scenario, for you to look through.
+    Walks the proposal, and with cycles twice and four times as long, and takes the first with which it holds.
+
+    Exit code 1: it does not walk at any of these; the line says why, and the scenario is there all the same.
 
     \b
     Examples:
       mjx-climb robot go2.xml
       mjx-climb robot anymal.urdf --write anymal.yaml
+      mjx-climb robot limbero.urdf --gravity 1.62
     """
     import mjx_climb as mc
     from mjx_climb.checks.time_step import largest_time_step
     from mjx_climb.files import dataset
     from mjx_climb.robot.proposal import propose
+    from mjx_climb.rollouts.remedies import slow_enough
+    from mjx_climb.scenario.model import validated
+    from tuning.command_line import progress, report
 
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(f"{write}: expected another file than the robot's own")
-    proposal = propose(file)
-    scenario = mc.Scenario.model_validate({**proposal.sections, "time_step": 0.001})
+    proposal = propose(file, gravity)
+    scenario = validated(mc.Scenario, {**proposal.sections, "time_step": 0.001}, str(file))
     step = min(0.001, largest_time_step(scenario, str(file)))
     scenario = scenario.with_overrides({"time_step": step})
     rows = [*proposal.notes, ("changed", f"time step {step:g} s", "short enough for contacts and joint loop")]
-    kind, what = (max(len(row[n]) for row in rows) for n in (0, 1))
+    what = max(len(row[1]) for row in rows)
     for row in rows:
-        typer.echo(f"{row[0]:{kind}}  {row[1]:{what}}  {row[2]}")
+        typer.echo(f"{row[0]:7}  {row[1]:{what}}  {row[2]}")
+    with progress.Meter(report.console(stderr=True)).stage("walking it, with slower gaits beside"):
+        scenario, walks, how = slow_enough(scenario)
+    typer.echo(f"{'taken' if walks else 'failed':7}  {'walk':{what}}  {how}")
     if write is None:
         typer.echo("\n" + scenario.to_yaml(), nl=False)
-        return
-    dataset.write_text_atomically(write, scenario.relative_to(write.absolute().parent).to_yaml())
-    typer.echo(f"\nwrote {write}: mjx-climb run {write}")
+    else:
+        dataset.write_text_atomically(write, scenario.relative_to(write.absolute().parent).to_yaml())
+        typer.echo(f"\nwrote {write}: mjx-climb run {write}")
+    if not walks:
+        raise typer.Exit(1)

@@ -56,6 +56,7 @@ def run(
         from mjx_climb import plots
         from mjx_climb.files import dataset, scenario_files
         from mjx_climb.robot.constants import load_robot
+        from mjx_climb.rollouts.remedies import remedies
         from tuning.command_line import interruption, progress, report
         from tuning.report import remarks
         from tuning.report.comparison import gains_of
@@ -109,6 +110,9 @@ def run(
             tables.print(report.comparison_table(compared, baseline.control.controller, tables.width, table, own))
             lines = [f"{name}: {report.verdict(walk, values)}" for name, walk, values in both]
             lines += remarks.weightless({name: values for name, _, values in both})
+        if metrics["detached_limb"] is not None:
+            with meter.stage("what would help", compiles=False):
+                lines.append(remedies(scenario, metrics["detached_at"], own))
         for line in lines:
             tables.print(line, soft_wrap=True)
         console.print(f"written to {out}: {', '.join(files)}", soft_wrap=True)

@@ -279,7 +279,14 @@ def test_run_says_who_let_go(call, tmp_path):
     assert code == 1
     assert metrics["detached_limb"] in ("LF", "LH", "RH", "RF")
     code, out, _ = call("run", CONFIG, *SHORT, *WEAK, "--controller", "pd", "--out", tmp_path)
-    assert out.rstrip().endswith(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
+    said, helps = out.rstrip().splitlines()[-2:]
+    assert said == f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s"
+    own = mc.load_scenario(tmp_path / "config.yaml").with_overrides({"contact.holding_limit": None})
+    for change in ("", "gait.stride=0.025", "control.kp=25 and control.kd=0.1", "control.kp=100 and control.kd=0.4"):
+        walk = mc.rollout(own.with_overrides(change.split(" and ") if change else []))
+        force = walk.foot_force[walk.support & (walk.foot_force[..., 2] < 0)]
+        words = f"{f'with {change}' if change else 'pull on grips that never let go:'} "
+        assert f"{words}{np.linalg.norm(force, axis=-1).max():.3g} N" in helps
 
 
 def test_run_survives_divergence(call, tmp_path):
