@@ -1,0 +1,399 @@
+"""A stored walk worked out again, row by row, in NumPy and MuJoCo's C code: from docs/physics.md, not from the package.
+
+Each row starts from the state that the walk has there; the state of the next row is part of what must come out.
+"""
+
+import mujoco
+import numpy as np
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from mjx_climb.hardware.noise import normal
+from mjx_climb.robot.constants import load_model
+
+PRESLIDING, RELAXATION = 5e-4, 5e-3  # rad, s: dry friction
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def rest_to_rest(u):
+    return 3 * u**2 - 2 * u**3
+
+
+def number(value, otherwise=np.inf):
+    return otherwise if value is None else value
+
+
+def attitude(quaternion):
+    return Rotation.from_quat(quaternion, scalar_first=True)
+
+
+def late(past, delay):
+    """Return a signal as it was `delay` steps ago, linear between samples; the first has always been."""
+    whole = int(delay + 1e-9)
+    new, old = (past[max(len(past) - 1 - age, 0)] for age in (whole, whole + 1))
+    return new + max(delay - whole, 0.0) * (old - new)
+
+
+class Gait:
+    """What the gait wants at a step."""
+
+    def __init__(self, walk, feet, base):
+        scenario, gait = walk.scenario, walk.scenario.gait
+        self.cycle = round(gait.cycle / scenario.time_step)
+        self.swing = round((1 - gait.duty) * gait.cycle / scenario.time_step)
+        self.offset = np.array([round(gait.lift_off[limb] * self.cycle) for limb in walk.limbs])
+        self.step_height, turn = gait.step_height, Rotation.from_euler("z", gait.heading)
+        self.advance, self.feet, self.base = turn.apply([gait.stride, 0, 0]), turn.apply(feet), turn.apply(base)
+        self.actual, self.start = gait.base_reference == "actual", None
+        given = dict(scenario.ground.footholds.items()) if scenario.ground.footholds is not None else {}
+        self.heights = [given.get(limb, (0.0,)) for limb in walk.limbs]
+        self.path = gait.step_height * turn.apply(np.moveaxis(walk.numbers.swing_path, 1, 2))
+
+    def height(self, foothold):
+        """Return the heights (L,) of the limbs' footholds of these numbers; the last goes on for ever."""
+        numbers = np.broadcast_to(foothold, len(self.heights))
+        return np.array([own[min(n, len(own) - 1)] for own, n in zip(self.heights, numbers, strict=True)])
+
+    def at(self, step, base):
+        """Return which grippers are shut, the ground below the feet, base reference and foot targets in the air."""
+        cycle, within = divmod(step, self.cycle)
+        since = (within - self.offset) % self.cycle
+        shut = since >= self.swing
+        ground = self.height(cycle + (within - self.offset >= self.swing / 2))
+        old, new = self.height(cycle), self.height(cycle + 1)
+        if within == 0 or not self.actual:
+            self.start = base if self.actual else self.base + cycle * self.advance + old.mean() * Z
+        way = self.advance + (new.mean() - old.mean()) * Z
+        phase = np.where(shut, 0, since / self.swing)
+        feet = self.feet + cycle * self.advance + rest_to_rest(phase)[:, None] * self.advance
+        end = np.where(phase < 0.5, old, new)
+        top = np.maximum(old, new) + self.step_height
+        feet[:, 2] += end + (top - end) * rest_to_rest(np.minimum(2 * phase, 2 - 2 * phase))
+        for limb, c in enumerate(2 * phase - 1):
+            for k, added in enumerate(self.path[limb]):
+                feet[limb] += added * (1 - c**2) ** 3 * c ** (k + np.array([0, 0, 1]))
+        return shut, ground, self.start + rest_to_rest(within / self.cycle) * way, feet
+
+
+class Grips:
+    """Springs and dampers between feet and ground."""
+
+    def __init__(self, contact, feet, turned):
+        self.contact, self.point, limbs = contact, feet.copy(), len(feet)
+        self.touched, self.shut = np.ones((2, limbs), bool)
+        self.missing, self.held, self.detached = np.zeros((3, limbs), bool)
+        self.attitude = turned.copy()
+
+    def act(self, feet, velocity, turned, spin, shut, ground):
+        own, before = self.contact, self.detached.copy()
+        support, shuts = shut & ~self.detached, np.zeros_like(shut)
+        missed, reach = shuts, number(own.capture_distance)
+        if np.isfinite(reach):
+            shuts = support & ~self.shut
+            missed = shuts & (feet[:, 2] - ground > reach)
+            self.missing = shut & (self.missing | missed)
+            support = support & ~self.missing
+        self.shut = shut
+        touching = support | (feet[:, 2] <= ground)
+        fresh = touching & ~self.touched | shuts
+        self.point[fresh] = np.column_stack([feet[:, :2], ground])[fresh]
+        self.touched = touching
+        force = touching[:, None] * (-own.stiffness * (feet - self.point) - own.damping * velocity)
+        if np.isfinite(reach):
+            force[~support] = np.maximum(force[~support] @ Z, 0)[:, None] * Z
+        moment = np.zeros_like(force)
+        for limb in np.flatnonzero(support) if own.rotational_stiffness else ():
+            if not self.held[limb]:
+                self.attitude[limb] = turned[limb]
+            twist = self.attitude[limb] @ turned[limb].T
+            sine = np.array([twist[2, 1] - twist[1, 2], twist[0, 2] - twist[2, 0], twist[1, 0] - twist[0, 1]]) / 2
+            moment[limb] = own.rotational_stiffness * sine - own.rotational_damping * spin[limb]
+        self.held = support
+        torn = support & (force[:, 2] < 0) & (np.linalg.norm(force, axis=1) > number(own.holding_limit))
+        self.detached = self.detached | torn
+        return {
+            "grip_point": self.point.copy(), "support": support, "contact": touching, "detached": before,
+            "torn_off": torn, "missed": missed, "foot_force": force, "foot_moment": moment,
+        }  # fmt: skip
+
+
+class Law:
+    """The paper's Eqs. 2 and 3 in the ways of docs/physics.md, and pd."""
+
+    def __init__(self, scenario, reference, limbs):
+        self.control, self.reference = scenario.control, reference
+        self.period = scenario.hardware.control_period or scenario.time_step
+        axes = 3 if self.control.controller == "end_effector_admittance" else 6
+        self.gains = [
+            np.broadcast_to(getattr(self.control, name), 6)[:axes] for name in ("inertia", "damping", "stiffness")
+        ]
+        self.state = np.zeros((axes, 2)) if axes == 6 else np.zeros((limbs, axes, 2))
+        self.exact = []
+        for m, d, k in zip(*self.gains, strict=True):
+            self.exact.append(expm(np.array([[0, 1, 0], [-k / m, -d / m, 1 / m], [0, 0, 0]]) * self.period)[:2])
+
+    def say(self, position, base, force, wrench, support, feet):
+        """Return where base, its attitude and the feet shall be, and the shift of the base."""
+        into, shift, turn = self.reference.inv(), np.zeros(6), Rotation.identity()
+        own = np.concatenate([into.apply(wrench[:3]), into.apply(wrench[3:])])
+        kind = self.control.controller, self.control.reading
+        if kind == ("base_admittance", "virtual_model"):
+            self.state = np.array([e @ [*z, -f] for e, z, f in zip(self.exact, self.state, own, strict=True)])
+            shift = self.state[:, 0]
+            turn = Rotation.from_rotvec(shift[3:])
+        elif kind == ("base_admittance", "measured_pose"):
+            where, quaternion, linear, angular = base
+            m, d, k = self.gains
+            off = 2 * (into * attitude(quaternion)).as_quat(canonical=True)[:3]
+            offset = np.concatenate([into.apply(where - position), off])
+            rate = np.concatenate([into.apply(linear), into.apply(angular)])
+            shift = offset + self.period * rate + self.period**2 * (own - d * rate - k * offset) / m
+            half = shift[3:] / 2
+            turn = Rotation.from_quat([*half, np.sqrt(1 - half @ half)])
+        elif kind[0] == "end_effector_admittance":
+            moved = [
+                [e @ [*z, f] for e, z, f in zip(self.exact, foot, into.apply(pull), strict=True)]
+                for foot, pull in zip(self.state, force, strict=True)
+            ]
+            self.state = np.where(support[:, None, None], moved, 0)
+            feet = feet + self.reference.apply(self.state[..., 0])
+        return position + self.reference.apply(shift[:3]), self.reference * turn, feet, shift
+
+
+class Servos:
+    """From joint targets to the torques that turn the joints."""
+
+    def __init__(self, scenario, model, joints):
+        self.servo, self.step = scenario.hardware.servo, scenario.time_step
+        self.kp, self.kd = scenario.control.kp, scenario.control.kd
+        own = np.where(model.jnt_actfrclimited[1:], model.jnt_actfrcrange[1:, 1], np.inf).reshape(joints.shape)
+        self.limit = np.minimum(own, number(self.servo.torque_limit))
+        self.driven = (model.jnt_group[1:] == 0).reshape(joints.shape)
+        self.dry = self.servo.coulomb_friction + model.dof_frictionloss[6:].reshape(joints.shape)
+        self.asked, self.bend = [np.zeros_like(joints)], np.zeros_like(joints)
+
+    def turn(self, target, angles, rates):
+        """Return the motors' torques, those on the joints, and the armature of joints that stick."""
+        play, h = self.servo.backlash / 2, self.step
+        error = target - angles
+        error = error - np.clip(error, -play, play)
+        self.asked.append(self.driven * (self.kp * error - self.kd * rates))
+        torque = late(self.asked, self.servo.delay / h)
+        slow = rates / number(self.servo.no_load_speed)
+        top, bottom = np.minimum(1, 1 - slow), np.minimum(1, 1 + slow)
+        most = np.where(np.isfinite(self.limit), self.limit, 0)
+        limited = np.clip(torque, -most * np.maximum(bottom, -1), most * np.maximum(top, -1))
+        torque = np.where(np.isfinite(self.limit), limited, torque)
+        bears = self.dry + self.servo.load_friction * np.abs(torque)
+        self.bend = np.clip(self.bend + h * rates / PRESLIDING, -1, 1)
+        ahead = self.bend + (RELAXATION + h) * rates / PRESLIDING
+        armature = np.where(np.abs(ahead) < 1, h * (RELAXATION + h) * bears / PRESLIDING, 0)
+        return torque, torque - bears * np.clip(ahead, -1, 1), armature
+
+
+def margins(feet, support, com, force, moment, mass, gravity, hold):
+    """Return TSM (m) and GIA margin (m/s^2) of one instant."""
+    feet = feet[support]
+    if len(feet) < 3:
+        return 0.0, 0.0
+    tumbling, inside = [], []
+    for n, a in enumerate(feet):
+        b = feet[(n + 1) % len(feet)]
+        length = np.linalg.norm(a - b)
+        others = [np.cross(a - j, b - j) for k, j in enumerate(feet) if k not in (n, (n + 1) % len(feet))]
+        arm = max([0.0, *(np.linalg.norm(n) / length for n in others if n[2] > 0)])
+        tumbling.append(hold * arm - (moment @ (a - b) + force @ np.cross(b, a)) / length)
+        normal = np.cross(com - a, com - b)
+        inside.append((hold * sum(n[2] for n in others) + force @ normal) / (mass * np.linalg.norm(normal)))
+    smallest = max(0.0, min(tumbling))
+    if not gravity:
+        return np.inf if smallest else 0.0, max(0.0, min(inside))
+    return smallest / (mass * gravity), max(0.0, min(inside))
+
+
+class Body:
+    """MuJoCo's model of the robot, without its solver."""
+
+    def __init__(self, walk):
+        scenario = walk.scenario
+        self.model = model = load_model(scenario.robot).__copy__()
+        for values in (model.body_mass, model.body_inertia):
+            values *= float(walk.numbers.mass_scale)
+        model.opt.gravity[:] = scenario.gravity
+        model.dof_damping[6:] += scenario.hardware.servo.viscous_friction
+        self.armature = model.dof_armature[6:] + scenario.hardware.servo.armature
+        self.mass, self.data, self.aim = model.body_mass.copy(), mujoco.MjData(model), mujoco.MjData(model)
+        self.limbs, self.shape = model.nsite, (model.nsite, -1)
+
+    def place(self, data, position, quaternion, angles):
+        data.qpos[:] = np.concatenate([position, quaternion, angles.ravel()])
+        mujoco.mj_fwdPosition(self.model, data)
+
+    def jacobians(self, data):
+        found = np.empty((self.limbs, 2, 3, self.model.nv))
+        for limb, (linear, angular) in enumerate(found):
+            mujoco.mj_jacSite(self.model, data, linear, angular, limb)
+        return found
+
+    def joints_for(self, position, rotation, feet, angles):
+        """Return the joint angles, near some, that put feet of three joints each there, by Newton's method."""
+        for _ in range(6):
+            self.place(self.aim, position, rotation.as_quat(scalar_first=True), angles)
+            errors, columns = feet - self.aim.site_xpos, self.jacobians(self.aim)[:, 0, :, 6:]
+            own = [columns[limb][:, 3 * limb : 3 * limb + 3] for limb in range(self.limbs)]
+            angles = angles + np.array([np.linalg.solve(j, e) for j, e in zip(own, errors, strict=True)])
+        return angles
+
+    def accelerations(self, rotation, torque, held, push, cargo, armature):
+        model, data = self.model, self.data
+        model.body_mass[1] = self.mass[1] + cargo
+        model.dof_armature[6:] = self.armature + armature.ravel()
+        data.xfrc_applied[1] = push
+        data.qfrc_applied[:] = np.concatenate([np.zeros(6), torque.ravel()])
+        for columns, force, moment in zip(self.jacobians(data), held["foot_force"], held["foot_moment"], strict=True):
+            data.qfrc_applied += force @ columns[0] + moment @ columns[1]
+        mujoco.mj_forward(model, data)
+        return data.qacc[:3].copy(), rotation.apply(data.qacc[3:6]), data.qacc[6:].reshape(self.shape).copy()
+
+
+def windows(scenario, step):
+    """Return cargo (kg) and push (6,) at a step."""
+
+    def on(window):
+        h = scenario.time_step
+        return round(window.start / h) <= step < number(window.stop) / h - 0.5 + 1e-9
+
+    pushes = [np.array([*push.force, *push.moment]) for push in scenario.disturbance.pushes if on(push)]
+    cargo = scenario.disturbance.cargo
+    return on(cargo) * cargo.mass, sum(pushes, np.zeros(6))
+
+
+def again(walk):
+    """Return the histories of a walk by name, each worked out from the states that it has."""
+    scenario, h = walk.scenario, walk.scenario.time_step
+    sensor, estimate, hardware = scenario.hardware.force_sensor, scenario.hardware.base_estimate, scenario.hardware
+    assert scenario.control.integration == "exact" and not scenario.control.deadband
+    body = Body(walk)
+    stance = body.model.key_qpos[0]
+    reference = Rotation.from_euler("z", scenario.gait.heading) * attitude(stance[3:7])
+    angles = stance[7:].reshape(body.shape)
+    body.place(body.data, stance[:3], stance[3:7], angles)
+    gait = Gait(walk, body.data.site_xpos.copy(), stance[:3])
+    _, ground, start, feet = gait.at(0, gait.base)
+    feet = gait.feet + ground[:, None] * Z
+    three = angles.shape[1] == 3 and (body.model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE).all()
+    angles = body.joints_for(start, reference, feet, angles) if three else angles
+    before = said = angles
+    still = np.zeros(3)
+    after = start, reference.as_quat(scalar_first=True), still, still, angles, np.zeros_like(angles)
+    body.place(body.data, *after[:2], angles)
+    grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3))
+    law, servos = Law(scenario, reference, body.limbs), Servos(scenario, body.model, angles)
+    forces, bases, commands, filtered = [np.zeros_like(feet)], [], [angles], np.zeros_like(feet)
+    period, rows = round(law.period / h), []
+    names = [f"base_{name}" for name in ("position", "orientation", "linear_velocity", "angular_velocity")]
+    names += ["joint_angles", "joint_rates"]
+    for step in range(len(walk.time)):
+        row = dict(zip(names, after, strict=True), time=step * h)
+        position, quaternion, linear, angular, angles, rates = state = [
+            getattr(walk, name)[step].copy() for name in names
+        ]
+        rotation = attitude(quaternion)
+        body.data.qvel[:] = np.concatenate([linear, rotation.inv().apply(angular), rates.ravel()])
+        body.place(body.data, position, quaternion, angles)
+        feet, speeds = body.data.site_xpos.copy(), body.jacobians(body.data) @ body.data.qvel
+        turned = body.data.site_xmat.reshape(-1, 3, 3)
+        row |= {"foot_position": feet, "foot_velocity": speeds[:, 0]}
+        shut, ground, wanted, targets = gait.at(step, position)
+        held = grips.act(feet, speeds[:, 0], turned, speeds[:, 1], shut, ground)
+        targets = np.where(shut[:, None], held["grip_point"], targets)
+        lever, moments = feet - position, held["foot_moment"].sum(0)
+
+        def wrench_of(force, lever=lever, moments=moments):
+            return np.concatenate([force.sum(0), np.cross(lever, force).sum(0) + moments])
+
+        forces.append(held["foot_force"])
+        force = late(forces, sensor.delay / h) + sensor.bias
+        if sensor.noise:
+            force = force + sensor.noise * noise(hardware.seed, step, np.arange(force.size)).reshape(3, -1).T
+        if sensor.resolution:
+            force = sensor.resolution * np.round(force / sensor.resolution)
+        filtered = filtered + (1 - np.exp(-2 * np.pi * h * number(sensor.filter))) * (force - filtered)
+        bases.append(np.concatenate(state[:4]))
+        base = np.split(late(bases, estimate.delay / h), [3, 7, 10])
+        drawn = noise(hardware.seed, step, 1000 + np.arange(6))
+        base[0], base[2] = base[0] + estimate.position_noise * drawn[:3], base[2] + estimate.velocity_noise * drawn[3:]
+        if step % period == 0:
+            command = law.say(wanted, base, filtered, wrench_of(filtered), held["support"], targets)
+            before = said
+            if three:
+                said = body.joints_for(*command[:3], said)
+            else:  # there may be other postures, or none: the walk's own
+                said = walk.joint_targets[step]
+        body.place(body.aim, command[0], command[1].as_quat(scalar_first=True), said)
+        row["reachable"] = np.linalg.norm(body.aim.site_xpos - command[2], axis=1) < 1e-4
+        into = (step % period + 1) / period if hardware.interpolation == "linear" else 1.0
+        commands.append(before + into * (said - before))
+        goal = late(commands, hardware.command_delay / h)
+        torque, turning, armature = servos.turn(goal, angles, rates)
+        cargo, push = windows(scenario, step)
+        body.model.body_mass[1] = body.mass[1] + cargo
+        mass = body.model.body_mass.sum()
+        com = body.model.body_mass @ body.data.xipos / mass
+        wrench = wrench_of(held["foot_force"])
+        net = wrench + push
+        limit = number(scenario.contact.holding_limit, 0.0)
+        pull = np.linalg.norm(scenario.gravity)
+        tsm, gia = margins(
+            feet, held["support"], com, net[:3], net[3:] + np.cross(position, net[:3]), mass, pull, limit
+        )
+        found = body.accelerations(rotation, turning, held, push, cargo, armature)
+        linear, angular, rates = (v + h * a for v, a in zip((linear, angular, rates), found, strict=True))
+        quaternion = (Rotation.from_rotvec(h * angular) * rotation).as_quat(scalar_first=True)
+        quaternion *= np.sign(quaternion @ state[1])
+        after = position + h * linear, quaternion, linear, angular, angles + h * rates, rates
+        rows.append(row | held | {
+            "base_linear_acceleration": found[0], "base_angular_acceleration": found[1],
+            "joint_accelerations": found[2], "joint_targets": goal, "joint_torque": torque, "foot_target": command[2],
+            "base_reference": wanted, "base_displacement": command[3],
+            "base_wrench": wrench, "push": push, "cargo_mass": cargo, "center_of_mass": com, "tsm": tsm,
+            "gia_margin": gia,
+        })  # fmt: skip
+    return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+
+
+def assert_is(walk):
+    """Assert that every history of a walk is what comes out again: to 5e-12 of its largest value, or of one."""
+    for name, expected in again(walk).items():
+        size = np.abs(expected[np.isfinite(expected)]).max(initial=1.0)
+        np.testing.assert_allclose(getattr(walk, name), expected, rtol=0, atol=5e-12 * size, err_msg=name)
+
+
+def noise(seed, step, channels):
+    """Return the package's own noise, of which other tests know that it is white."""
+    return np.asarray(normal(np.asarray(float(seed)), np.asarray(step), channels, np.dtype(float)))
+
+
+def judged(walk):
+    """Return the metrics of a walk that stayed finite, from its histories."""
+    scenario, model = walk.scenario, load_model(walk.scenario.robot)
+    size = np.linalg.norm(walk.foot_force, axis=2)
+    pulling = walk.support & (walk.foot_force[..., 2] < 0)
+    ahead = [np.cos(scenario.gait.heading), np.sin(scenario.gait.heading)]
+    travel = (walk.base_position[-1, :2] - walk.base_position[0, :2]) @ ahead
+    mass = model.body_mass.sum() * float(walk.numbers.mass_scale) + walk.cargo_mass.max()
+    weight = mass * np.linalg.norm(scenario.gravity)
+    work = scenario.time_step * np.abs(walk.joint_torque * walk.joint_rates).sum()
+    lower, upper = (model.jnt_range[1:, side].reshape(size.shape[1], -1) for side in (0, 1))
+    torn = np.argwhere(walk.torn_off)
+    return {
+        "peak_foot_force": size.max(), "force_variation": np.abs(np.diff(size.max(1))).sum(),
+        "peak_pull_force": np.where(pulling, size, 0).max(), "peak_joint_torque": np.abs(walk.joint_torque).max(),
+        "cost_of_transport": work / (weight * abs(travel)) if weight else None, "travel": travel,
+        "base_deviation": np.linalg.norm(walk.base_position - walk.base_reference, axis=1).max(),
+        "min_tsm": walk.tsm.min(), "min_gia_margin": walk.gia_margin.min(),
+        "joint_limit_margin": np.minimum(walk.joint_angles - lower, upper - walk.joint_angles).min(),
+        "detached_at": walk.time[torn[0, 0]] if len(torn) else None,
+        "detached_limb": walk.limbs[torn[0, 1]] if len(torn) else None, "missed_grips": walk.missed.sum(),
+        "diverged": False,
+    }  # fmt: skip

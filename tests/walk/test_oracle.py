@@ -1,0 +1,104 @@
+"""Whole walks against the oracle: every history, the next state and every metric, in float64."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.quantities.parameters import own_numbers
+from tests import oracle
+from tests.conftest import six_gains
+from tests.robot import climbers
+
+SHORT = {
+    "duration": 0.3, "gravity": [0.5, -0.3, -1.5], "contact.stiffness": 6e3,
+    "gait": {
+        "cycle": 0.2, "stride": 0.012, "step_height": 0.006, "heading": 0.6,
+        "phases": {"LH": 0.05, "LF": 0.05 + 1 / 3, "RH": 0.05 + 1 / 3, "RF": 0.05 + 2 / 3},
+    },
+    "control": {"kp": 40.0, "kd": 0.25, "damping": [90, 150, 200, 4, 3, 5], "stiffness": [2e3, 3e3, 4e3, 40, 60, 50]},
+    "disturbance": {
+        "cargo": {"mass": 0.8, "start": 0.05, "stop": 0.22},
+        "pushes": [
+            {"force": [2.0, -1.0, 1.5], "moment": [0.1, -0.2, 0.15], "start": 0.1, "stop": 0.2},
+            {"force": [-1.0, 0.5, 0.5], "start": 0.15, "stop": 0.25},
+        ],
+    },
+}  # fmt: skip
+PD = {"control.controller": "pd"}
+WALKS = {  # changes, and what is to happen
+    "pd": (PD, lambda walk: np.ptp(walk.cargo_mass) and np.ptp(walk.push) and 2 in walk.support.sum(1)),
+    "torn off along the ground": (
+        PD | {"contact.holding_limit": 2.5}, lambda walk: (walk.foot_force[walk.torn_off][:, 2] > -2.5).any()
+    ),
+    "torn off at once": (
+        PD | {"contact.holding_limit": 1e-3, "gravity": [0.1, 0.0, 2.0]}, lambda walk: walk.torn_off.sum(1).max() > 1
+    ),
+    "hardware on uneven ground": (
+        {
+            "contact.capture_distance": 1e-3,
+            "ground.footholds": {"LF": [0.004, 0.0, 0.002], "LH": [0.0, 0.003], "RH": [-0.002], "RF": [0.001, -0.002]},
+            "hardware": {
+                "control_period": 0.005, "command_delay": 0.002, "interpolation": "linear", "seed": 7,
+                "force_sensor": {"delay": 0.003, "noise": 0.05, "bias": 0.3, "resolution": 0.01, "filter": 60.0},
+                "servo": {
+                    "torque_limit": 0.3, "no_load_speed": 4.0, "armature": 0.002, "coulomb_friction": 0.02,
+                    "viscous_friction": 0.01, "load_friction": 0.1, "backlash": 0.001, "delay": 0.001,
+                },
+            },
+        },
+        lambda walk: walk.missed.any() and (np.abs(walk.joint_torque) == 0.3).any(),
+    ),
+    "measured pose": (
+        {
+            "control.reading": "measured_pose", "control.damping": 500.0, "control.stiffness": 2e4,
+            "gait.base_reference": "actual",
+            "hardware.base_estimate": {"delay": 0.002, "position_noise": 1e-4, "velocity_noise": 1e-3},
+        },
+        lambda walk: np.ptp(walk.base_displacement),
+    ),
+    "end effector": (
+        {"control.controller": "end_effector_admittance", "gravity": [0.0, 0.0, 0.0]},
+        lambda walk: np.isinf(walk.tsm).any(),
+    ),
+    "a robot of its own": (
+        {
+            "time_step": 0.0005, "duration": 0.15, "contact.stiffness": 2e3, "contact.rotational_stiffness": 5.0,
+            "contact.rotational_damping": 0.01, "gait.cycle": 0.1, "gait.duty": 0.8,
+            "gait.phases": {f"limb{n}": 0.02 + n / 4 for n in range(4)},
+            "hardware.servo": {"coulomb_friction": 0.01, "viscous_friction": 0.02, "armature": 0.001},
+        },
+        lambda walk: np.ptp(walk.foot_moment) and (np.abs(walk.joint_torque) == 0.7).any(),
+    ),
+}  # fmt: skip
+OF_THE_JOINTS = 'damping="0.03" armature="0.002" frictionloss="0.015" actuatorfrcrange="-0.7 0.7"'
+
+
+@pytest.fixture(scope="module", params=WALKS)
+def walk(request, tmp_path_factory):
+    own, happens = WALKS[request.param]
+    changes, added = SHORT | own, {"mass_scale": np.asarray(1.1)}
+    scenario = mc.Scenario()
+    if "robot" in request.param:
+        path = tmp_path_factory.mktemp("robot") / "climber.xml"
+        path.write_text(climbers.mjcf(4, 3, attributes=OF_THE_JOINTS))
+        scenario = mc.Scenario.model_validate(climbers.config(path, 4, 3))
+        changes |= {f"gait.{name}": value for name, value in changes.pop("gait").items() if name != "phases"} | own
+    if request.param == "measured pose":
+        added["swing_path"] = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 3, 6))
+    scenario = scenario.with_overrides(changes)
+    made = mc.rollout(scenario, six_gains(scenario), dataclasses.replace(own_numbers(scenario), **added))
+    assert happens(made)
+    return made
+
+
+def test_a_walk_worked_out_again(walk):
+    oracle.assert_is(walk)
+
+
+def test_metrics_of_the_histories(walk):
+    found, expected = mc.metrics(walk), oracle.judged(walk)
+    assert list(found) == list(expected)
+    for name, value in expected.items():
+        assert found[name] == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value), name
