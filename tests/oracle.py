@@ -84,7 +84,7 @@ class Grips:
         self.missing, self.held, self.detached = np.zeros((3, limbs), bool)
         self.attitude = turned.copy()
 
-    def act(self, feet, velocity, turned, spin, shut, ground):
+    def act(self, feet, velocity, turned, spin, shut, ground, walked):
         own, before = self.contact, self.detached.copy()
         support, shuts = shut & ~self.detached, np.zeros_like(shut)
         missed, reach = shuts, number(own.capture_distance)
@@ -94,7 +94,9 @@ class Grips:
             self.missing = shut & (self.missing | missed)
             support = support & ~self.missing
         self.shut = shut
-        touching = support | (feet[:, 2] <= ground)
+        above = feet[:, 2] - ground
+        # a foot that is at the ground to rounding may be on either side of it
+        touching = support | np.where(np.abs(above) < 1e-14, walked, above <= 0)
         fresh = touching & ~self.touched | shuts
         self.point[fresh] = np.column_stack([feet[:, :2], ground])[fresh]
         self.touched = touching
@@ -305,7 +307,7 @@ def again(walk):
         turned = body.data.site_xmat.reshape(-1, 3, 3)
         row |= {"foot_position": feet, "foot_velocity": speeds[:, 0]}
         shut, ground, wanted, targets = gait.at(step, position)
-        held = grips.act(feet, speeds[:, 0], turned, speeds[:, 1], shut, ground)
+        held = grips.act(feet, speeds[:, 0], turned, speeds[:, 1], shut, ground, walk.contact[step])
         targets = np.where(shut[:, None], held["grip_point"], targets)
         lever, moments = feet - position, held["foot_moment"].sum(0)
 

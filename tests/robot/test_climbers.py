@@ -151,7 +151,7 @@ def test_limbs_of_fewer_joints_are_filled_up(climber):
 
 HELD = {
     "contact.rotational_stiffness": 20.0, "contact.rotational_damping": 0.05, "contact.holding_limit": None,
-    "gait.cycle": 2.0, "gait.stride": 0.01, "gait.step_height": 0.005,
+    "duration": 2.0, "gait.cycle": 2.0, "gait.stride": 0.01, "gait.step_height": 0.005,
 }  # fmt: skip
 WALKS = {
     "four of four with damping and armature": (4, 4, {}),
@@ -182,7 +182,7 @@ def test_a_walk_is_that_of_mujoco(climber, name):
     attributes = 'damping="0.05" armature="0.002"' if "damping" in name else ""
     slides = (2,) if "slide" in name else ()
     keys = {
-        "control.controller": "pd", "gravity": list(MOON), "duration": 0.4 if name in QUICK else 2.0, "gait.cycle": 0.8,
+        "control.controller": "pd", "gravity": list(MOON), "duration": 0.4 if name in QUICK else 1.0, "gait.cycle": 0.8,
         "gait.stride": 0.02, "gait.step_height": 0.01, "contact.stiffness": 2e3, "time_step": 0.0005, **gait,
     }  # fmt: skip
     stance = OF_SLIDES if slides else ON_AN_ARC if joints == 2 else {}
