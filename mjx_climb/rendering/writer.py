@@ -62,8 +62,8 @@ def encode(
     import av
 
     # the index in front lets a browser start before all is there
-    how = {"format": "mp4", "options": {"movflags": "+faststart"}}
-    with whole(path) as part, av.open(str(part), "w", **how) as container:
+    first = {"movflags": "+faststart"}
+    with whole(path) as part, av.open(str(part), "w", format="mp4", options=first) as container:
         stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": QUALITY, "preset": "veryfast"})
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"  # what all players decode

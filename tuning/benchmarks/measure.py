@@ -106,8 +106,9 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
         "gradient_cost_12": rates["gradient_12"] / rates["value"] if 12 in plan.tangents else None,
         "single_steps_per_s": 1 / single_rates["single"],
         "peers_steps_per_s": {
-            **{name: 1 / rates[name] for name in ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp") if name in rates},
-            "numpy_loop": 1 / single_rates["numpy_loop"],
+            name: 1 / rate
+            for name, rate in {**rates, **single_rates}.items()
+            if name in ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp", "numpy_loop")
         },
     }
     return result | _machine()

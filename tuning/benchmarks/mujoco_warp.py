@@ -1,6 +1,7 @@
 """Peer: `mujoco_warp` of the bare dynamics of many robots on a GPU, from the rest stance, without any controller."""
 
 import importlib.util
+from collections.abc import Callable
 
 import mjx_climb as mc
 from mjx_climb.mujoco_import import mujoco
@@ -27,9 +28,9 @@ class Peer:
         self.model = mjwarp.put_model(model)
         # contacts and constraints are switched off; without room for one constraint the release does not accelerate
         self.data = mjwarp.put_data(model, start, nworld=count, nconmax=0, njmax=1)
-        self.synchronize = warp.synchronize
-        mjwarp.step(self.model, self.data)  # compiles the kernels, which a capture cannot
-        self.step = lambda: mjwarp.step(self.model, self.data)
+        self.synchronize: Callable[[], object] = warp.synchronize
+        self.step: Callable[[], object] = lambda: mjwarp.step(self.model, self.data)
+        self.step()  # compiles the kernels, which a capture cannot
         if warp.get_device().is_cuda:
             with warp.ScopedCapture() as capture:
                 self.step()
