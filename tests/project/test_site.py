@@ -41,28 +41,70 @@ def test_the_reference_shows_every_field(site):
 
 
 @pytest.mark.slow
-def test_the_search_works_from_disk(site, tmp_path):
-    selenium = pytest.importorskip("selenium.webdriver", reason="needs selenium")
-    from selenium.webdriver.support.wait import WebDriverWait
+def test_no_item_of_a_list_is_lost_in_a_paragraph(site):
+    """Python-Markdown wants an empty line where GitHub does not."""
+    for page in [*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md")]:
+        built = site / ("index.html" if page.name == "README.md" else f"{page.stem}.html")
+        if not built.exists():  # docs/package.md is for the package index
+            continue
+        source = re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+        items = re.findall(r"^ *(?:[-*]|\d+\.) ", source, re.MULTILINE)
+        article = built.read_text("utf-8").split("<article")[1].split("</article")[0]
+        assert article.count("<li>") == len(items), page
 
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    selenium = pytest.importorskip("selenium.webdriver", reason="needs selenium")
     programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
     if None in programs:
         pytest.skip("needs chromium and chromedriver")
     options = selenium.ChromeOptions()
     options.binary_location = programs[0]
-    for flag in [*FLAGS.split(), "--window-size=1300,900", f"--user-data-dir={tmp_path}"]:
+    for flag in [*FLAGS.split(), f"--user-data-dir={tmp_path_factory.mktemp('browser')}"]:
         options.add_argument(flag)
     driver = selenium.Chrome(options=options, service=selenium.ChromeService(programs[1]))
-    try:
-        driver.get((site / "tutorial.html").as_uri())
-        field = driver.find_element("css selector", "input.md-search__input")
-        field.click()
-        field.send_keys("capture distance")
-        found = WebDriverWait(driver, 60).until(
-            lambda page: [
-                e.get_attribute("href") for e in page.find_elements("css selector", ".md-search-result__link")
-            ]
-        )
-        assert any("physics.html" in link or "scenarios.html" in link for link in found)
-    finally:
-        driver.quit()
+    yield driver
+    driver.quit()
+
+
+def resize(browser, width):
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    )
+
+
+@pytest.mark.slow
+def test_the_search_works_from_disk(site, browser):
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    resize(browser, 1300)
+    browser.get((site / "tutorial.html").as_uri())
+    field = browser.find_element("css selector", "input.md-search__input")
+    field.click()
+    field.send_keys("capture distance")
+    found = WebDriverWait(browser, 60).until(
+        lambda page: [e.get_attribute("href") for e in page.find_elements("css selector", ".md-search-result__link")]
+    )
+    assert any("physics.html" in link or "scenarios.html" in link for link in found)
+
+
+# which parts are wider than what shows them: the page itself, and what scrolls by itself
+WIDE = """
+const wide = (element) => element.scrollWidth > element.clientWidth + 1;
+const parts = document.querySelectorAll(".highlight code, .md-typeset__scrollwrap, .equation");
+return [wide(document.documentElement), [...parts].filter(wide).map((part) => part.textContent)];
+"""
+
+
+@pytest.mark.slow
+def test_pages_fit_their_window(site, browser):
+    """At 1400 px no block of code, table or equation scrolls sideways; at 400 px they may, the page itself does not."""
+    for page in sorted(site.rglob("*.html")):
+        if page.name == "404.html":  # its links want a server
+            continue
+        browser.get(page.as_uri())
+        resize(browser, 1400)
+        assert browser.execute_script(WIDE) == [False, []], page
+        resize(browser, 400)
+        assert not browser.execute_script(WIDE)[0], page
