@@ -24,8 +24,8 @@ Parameters of the ros2_control admittance_controller, written by mjx-climb expor
 The controller by itself is stable at update rates of {lowest} Hz and above; the largest discrete pole at {rate} Hz is
 {pole:.6g}. How late and slow the robot around it may be is another question: mjx-climb margins.
 The controller yields along the wrench that it is given: give it -w, w the foot forces summed at the base.
-joint_damping 0 leaves Eq. 3 as it is; {filtered}. It reads its sensor by itself: what a broadcaster's
-sensor_filter_chain makes of the wrench never comes here."""
+joint_damping 0 leaves Eq. 3 as it is; {filtered}. It reads its sensor by itself:
+what a broadcaster's sensor_filter_chain makes of the wrench never comes here."""
 
 
 def six(gains: mc.Gains) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
