@@ -67,6 +67,7 @@ def judge(
         part, which = launcher.shard_from(shard)
         from tuning.command_line import progress, report
         from tuning.output import judged
+        from tuning.output.folder import check_own
         from tuning.problem import ensemble as ensembles
         from tuning.searches import finished_parts, shards
 
@@ -80,6 +81,7 @@ def judge(
         formats = options.figures_from(figures)
         draw = judged.draw_of(scenario, rivals, drawn, user_law, table, options.engine_from(engine))
         out = team.folder(out or Path("results") / f"{config.stem}-judge")
+        check_own(out, "judged.nc")
         one = None if part is None else shards.made(*part)
         if one is None:
             parts, rows = finished_parts.Parts(out, draw.identity()), range(members)

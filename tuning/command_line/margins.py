@@ -58,6 +58,7 @@ def margins(
         from tuning.judged import linear_margins
         from tuning.judged import margins as judged
         from tuning.output import margins as output
+        from tuning.output.folder import check_own
 
         scenario = options.scenario_from(config, controller, changes, hardware)
         own = None if law is None else law_file.load(law)
@@ -68,6 +69,7 @@ def margins(
         engine = options.engine_from(engine)
         formats = options.figures_from(figures)
         out = out or Path("results") / f"{config.stem}-margins"
+        check_own(out, "margins.json")
         scenario = scenario_files.copied(scenario, out)
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 

@@ -35,11 +35,11 @@ def merge(
       mjx-climb merge node1/shard-1-of-2 node2/shard-2-of-2 --out results/both
     """
     with options.reserved_stdout() as stdout:
-        from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.command_line.judge import print_verdict
         from tuning.command_line.sweep import print_result
         from tuning.output import judged, swept
+        from tuning.output.folder import check_own
         from tuning.searches import draw, shards
 
         begin = time.perf_counter()
@@ -49,12 +49,13 @@ def merge(
         target = out or shards.home(kept)
         if target is None:
             raise InputError("--out: expected a folder for the result, as the shards lie in several places")
-        dataset.check_folder(target)
+        judging = kept[0].identity["kind"] == draw.KIND
+        check_own(target, "judged.nc" if judging else "sweep.nc")
         console, stage = report.console(stderr=True), progress.Meter(report.console(stderr=True)).stage
         tables, about = console if json else report.console(file=stdout), kept[0].about
         origin = options.origin(about.get("name", "the scenario"), about.get("repeat", "the same command"))
         how: dict[str, Any] = {"origin": origin, "figures": formats, "stage": stage}
-        if kept[0].identity["kind"] == draw.KIND:
+        if judging:
             walks = judged.merged(kept, user_law, table)
             verdict = walks.write(target, **how)
             print_verdict(walks, verdict, tables)

@@ -54,9 +54,9 @@ def pareto(
     """
     with options.reserved_stdout() as stdout:
         options.start_devices()
-        from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import pareto as output
+        from tuning.output.folder import check_own
         from tuning.problem import search as settings
         from tuning.report.pareto import front_table
         from tuning.searches import pareto as fronts
@@ -72,7 +72,7 @@ def pareto(
         if better == against:
             raise InputError(f"--against: expected another metric than {better}")
         out = out or Path("results") / f"{config.stem}-pareto"
-        dataset.check_folder(out)
+        check_own(out, "front.nc")
         console = report.console(stderr=True)
         progress.opening(console, scenario)
         meter = progress.Meter(console)

@@ -64,10 +64,12 @@ def reproduce(
         from mjx_climb.scenario import shipped
         from tuning.command_line import progress, report
         from tuning.judged import paper
+        from tuning.output.folder import check_own
         from tuning.report import page
         from tuning.report import reproduce as pages
 
         begin = time.perf_counter()
+        check_own(out, "reproduce.json")
         scenarios = {name: mc.load_scenario(shipped.config_path(case.config)) for name, case in paper.CASES.items()}
         for name, scenario in scenarios.items():
             dataset.write_text_atomically(out / f"{stem(name)}.yaml", scenario.to_yaml())

@@ -58,6 +58,7 @@ def run(
         from mjx_climb.robot.constants import load_robot
         from mjx_climb.rollouts.remedies import remedies
         from tuning.command_line import interruption, progress, report
+        from tuning.output.folder import check_own
         from tuning.report import remarks
         from tuning.report.comparison import gains_of
 
@@ -70,6 +71,7 @@ def run(
         pictures = render_options.pictures_from(video, snapshots, at, size, view, scenario)
         baseline = render_options.compared(scenario, compare)
         out = out or Path("results") / f"{config.stem}-{name}"
+        check_own(out, "trajectory.nc")
         scenario = scenario_files.copied(scenario, out)
         baseline = None if baseline is None else scenario_files.copied(baseline, out)
         dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))

@@ -62,9 +62,9 @@ def schedule(
     """
     with options.reserved_stdout() as stdout:
         options.start_devices()
-        from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import schedule as output
+        from tuning.output.folder import check_own
         from tuning.searches import schedule as schedules
 
         begin = time.perf_counter()
@@ -76,7 +76,7 @@ def schedule(
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
         loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)
         out = out or Path("results") / f"{config.stem}-schedule"
-        dataset.check_folder(out)
+        check_own(out, "schedule.nc")
         console = report.console(stderr=True)
         progress.opening(console, scenario)
         meter = progress.Meter(console)

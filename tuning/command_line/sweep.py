@@ -97,6 +97,7 @@ def sweep(
         from tuning.gains.gains_file import replaced
         from tuning.output.ahead import ahead
         from tuning.output.beside import beside
+        from tuning.output.folder import check_own
         from tuning.searches import grid, shards
 
         begin = time.perf_counter()
@@ -113,6 +114,7 @@ def sweep(
         except ValueError as error:
             raise InputError(str(error).replace("axes.", "--axis ", 1)) from None
         out = team.folder(out or Path("results") / f"{config.stem}-sweep")
+        check_own(out, "sweep.nc")
         walked, walking = (scenario, user_law) if values is None else replaced(scenario, user_law, values)
         how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "metrics": table}
         again = _again(stiffness, damping, axis, batch_size) + options.own_options(law, metric)

@@ -148,10 +148,10 @@ def tune(
             "limits": _mapping("--limit", limit), "also": also and tuple(also),
             "pins": _mapping("--pin", pin), "bounds": _ranges(bound),
         }  # fmt: skip
-        from mjx_climb.files import dataset
         from tuning.command_line import progress, report
         from tuning.output import beside_search
         from tuning.output.ahead import ahead
+        from tuning.output.folder import check_own
         from tuning.problem import ensemble as ensembles
         from tuning.searches import robust as robust_search
         from tuning.searches import tune as searches
@@ -176,7 +176,7 @@ def tune(
             wanted = searches.for_this_machine(scenario, wanted, engine, user_law)
         kind = "tune" if drawn is None else "robust"
         out = team.folder(out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}")
-        dataset.check_folder(out)
+        check_own(out, "search.nc")
         console = report.console(stderr=True)
         progress.opening(console, scenario)
         if team.said:

@@ -8,6 +8,29 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files import dataset, scenario_files
 from tuning.report.page import Origin
+from tuning.searches import finished_parts
+
+# by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
+RESULTS = (
+    "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json", "judged.nc",
+)  # fmt: skip
+
+
+def check_own(folder: Path, result: str) -> None:
+    """Check, before a long computation, that a folder can be written to and holds no other command's result.
+
+    Commands write files of the same names: config.yaml would be another's than the report's beside it.
+
+    Raises:
+        OutputError: it cannot, or does.
+    """
+    dataset.check_folder(folder)
+    kept = (finished_parts.FOLDER,) if result in ("trajectory.nc", "margins.json", "reproduce.json") else ()
+    there = next((name for name in (*kept, *RESULTS) if (folder / name).exists()), result)
+    if there != result:
+        raise dataset.OutputError(
+            f"{folder}: expected a folder without another command's result, got {there} in it (choose another folder)"
+        )
 
 
 def write_config(scenario: mc.Scenario, folder: Path) -> mc.Scenario:

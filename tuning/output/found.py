@@ -11,7 +11,7 @@ import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from tuning.gains import gains_file
-from tuning.output.folder import made_from, write_config
+from tuning.output.folder import check_own, made_from, write_config
 from tuning.output.stages import Stage
 from tuning.problem.search import Search
 from tuning.searches.result import Result
@@ -19,12 +19,15 @@ from tuning.searches.result import Result
 Found = TypeVar("Found", bound=Result)
 
 
-def write_asked(scenario: mc.Scenario, search: Search, folder: Path) -> mc.Scenario:
+def write_asked(scenario: mc.Scenario, search: Search, folder: Path, result: str) -> mc.Scenario:
     """Write what was asked, config.yaml and search.yaml; return the scenario as `write_config` does.
+
+    `result` is the file by which the search's folder is known, see `tuning.output.folder.check_own`.
 
     Raises:
         OutputError: a file cannot be written.
     """
+    check_own(folder, result)
     written = write_config(scenario, folder)
     dataset.write_text_atomically(folder / "search.yaml", search.to_yaml())
     return written
@@ -45,7 +48,7 @@ def write_gains(found: Found, folder: Path, comment: str, law: mc.Law | None) ->
     Raises:
         OutputError: a file cannot be written.
     """
-    scenario = write_asked(found.scenario, found.search, folder)
+    scenario = write_asked(found.scenario, found.search, folder, "search.nc")
     written = dataclasses.replace(found, scenario=scenario, history=made_from(found.history, scenario))
     gains_file.save(found.gains, folder / "gains.yaml", comment, law)
     written.save(folder / "search.nc")

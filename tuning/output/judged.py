@@ -13,7 +13,7 @@ from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
-from tuning.output.folder import complete, made_from, write_config
+from tuning.output.folder import check_own, complete, made_from, write_config
 from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
 from tuning.problem import ensemble as ensembles
@@ -61,6 +61,7 @@ class Judged:
             OutputError: a file cannot be written.
         """
         folder = Path(folder)
+        check_own(folder, "judged.nc")
         summed = robust.summary(self.walks)
         lost = zip(summed["gains"].values.tolist(), summed["failed"].values, strict=True)
         failed = ", ".join(f"{name} {share:.0%}" for name, share in lost)

@@ -93,7 +93,7 @@ class Front:
             OutputError: a file cannot be written.
         """
         folder, (problem, search, better, against) = Path(folder), self.trade
-        scenario = write_asked(problem.scenario, search, folder)
+        scenario = write_asked(problem.scenario, search, folder, "front.nc")
         dataset.save(made_from(self.data, scenario), folder / "front.nc")
         dataset.write_text_atomically(folder / "summary.json", self.summary + "\n")
         again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} --out again"

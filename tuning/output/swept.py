@@ -23,7 +23,7 @@ from tuning.gains.gains_file import replaced
 from tuning.judged import stability_limit
 from tuning.output.ahead import ahead, to_nobody
 from tuning.output.beside import GIVEN, Beside, beside, one_walk
-from tuning.output.folder import complete, made_from, write_config
+from tuning.output.folder import check_own, complete, made_from, write_config
 from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
 from tuning.problem.evaluation import under_pd
@@ -83,6 +83,7 @@ class Swept:
             OutputError: a file cannot be written.
         """
         folder = Path(folder)
+        check_own(folder, "sweep.nc")
         walked = write_config(self.walker()[0], folder)
         own = scenario_files.copied(self.scenario, folder)
         found = dataclasses.replace(self, scenario=own, data=made_from(self.data, walked))

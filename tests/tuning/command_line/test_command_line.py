@@ -57,6 +57,11 @@ def files(tmp_path_factory):
     (folder / "broken.yaml").write_text("gait: [")
     (folder / "gains.yaml").write_text("damping: 1")
     (folder / "file").write_text("")
+    (folder / "held.yaml").write_text("inertia: 1\ndamping: 1\nstiffness: 1")
+    for name in ("trajectory.nc", "sweep.nc", "search.nc", "parts"):  # of other commands, the last one's unfinished
+        (folder / f"with_{name}").mkdir()
+        (folder / f"with_{name}" / name).write_text("")
+        (folder / f"with_{name}" / "config.yaml").write_text("theirs")
     return folder
 
 
@@ -97,7 +102,7 @@ BAD = [
     ("run {config} --size 641x480", "--size: expected WIDTHxHEIGHT"),
     ("run {config} --size 1e3x480", "--size: expected WIDTHxHEIGHT"),
     ("run {config} --size 640", "--size: expected WIDTHxHEIGHT"),
-    ("run {config} --out {files}/file/below", "expected a file that can be written"),
+    ("run {config} --out {files}/file/below", "file/below: expected a folder that can be written to"),
     ("sweep {config} --stiffness 1:2:3", "--stiffness, --damping, --axis: expected two gains to sweep, got stiffness"),
     ("sweep {config} --damping 1:2:3 --stiffness 1e6:1e2:3", "--stiffness: expected LOW:HIGH:COUNT"),
     ("sweep {config} --stiffness 1:2:3 --damping 1e3:1e2:3", "LOW is not below HIGH"),
@@ -142,6 +147,25 @@ BAD = [
     ("pareto {config} --out {files}/file", "file: expected a folder that can be written to"),
     ("schedule {config} --out {files}/file", "file: expected a folder that can be written to"),
 ]
+TAKEN = [
+    ("run {config}", "sweep.nc"),
+    ("run {config}", "parts"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3", "trajectory.nc"),
+    ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --shard 1/2", "search.nc"),
+    ("tune {config}", "sweep.nc"),
+    ("pareto {config}", "search.nc"),
+    ("schedule {config}", "trajectory.nc"),
+    ("margins {config}", "search.nc"),
+    ("judge {config} --gains {files}/held.yaml", "search.nc"),
+    ("reproduce", "sweep.nc"),
+]
+BAD += [
+    (
+        f"{line} --out {{files}}/with_{name}",
+        f"with_{name}: expected a folder without another command's result, got {name}",
+    )
+    for line, name in TAKEN
+]
 
 
 @pytest.mark.parametrize(("line", "expected"), BAD, ids=[line for line, _ in BAD])
@@ -157,6 +181,7 @@ def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeyp
     assert len(err.splitlines()) == 1
     assert expected.format(files=files) in err
     assert not list(tmp_path.iterdir())
+    assert {file.read_text() for file in files.glob("with_*/config.yaml")} == {"theirs"}
 
 
 HAS_NONE = "cost_of_transport: expected a metric that pd has"
