@@ -79,8 +79,8 @@ def export(
         from tuning.judged import deployment
 
         loaded, source = gains_file.load(gains), str(gains)
-        if not name.isidentifier():
-            raise InputError(f"--name: expected letters, digits and underscores, got {name!r}")
+        if not (name.isascii() and name.isidentifier()):
+            raise InputError(f"--name: expected ASCII letters, digits and underscores, got {name!r}")
         if config is None and (gains.parent / _BESIDE).is_file():
             config = gains.parent / _BESIDE
         if hardware is not None and config is None:

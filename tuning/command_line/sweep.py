@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 LARGEST_AXIS = 100_000
 SMALLEST, LARGEST = 1e-30, 1e30  # what single precision holds, with room for squares of moderate gains
+WORTH_A_WORD = 600.0  # s; of shorter sweeps progress says enough
 RANGE = "LOW:HIGH:COUNT"
 
 
@@ -112,7 +113,7 @@ def sweep(
         try:
             grid.checked_axes(scenario, user_law, None, None, axes)
         except ValueError as error:
-            raise InputError(str(error).replace("axes.", "--axis ", 1)) from None
+            raise InputError(str(error).replace("axes", "--axis", 1).replace("--axis.", "--axis ", 1)) from None
         out = team.folder(out or Path("results") / f"{config.stem}-sweep")
         check_own(out, "sweep.nc")
         walked, walking = (scenario, user_law) if values is None else replaced(scenario, user_law, values)
@@ -124,7 +125,9 @@ def sweep(
         there = grid.claim(walked, axes=axes, law=walking, out=out, shard=one, **how)
         console = report.console(stderr=True)
         said = [text for text in (which, team.said) if text]
-        console.print(_announcement(walked, axes, engine, said, there), soft_wrap=True)
+        walks = math.prod(map(len, axes.values()))
+        here = walks if one is None else len(one.rows(walks))
+        console.print(_announcement(walked, axes, engine, said, there, here), soft_wrap=True)
         progress.opening(console, scenario)
         meter = progress.Meter(console)
 
@@ -134,16 +137,14 @@ def sweep(
             from tuning.output import swept
 
             swept.keep_beside(one, out, scenario, user_law, values, told)
-            own = len(one.rows(math.prod(map(len, axes.values()))))
-            with kept_in(one.folder(out), f"of {own} walks", there) as kept, meter.stage("grid") as show:
+            with kept_in(one.folder(out), f"of {here} walks", there) as kept, meter.stage("grid") as show:
                 grid.sweep_shard(walked, one, out=out, axes=axes, law=walking, progress=kept.told(show), **how)
             text = f"{one.folder(out)} is whole; once all {one.count} are: mjx-climb merge {shlex.quote(str(out))}"
             console.print(text, soft_wrap=True)
             if json:
-                print(dumps({"shard": one.number, "of": one.count, "walks": own}), file=stdout)
+                print(dumps({"shard": one.number, "of": one.count, "walks": here}), file=stdout)
             return
 
-        walks = math.prod(map(len, axes.values()))
         with kept_in(out, f"of {walks} walks", there) as kept, ahead() as begin_work:
             begin_work(lambda _: importlib.import_module("tuning.output.swept"))  # 0.4 s, matplotlib's most of all
             compared = beside(scenario, user_law, values, axes, engine, begin_work)
@@ -247,17 +248,23 @@ def log_range(option: str, text: str) -> "np.ndarray":
 
 
 def _announcement(
-    scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", engine: str, said: list[str], kept: int
+    scenario: "mc.Scenario", axes: "Mapping[str, np.ndarray]", engine: str, said: list[str], kept: int, here: int
 ) -> str:
     import jax
 
     from mjx_climb.compilation.options import walks_on_host
+    from tuning.command_line import progress
+    from tuning.searches import grid
 
     walks = math.prod(map(len, axes.values()))
     sizes = " x ".join(f"{len(values)} {name}" for name, values in axes.items())
     text = f"{walks} walks ({sizes}) of {scenario.steps} steps"
     where = "cpu" if walks_on_host(walks, engine, "float32") else None  # too few for a GPU
-    text += f" on {jax.devices(where)[0].device_kind}"
+    device = jax.devices(where)[0]
+    text += f" on {device.device_kind}"
+    seconds = grid.expected_duration(here - kept, scenario.steps, device.platform)
+    if seconds > WORTH_A_WORD:
+        said = [*said, f"expect some {progress.duration(seconds)}, or spread them over machines with --shard"]
     return "; ".join([text, *said, *([f"{kept} are there already"] if kept else [])])
 
 

@@ -13,6 +13,7 @@ import yaml
 from numpy.typing import ArrayLike, DTypeLike
 
 import mjx_climb as mc
+from mjx_climb.compilation import devices
 from mjx_climb.control import law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import scenario_files
@@ -27,6 +28,7 @@ from tuning.searches.shards import Shard
 Axes = Mapping[str, ArrayLike]  # two gains by name
 
 KIND = "sweep"  # of shards
+MOST = 10**9  # walks: their metrics alone are some 80 GB
 HISTORIES = 256  # walks up to which a grid keeps time histories
 
 # robots per part and environment steps per part: some seconds on two cores, and on one accelerator
@@ -44,6 +46,12 @@ def default_batch_size(walks: int, steps: int, platform: str | None = None) -> i
     """
     least, most, budget = _CPU if (platform or jax.default_backend()) == "cpu" else _ACCELERATOR
     return shards.even(walks, min(max(budget // steps, least), most))
+
+
+def expected_duration(walks: int, steps: int, platform: str) -> float:
+    """Return about how long some walks take, in s, by the rates that docs/performance.md measured."""
+    rate = 2.2e6 * devices.usable_cores() if platform == "cpu" else 1e9  # environment steps a second
+    return walks * steps / rate
 
 
 def claim(
@@ -156,7 +164,7 @@ def of(
     """Return what `sweep` walks, whose arguments these are.
 
     Raises:
-        ValueError: axes that are no lists of positive numbers, or no gains of the law.
+        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
     """
     lists = checked_axes(scenario, law, stiffness, damping, axes)
     size = batch_size or default_batch_size(math.prod(values.size for values in lists.values()), scenario.steps)
@@ -173,7 +181,7 @@ def checked_axes(
     """Return the values along both axes of a sweep, by the name of the gain; arguments as of `sweep`.
 
     Raises:
-        ValueError: axes that are no lists of positive numbers, or no gains of the law.
+        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
     """
     given = {"stiffness": stiffness, "damping": damping} if axes is None else axes
     own = law_of(scenario) if law is None else law
@@ -189,6 +197,8 @@ def checked_axes(
     for name, values in lists.items():
         if values.ndim != 1 or not values.size or not (np.isfinite(values).all() and (values > 0).all()):
             raise ValueError(f"{name}: expected a list of finite numbers above 0")
+    if (walks := math.prod(values.size for values in lists.values())) > MOST:
+        raise ValueError(f"axes: expected at most {MOST} walks in all, got {walks}")
     return lists
 
 
@@ -238,7 +248,7 @@ def sweep(
             result, bit by bit. The parts stay until `finished_parts.clear(out)`.
 
     Raises:
-        ValueError: axes that are no lists of positive numbers, or no gains of the law.
+        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
         OutputError: the folder cannot be written, or holds an unfinished sweep of something else.
     """
     how: dict[str, Any] = {"batch_size": batch_size, "dtype": dtype, "engine": engine, "metrics": metrics}

@@ -1,5 +1,6 @@
 """The program: what it prints, writes and returns, and how it refuses."""
 
+import functools
 import json
 import os
 import re
@@ -8,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -15,8 +17,9 @@ import xarray as xr
 import mjx_climb as mc
 import tuning
 from mjx_climb import plots
+from mjx_climb.compilation import devices
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from tuning.command_line import main, options, progress, report
+from tuning.command_line import main, options, progress, report, sweep
 from tuning.command_line.ending import InputError
 from tuning.command_line.sweep import log_range
 from tuning.gains import gains_file
@@ -120,6 +123,8 @@ BAD = [
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --out {files}/file", "{files}/file"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --shard 5/4", "--shard: expected I/N with I from 1 to N"),
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --shard 1/10", "shard 1/10: expected at most 9 shards"),
+    ("sweep {config} --stiffness 1:2:31700 --damping 1:2:31700", "--axis: expected at most 1000000000 walks in all"),
+    ("export {files}/held.yaml --name caf\u00e9", "--name: expected ASCII letters, digits and underscores"),
     ("merge {files}", "expected a shard's folder, or one that holds shards, got none"),
     ("judge {config} --gains {files}/gains.yaml", "inertia: expected a value, got none"),
     ("judge {config} --gains {files}/gains.yaml --controller pd", "--controller: expected a law"),
@@ -471,6 +476,15 @@ def test_range_is_even_on_a_logarithmic_scale():
     np.testing.assert_allclose(log_range("--x", "1e2:1e6:5"), [1e2, 1e3, 1e4, 1e5, 1e6])
     with pytest.raises(InputError, match="--x"):
         log_range("--x", "")
+
+
+def test_a_long_sweep_says_before_how_long_it_takes(monkeypatch):
+    monkeypatch.setattr(devices, "usable_cores", lambda: 2)
+    scenario = mc.load_scenario(CONFIG)  # of 8000 steps
+    said = functools.partial(sweep._announcement, scenario, engine="limb", said=[], kept=0)
+    axes = {"stiffness": np.ones(1000), "damping": np.ones(1000)}
+    assert said(axes, here=10**6).endswith("; expect some 30 min, or spread them over machines with --shard")
+    assert said(axes, here=10**4).endswith(f"of 8000 steps on {jax.devices()[0].device_kind}")
 
 
 def test_estimate_leaves_the_compiler_out():
