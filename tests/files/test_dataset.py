@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 
 import jax
 import numpy as np
@@ -10,7 +11,11 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.files import dataset as ds
+from mjx_climb.scenario.hardware import BaseEstimate, ForceSensor, Hardware, Servo
+from mjx_climb.scenario.model import Cargo, Contact, Control, Gait
+from tuning.gains import gains_tables
 
 SCENARIO = mc.Scenario().with_overrides(
     {
@@ -189,3 +194,27 @@ def test_a_damaged_file_is_refused_before_hdf5_opens_it(tmp_path, monkeypatch):
             continue
         with pytest.raises(mc.ConfigError, match=r"sweep\.nc: expected a netCDF4 file, got another file, or a damaged"):
             ds.load(path)
+
+
+SECTIONS = (
+    (Gait, ""), (Contact, ""), (Contact, "contact_"), (Control, ""), (Cargo, "cargo_"), (Hardware, ""),
+    (ForceSensor, "force_"), (BaseEstimate, ""), (BaseEstimate, "base_"), (Servo, ""), (Servo, "servo_"),
+)  # fmt: skip
+
+
+def test_units_are_those_of_the_law_the_config_and_the_metrics():
+    keys = {f"{prefix}{name}": field for section, prefix in SECTIONS for name, field in section.model_fields.items()}
+    gains = {name: field.unit for name, field in law_of(SCENARIO).GAINS.items()}
+    assert gains == {name: unit for name, (unit, _) in ds.COORDINATES.items() if name in gains}
+    assert gains == {name: ", ".join(units) for name, units in gains_tables.UNITS.items()}
+    for name, (unit, _) in ds.COORDINATES.items():
+        if name not in gains and name != "mass_scale":
+            assert re.search(rf", {re.escape(unit)}(;|$)", keys[name].description), name
+    for name, unit in gains_tables.JOINT_UNITS.items():
+        assert unit == ds.COORDINATES[name][0]
+    for variable, metric in (
+        ("foot_force", "peak_foot_force"), ("joint_torque", "peak_joint_torque"),
+        ("joint_angles", "joint_limit_margin"),
+        ("base_position", "travel"), ("tsm", "min_tsm"), ("gia_margin", "min_gia_margin"),
+    ):  # fmt: skip
+        assert ds.VARIABLES[variable][1] == mc.METRICS[metric].unit, variable

@@ -23,6 +23,7 @@ from tuning.command_line import main, options, progress, report, sweep
 from tuning.command_line.ending import InputError
 from tuning.command_line.sweep import log_range
 from tuning.gains import gains_file
+from tuning.output import beside
 from tuning.problem import evaluation
 from tuning.report import page
 from tuning.searches import grid, schedule
@@ -342,6 +343,30 @@ def test_gains_file_takes_the_place_of_the_configs(call, tmp_path):
     control = mc.load_scenario(tmp_path / "out" / "config.yaml").control
     assert code == 0
     assert (control.inertia, control.damping, control.stiffness, control.kp) == (2.0, 30.0, 500.0, 45.0)
+
+
+class _Called(Exception):
+    """All rollouts that a test waits for were asked for."""
+
+
+def test_engine_and_batch_size_reach_the_rollouts(monkeypatch, tmp_path):
+    calls = []
+
+    def rollout(_, gains=None, *, engine=None, **__):
+        calls.append((engine, None if gains is None else len(gains["stiffness"])))
+        if len(calls) == 2:
+            raise _Called
+
+    for name in ("rollout", "rollout_histories"):
+        monkeypatch.setattr(mc, name, rollout)
+    with pytest.raises(_Called):
+        main(["run", CONFIG, "--engine", "mjx", "--compare", "pd", "--out", str(tmp_path / "run")])
+    assert calls == [("mjx", None)] * 2  # the walk and the one it is compared with
+    calls[:] = [None]
+    monkeypatch.setattr(beside, "beside", lambda *_: None)
+    with pytest.raises(_Called):
+        main(["sweep", CONFIG, *GRID, "--engine", "mjx", "--out", str(tmp_path / "sweep")])
+    assert calls[1:] == [("mjx", 4)]
 
 
 @pytest.fixture(scope="module")
