@@ -258,13 +258,15 @@ def robust(
     progress: Callable[[searches.Progress], None] | None = None,
     **settings: Any,
 ) -> Robust:
-    """Search the gains that do best over an ensemble as `tuning.searches.robust.search`, whose arguments these are.
+    """Search the gains that do best over an ensemble; `tuning.tune` with its walks and the robust objective.
 
+    Where no weights are given, those of a plain search and the peak pulling force count alike.
     `robust(scenario, ensemble, out="results/mine").write("results/mine")` is `mjx-climb tune --ensemble`.
     """
-    search = robust_search.settled(search, settings, ensemble)
-    problem = robust_search.problem_of(scenario, ensemble, search, law=law, metrics=metrics, engine=engine)
-    found = searches.run(problem, search, out=_path(out), progress=progress)
+    wanted = robust_search.settled(search, settings, ensemble)
+    wanted = searches.for_this_machine(scenario, wanted, (search, settings.get("method")), engine, law)
+    problem = robust_search.problem_of(scenario, ensemble, wanted, law=law, metrics=metrics, engine=engine)
+    found = searches.run(problem, wanted, out=_path(out), progress=progress)
     return Robust(**vars(found), problem=problem, ensemble=ensemble, judges=judges)
 
 

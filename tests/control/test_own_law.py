@@ -17,7 +17,7 @@ from mjx_climb.control import VirtualModelAdmittance, law_of
 from mjx_climb.files.dataset import OutputError
 from tuning.gains import gains_file, law_file
 from tuning.searches import grid
-from tuning.searches.tune import tune
+from tuning.tune import tune
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "filtered_law.py"
 SHORT = (("duration", 0.1), ("gait.cycle", 0.5), ("disturbance.cargo.start", 0.02), ("disturbance.cargo.mass", 0.5))

@@ -172,8 +172,7 @@ def tune(
         if drawn is not None:
             wanted = robust_search.settled(wanted, {}, drawn)
         options.check_space(scenario, wanted, config, None if pin or bound or also else search, user_law)
-        if method is None and search is None:
-            wanted = searches.for_this_machine(scenario, wanted, engine, user_law)
+        wanted = searches.for_this_machine(scenario, wanted, (search, method), engine, user_law)
         kind = "tune" if drawn is None else "robust"
         out = team.folder(out or Path("results") / f"{config.stem}-{kind}-{wanted.method}-{wanted.space}")
         check_own(out, "search.nc")

@@ -22,7 +22,7 @@ class Beside(NamedTuple):
     """What a grid is compared with, whatever its walks give: works that wait to be asked for, or are under way."""
 
     walks: Mapping[str, Asked[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
-    joint: Asked[dict[str, float] | None]  # kp and kd of pd retuned
+    rival: Asked[retuned_pd.Rival | None]  # pd retuned
     radius: Asked[xr.DataArray]  # the limit of stability
 
 
@@ -37,7 +37,7 @@ def beside(
         walkers[GIVEN] = walked, own
     return Beside(
         {name: begin(one_walk(*walker, engine)) for name, walker in walkers.items()},
-        begin(lambda _: retuned_pd.on_grid(scenario, engine=engine)),
+        begin(lambda _: retuned_pd.least(scenario, engine=engine)),
         begin(lambda _: stability_limit.over_axes(walked, axes, law=own, engine=engine)),
     )
 

@@ -57,7 +57,8 @@ class Front:
         theirs = {better: self.without[f"without_{self.trade.better}"].item()}
         joint = {name: self.without[f"without_{name}"].item() for name in ("kp", "kd")}
         larger = self.trade.problem.metrics[self.trade.better].larger_is_better
-        return f"{retuned_pd.worth(found, theirs, joint, larger=larger).in_words}, at no more {against}"
+        worth = retuned_pd.worth(found, theirs, joint, larger=larger, lacks=retuned_pd.ON_A_GRID)
+        return f"{worth.in_words}, at no more {against}"
 
     @property
     def summary(self) -> str:

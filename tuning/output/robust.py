@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Self
 import xarray as xr
 from matplotlib.figure import Figure
 
+from mjx_climb import MetricTable
 from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.rollouts.given import AnyGains
@@ -20,6 +21,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.report import ensemble_pictures, page, search_pictures
 from tuning.report import robust as pages
+from tuning.report.comparison import differences
 from tuning.report.numbers import to_json
 from tuning.searches import finished_parts, retuned_pd, robust
 from tuning.searches.result import Result
@@ -109,11 +111,15 @@ def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> J
         retuned = retuned_pd.search(
             problem, found.search, out=out, progress=lambda now: told(now.rounds, now.rounds_in_all)
         )
-    pd = {} if retuned is None else {retuned_pd.NAME: retuned.gains}
+    scenario, pd = found.scenario, {}
+    if retuned is not None:  # as short a time step as it needs, for all that are compared
+        pd = {retuned_pd.NAME: retuned.gains}
+        step = retuned_pd.time_step_for(scenario, retuned_pd.joint_of(retuned))
+        scenario = scenario.with_overrides({"time_step": step})
     rivals: Mapping[str, AnyGains] = {"robust": found.gains, "config": law or gains_of(found.scenario)}
     how: dict[str, Any] = {"law": law, "engine": problem.engine, "metrics": problem.metrics}
     with stage("fresh draw") as told:
-        walks = robust.judge(found.scenario, rivals, ensemble, members=found.judges, pd=pd, progress=told, **how)
+        walks = robust.judge(scenario, rivals, ensemble, members=found.judges, pd=pd, progress=told, **how)
     with stage("its own draw") as told:
         seen = robust.walked(found.scenario, {"robust": found.gains}, ensemble, progress=told, **how)
     broken = robust.broken(walks, goal)
@@ -121,7 +127,15 @@ def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> J
     outcome, worth = _limits_in_words(broken, robust.binding(seen, goal, "robust")), None
     if retuned is not None:
         ours, theirs = _scored(summed, "robust"), _scored(summed, retuned_pd.NAME)
-        worth = retuned_pd.worth(ours, theirs, retuned.gains, feasible=retuned.feasible)
+        both = (_means(summed, name, found.problem.metrics) for name in ("robust", retuned_pd.NAME))
+        worth = retuned_pd.worth(
+            ours, theirs, retuned.gains,
+            feasible=retuned.feasible,
+            spread=max(map(retuned_pd.spread_of, (found, retuned))),
+            lacks=retuned_pd.lacks(retuned),
+            step=None if step == found.scenario.time_step else step,
+            others=differences(*both, found.problem.metrics, but=("force_variation",)),
+        )  # fmt: skip
         outcome.insert(0, worth.in_words)
     if not found.feasible:
         outcome.append("warning: no gains kept every limit in every member of the search")
@@ -148,6 +162,11 @@ def _scored(summed: xr.Dataset, name: str) -> dict[str, float]:
         "objective": float(own["objective"]),
         "force_variation": float(own["force_variation"].sel(statistic="mean")),
     }
+
+
+def _means(summed: xr.Dataset, name: str, metrics: MetricTable) -> dict[str, float]:
+    own = summed.sel(gains=name, statistic="mean")
+    return {metric: float(own[metric]) for metric in pages.shown(metrics)}
 
 
 def _plain(summed: xr.Dataset, found: Robust, worth: Worth | None) -> dict[str, Any]:

@@ -26,12 +26,12 @@ from tuning.output.beside import GIVEN, Beside, beside, one_walk
 from tuning.output.folder import check_own, complete, made_from, write_config
 from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
-from tuning.problem.evaluation import under_pd
 from tuning.report import page
 from tuning.report import sweep as pages
-from tuning.report.comparison import Compared, gains_of
+from tuning.report.comparison import Compared, differences, gains_of
 from tuning.report.explorer import axes_of
 from tuning.report.numbers import to_json
+from tuning.report.remarks import failed
 from tuning.searches import finished_parts, grid, retuned_pd, shards
 from tuning.searches.retuned_pd import Worth
 from tuning.searches.shards import Shard
@@ -165,25 +165,33 @@ def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = No
     others = compared_with or beside(found.scenario, found.law, found.gains, axes, engine, lambda work: work)
     # side by side: most of the time goes to the compiler, which has a program of its own for each
     with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
-        rival, limit = pool.submit(others.joint, to_nobody), pool.submit(others.radius, to_nobody)
+        retuning, limit = pool.submit(others.rival, to_nobody), pool.submit(others.radius, to_nobody)
         asked = dict(others.walks)
         if best is not None:
-            asked["best"] = one_walk(*found.walker({name: best[name].item() for name in found.axes}), engine)
+            walker = found.walker({name: best[name].item() for name in found.axes})
+            asked["best"] = one_walk(*walker, engine)
         walking = {name: pool.submit(walk, to_nobody) for name, walk in reversed(asked.items())}
-        joint = rival.result()
+        rival, level, step = retuning.result(), None, None
+        if rival is not None:
+            alone = retuned_pd.walker(found.scenario, rival.joint)
+            walking[retuned_pd.NAME] = pool.submit(one_walk(alone, None, engine), to_nobody)
+            if best is not None and alone.time_step != found.scenario.time_step:  # as short for both that are compared
+                step = alone.time_step
+                shorter = walker[0].with_overrides({"time_step": step})
+                level = pool.submit(one_walk(shorter, walker[1], engine), to_nobody)
         walks = {name: each.result() for name, each in walking.items()}
-        if joint is not None:
-            retuned = under_pd(found.scenario).with_overrides({f"control.{n}": value for n, value in joint.items()})
-            walks[retuned_pd.NAME] = mc.rollout(retuned, engine=engine)
         radius = stability_limit.on_map(limit.result(), found.data)
     config = next(name for name in others.walks if name not in ("pd", GIVEN))
     order = [name for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walks]
     walks = {name: walks[name] for name in order}
     compared = {name: (gains_of(walk), mc.metrics(walk, found.metrics)) for name, walk in walks.items()}
     worth = None
-    if joint is not None:
-        compared[retuned_pd.NAME] = joint, compared[retuned_pd.NAME][1]
-        worth = None if best is None else _worth(compared, joint)
+    if rival is not None:
+        theirs = compared[retuned_pd.NAME][1]
+        compared[retuned_pd.NAME] = rival.joint, theirs
+        if best is not None:
+            ours = compared["best"][1] if level is None else mc.metrics(level.result(), found.metrics)
+            worth = _worth(found, ours, theirs, rival, step)
     data = found.data.assign(spectral_radius=radius)
     failed = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
     edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
@@ -191,10 +199,19 @@ def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = No
     return Judged(data, best, walks, compared, failed, edges, worth, summary)
 
 
-def _worth(compared: Compared, joint: Mapping[str, float]) -> Worth:
+def _worth(
+    found: Swept, ours: Mapping[str, Any], theirs: Mapping[str, Any], rival: retuned_pd.Rival, step: float | None
+) -> Worth:
     name = "force_variation"  # what the best cell has least of
-    found, without = ({name: compared[walk][1][name]} for walk in ("best", retuned_pd.NAME))
-    return retuned_pd.worth(found, without, joint)
+    held = found.data[name].where((found.data["detached_limb"] < 0) & ~found.data["diverged"].astype(bool))
+    return retuned_pd.worth(
+        *({name: np.nan if failed(metrics) else metrics[name]} for metrics in (ours, theirs)), rival.joint,
+        spread=max(retuned_pd.spread(held.values), rival.spread),
+        lacks=rival.lacks,
+        place=" on this grid",
+        step=step,
+        others=differences(ours, theirs, found.metrics, but=(name,)),
+    )  # fmt: skip
 
 
 def _summary(compared: Compared, worth: Worth | None, counts: Mapping[str, Any]) -> str:

@@ -14,7 +14,6 @@ import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.control import PD
 from mjx_climb.files import dataset
-from tuning.gains import gains_file
 from tuning.judged import maps, margins, verification
 from tuning.judged.verification import Verification
 from tuning.output.ahead import ahead, to_nobody
@@ -26,10 +25,10 @@ from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal
 from tuning.report import page, search_pictures
 from tuning.report import tune as pages
-from tuning.report.comparison import Compared, gains_of
+from tuning.report.comparison import Compared, differences, gains_of
 from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
-from tuning.report.remarks import remarks
+from tuning.report.remarks import failed, remarks
 from tuning.searches import finished_parts, retuned_pd
 from tuning.searches.result import Result
 from tuning.searches.retuned_pd import Worth
@@ -138,9 +137,17 @@ def judge(
         walking = {**compared_with, "tuned": begin(lambda _: mc.rollout(verification.tuned(found), **how))}
         with stage("retuned pd", unit="rounds") as told:
             retuned = retuned_alone(told)
+        rivals, level, step = {"config": margins.Walker(problem.law, {})}, None, None
         if retuned is not None:
-            walking[retuned_pd.NAME] = begin(lambda _: mc.rollout(verification.tuned(retuned), engine=problem.engine))
-        rivals = _rivals(problem.law, retuned)
+            joint = retuned_pd.joint_of(retuned)
+            alone = retuned_pd.walker(scenario, joint)
+            walking[retuned_pd.NAME] = begin(lambda _: mc.rollout(alone, engine=problem.engine))
+            if alone.time_step == scenario.time_step:
+                rivals["retuned pd"] = margins.Walker(PD(), joint)
+            else:  # as short for both that are compared
+                step = alone.time_step
+                shorter = verification.tuned(found).with_overrides({"time_step": step})
+                level = begin(lambda _: mc.rollout(shorter, **how))
 
         def find_margins(told: Told) -> margins.Found:
             walked = {name: asked(to_nobody) for name, asked in on_hardware.items()}  # begun before this
@@ -152,6 +159,7 @@ def judge(
             with stage(name) as told:
                 walks[name] = walk(told)
         metrics = {name: mc.metrics(trajectory, found.judged_by) for name, trajectory in walks.items()}
+        ours = metrics["tuned"] if level is None else mc.metrics(level(to_nobody), found.judged_by)
         meanwhile(walks)
         with stage("map") as told:
             over = mapped(told)
@@ -165,9 +173,16 @@ def judge(
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
     outcome, worth = outcome_of(checked, found), None
     if retuned is not None:
-        compared[retuned_pd.NAME] = (_joint(retuned), metrics[retuned_pd.NAME])
-        ours, theirs = (_scored(problem.objective, metrics[name]) for name in ("tuned", retuned_pd.NAME))
-        worth = retuned_pd.worth(ours, theirs, retuned.gains, feasible=retuned.feasible)
+        compared[retuned_pd.NAME] = (joint, metrics[retuned_pd.NAME])
+        both = ours, metrics[retuned_pd.NAME]
+        worth = retuned_pd.worth(
+            *(_scored(problem.objective, walked) for walked in both), joint,
+            feasible=retuned.feasible,
+            spread=max(map(retuned_pd.spread_of, (found, retuned))),
+            lacks=retuned_pd.lacks(retuned),
+            step=step,
+            others=differences(*both, found.judged_by, but=("force_variation",)),
+        )  # fmt: skip
         outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
@@ -208,23 +223,12 @@ def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
     return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
 
 
-def _rivals(law: mc.Law | None, retuned: Result | None) -> dict[str, margins.Walker]:
-    """Return who walks beside a result and pd on worse hardware: the config's own gains, and pd retuned."""
-    rivals = {"config": margins.Walker(law, {})}
-    return rivals if retuned is None else rivals | {"retuned pd": margins.Walker(PD(), _joint(retuned))}
-
-
-def _joint(retuned: Result) -> dict[str, float]:
-    """Return kp and kd alone: pd has no other gains."""
-    gains = gains_file.by_name(retuned.gains)
-    return {name: float(gains[name]) for name in ("kp", "kd")}
-
-
 def _scored(target: Goal, metrics: Mapping[str, Any]) -> dict[str, float]:
     """Return what gains are compared by."""
     variation = metrics["force_variation"]
-    score = float(maps.score_of(target, metrics).value)
-    return {"objective": score, "force_variation": np.nan if variation is None else float(variation)}
+    if variation is None or failed(metrics):
+        return {"objective": np.nan, "force_variation": np.nan}
+    return {"objective": float(maps.score_of(target, metrics).value), "force_variation": float(variation)}
 
 
 def _summary(found: Tuned, checked: Verification, compared: Compared, worth: Worth | None) -> str:

@@ -12,7 +12,7 @@ from mjx_climb.walk.metrics import FAILURES, MetricTable
 from tuning.problem import settings
 
 Shipped = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
-OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune.tune`
+OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune`
 Method = Shipped | Literal["own"]
 Layout = Literal["isotropic", "split", "diagonal"]
 

@@ -1,12 +1,12 @@
 """Walks side by side: a table, and what it says in words."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
 from tuning.gains.gains_file import by_name
 from tuning.gains.labels import labels
-from tuning.report.numbers import axis_values, change, gain, number, plain_unit, unit
+from tuning.report.numbers import axis_values, change, gain, is_number, number, plain_unit, unit
 from tuning.report.page import Table
 from tuning.report.remarks import failed
 
@@ -93,11 +93,20 @@ def held(metrics: Values) -> str:
     return "every gripper holds"
 
 
-def worsened(metrics: Values, baseline: Values, about: MetricTable = METRICS, least: float = 5.0) -> list[str]:
-    """Return what got worse than under the baseline by at least so many per cent, as "base deviation +414 %"."""
-    found = []
+def differences(
+    metrics: Values, baseline: Values, about: MetricTable = METRICS, but: Container[str] = (), least: float = 2.0
+) -> tuple[list[str], list[str]]:
+    """Return which metrics are worse than under the baseline, as "base deviation +414 %", and which are better.
+
+    All but some, where they differ by more than so many per cent.
+    """
+    worse: list[str] = []
+    better: list[str] = []
     for name, value in metrics.items():
-        percent = change(value, baseline[name])
-        if percent and (-float(percent) if about[name].larger_is_better else float(percent)) >= least:
-            found.append(f"{about.in_words(name)} {percent} %")
-    return found
+        base = baseline[name]
+        if name in but or not (is_number(value) and is_number(base)) or not abs(value - base) > least / 100 * abs(base):
+            continue
+        text = f"{change(value, base)} %" if base > 0 else f"{number(base)} to {number(value)}"
+        kind = better if (value > base) == about[name].larger_is_better else worse
+        kind.append(f"{about.in_words(name)} {text}")
+    return worse, better

@@ -72,11 +72,12 @@ def plain_unit(text: str) -> str:
 
 def change(value: float | str | None, base: float | str | None) -> str:
     """Return the change against a baseline, in per cent without the sign."""
-    if not (_is_number(value) and _is_number(base) and base):
+    if not (is_number(value) and is_number(base) and base):
         return ""
     percent = 100 * (value / base - 1)
     return f"{percent:+.1f}" if abs(percent) < 100 else f"{percent:+.0f}"
 
 
-def _is_number(value: float | str | None) -> TypeGuard[float]:
+def is_number(value: float | str | None) -> TypeGuard[float]:
+    """Return whether a value of a metric is a number, not a truth, a name or nothing."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -69,7 +69,7 @@ def page(
             f"are best: force variation {text}; {comparison.held(won)}."
         )
         notes = [f"{failed} of the {count} walks lost a gripper or diverged."]
-        if worse := comparison.worsened(won, metrics["pd"], about):
+        if worse := comparison.differences(won, metrics["pd"], about)[0]:
             notes.append(f"Worse than pd: {', '.join(worse)}.")
     notes += [f"{line[0].upper()}{line[1:]}." for line in remarks(metrics)]
     kept = histories["diverged"].size

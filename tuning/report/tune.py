@@ -115,5 +115,5 @@ def _percent(value: float | None) -> str:
 
 
 def _worse(metrics: comparison.Values, baseline: comparison.Values, about: mc.MetricTable) -> list[str]:
-    worse = comparison.worsened(metrics, baseline, about)
+    worse, _ = comparison.differences(metrics, baseline, about)
     return [f"Worse than pd: {', '.join(worse)}."] if worse else []

@@ -1,4 +1,4 @@
-"""Batches of points judged one after the other outside of `tuning.tune.tune`: kept on disk, counted, reported."""
+"""Batches of points judged one after the other outside of `tuning.tune`: kept on disk, counted, reported."""
 
 from collections.abc import Callable
 from pathlib import Path

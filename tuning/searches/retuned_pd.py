@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from mjx_climb.checks.time_step import short_enough
 from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.given import AnyGains
+from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
@@ -26,6 +27,9 @@ NAME = "retuned_pd"  # in tables and files
 _COARSE = (12, 9)  # values of kp and kd
 FINE = (24, 18)
 _JUDGED_BY = ("force_variation", "detached_limb", "diverged")
+ROUNDS, POINTS = 2, 12  # of `least`: grids of so many values of kp and of kd, the next within a cell of the best
+HALVINGS = 2  # of the time step at most, for joint gains that it cannot follow
+ON_A_GRID = "on a grid alone"
 
 
 def search(
@@ -37,7 +41,8 @@ def search(
 ) -> Result | None:
     """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same.
 
-    A method of the caller's own is replaced by the default one, in its own number of rounds.
+    A method of the caller's own is replaced by the default one, in its own number of rounds. The time step is one that
+    all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were searched, it is the one of theirs.
 
     Arguments:
         problem: what was searched.
@@ -54,7 +59,11 @@ def search(
     if problem.law is None and problem.scenario.control.controller == "pd":
         return None
     settings, scenario = _settings(settings), under_pd(problem.scenario)
-    rival = dataclasses.replace(problem, scenario=scenario, space=spaces.space(scenario, settings), law=None)
+    space = spaces.space(scenario, settings)
+    if JOINT.keys().isdisjoint(problem.space.gains):
+        step = time_step_for(problem.scenario, _highest(space))
+        scenario = scenario.with_overrides({"time_step": step})
+    rival = dataclasses.replace(problem, scenario=scenario, space=space, law=None)
     again = tune.run(rival, settings, out=None if out is None else _kept_in(out), progress=progress)
     if again.interrupted:
         raise KeyboardInterrupt
@@ -86,22 +95,111 @@ def walked_on_grid(
     return gains, {name: np.asarray(value) for name, value in walks.items()}
 
 
-def on_grid(scenario: mc.Scenario, *, engine: str = DEFAULT_ENGINE) -> dict[str, float] | None:
-    """Return kp and kd with which pd has the least force variation of a grid and holds, None where it never does.
+def least(scenario: mc.Scenario, *, engine: str = DEFAULT_ENGINE) -> "Rival | None":
+    """Search kp and kd with which pd has the least force variation and holds, None where it never does.
 
-    Those that are too much for the time step, with which no walk alone would be begun, are left out.
-
-    What a sweep, which looks for the same among the gains of a law, is to be compared with.
+    Over all of the bounds first, then closer and closer about the best: what a sweep, which looks for the same among
+    the gains of a law, is compared with.
     """
-    table = mc.MetricTable(mc.METRICS[name] for name in _JUDGED_BY)
-    gains, walks = walked_on_grid(scenario, table, engine=engine)
-    holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
-    variation = np.where(holds, walks["force_variation"], np.inf)
-    for place in np.argsort(variation)[: np.isfinite(variation).sum()]:
-        joint = {name: float(values[place]) for name, values in gains.items()}
-        if short_enough(scenario.with_overrides({f"control.{name}": value for name, value in joint.items()})):
-            return joint
-    return None
+    pd, table = under_pd(scenario), mc.MetricTable(mc.METRICS[name] for name in _JUDGED_BY)
+    bounds = default_bounds(pd, PD())
+    highest = {name: high for name, (_, high) in bounds.items()}
+    pd = pd.with_overrides({"time_step": time_step_for(scenario, highest)})
+    lower, upper = np.log(list(bounds.values())).T
+    best, centre, half = np.log([pd.control.kp, max(pd.control.kd, 1e-12)]), (lower + upper) / 2, (upper - lower) / 2
+    offsets = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, POINTS)]), -1).reshape(-1, 2)
+    every = []
+    for _ in range(ROUNDS):
+        points = np.vstack([np.clip(centre + half * offsets, lower, upper), best])  # rounds of one size: one program
+        joint = dict(zip(JOINT, np.exp(points).T, strict=True))
+        walks = mc.rollout_metrics(pd, joint, metrics=table, engine=engine)
+        holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
+        values = np.where(holds, walks["force_variation"], np.inf)
+        while np.isfinite(values[place := values.argmin()]) and not _follows(pd, _row(joint, place)):
+            values[place] = np.inf
+        best = points[place]
+        every.append(values)
+        centre, half = best, half * 2 / (POINTS - 1)
+    if not np.isfinite(values[place]):
+        return None
+    return Rival(_row(joint, place), spread(np.concatenate(every)), _lacks(pd, highest))
+
+
+class Rival(NamedTuple):
+    """pd with kp and kd that were searched."""
+
+    joint: dict[str, float]
+    spread: float  # see `spread`
+    lacks: str  # in what it was searched less than it might be, nothing where all its bounds were
+
+
+def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float]) -> float:
+    """Return a time step, s, that joint gains can follow: the scenario's, halved up to `HALVINGS` times.
+
+    It is the scenario's own where a law looks one time step ahead, and would be another one at another step.
+    """
+    control, step = scenario.control, scenario.time_step
+    if control.reading == "measured_pose" and not scenario.hardware.control_period:
+        return step
+    for _ in range(HALVINGS):
+        try:
+            shorter = scenario.with_overrides({"time_step": step / 2})
+        except ConfigError:  # a delay of more time steps than are kept
+            break
+        if _follows(scenario.with_overrides({"time_step": step}), joint):
+            break
+        step = shorter.time_step
+    return step
+
+
+def walker(scenario: mc.Scenario, joint: Mapping[str, float]) -> mc.Scenario:
+    """Return the scenario with pd in place of its law, with joint gains and a time step that they can follow."""
+    gains = {f"control.{name}": value for name, value in joint.items()}
+    return under_pd(scenario).with_overrides({**gains, "time_step": time_step_for(scenario, joint)})
+
+
+def joint_of(found: Result) -> dict[str, float]:
+    """Return kp and kd alone: pd has no other gains."""
+    gains = by_name(found.gains)
+    return {name: float(gains[name]) for name in JOINT}
+
+
+def lacks(found: Result) -> str:
+    """Return in what `search` looked at less than its bounds, nothing where it looked at all of them."""
+    return _lacks(found.scenario, _highest(spaces.space(found.scenario, found.search)))
+
+
+def spread(values: np.ndarray) -> float:
+    """Return by how much the second best of some values is worse than the best, relative; 0 where there are not two.
+
+    What gains differ by no more than is nothing that a search has found.
+    """
+    two = np.unique(values[np.isfinite(values)])[:2]
+    return float(np.ptp(two) / abs(two[0])) if two.size == 2 and two[0] else 0.0
+
+
+def spread_of(found: Result) -> float:
+    """Return the spread of what a search walked side by side: starts of a descent, a population, points of a grid."""
+    rows = found.history["row"].values
+    best = np.full(rows.max() + 1, np.inf)
+    np.fmin.at(best, rows, np.where(found.history["feasible"], found.history["value"], np.inf))
+    return spread(best)
+
+
+def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
+    return short_enough(scenario.with_overrides({f"control.{name}": float(value) for name, value in joint.items()}))
+
+
+def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
+    return "" if _follows(scenario, highest) else f"within what a time step of {scenario.time_step:g} s can follow"
+
+
+def _highest(space: spaces.Space) -> dict[str, float]:
+    return dict(zip(space.names, np.exp(space.upper), strict=True))
+
+
+def _row(joint: Mapping[str, np.ndarray], place: int) -> dict[str, float]:
+    return {name: float(values[place]) for name, values in joint.items()}
 
 
 def _kept_in(out: Path) -> Path:
@@ -133,8 +231,15 @@ def worth(
     *,
     feasible: bool = True,
     larger: bool = False,
+    spread: float = 0.0,
+    lacks: str = "",
+    place: str = "",
+    step: float | None = None,
+    others: tuple[Sequence[str], Sequence[str]] = ((), ()),
 ) -> Worth:
     """Return what a force sensor is worth.
+
+    There is a verdict only where a further search of pd would not turn it round, as far as this one can tell.
 
     Arguments:
         values: first what the gains were found for, then what else is to be said of them.
@@ -142,17 +247,32 @@ def worth(
         gains: kp and kd of that.
         feasible: whether it keeps all limits.
         larger: whether more of the first value is better, not less.
+        spread: of both searches, the larger one; see the function.
+        lacks: in what pd was searched less than the gains.
+        place: where the gains were searched, if that is not all there is.
+        step: the time step of both walks, where it is not the scenario's.
+        others: what else is worse, and what is better, in words.
     """
     joint = by_name(gains)
     rival = f"pd with kp {float(joint['kp']):.4g}, kd {float(joint['kd']):.4g}, which needs none"
     rival += "" if feasible else " (and breaks a limit)"
     changes = {name: values[name] / without[name] - 1 for name in values}
     if not all(map(math.isfinite, changes.values())):
-        return Worth(changes, f"the force sensor: not to be compared with {rival}: a walk diverged")
+        return Worth(changes, f"the force sensor: not to be compared with {rival}: a walk failed")
     first = next(iter(changes.values()))
-    verdict = "pays" if (first > 0 if larger else first < 0) else "does not pay"
+    if abs(first) <= spread:
+        verdict = f"the force sensor changes nothing{place} beyond the search's own spread of {100 * spread:.1f} %"
+    elif not (first > 0 if larger else first < 0):
+        verdict = f"the force sensor does not pay{place}"
+    elif lacks:
+        verdict = f"no verdict on the force sensor, since pd was searched {lacks}"
+    else:
+        verdict = "the force sensor pays"
     parts = [
         f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'} {name.replace('_', ' ')}"
         for name, change in changes.items()
     ]
-    return Worth(changes, f"the force sensor {verdict}: {' and '.join(parts)} than {rival}")
+    text = f"{verdict}: {' and '.join(parts)} than {rival}"
+    text += "" if step is None else f", both at a time step of {step:g} s"
+    named = zip(("worse", "better"), others, strict=True)
+    return Worth(changes, "; ".join([text, *(f"{which}: {', '.join(each)}" for which, each in named if each)]))

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -26,7 +25,6 @@ from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Metrics, Score
 from tuning.problem.search import WEIGHTS, Search
 from tuning.searches import tune
-from tuning.searches.result import Result
 
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}
 JUDGED_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
@@ -163,30 +161,6 @@ def pd_of(
     return mc.rollout_metrics(
         pd, mc.Gains(ones, ones, ones), numbers, metrics=metrics, dtype=np.float32, engine=engine, smooth=True
     )
-
-
-def search(
-    scenario: mc.Scenario,
-    ensemble: Ensemble,
-    settings: Search | None = None,
-    *,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-    law: mc.Law | None = None,
-    engine: str = DEFAULT_ENGINE,
-    out: Path | None = None,
-    progress: Callable[[tune.Progress], None] | None = None,
-    **changes: Any,
-) -> Result:
-    """Search the gains that do best over an ensemble; `tuning.tune.tune` with its walks and the robust objective.
-
-    Where no weights are given, those of a plain search and the peak pulling force count alike.
-    """
-    chosen = settings is not None or "method" in changes
-    settings = settled(settings, changes, ensemble)
-    if not chosen:
-        settings = tune.for_this_machine(scenario, settings, engine, law)
-    problem = problem_of(scenario, ensemble, settings, metrics=metrics, law=law, engine=engine)
-    return tune.run(problem, settings, out=out, progress=progress)
 
 
 def settled(settings: Search | None, changes: Mapping[str, Any], ensemble: Ensemble) -> Search:

@@ -276,10 +276,11 @@ def worth(table: xr.Dataset) -> str:
     known = ratio[np.isfinite(ratio)]
     if not known.size:
         return "the force sensor: not to be compared with pd, which keeps the limits at no operating point"
-    pays = "pays" if (known < 1).any() else "does not pay"
+    none = f"no verdict on the force sensor, since pd was searched {retuned_pd.ON_A_GRID}"
+    verdict = none if (known < 1).any() else "the force sensor does not pay"
     span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))
     return (
-        f"the force sensor {pays}: less objective at {(known < 1).sum()} of {known.size} operating points, {span} "
+        f"{verdict}: less objective at {(known < 1).sum()} of {known.size} operating points, {span} "
         "times that of pd with kp and kd for each, which needs none"
     )
 

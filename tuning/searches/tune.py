@@ -50,58 +50,6 @@ class Progress(NamedTuple):
     seconds: float  # that the round took
 
 
-def tune(
-    scenario: mc.Scenario,
-    search: Search | None = None,
-    *,
-    law: mc.Law | None = None,
-    method: str | Method | Callable[[Task], Points] | None = None,
-    objective: Judge | None = None,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-    numbers: mc.Parameters | None = None,
-    engine: str = DEFAULT_ENGINE,
-    out: Path | None = None,
-    progress: Callable[[Progress], None] | None = None,
-    **settings: Any,
-) -> Result:
-    """Search the gains of a control law.
-
-    Arguments:
-        scenario: what walks where.
-        law: whose gains are searched; its own are the first start. The scenario's where None.
-        search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it, as
-            in `tune(scenario, method="gradient", space="diagonal")`.
-        method: the name of a shipped one; or one of your own, as a function that yields a `Request` of points and
-            receives what they are worth, or a `Method` that knows its rounds besides; see
-            `tuning.searches.methods.task`. It must ask for the same when it is told the same.
-        objective: a pure function of the metrics in place of the weighted terms, see
-            `tuning.problem.objectives.Objective`.
-        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may
-            name them. The shipped ones must be among them.
-        numbers: parameters in place of the scenario's; with leading axes (members, 1), an ensemble over which the
-            score is the mean.
-        engine: the dynamics, one of `mjx_climb.ENGINES`.
-        out: a folder that keeps each finished round, so that an interrupted search goes on from there. The rounds
-            stay until `finished_parts.clear(out)`.
-        progress: called after each round.
-
-    Returns:
-        The best gains and all that was judged. Ctrl-C ends the search with the best so far (`interrupted`).
-
-    Raises:
-        ConfigError: settings that make no sense for the scenario, or a method that asks for no points of the space.
-        OutputError: the folder cannot be written, or holds an unfinished search for something else.
-        Unidentifiable: with `out`, an objective or method that cannot be told from another; see
-            `tuning.searches.identity`.
-    """
-    chosen = search is not None or method is not None or "method" in settings
-    search, own_method = settled(search, method, settings)
-    if not chosen:
-        search = for_this_machine(scenario, search, engine, law)
-    problem = problem_of(scenario, search, objective, numbers, engine, law=law, metrics=metrics)
-    return run(problem, search, own_method, out=out, progress=progress)
-
-
 def run(
     problem: Problem,
     search: Search,
@@ -110,7 +58,7 @@ def run(
     out: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
-    """Search a problem from start to end; what `tune` says of its arguments holds here.
+    """Search a problem from start to end; what `tuning.tune` says of its arguments holds here.
 
     Raises:
         ConfigError: a method that asks for no points of the space.
@@ -167,13 +115,20 @@ def settled(
 
 
 def for_this_machine(
-    scenario: mc.Scenario, search: Search, engine: str = DEFAULT_ENGINE, law: mc.Law | None = None
+    scenario: mc.Scenario,
+    search: Search,
+    chosen: Iterable[object] = (),
+    engine: str = DEFAULT_ENGINE,
+    law: mc.Law | None = None,
 ) -> Search:
     """Return settings with the method that is best here, where nobody has chosen one.
 
     Where a GPU's kernel walks thousands in the time of one, many points judged by their values go deeper, and sooner,
-    than a few that follow their slopes.
+    than a few that follow their slopes. `chosen` is what the user gave that says how to search, settings and a method,
+    each None where it was not given.
     """
+    if any(given is not None for given in chosen):
+        return search
     many = kernel_pays(engine, np.dtype(search.precision)) and spaces.space(scenario, search, law).size > 1
     return search.model_copy(update={"method": "cmaes"}) if many else search
 

@@ -1,5 +1,7 @@
 """Searches where a GPU's kernel walks thousands: which method, how many points, and when they are done."""
 
+import subprocess
+import sys
 import types
 
 import numpy as np
@@ -7,7 +9,10 @@ import pytest
 from cmaes import CMA
 
 import mjx_climb as mc
+import tuning
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
+from tuning.searches import robust as robust_search
 from tuning.searches import tune
 from tuning.searches.methods import cma_es
 from tuning.searches.methods.task import Task
@@ -92,11 +97,37 @@ def test_the_method_that_suits_the_machine(kernel, case):
     assert tune.for_this_machine(scenario, one).method == "gradient"
 
 
-def test_a_chosen_method_stays(kernel, monkeypatch):
-    asked = []
-    monkeypatch.setattr(tune, "problem_of", lambda scenario, search, *_, **__: asked.append(search.method))
-    monkeypatch.setattr(tune, "run", lambda *_, **__: None)
+@pytest.mark.parametrize("robust", [False, True])
+def test_a_chosen_method_stays(kernel, monkeypatch, robust):
+    """By the one rule that the command has too: settings or a method that are given, and nothing else, choose."""
+
+    def search(scenario, **settings):
+        return tuning.robust(scenario, Ensemble(members=2), **settings) if robust else tuning.tune(scenario, **settings)
+
+    class Asked(Exception):
+        pass
+
+    def run(problem, search, *_, **__):
+        raise Asked(search.method)
+
+    monkeypatch.setattr(tune, "run", run)
+    monkeypatch.setattr(tune, "problem_of", lambda *_, **__: None)
+    monkeypatch.setattr(robust_search, "problem_of", lambda *_, **__: None)
     scenario = mc.load_scenario("case_1_2")
-    for settings in ({}, {"method": "gradient"}, {"search": Search()}):
-        tune.tune(scenario, **settings)
-    assert asked == ["cmaes", "gradient", "gradient"]
+    for settings, expected in (
+        ({}, "cmaes"),
+        ({"space": "split"}, "cmaes"),
+        ({"method": "gradient"}, "gradient"),
+        ({"search": Search()}, "gradient"),
+    ):
+        with pytest.raises(Asked, match=expected):
+            search(scenario, **settings)
+
+
+def test_the_search_is_a_call_of_the_package_and_of_its_module():
+    """Whichever is imported first."""
+    for first in ("import tuning", "import tuning.tune", "from tuning.tune import tune"):
+        code = f"{first}\nimport tuning\nfrom tuning.tune import Request, tune\ntry: tuning.tune(None, method='none')\n"
+        code += "except Exception as error: print(type(error).__name__)\nprint(callable(tune))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert done.stdout.split() == ["ConfigError", "True"], done.stderr

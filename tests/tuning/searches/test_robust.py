@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+import tuning
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.profiles import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
@@ -198,7 +199,7 @@ def test_search_and_judgement(scenario):
     """Forces are late in every walk: the joint loop is searched and judged with the admittance."""
     late = {"force_delay": (0.002, 0.005)}
     ensemble = ensembles.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late})
-    found = robust.search(scenario, ensemble, method="cmaes", starts=4, iterations=2)
+    found = tuning.robust(scenario, ensemble, method="cmaes", starts=4, iterations=2)
     assert found.history.sizes["point"] == 8
     assert found.env_steps == 8 * ensemble.members * scenario.steps
     assert found.gains.kp is not None
@@ -273,12 +274,12 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
         if now.rounds == 1:
             raise KeyboardInterrupt
 
-    cut = robust.search(scenario, ensemble, out=tmp_path, progress=stop, **how)
+    cut = tuning.robust(scenario, ensemble, out=tmp_path, progress=stop, **how)
     assert cut.interrupted
     walked = []
-    resumed = robust.search(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
+    resumed = tuning.robust(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
     assert walked == [False, True]
-    xr.testing.assert_equal(resumed.history, robust.search(scenario, ensemble, **how).history)
+    xr.testing.assert_equal(resumed.history, tuning.robust(scenario, ensemble, **how).history)
 
 
 @pytest.mark.nightly
@@ -320,7 +321,7 @@ def test_walks_that_fail_are_counted():
 def test_robust_gains_beat_the_papers_on_a_draw_that_was_not_seen():
     scenario = mc.load_scenario(config_path("case_1_2.yaml"))
     ensemble = ensembles.load(config_path("ensemble.yaml"))
-    found = robust.search(scenario, ensemble, method="gradient", starts=3, iterations=10)
+    found = tuning.robust(scenario, ensemble, method="gradient", starts=3, iterations=10)
     paper = mc.Gains(1.0, 5e3, 5e4)
     summed = robust.summary(robust.judge(scenario, {"robust": found.gains, "paper": paper}, ensemble))
     for metric, mean, worst in (("force_variation", 0.55, 0.55), ("peak_pull_force", 0.85, 0.95)):

@@ -23,7 +23,8 @@ from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.searches import result
 from tuning.searches.methods import METHODS, Method, Request, Task
-from tuning.searches.tune import problem_of, start_of, tune
+from tuning.searches.tune import problem_of, start_of
+from tuning.tune import tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.05}
 
@@ -371,7 +372,7 @@ import sys
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
-from tuning.searches.tune import tune
+from tuning.tune import tune
 scenario = mc.load_scenario(sys.argv[1])
 print("begun", flush=True)
 tune(scenario, iterations=3, out=sys.argv[2], progress=lambda now: print(now.rounds, flush=True))
