@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,10 @@ class RobotError(ValueError):
     """A model that mjx_climb cannot use: the message names the model and what was expected."""
 
 
-def described(file: str) -> mujoco.MjSpec:
+def described(file: str, looks: bool = False) -> mujoco.MjSpec:
     """Return the description in a file, with a name for every body and joint and hinges in place of ball joints.
+
+    Of a URDF without what is only looked at, unless with `looks`.
 
     A body without a name is called after its parent and its place among the children, a joint after its body. A ball
     joint `hip` becomes hinges `hip_x`, `hip_y`, `hip_z` about the body's own axes.
@@ -40,7 +43,7 @@ def described(file: str) -> mujoco.MjSpec:
     Raises:
         RobotError: a file that MuJoCo does not read, or numbers that no joint and no body can have.
     """
-    spec = _read(file)
+    spec = _read(file, looks)
     _possible(file, spec)
     taken = {body.name for body in spec.bodies}
     for body in spec.bodies:
@@ -60,7 +63,7 @@ def described(file: str) -> mujoco.MjSpec:
     return spec
 
 
-def _read(file: str) -> mujoco.MjSpec:
+def _read(file: str, looks: bool = False) -> mujoco.MjSpec:
     if not file.endswith((".xml", ".urdf")):
         raise RobotError(f"{file}: expected a file whose name ends in .xml or .urdf")
     text = _text(file)
@@ -69,7 +72,11 @@ def _read(file: str) -> mujoco.MjSpec:
         raise RobotError(f"{place}: expected a URDF that xacro has written out, got {macro[0]}>")
     mujoco.set_mju_user_warning(lambda message: None)  # what is wrong is said once, by what is raised
     try:
-        spec = mujoco.MjSpec.from_file(file)
+        if looks and is_urdf(file) and "<mujoco" not in text:
+            kept = '><mujoco><compiler discardvisual="false"/></mujoco>'
+            spec = mujoco.MjSpec.from_string(re.sub(r"(<robot\b[^>]*)>", lambda robot: robot[1] + kept, text, count=1))
+        else:
+            spec = mujoco.MjSpec.from_file(file)
         for part in (*spec.bodies, *spec.joints, *spec.sites, *spec.keys, *spec.actuators):
             part.name  # noqa: B018, decoded as it is read
         return spec
@@ -166,19 +173,21 @@ def _about_each_axis(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
     spec.delete(actuator)
 
 
-def bare(file: str) -> mujoco.MjSpec:
+def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
     """Return the description in a file without shapes of weighed bodies, looks, actuators, sensors and tendons.
 
     A URDF has its inertias written down, and so have many an MJCF's bodies: their shapes, and the files of meshes, do
     not matter. Plain shapes stay, without a mass: they tell where a limb ends. Moments of inertia that no body can have
     are made equal, as MuJoCo does (`balanceinertia`), and links without a mass get a speck of one. Keyframes that are
-    not as long as the robot has positions are left out.
+    not as long as the robot has positions are left out. Bodies in `shaped` keep the meshes that are there, and what is
+    only looked at.
 
     Raises:
         RobotError: a file that MuJoCo does not read.
     """
-    spec = described(file)
+    spec = described(file, looks=bool(shaped))
     urdf = is_urdf(file)
+    meshes = {mesh.name: found_mesh(file, spec, mesh.file) for mesh in spec.meshes} if shaped else {}
     _limit_torques(spec)
     for kind in _DROPPED:
         for part in getattr(spec, kind):
@@ -199,11 +208,15 @@ def bare(file: str) -> mujoco.MjSpec:
         weighed = urdf or (geom.parent.explicitinertial and not from_shapes) or geom.parent.name == "world"
         if not weighed and geom.mass != 0 and geom.density != 0 and lowest <= geom.group <= highest:
             continue
-        if geom.parent.name == "world" or not _plain(geom):
+        meant = geom.parent.name in shaped and meshes.get(geom.meshname) is not None
+        if geom.parent.name == "world" or not (_plain(geom) or meant):
             spec.delete(geom)
         else:
             geom.mass = 0
     used = {geom.meshname for geom in spec.geoms}
+    for mesh in spec.meshes:
+        if path := meshes.get(mesh.name):
+            mesh.file, mesh.inertia = path, mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # one that need not be closed
     for drawn in (*spec.geoms, *spec.sites):
         drawn.material = ""
     for part in (*(mesh for mesh in spec.meshes if mesh.name not in used), *spec.materials, *spec.textures):
@@ -212,6 +225,19 @@ def bare(file: str) -> mujoco.MjSpec:
     spec.compiler.boundmass = max(spec.compiler.boundmass, SPECK)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, SPECK_MOMENT)
     return spec
+
+
+def found_mesh(file: str, spec: mujoco.MjSpec, mesh: str) -> str | None:
+    """Return the path of a mesh that a robot's file names, None where it is not there, or of a kind not read here.
+
+    Looked for beside the file, in its folder of meshes, and, of a ROS package, in the folders around the file.
+    """
+    folder, name = Path(file).absolute().parent, re.sub(r"^(package|file|model)://", "", mesh)
+    inside = name.partition("/")[2]  # the package
+    places = [folder / name, folder / spec.meshdir / name, folder / spec.meshdir / Path(name).name]
+    places += [around / path for around in folder.parents[:3] for path in (name, inside)] if inside else []
+    readable = Path(mesh).suffix.lower() in (".stl", ".obj", ".msh")
+    return next((str(path) for path in places if readable and path.is_file()), None)
 
 
 def _plain(geom: mujoco.MjsGeom) -> bool:

@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, RobotError, driven_joints
+from mjx_climb.robot.description import JOINTS, RobotError, bare, compiled, driven_joints
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
 _ARM, _FINGER = 3, 3  # joints: several short branches beyond so many are fingers
 _ALIKE = 2  # joints by which limbs of one robot may differ, where three or more have as many
+_AS_FAR = 0.98  # of the farthest point of a link
 _SHORT = 1e-3  # m: a last link that ends as near to its joint has no end
 _FOOT = re.compile(
     r"foot|feet|toe|grip|hand|palm|wheel|claw|magnet|hoof|(?<![a-z])(ee|end|tip|tool|tcp)(?![a-z])", re.IGNORECASE
@@ -34,7 +35,8 @@ class Chain(NamedTuple):
     foot: str
     at: tuple[float, float, float]  # m, in the frame of `foot`
     named: bool  # what it ends in is called a foot, or the like
-    guessed: bool = False  # the file does not say where the last link ends
+    end: str = ""  # shapes that the last link ends with, where nothing in the file is called its foot
+    guessed: bool = False  # there are none
 
 
 def base_of(path: str, model: mujoco.MjModel) -> int:
@@ -62,15 +64,31 @@ def limbs_of(
     Raises:
         RobotError: fewer than two.
     """
-    chains = [_footed(model, chain) for chain in _chains(model, base)]
+    rows = _chains(model, base)
+    part = rigid_parts(model)
+    last = {row[-1]: {model.body(b).name for b in range(model.nbody) if part[b] == row[-1]} for row in rows}
+    shaped = _with_shapes(path, model, set().union(*last.values()), notes)
+    chains = [_footed(model, row, shaped) for row in rows]
     driven = driven_joints(described)
     if driven:
         chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
     limbs = _named(model, _limbs(path, model, chains, notes))
     if guessed := [repr(chain.foot) for chain in limbs.values() if chain.guessed]:
-        why = f"not in the file ({', '.join(guessed)}): guessed from the links' weights; correct robot.limbs' `at`"
+        why = f"not in the file ({', '.join(guessed)}), nor shapes: guessed from weights; correct robot.limbs' `at`"
         notes.append(Note("changed", "ends of last links", why))
+    if ends := sorted({chain.end for chain in limbs.values() if chain.end}):
+        which = ", ".join(ends[:MAX_LIMBS]) + (", ..." if len(ends) > MAX_LIMBS else "")
+        notes.append(Note("taken", "feet", f"where the shapes of the last links reach farthest: {which}"))
     return limbs
+
+
+def _with_shapes(path: str, model: mujoco.MjModel, bodies: set[str], notes: list[Note]) -> mujoco.MjModel:
+    """Return the robot with the shapes of some bodies, meshes among them; without these where one cannot be read."""
+    try:
+        return compiled(path, bare(path, bodies))
+    except RobotError as error:
+        notes.append(Note("ignored", "meshes of the last links", str(error)))
+        return model
 
 
 def rigid_parts(model: mujoco.MjModel) -> np.ndarray:
@@ -103,8 +121,11 @@ def _chains(model: mujoco.MjModel, base: int) -> list[list[int]]:
     return [longest(body, 0) for body in _beyond(model, part, part[base])]
 
 
-def _footed(model: mujoco.MjModel, bodies: list[int]) -> Chain:
-    """Return a row of joints with its foot: a site or body called so, or else the far end of its last link."""
+def _footed(model: mujoco.MjModel, bodies: list[int], shaped: mujoco.MjModel) -> Chain:
+    """Return a row of joints with its foot: a site or body called so, or else the far end of its last link.
+
+    `shaped` is the robot with the shapes of its last links.
+    """
     joints = [int(model.body_jntadr[b]) + n for b in bodies for n in range(model.body_jntnum[b])]
     part = rigid_parts(model)
     data = at_zero(model)
@@ -114,19 +135,45 @@ def _footed(model: mujoco.MjModel, bodies: list[int]) -> Chain:
     places = [(model.site(s).name, data.site_xpos[s]) for s in sites]
     places += [(model.body(b).name, data.xpos[b]) for b in last if b != bodies[-1] and model.body(b).name]
     called = [place for place in places if _FOOT.search(place[0])]
-    ends = [end for geom in range(model.ngeom) if model.geom_bodyid[geom] in last for end in _ends(model, data, geom)]
-    if called or (places and not ends):
+    ends, what = _far_end(shaped, {model.body(b).name for b in last}, anchor)
+    if called or (places and ends is None):
         name, _ = max(called or places, key=lambda place: float(np.linalg.norm(place[1] - anchor)))
         return Chain(tuple(joints), name, (0.0, 0.0, 0.0), bool(called))
     axes = data.xmat[bodies[-1]].reshape(3, 3)
-    ends = [axes.T @ (end - data.xpos[bodies[-1]]) for end in ends]
     local = axes.T @ (anchor - data.xpos[bodies[-1]])
-    end = max(ends, key=lambda point: float(np.linalg.norm(point - local)), default=2 * model.body_ipos[bodies[-1]])
+    end = 2 * model.body_ipos[bodies[-1]] if ends is None else axes.T @ (ends - data.xpos[bodies[-1]])
     turns = model.jnt_type[joints[-1]] == mujoco.mjtJoint.mjJNT_HINGE
-    if not ends and turns and np.linalg.norm(end - local) < _SHORT:
+    if ends is None and turns and np.linalg.norm(end - local) < _SHORT:
         end = local + axes.T @ _across(data.xaxis[joints[-1]], anchor - data.xanchor[joints[-2 if joints[1:] else -1]])
     at = tuple(round(float(v), 5) + 0.0 for v in end)  # no -0.0
-    return Chain(tuple(joints), model.body(bodies[-1]).name, (at[0], at[1], at[2]), bool(ends), not ends)
+    foot, plain = model.body(bodies[-1]).name, bool(what) and " mesh " not in what  # many a head ends in a mesh
+    return Chain(tuple(joints), foot, (at[0], at[1], at[2]), plain, what, ends is None)
+
+
+def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tuple[np.ndarray | None, str]:
+    """Return where the shapes of some bodies end, seen from `anchor` (3,) m, and the shapes that end there; or None.
+
+    Of shapes that collide, or else of those that are looked at; the middle of what is about as far as the farthest, as
+    are the tips of fingers, or the rim of a wheel.
+    """
+    data = at_zero(model)
+    geoms = [geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name in bodies]
+    colliding = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
+    ends = [(point, geom) for geom in colliding or geoms for point in _ends(model, data, geom)]
+    if not ends:
+        return None, ""
+    points = np.array([point for point, _ in ends])
+    away = np.linalg.norm(points - anchor, axis=1)
+    far = np.flatnonzero(away >= _AS_FAR * away.max())
+    return points[far].mean(0), _in_words(model, ends[int(np.argmax(away))][1], bool(colliding))
+
+
+def _in_words(model: mujoco.MjModel, geom: int, collides: bool) -> str:
+    """Return a shape as a user knows it: "collision mesh 'tip' of 'calf'"."""
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    name = f" {model.mesh(model.geom_dataid[geom]).name!r}" if kind == mujoco.mjtGeom.mjGEOM_MESH else ""
+    shape = kind.name.removeprefix("mjGEOM_").lower()
+    return f"{'collision' if collides else 'visual'} {shape}{name} of {model.body(model.geom_bodyid[geom]).name!r}"
 
 
 def _across(axis: np.ndarray, link: np.ndarray) -> np.ndarray:
@@ -137,7 +184,7 @@ def _across(axis: np.ndarray, link: np.ndarray) -> np.ndarray:
 
 
 def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.ndarray]:
-    """Return the points of a plain shape that may be the tip of a limb, in world axes."""
+    """Return the points of a shape that may be the tip of a limb, in world axes."""
     kind, center, size = mujoco.mjtGeom(model.geom_type[geom]), data.geom_xpos[geom], model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return [center.copy()]
@@ -145,6 +192,9 @@ def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.ndar
         halves = np.diag([0.0, 0.0, size[1]])[2:]
     elif kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
         halves = np.diag(size)
+    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
+        first, count = model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]]
+        return list(center + model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T)
     else:
         return []
     ways = halves @ data.geom_xmat[geom].reshape(3, 3).T

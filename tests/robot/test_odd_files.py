@@ -48,6 +48,49 @@ def test_a_limb_ends_where_its_shape_does(tmp_path, shape, at):
     assert "ends" not in told
 
 
+def stl(points):
+    """Return a mesh with these corners, (4, 3) m: a tetrahedron."""
+    faces = [np.array([np.zeros(3), *(points[n] for n in face)], "<f4").tobytes() for face in
+             ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))]  # fmt: skip
+    return b"\0" * 80 + np.uint32(4).tobytes() + b"".join(face + b"\0\0" for face in faces)
+
+
+PRONGS = np.array([[0, 0, 0.01], [0, 0.01, 0], [0.15, 0, 0.02], [0.15, 0, -0.02]])
+
+
+@pytest.mark.parametrize("kind", ["collision", "visual"])
+@pytest.mark.parametrize("folder", ["meshes", "any_description/meshes", "urdf/gone"])
+def test_a_limb_of_a_urdf_ends_where_its_mesh_does(tmp_path, kind, folder):
+    """Between the two prongs that reach farthest, scaled and turned; without the file a guess, as it says."""
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / folder).mkdir(parents=True)
+    written(tmp_path, stl(PRONGS * [1, 1, 0.1]), f"{folder}/shin.stl")
+    mesh = '<mesh filename="package://any_description/meshes/shin.stl" scale="1 1 10"/>'
+    shape = f'<{kind}><origin xyz="0 0 0.01" rpy="0 0 1.2"/><geometry>{mesh}</geometry></{kind}></link>'
+    text = re.sub(r'<link name="\w+_toe"/>|<joint name="\w+_ankle".*?</joint>', "", urdf(1)[0])
+    text = re.sub(r'(<link name="\w+_shank">.*?)</link>', rf"\1{shape}", text)
+    limbs, told = found(written(tmp_path, text, "urdf/robot.urdf"))
+    there = folder != "urdf/gone"
+    for limb in limbs.values():
+        end = [0.15 * np.cos(1.2), 0.15 * np.sin(1.2), 0.01]
+        assert (np.linalg.norm(np.subtract(limb.at, end)) < 1e-5) == there
+    assert (f"{kind} mesh 'shin' of 'LF_shank'" in told) == there and ("guessed" in told) != there
+
+
+def test_a_mesh_of_an_mjcf_and_one_that_is_none(tmp_path):
+    """A wheel's rim counts for its middle; a file that is no mesh is passed over, and said."""
+    shape = '<geom type="mesh" mesh="shin" pos="0.01 0 0"/><geom type="cylinder" size="0.02 0.01" pos="0.1 0 0"/>'
+    text = FEET.sub(shape, PLAIN).replace("<worldbody>", '<asset><mesh file="shin.stl"/></asset>\n<worldbody>')
+    text = text.replace("<compiler", '<compiler meshdir="looks"')
+    for mesh, at in ((stl(PRONGS), [0.16, 0, 0]), (b"solid nothing", [0.1, 0, 0])):
+        folder = tmp_path / str(len(mesh)) / "looks"
+        folder.mkdir(parents=True)
+        written(folder, mesh, "shin.stl")
+        limbs, told = found(written(folder.parent, text))
+        np.testing.assert_allclose(limbs["L0"].at, at, atol=1e-5)
+        assert ("ignored meshes of the last links" in told) == (at[0] == 0.1)
+
+
 def test_an_end_that_is_guessed_is_told(tmp_path):
     limbs, told = found(written(tmp_path, FEET.sub("", PLAIN)))
     assert limbs["L0"].at == (0.15, 0.004, 0.0) and "ends of last links not in the file" in told

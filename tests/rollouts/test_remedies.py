@@ -24,7 +24,7 @@ def test_the_fastest_cycle_that_holds():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"gravity": [0, 0, 1.62], "contact.holding_limit": 0.5}, r"limb [LR][FH] lets go; .* holding_limit is 0.5 N"),
+        ({"gravity": [0, 0, 1.62], "contact.holding_limit": 0.5}, r"limb [LR][FH] lets go; .*holding_limit is 0.5 N"),
         ({"gravity": [0, 0, -9.81], "control.kp": 0.2, "control.kd": 0.02}, "strays .* control.kp and torque limits"),
     ],
 )
