@@ -117,7 +117,7 @@ def test_the_last_override_wins_and_only_the_end_is_validated():
 
 
 def test_whole_numbers_of_steps_tolerate_floats():
-    assert Scenario().with_overrides({"duration": 0.3, "time_step": 0.1, "gait.cycle": 0.7}).steps == 3
+    assert Scenario().with_overrides({"duration": 0.3, "time_step": 0.1, "gait.cycle": 1.4}).steps == 3
 
 
 BAD_FILES = [
