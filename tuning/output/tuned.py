@@ -53,7 +53,8 @@ class Judged(NamedTuple):
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
     checked: Verification
-    outcome: list[str]  # of the tests, in lines
+    outcome: list[str]  # in lines: what the sensor is worth, warnings, and then `tests`
+    tests: list[str]  # what the tests found that warns of nothing
     summary: str  # all of it, JSON
     files: str = FILES  # that are written
 
@@ -101,7 +102,8 @@ class Tuned(Result):
             shown = {name: judged.walks[name] for name in judged.compared}
             written = pages.page(
                 found, judged.checked, judged.over, shown, judged.compared,
-                outcome=[line[0].upper() + line[1:] for line in judged.outcome],
+                outcome=_sentences(judged.outcome[: -len(judged.tests)]),
+                tests=_sentences(judged.tests),
                 origin=origin,
                 pictures={CAPTIONS[name]: file for name, file in drawn.items()},
             )  # fmt: skip
@@ -171,7 +173,7 @@ def judge(
             )
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     compared = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
-    outcome, worth = outcome_of(checked, found), None
+    outcome, worth = [f"warning: {line}" for line in checked.warnings], None
     if retuned is not None:
         compared[retuned_pd.NAME] = (joint, metrics[retuned_pd.NAME])
         both = ours, metrics[retuned_pd.NAME]
@@ -186,8 +188,14 @@ def judge(
         outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):
         outcome.append(f"the config's own gains break limits: {'; '.join(broken)}")
-    outcome += remarks(metrics) + _turns(found, walks["tuned"])
-    return Judged(walks, compared, over, hardware, checked, outcome, _summary(found, checked, compared, worth))
+    outcome += remarks(metrics)
+    tests = outcome_of(checked, found) + _turns(found, walks["tuned"])
+    summary = _summary(found, checked, compared, worth)
+    return Judged(walks, compared, over, hardware, checked, [*outcome, *tests], tests, summary)
+
+
+def _sentences(lines: list[str]) -> list[str]:
+    return [line[0].upper() + line[1:] for line in lines]
 
 
 def _of_the_walks(found: Result, walks: Mapping[str, mc.Trajectory]) -> dict[str, Callable[[], Figure]]:
@@ -251,7 +259,7 @@ def _summary(found: Tuned, checked: Verification, compared: Compared, worth: Wor
 
 
 def outcome_of(checked: Verification, found: Result) -> list[str]:
-    """Return the outcome of the tests in a few lines."""
+    """Return the outcome of the tests in a few lines, without their warnings."""
     limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
     lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]
     if checked.binding_limits:
@@ -266,4 +274,4 @@ def outcome_of(checked: Verification, found: Result) -> list[str]:
         holds, better = (margins.in_words(name, margin.worst, reached) for reached in (margin.holds, margin.better))
         lines.append(f"margin, {margins.QUANTITIES[name].title}: holds up to {holds}, better than pd up to {better}")
     lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
-    return lines + [f"warning: {line}" for line in checked.warnings]
+    return lines

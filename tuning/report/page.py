@@ -48,12 +48,13 @@ class Page:
     title: str
     origin: Origin
     verdict: str  # one sentence
-    notes: Sequence[str]
+    notes: Sequence[str]  # what matters first
     scenario: mc.Scenario
     explorers: Sequence[Mapping[str, Any]]
     tables: Sequence[Table]
     pictures: Mapping[str, Path]  # PNG files by their captions
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
+    more: Sequence[str] = ()  # notes that are folded away
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
 
 

@@ -47,7 +47,7 @@ def page(
         compared: their gains and metrics.
         marks: gains to mark on the maps.
         scenario: of the grid.
-        warnings: for the notes.
+        warnings: the first of the notes.
         origin: of the page.
         pictures: PNG files by their captions.
         about: the metrics of the walks.
@@ -80,7 +80,7 @@ def page(
         title=f"Sweep of {origin.name}, {' by '.join(str(result.sizes[name]) for name in axes_of(result))} gains",
         origin=origin,
         verdict=verdict,
-        notes=[*notes, *warnings],
+        notes=[*warnings, *notes],
         scenario=scenario,
         explorers=[
             explorer(

@@ -25,6 +25,7 @@ def page(
     compared: comparison.Compared,
     *,
     outcome: list[str],
+    tests: list[str],
     origin: Origin,
     pictures: Mapping[str, Path],
 ) -> Page:
@@ -36,7 +37,8 @@ def page(
         over: the map around it, see `tuning.judged.verification.map_of`.
         walks: tuned, config and pd in double precision.
         compared: their gains and metrics, tuned first.
-        outcome: of the verification, in lines.
+        outcome: what matters most, in lines.
+        tests: what else the verification found.
         origin, pictures: as of `tuning.report.sweep.page`.
     """
     metrics = {walk: numbers for walk, (_, numbers) in compared.items()}
@@ -68,6 +70,7 @@ def page(
         origin=origin,
         verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(parts)}; {limits}.",
         notes=[*outcome, *_worse(tuned, metrics["pd"], found.judged_by)],
+        more=tests,
         scenario=found.scenario,
         explorers=[
             explorer(

@@ -46,7 +46,9 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
     assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
     assert set(summary["verification"]["margins"]) == set(margins.QUANTITIES)
-    assert sum(line.startswith("margin, ") for line in written.outcome) == len(margins.QUANTITIES)
+    assert sum(line.startswith("margin, ") for line in written.tests) == len(margins.QUANTITIES)
+    assert written.outcome[-len(written.tests) :] == written.tests
+    assert not any(line.startswith("warning: ") for line in written.tests)
     assert summary["force_sensor"]["in_words"] == written.outcome[0]
     assert list(summary["retuned_pd"]["gains"]) == ["kp", "kd"] and list(written.compared) == [
         "tuned", "retuned_pd", "config", "pd"

@@ -17,6 +17,7 @@ from tuning.output.folder import without_folders
 from tuning.problem import search
 from tuning.report import comparison, explorer, page, reproduce, tune
 from tuning.report import pareto as pareto_page
+from tuning.report import robust as robust_page
 from tuning.searches import pareto, result
 
 CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
@@ -238,6 +239,43 @@ def compared_of(walks, gains):
 ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "duration: 0.3")
 
 
+def test_what_matters_stands_first_and_the_rest_is_folded_away():
+    scenario = mc.Scenario()
+    text = page.render(page.Page("", ORIGIN, "verdict", ["matters"], scenario, [], [], {}, more=["one test", "two"]))
+    header = text[text.index("<header>") : text.index("</header>")]
+    open_part, folded = header.split("<details>")
+    assert "<li>matters</li>" in open_part and re.findall("<li>(.*)</li>", folded) == ["one test", "two"]
+    without = page.render(page.Page("", ORIGIN, "verdict", ["matters"], scenario, [], [], {}))
+    assert "<details>" not in without[: without.index("</header>")]
+
+
+def test_each_column_holds_the_walk_that_its_header_names():
+    """Of the walks side by side: values, changes against each of the others, and gains."""
+    values = {"best": 2.0, "config": 4.0, "pd": 8.0}
+    compared = {name: ({"stiffness": 10 * v}, {"force_variation": v}) for name, v in values.items()}
+    made = comparison.table(compared, "")
+    gains, metrics = ([dict(zip(made.columns, row, strict=True)) for row in rows] for _, rows in made.sections)
+    told = {"best": "2", "vs config %": "-50.0", "vs pd %": "-75.0", "config": "4", "pd": "8"}
+    assert metrics[0] == {"": "force variation", "unit": "N", **told}
+    changes = dict.fromkeys(("vs config %", "vs pd %"), "")
+    assert gains[0] == {"": "stiffness", "unit": "N/m", "best": "20", "config": "40", "pd": "80", **changes}
+
+
+def test_each_column_of_a_fresh_draw_holds_the_gains_that_its_header_names():
+    names, statistics = ["robust", "config", "pd"], ["mean", "worst"]
+    values = np.array([[2.0, 3.0], [4.0, 5.0], [8.0, 9.0]])
+    data = {name: (("gains", "statistic"), values) for name in robust_page.SHOWN}
+    data["objective"] = ("gains", values[:, 0])
+    summed = xr.Dataset(data, {"gains": names, "statistic": statistics}, {"worst_share": 0.2})
+    made = robust_page.judged_table(summed)
+    score, variation = (dict(zip(made.columns, made.sections[i][1][0], strict=True)) for i in (0, 1))
+    told = {"robust": "2", "vs config %": "-50.0", "config": "4", "pd": "8"}
+    assert score == {"metric": "objective", "unit": "", "of the members": "mean and worst", **told}
+    assert variation == {"metric": "force variation", "unit": "N", "of the members": "mean", **told}
+    worst = dict(zip(made.columns, made.sections[1][1][1], strict=True))
+    assert [worst[name] for name in (*names, "vs config %")] == ["3", "5", "9", "-40.0"]
+
+
 @pytest.mark.slow
 def test_the_page_of_a_search(swept, named):
     scenario, (config, pd) = named[0], named[1].values()
@@ -255,15 +293,18 @@ def test_the_page_of_a_search(swept, named):
     radius = 1 + 1e-4 * (np.log10(swept[1]["stiffness"]) - 3.1) + 0 * swept[1]["damping"]
     over = swept[1].assign(objective=scores, feasible=scores < 2, spectral_radius=radius)
     for grid in (over, None):
-        made = tune.page(found, checked, grid, walks, compared_of(walks, gains), outcome=["a line"], origin=ORIGIN,
-                         pictures={})  # fmt: skip
+        made = tune.page(found, checked, grid, walks, compared_of(walks, gains), outcome=["a line"], tests=["a test"],
+                         origin=ORIGIN, pictures={})  # fmt: skip
         text = page.render(made)
         assert "Tuned gains score 0.9000 of pd" in text and "every limit is kept" in text
         assert "breaks a limit" in text and "mjx-climb again" in text
+        assert made.notes[0] == "a line" and list(made.more) == ["a test"]
         (data,) = made.explorers
         assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
         assert (data["points"] is None) == (grid is None)
-    cells = tune.page(found, checked, over, walks, compared_of(walks, gains), outcome=[], origin=ORIGIN, pictures={})
+    cells = tune.page(
+        found, checked, over, walks, compared_of(walks, gains), outcome=[], tests=[], origin=ORIGIN, pictures={}
+    )
     points = cells.explorers[0]["points"]
     assert points["begin"] == int(np.argmin(scores.values))
     assert {"objective", "feasible"} < set(points["values"])
@@ -271,7 +312,9 @@ def test_the_page_of_a_search(swept, named):
     assert {round(np.log10(x), 6) for x, _ in points["limit"][0]} == {3.1}
     apart = mc.Gains(1.0, 1e2, np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0]))
     other = dataclasses.replace(found, gains=apart)
-    made = tune.page(other, checked, over, walks, compared_of(walks, gains), outcome=[], origin=ORIGIN, pictures={})
+    made = tune.page(
+        other, checked, over, walks, compared_of(walks, gains), outcome=[], tests=[], origin=ORIGIN, pictures={}
+    )
     stands = {mark["name"]: mark["at"] for mark in made.explorers[0]["points"]["marks"]}
     assert stands["tuned, translations"] == pytest.approx([2e3, 1e2])
     assert stands["tuned, rotations"] == pytest.approx([20.0, 1e2]) and "tuned" not in stands
@@ -291,7 +334,9 @@ def test_the_page_of_a_search_opens_on_its_result(chromium, swept, named, tmp_pa
     over = grid.assign(objective=scores, feasible=scores < 2)
     gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
     ordered = {name: walks[name] for name in ("tuned", "config", "pd")}
-    made = tune.page(found, checked, over, ordered, compared_of(ordered, gains), outcome=[], origin=ORIGIN, pictures={})
+    made = tune.page(
+        found, checked, over, ordered, compared_of(ordered, gains), outcome=[], tests=[], origin=ORIGIN, pictures={}
+    )
     chromium.get(page.write(made, tmp_path).as_uri())
     assert find(chromium, ".readout caption").text == "tuned"
     assert find(chromium, ".readout tr[data-metric='objective'] td").text == "0.9"
@@ -362,5 +407,25 @@ def test_a_coarser_grid_keeps_what_it_must():
 def test_words_say_which_way_a_metric_went():
     assert comparison.against("peak_foot_force", 3.0, {"pd": 4.0, "paper": None}) == "3 N, 25.0 % below pd"
     metrics = {"force_variation": 1.0, "base_deviation": 2.0, "min_tsm": 0.5}
-    worse = comparison.worsened(metrics, {"force_variation": 2.0, "base_deviation": 1.0, "min_tsm": 1.0})
-    assert worse == ["base deviation +100 %", "min TSM -50.0 %"]
+    baseline = {"force_variation": 2.0, "base_deviation": 1.0, "min_tsm": 1.0}
+    worse, better = comparison.differences(metrics, baseline)
+    assert worse == ["base deviation +100 %", "min TSM -50.0 %"] and better == ["force variation -50.0 %"]
+    assert comparison.differences(metrics, baseline, but=("force_variation",)) == (worse, [])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "base", "worse", "better"),
+    [
+        ("peak_pull_force", 1.021, 1.0, ["peak pull force +2.1 %"], []),
+        ("peak_pull_force", 1.019, 1.0, [], []),
+        ("min_gia_margin", 0.979, 1.0, ["min GIA margin -2.1 %"], []),
+        ("min_gia_margin", -2.0, -1.0, ["min GIA margin -1 to -2"], []),  # no per cent of what is negative, or nothing
+        ("min_gia_margin", -1.0, -2.0, [], ["min GIA margin -2 to -1"]),
+        ("missed_grips", 3, 0, ["missed grips 0 to 3"], []),
+        ("missed_grips", 0, 0, [], []),
+        ("detached_at", None, 1.0, [], []),
+        ("diverged", True, False, [], []),
+    ],
+)
+def test_whatever_differs_by_more_than_two_per_cent_is_named(name, value, base, worse, better):
+    assert comparison.differences({name: value}, {name: base}) == (worse, better)

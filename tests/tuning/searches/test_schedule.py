@@ -111,7 +111,12 @@ def test_pd_has_joint_gains_of_its_own_at_each_point(table):
 @pytest.mark.parametrize(
     ("ours", "theirs", "expected"),
     [
-        ([0.8, 0.9], [1.0, 0.6], "pays: less objective at 1 of 2 operating points, 0.800 to 1.500 times"),
+        (
+            [0.8, 0.9],
+            [1.0, 0.6],
+            "no verdict on the force sensor, since pd was searched on a grid alone: less objective at 1 "
+            "of 2 operating points, 0.800 to 1.500 times",
+        ),
         ([0.9, np.nan], [0.6, 0.5], "does not pay: less objective at 0 of 1 operating points, 1.500 times"),
         ([np.nan], [0.5], "not to be compared with pd"),
     ],
