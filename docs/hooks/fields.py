@@ -1,14 +1,15 @@
-"""The fields of a class in the reference of the API: each with the comment that stands beside it in the code."""
+"""Docstrings in the reference of the API: fields of classes with their comments, and stars that mean a star."""
 
 import re
 
 import griffe
 
 PRIVATE = re.compile(r"\b_[A-Z]\w*")  # the name of a module's own type
+STAR = re.compile(r"(?<=[( ])\*(?=\w)")  # of (*batch, 3)
 
 
 class Fields(griffe.Extension):
-    """Adds the fields to the docstring of their class."""
+    """Adds the fields of a class to its docstring, each with the comment that stands beside it in the code."""
 
     def on_class(self, *, cls: griffe.Class, **_) -> None:
         """Add a section of them, where they have comments."""
@@ -23,3 +24,10 @@ class Fields(griffe.Extension):
             commented |= bool(comment)
         if commented and cls.docstring:
             cls.docstring.value = "\n".join([cls.docstring.value, "", "Attributes:", *rows])
+
+    def on_object(self, *, obj: griffe.Object, **_) -> None:
+        """Escape stars outside of code, two of which would be an emphasis."""
+        if obj.docstring:
+            parts = obj.docstring.value.split("`")
+            parts[::2] = [STAR.sub(r"\\*", part) for part in parts[::2]]
+            obj.docstring.value = "`".join(parts)

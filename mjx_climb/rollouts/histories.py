@@ -63,8 +63,8 @@ def rollout_histories(
     """Walk a batch of robots and return metrics as `rollout_metrics` does, and `LINES` over time beside them.
 
     Returns:
-        The metrics, and by the names of `LINES` arrays (*batch, 2, stretches) in their units: the least and the
-        largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
+        The metrics, and by the names of `LINES` arrays (*batch, 2, stretches) in their units. These are the least and
+        the largest value in each of `stretches(scenario.steps)`, not finite from where the state stopped being finite.
     """
     check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)

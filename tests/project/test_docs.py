@@ -108,6 +108,14 @@ def test_make_targets_exist(page):
 
 
 @every_page
+def test_code_is_as_narrow_as_its_box(page):
+    """The site shows 112 columns on a window of 1400 px, see `tests/project/test_site.py`."""
+    assert not [
+        line for body in fences(page, "sh", "text", "python", "yaml") for line in body.split("\n") if len(line) > 112
+    ]
+
+
+@every_page
 def test_code_uses_names_that_exist(page, monkeypatch):
     monkeypatch.syspath_prepend(page.parent)
     for block in fences(page, "python"):
@@ -178,11 +186,12 @@ def test_every_dependency_has_its_line():
 
 
 def test_the_packages_import_what_they_depend_on():
-    """Nothing of the extra `test`. Optuna is imported by the method of that name alone."""
+    """Nothing of the extra `test`; of `compare` what looks first whether it is there."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     modules = {"mujoco_mjx": "mujoco", "pyyaml": "yaml", "pillow": "PIL"}
-    along = ("glfw", "jaxlib", "markupsafe", "pydantic_core")  # come with mujoco, jax, jinja2 and pydantic
-    declared = [bare(name).replace("-", "_") for name in (*project["dependencies"], *along, "optuna")]
+    along = ("glfw", "jaxlib", "markupsafe", "pydantic_core", "warp")  # come with mujoco, jax and others
+    wanted = project["dependencies"] + project["optional-dependencies"]["compare"]
+    declared = [bare(name).replace("-", "_") for name in (*wanted, *along)]
     allowed = {modules.get(name, name) for name in declared} | {"mjx_climb", "tuning"} | sys.stdlib_module_names
     others = set()
     for file in (file for package in ("mjx_climb", "tuning") for file in (ROOT / package).rglob("*.py")):

@@ -77,10 +77,10 @@ def front(
         progress: called after each round.
 
     Returns:
-        Dimension `point`: both metrics of all that was walked in the search, nothing torn off. Dimension `front`: the
+        Along `point` both metrics of all that was walked in the search, nothing torn off. Along `front` the
         gains on the front (those of six axes along `six`, of three along `three`) and all their metrics, in float64
-        with grippers that tear off. Dimension `reference`: the metrics of the law's own gains (`config`) and of `pd`,
-        likewise. Dimension `without`: the front of pd over kp and kd, which needs no force sensor, from a grid of them
+        with grippers that tear off. Along `reference` the metrics of the law's own gains (`config`) and of `pd`,
+        likewise. Along `without` the front of pd over kp and kd, which needs no force sensor, from a grid of them
         (`without_kp`, `without_kd`, and both metrics).
 
     Raises:

@@ -230,8 +230,8 @@ def judge(
         progress: called with walks done and in all.
 
     Returns:
-        Every metric of every walk, dimensions (`gains`, `member`): the names, those of `pd`, and `pd` last; with what
-        was drawn.
+        Every metric of every walk over `gains` (the names, those of `pd`, and `pd` last) and `member`; with what was
+        drawn.
     """
     return walked(
         scenario, gains, fresh(ensemble, members), pd=pd, metrics=metrics, law=law, engine=engine, progress=progress
