@@ -224,7 +224,8 @@ def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndar
     mujoco.mj_kinematics(model, data)
     rows = []
     for limb in limbs:
-        joints = [model.joint(f"{limb}_{part}").id for part in ("coxa", "femur", "tibia")]
+        last = model.body_jntadr[model.site(f"{limb}_foot").bodyid[0]]  # of the limb's three
+        joints = [last - 2, last - 1, last]
         coxa, femur, tibia = data.xanchor[joints]
         foot = data.site(f"{limb}_foot").xpos
         up, femur_axis, tibia_axis = data.xaxis[joints]
