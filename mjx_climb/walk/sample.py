@@ -15,11 +15,11 @@ class Sample(NamedTuple):
     base_angular_velocity: Array  # (3, B) rad/s
     base_linear_acceleration: Array  # (3, B) m/s^2
     base_angular_acceleration: Array  # (3, B) rad/s^2
-    joint_angles: Array  # (3, L, B)
-    joint_rates: Array  # (3, L, B)
-    joint_accelerations: Array  # (3, L, B)
-    joint_targets: Array  # (3, L, B)
-    joint_torque: Array  # (3, L, B)
+    joint_angles: Array  # (N, L, B) rad, of sliding joints m
+    joint_rates: Array  # (N, L, B) rad/s, m/s
+    joint_accelerations: Array  # (N, L, B) rad/s^2, m/s^2
+    joint_targets: Array  # (N, L, B) rad, m
+    joint_torque: Array  # (N, L, B) N m, N
     foot_position: Array  # (3, L, B) m
     foot_velocity: Array  # (3, L, B) m/s
     foot_target: Array  # (3, L, B) m

@@ -94,7 +94,7 @@ def _message(error: Exception) -> str | None:
     if hasattr(error, "format_message"):  # usage, from typer
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
-        if hasattr(error, "option_name") and hasattr(error, "possibilities"):
+        if context is not None and hasattr(error, "option_name") and hasattr(error, "possibilities"):
             return f"No such option: {error.option_name}{_nearest(error.option_name, context.command)}{hint}"
         return f"{error.format_message()}{hint}"
     kinds: list[type[Exception]] = [InputError]
