@@ -6,7 +6,10 @@ from jax import Array
 
 
 class Sample(NamedTuple):
-    """One step: state, forces and accelerations at its start. SI units, world axes, B or 1 environments."""
+    """One step: state, forces and accelerations at its start.
+
+    SI units, world axes, B or 1 environments, L limbs of N joints.
+    """
 
     time: Array  # () s
     base_position: Array  # (3, B) m, of the base's centre of mass
