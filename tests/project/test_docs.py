@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import pydoc
 import re
 import shlex
 import sys
@@ -120,6 +121,17 @@ def test_code_uses_names_that_exist(page, monkeypatch):
     monkeypatch.syspath_prepend(page.parent)
     for block in fences(page, "python"):
         check_names(block)
+
+
+@every_page
+def test_names_in_sentences_and_in_the_reference_exist(page):
+    if page.name == "CHANGELOG.md":  # names of former times
+        return
+    dotted = re.compile(r"(?:mjx_climb|tuning)(?:\.\w+)+")
+    shown = [code.partition("(")[0] for code in inline(page)]
+    shown += re.findall(r"^::: (.+)$", page.read_text("utf-8"), re.MULTILINE)
+    for name in filter(dotted.fullmatch, shown):
+        assert pydoc.locate(name) is not None, name
 
 
 def check_names(source: str) -> None:
