@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -105,7 +106,7 @@ def model_path(name: str | RobotFile) -> Path:
         return Path(name.file)
     folder = Path(str(resources.files("mjx_climb"))) / "robot" / "models"
     path = folder / f"{name}.xml"
-    if not path.is_file():
+    if not os.path.isfile(path):
         known = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
         raise RobotError(f"robot: expected one of {known}, got {name!r}")
     return path

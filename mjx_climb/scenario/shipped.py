@@ -1,5 +1,6 @@
 """The configs that come with the program: the paper's cases, and ensembles of walks."""
 
+import os
 from pathlib import Path
 
 _ENSEMBLE = "ensemble"  # what the names of ensembles begin with
@@ -32,10 +33,10 @@ def found_profile(path: Path) -> Path:
     Raises:
         ConfigError: it is neither.
     """
-    if path.suffix or len(path.parts) > 1 or path.is_file():
+    if path.suffix or len(path.parts) > 1 or os.path.isfile(path):
         return path
     for folder in _FOLDERS:
-        if (shipped := folder / "hardware" / f"{path.name}.yaml").is_file():
+        if os.path.isfile(shipped := folder / "hardware" / f"{path.name}.yaml"):
             return shipped
     from mjx_climb.scenario.messages import ConfigError
 
@@ -49,7 +50,7 @@ def config_path(name: str) -> Path:
         ConfigError: there is none of that name.
     """
     for folder in _FOLDERS:
-        if (path := folder / name).is_file():
+        if os.path.isfile(path := folder / name):
             return path
     from mjx_climb.scenario.messages import ConfigError
 
@@ -66,4 +67,4 @@ def found(path: Path) -> Path:
         ConfigError: it is neither.
     """
     bare = len(path.parts) == 1 and not path.suffix and path.name.isidentifier()
-    return config_path(f"{path.name}.yaml") if bare and not path.exists() else path
+    return config_path(f"{path.name}.yaml") if bare and not os.path.exists(path) else path

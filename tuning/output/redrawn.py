@@ -1,6 +1,7 @@
 """The pictures of a result, drawn again from its folder: nothing is walked."""
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
     Raises:
         ConfigError: no result there, or none of a metric.
     """
-    there = [name for name in _DRAWN if (folder / name).is_file()]
+    there = [name for name in _DRAWN if os.path.isfile(folder / name)]
     if not there:
         raise ConfigError(f"{folder}: expected a folder with a result ({', '.join(_DRAWN)}), got none")
     of_metrics = [name for name in there if name in _OF_METRICS]

@@ -1,6 +1,7 @@
 """Objects in a user's file, as options name them: FILE.py:NAME."""
 
 import importlib.util
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -44,7 +45,7 @@ def metrics(texts: Iterable[str]) -> mc.MetricTable:
 
 
 def _run(file: Path) -> Any:
-    if not file.is_file():
+    if not os.path.isfile(file):  # where it may not be read either
         raise ConfigError(f"{file}: expected a file of Python, got none")
     spec = importlib.util.spec_from_file_location(file.stem, file)
     if spec is None or spec.loader is None:

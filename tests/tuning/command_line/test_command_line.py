@@ -126,6 +126,11 @@ BAD = [
     ("sweep {config} --stiffness 1:2:3 --damping 1:2:3 --shard 1/10", "shard 1/10: expected at most 9 shards"),
     ("sweep {config} --stiffness 1:2:31700 --damping 1:2:31700", "--axis: expected at most 1000000000 walks in all"),
     ("export {files}/held.yaml --name caf\u00e9", "--name: expected ASCII letters, digits and underscores"),
+    ("run {long}", "bbb: expected a file, or a config that comes with the program"),
+    ("run {config} --hardware {long}", "bbb: expected a file, or a profile of hardware"),
+    ("run {config} --law {long}.py:Law", "bbb.py: expected a file of Python, got none"),
+    ("run {config} --set robot={long}", "robot: expected one of "),
+    ("plot {long}", "bbb: expected a folder with a result"),
     ("merge {files}", "expected a shard's folder, or one that holds shards, got none"),
     ("judge {config} --gains {files}/gains.yaml", "inertia: expected a value, got none"),
     ("judge {config} --gains {files}/gains.yaml --controller pd", "--controller: expected a law"),
@@ -181,7 +186,7 @@ def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeyp
         monkeypatch.setattr(mc, name, lambda *_, **__: pytest.fail("computed"))
     monkeypatch.setattr(evaluation, "baseline", lambda *_: pytest.fail("computed"))
     monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: pytest.fail("computed"))
-    code, out, err = call(*(word.format(config=CONFIG, files=files) for word in line.split()))
+    code, out, err = call(*(word.format(config=CONFIG, files=files, long="b" * 300) for word in line.split()))
     assert (code, out) == (2, "")
     assert err.startswith("mjx-climb: error: ")
     assert len(err.splitlines()) == 1
