@@ -309,3 +309,16 @@ def test_a_legend_is_as_wide_as_its_figure_at_most(words, columns):
     [legend] = figure.legends
     assert legend._ncols == columns
     assert legend.get_window_extent().width <= figure.bbox.width
+
+
+def test_names_that_are_no_mathematics_are_drawn_as_they_stand(tmp_path):
+    """Limbs and joints are called what a user's file calls them."""
+    name = r"$\frac{$"
+    figure = Figure()
+    axes = figure.add_subplot(title=r"$\frac{1}{2}$", ylabel=f"{name}\n[m/s$^2$]")
+    axes.plot([0, 1], label=name)
+    axes.set_yticks([0, 1], ["a", name])
+    figure.legend()
+    [path] = plots.save_figure(figure, tmp_path / "names", ("svg",))
+    assert path.read_text().count(f"<!-- {name} -->") == 3 and "½" not in path.read_text()
+    assert r"<!-- $\frac{1}{2}$ -->" in path.read_text()
