@@ -127,14 +127,14 @@ def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> J
     outcome, worth = _limits_in_words(broken, robust.binding(seen, goal, "robust")), None
     if retuned is not None:
         ours, theirs = _scored(summed, "robust"), _scored(summed, retuned_pd.NAME)
-        both = (_means(summed, name, found.problem.metrics) for name in ("robust", retuned_pd.NAME))
+        means, against = (_means(summed, name, found.problem.metrics) for name in ("robust", retuned_pd.NAME))
         worth = retuned_pd.worth(
             ours, theirs, retuned.gains,
             feasible=retuned.feasible,
             spread=max(map(retuned_pd.spread_of, (found, retuned))),
             lacks=retuned_pd.lacks(retuned),
             step=None if step == found.scenario.time_step else step,
-            others=differences(*both, found.problem.metrics, but=("force_variation",)),
+            others=differences(means, against, found.problem.metrics, but=("force_variation",)),
         )  # fmt: skip
         outcome.insert(0, worth.in_words)
     if not found.feasible:

@@ -204,8 +204,9 @@ def _worth(
 ) -> Worth:
     name = "force_variation"  # what the best cell has least of
     held = found.data[name].where((found.data["detached_limb"] < 0) & ~found.data["diverged"].astype(bool))
+    values, without = ({name: np.nan if failed(metrics) else metrics[name]} for metrics in (ours, theirs))
     return retuned_pd.worth(
-        *({name: np.nan if failed(metrics) else metrics[name]} for metrics in (ours, theirs)), rival.joint,
+        values, without, rival.joint,
         spread=max(retuned_pd.spread(held.values), rival.spread),
         lacks=rival.lacks,
         place=" on this grid",

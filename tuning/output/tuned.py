@@ -176,14 +176,15 @@ def judge(
     outcome, worth = [f"warning: {line}" for line in checked.warnings], None
     if retuned is not None:
         compared[retuned_pd.NAME] = (joint, metrics[retuned_pd.NAME])
-        both = ours, metrics[retuned_pd.NAME]
+        theirs = metrics[retuned_pd.NAME]
+        values, without = (_scored(problem.objective, walked) for walked in (ours, theirs))
         worth = retuned_pd.worth(
-            *(_scored(problem.objective, walked) for walked in both), joint,
+            values, without, joint,
             feasible=retuned.feasible,
             spread=max(map(retuned_pd.spread_of, (found, retuned))),
             lacks=retuned_pd.lacks(retuned),
             step=step,
-            others=differences(*both, found.judged_by, but=("force_variation",)),
+            others=differences(ours, theirs, found.judged_by, but=("force_variation",)),
         )  # fmt: skip
         outcome.insert(0, worth.in_words)
     if broken := verification.broken_limits(problem.objective, metrics["config"]):

@@ -198,7 +198,7 @@ def _highest(space: spaces.Space) -> dict[str, float]:
     return dict(zip(space.names, np.exp(space.upper), strict=True))
 
 
-def _row(joint: Mapping[str, np.ndarray], place: int) -> dict[str, float]:
+def _row(joint: Mapping[str, np.ndarray], place: int | np.integer) -> dict[str, float]:
     return {name: float(values[place]) for name, values in joint.items()}
 
 
