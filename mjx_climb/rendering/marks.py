@@ -1,5 +1,6 @@
 """What is drawn into the scene beside the robot: forces, grips, foot paths, cargo and pushes, as MuJoCo's geoms."""
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
@@ -125,6 +126,14 @@ def _cross(scene: mujoco.MjvScene, foot: np.ndarray) -> None:
         across = np.array(arm)
         rgb = to_rgb(RED)
         _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.004, foot - across, foot + across, rgb, emission=0.8)
+
+
+def limb(scene: mujoco.MjvScene, points: np.ndarray, radius: float, color: str) -> None:
+    """Add lines between the joints of a limb and its foot, (N, 3) m from the base outwards, and a ball at the foot."""
+    rows = [*itertools.pairwise(points), (points[-1], points[-1] + 1e-5)]
+    for number, (start, end) in enumerate(rows):
+        thick = radius if number == len(rows) - 1 else radius / 4
+        _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, thick, start, end, to_rgb(color), emission=0.8)
 
 
 def _arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: ArrayLike, width: float = 1) -> None:

@@ -11,7 +11,7 @@ from mjx_climb.robot.description import FILLING, PASSIVE, RobotError
 from mjx_climb.robot.found_limbs import Chain, at_zero
 from mjx_climb.robot.posture import SINGULAR, keeps_attitude, limb_joints, smallest_singular_values
 from mjx_climb.robot.robot_file import compiled_robot, unposed
-from mjx_climb.scenario.model import RobotFile
+from mjx_climb.scenario.model import Limb, RobotFile
 
 _SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out and how far down a foot may stand
 STANDING = 3  # feet on the ground that keep a robot from swinging about them: grips of fewer limbs hold attitudes
@@ -47,12 +47,12 @@ def _in_base(data: mujoco.MjData, base: int, point: np.ndarray) -> np.ndarray:
     return np.asarray(data.xmat[base].reshape(3, 3).T @ (point - data.xpos[base]))
 
 
-def _foot(model: mujoco.MjModel, data: mujoco.MjData, chain: Chain) -> np.ndarray:
+def foot_of(model: mujoco.MjModel, data: mujoco.MjData, chain: Chain | Limb) -> np.ndarray:
+    """Return where a limb's foot is, (3,) m in world axes; at a site as far off it as from a body."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, chain.foot)
-    if site >= 0:
-        return np.array(data.site_xpos[site])
-    body = model.body(chain.foot).id
-    return np.asarray(data.xpos[body] + data.xmat[body].reshape(3, 3) @ np.array(chain.at))
+    body = -1 if site >= 0 else model.body(chain.foot).id
+    place, axes = (data.site_xpos[site], data.site_xmat[site]) if site >= 0 else (data.xpos[body], data.xmat[body])
+    return np.asarray(place + axes.reshape(3, 3) @ np.array(chain.at))
 
 
 def stretched(model: mujoco.MjModel, base: int, limbs: dict[str, Chain]) -> list[Hip]:
@@ -60,7 +60,7 @@ def stretched(model: mujoco.MjModel, base: int, limbs: dict[str, Chain]) -> list
     data = at_zero(model)
     hips = []
     for chain in limbs.values():
-        points = [*(data.xanchor[j] for j in chain.joints), _foot(model, data, chain)]
+        points = [*(data.xanchor[j] for j in chain.joints), foot_of(model, data, chain)]
         reach = sum(np.linalg.norm(b - a) for a, b in itertools.pairwise(points))
         hips.append(Hip(_in_base(data, base, points[0]), float(reach)))
     return hips
@@ -71,7 +71,7 @@ def of_keyframe(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], key: 
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[key]
     mujoco.mj_kinematics(model, data)
-    feet = np.array([_in_base(data, base, _foot(model, data, chain)) for chain in limbs.values()])
+    feet = np.array([_in_base(data, base, foot_of(model, data, chain)) for chain in limbs.values()])
     height = -float(feet[:, 2].mean())
     return Stance(height, feet[:, :2]) if height > 0 else None
 

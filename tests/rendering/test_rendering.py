@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 import mjx_climb as mc
 from mjx_climb import plots, rendering
@@ -30,6 +31,7 @@ from mjx_climb.rendering import (
 )
 from mjx_climb.robot.constants import load_model
 from mjx_climb.rollouts.trajectory import Trajectory
+from tests.robot import climbers
 from tuning.command_line import main
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case_1_2.yaml"
@@ -313,6 +315,21 @@ def refused(capsys, monkeypatch, tmp_path):
 
     yield refused
     backend.find.cache_clear()
+
+
+def test_a_robot_from_a_file_is_shown_with_its_feet(gl, tmp_path):
+    """Each limb in its own colour, as far as the place that is taken for its foot."""
+    file = tmp_path / "climber.xml"
+    file.write_text(climbers.mjcf(4, 3, on_base='<geom type="box" size="0.08 0.08 0.02"/>'))
+    robot = mc.Scenario.model_validate(climbers.config(file, 4, 3)).robot
+    whole = rendering.stance(robot)
+    limbs = {name: limb.model_dump() for name, limb in robot.limbs.items()}
+    limbs["limb0"]["at"] = (-0.08, 0, 0)
+    shorter = rendering.stance(robot.model_validate(robot.model_dump() | {"limbs": limbs}))
+    for number, color in enumerate(marks.PATHS[:4]):
+        long, short = (amount(picture, to_rgb(color)) for picture in (whole, shorter))
+        assert long > 50
+        assert (short < 0.9 * long) == (number == 0)
 
 
 @pytest.mark.parametrize("option", ["--video", "--snapshots"])

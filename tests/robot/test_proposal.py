@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from unittest.mock import Mock
 
 import jax.numpy as jnp
 import mujoco
@@ -10,6 +11,7 @@ import pytest
 import yaml
 
 import mjx_climb as mc
+from mjx_climb import rendering
 from mjx_climb.checks.time_step import check_time_step, largest_time_step
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.robot.constants import load_model, load_robot
@@ -290,6 +292,7 @@ def test_odd_files_walk_on_a_slope(tmp_path, name):
 def test_the_gravity_is_the_earths_unless_told(tmp_path, gravity, asked, capsys, monkeypatch):
     """It is said and written, also where the walk says that it does not hold; no time is spent on walking here."""
     monkeypatch.setattr(remedies, "slow_enough", lambda scenario: (scenario, False, "falls"))
+    monkeypatch.setattr(rendering, "stance", picture := Mock(side_effect=rendering.RenderingError("no OpenGL")))
     file, config = tmp_path / "dog.xml", tmp_path / "dog.yaml"
     file.write_text(dog())
     with pytest.raises(SystemExit) as ended:
@@ -298,6 +301,8 @@ def test_the_gravity_is_the_earths_unless_told(tmp_path, gravity, asked, capsys,
     assert ended.value.code == 1 and re.search(r"failed +walk +falls", out)
     assert f"taken    gravity {gravity} m/s^2" in out
     assert mc.load_scenario(config).gravity == (0, 0, -gravity)
+    assert "no picture: no OpenGL" in out and picture.call_args.args[0].file == str(file)
+    assert not config.with_suffix(".png").exists()
 
 
 def test_a_gravity_that_is_none_is_refused(tmp_path, capsys):
@@ -316,6 +321,7 @@ def test_the_command_leaves_a_config_that_runs(tmp_path, capsys):
         main(["robot", str(file), "--write", str(config)])
     out = capsys.readouterr().out
     assert ended.value.code == 0 and "holds for 8 s at a cycle of 4 s" in out
+    assert config.with_suffix(".png").exists() or "no picture: " in out
     assert "taken    base 'trunk'" in out and f"mjx-climb run {config}" in out
     assert yaml.safe_load(config.read_text())["robot"]["file"] == "dog.xml"
     check_time_step(mc.load_scenario(config))

@@ -24,6 +24,8 @@ def robot(
     what was taken from the file, changed and ignored, each with the reason; then the scenario, for you to look through.
     Walks the proposal, and with cycles twice and four times as long, and takes the first with which it holds.
 
+    Beside CONFIG a picture shows the robot by its own shapes, and where its feet are taken to be.
+
     Exit code 1: it does not walk at any of these; the line says why, and the scenario is there all the same.
 
     \b
@@ -33,6 +35,7 @@ def robot(
       mjx-climb robot limbero.urdf --gravity 1.62
     """
     import mjx_climb as mc
+    from mjx_climb import rendering
     from mjx_climb.checks.time_step import largest_time_step
     from mjx_climb.files import dataset
     from mjx_climb.robot.proposal import propose
@@ -58,5 +61,12 @@ def robot(
     else:
         dataset.write_text_atomically(write, scenario.relative_to(write.absolute().parent).to_yaml())
         typer.echo(f"\nwrote {write}: mjx-climb run {write}")
+        try:
+            picture = rendering.save_image(write.with_suffix(".png"), rendering.stance(scenario.robot))
+            typer.echo(f"wrote {picture}: where its feet are")
+        except mc.RobotError as error:
+            typer.echo(f"no picture: {error}")
+        except rendering.RenderingError as error:
+            typer.echo(f"no picture: {error}")
     if not walks:
         raise typer.Exit(1)
