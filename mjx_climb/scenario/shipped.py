@@ -1,4 +1,4 @@
-"""The configs that come with the program: the paper's cases, and ensembles of walks."""
+"""The configs that come with the program: the paper's cases, robots of other limbs, and ensembles of walks."""
 
 import os
 from pathlib import Path

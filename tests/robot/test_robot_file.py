@@ -189,6 +189,35 @@ def test_axes_written_with_few_digits_are_meant_square(written):
     np.testing.assert_allclose(rough.stance_joints, exact.stance_joints, atol=1e-3)
 
 
+def test_a_foot_off_a_frame_that_is_turned(written):
+    """`at` is along the axes of the site, body or link that is named, not along the last link's or the world's."""
+    turned = ('<origin xyz="', '" rpy="0 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="0"')
+    at, rpy = np.array([0.01, -0.02, 0.015]), (0.3, -0.5, 1.1)
+    axes = np.eye(3)
+    for axis, angle in zip("xyz", rpy, strict=True):
+        quaternion, matrix = np.zeros(4), np.empty(9)
+        mujoco.mju_axisAngle2Quat(quaternion, np.eye(3)["xyz".index(axis)], angle)
+        mujoco.mju_quat2Mat(matrix, quaternion)
+        axes = matrix.reshape(3, 3) @ axes  # roll, pitch and yaw about fixed axes
+    feet = []
+    for angles, offset in (("0 0 0", axes @ at), (" ".join(map(str, rpy)), at)):
+        tilt = (turned[1], turned[1].replace("0 0 0", angles, 1))
+        put_at = lambda robot, offset=offset: [limb.update(at=offset.tolist()) for limb in robot["limbs"].values()]  # noqa: E731
+        feet.append(load_robot(mc.Scenario.model_validate(written(0, [tilt], put_at)).robot).foot_center)
+    np.testing.assert_allclose(feet[0], feet[1], atol=1e-12)
+
+
+def test_a_spring_damps_beside_the_file(written):
+    dynamics = '<dynamics damping="0.1"/>'
+    plain = load_robot(mc.Scenario.model_validate(written(0)).robot)
+    slack = float(plain.stance_joints[2, plain.limbs.index("LF"), 0])
+    springs = put({"LF_knee": {"stiffness": 2.0, "damping": 0.03, "rest": slack}}, "springs")
+    robot = load_robot(mc.Scenario.model_validate(written(0, [("</joint>", f"{dynamics}</joint>")], springs)).robot)
+    damping = robot.damping[..., 0]
+    assert damping[2, robot.limbs.index("LF")] == pytest.approx(0.13)
+    assert np.sort(damping.ravel())[:-1] == pytest.approx(0.1)
+
+
 def drop(*path):
     def change(robot):
         for key in path[:-1]:
