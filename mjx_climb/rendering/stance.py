@@ -16,12 +16,15 @@ _MARK = 0.04  # of the robot's half width, the radius of a mark
 _AWAY = 3.4  # half widths
 
 
-def stance(robot: RobotFile) -> np.ndarray:
-    """Return the picture of a robot in its rest stance, (600, 800, 3) uint8.
+def stance(robot: str | RobotFile) -> np.ndarray:
+    """Return the picture of a robot from a file in its rest stance, (600, 800, 3) uint8.
 
     Raises:
+        ValueError: a robot that is known by name.
         RenderingError: no OpenGL on this machine.
     """
+    if isinstance(robot, str):
+        raise ValueError(f"expected a robot from a file, got {robot!r}")
     spec = bare(robot.file, {body.name for body in described(robot.file).bodies})
     sky, plane = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtGeom.mjGEOM_PLANE
     flat, head = mujoco.mjtBuiltin.mjBUILTIN_FLAT, spec.visual.headlight

@@ -2,6 +2,7 @@
 
 import collections
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,52 @@ def base_of(path: str, model: mujoco.MjModel) -> int:
         return most
     hubs = [body for body, count in rows.items() if count >= MIN_LIMBS]
     return next((body for body in hubs if model.body_rootid[body] in floating), hubs[0] if hubs else 1)
+
+
+def middle_of(model: mujoco.MjModel) -> str | None:
+    """Return the body in the middle of a robot that is one row of joints, from foot to foot; None of any other."""
+    rows = _chains(model, 1) if model.nbody > 1 else []
+    joints = [body for body in rows[0] for _ in range(model.body_jntnum[body])] if len(rows) == 1 else []
+    floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
+    forks = any(len(_beyond(model, rigid_parts(model), body)) > 1 for body in joints)
+    if floats or forks or len(joints) < 2 * FEWEST_JOINTS:
+        return None
+    return str(model.body(joints[len(joints) // 2 - 1]).name)
+
+
+def stood_on(
+    path: str, model: mujoco.MjModel, limbs: dict[str, Chain], base: int, chosen: Sequence[str]
+) -> dict[str, Chain]:
+    """Return the limbs that are chosen, or all where none is.
+
+    Raises:
+        RobotError: no such limbs, or none is chosen and some start and end so much higher than others, in the file's
+            stance, as arms do above legs.
+    """
+    if unknown := [name for name in chosen if name not in limbs] or (len(chosen) == 1 and list(chosen)):
+        raise RobotError(f"{path}: --limbs: expected two or more of {', '.join(limbs)}, got {', '.join(unknown)}")
+    if chosen:
+        return {name: limbs[name] for name in limbs if name in chosen}
+    data = at_zero(model)
+    if model.nkey:
+        data.qpos[:] = model.key_qpos[0]
+        mujoco.mj_kinematics(model, data)
+    up = data.xmat[base].reshape(3, 3)[:, 2]
+    starts = {name: float(up @ data.xanchor[chain.joints[0]]) for name, chain in limbs.items()}
+    ends = {name: float(up @ data.xanchor[chain.joints[-1]]) for name, chain in limbs.items()}
+    tall = max(starts.values()) - min(ends.values())
+    low = [
+        name for name in limbs if max(starts[name] - min(starts.values()), ends[name] - min(ends.values())) < tall / 4
+    ]
+    high = [
+        name for name in limbs if min(starts[name] - min(starts.values()), ends[name] - min(ends.values())) > tall / 4
+    ]
+    if len(low) >= MIN_LIMBS and high:
+        raise RobotError(
+            f"{path}: expected limbs that stand on the ground, got {', '.join(high)} above {', '.join(low)}: choose "
+            f"with --limbs {','.join(low)}, or --limbs {','.join(limbs)}"
+        )
+    return limbs
 
 
 def limbs_of(

@@ -1,6 +1,7 @@
 """What a robot's file suggests for a scenario: base, limbs, feet, stance, a gait in proportion, what was left out."""
 
 import os
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,14 +11,13 @@ from mjx_climb.robot.description import (
     JOINTS,
     SPECK,
     SPECK_MOMENT,
-    bare,
-    compiled,
     described,
     driven_joints,
     impossible,
     one_limit,
 )
-from mjx_climb.robot.found_limbs import Chain, Note, base_of, limbs_of
+from mjx_climb.robot.found_limbs import Chain, Note, base_of, limbs_of, middle_of, stood_on
+from mjx_climb.robot.rerooted import robot_in
 from mjx_climb.robot.robot_file import REACH
 from mjx_climb.robot.stance import (
     STANDING,
@@ -56,36 +56,46 @@ class Proposal(NamedTuple):
     notes: tuple[Note, ...]
 
 
-def propose(file: str | os.PathLike[str], gravity: float = EARTH) -> Proposal:
+def propose(
+    file: str | os.PathLike[str], gravity: float = EARTH, base: str | None = None, stand_on: Sequence[str] = ()
+) -> Proposal:
     """Return sections of a scenario for the robot in an MJCF or URDF; what remains is to choose a time step.
 
-    It stands on level ground under `gravity`, m/s^2.
+    It stands on level ground under `gravity`, m/s^2, on the limbs in `stand_on`, by name, or on all that it has. The
+    limbs begin at the body `base`, where that is given, whatever the file begins at.
 
     Raises:
-        RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more.
+        RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more; limbs
+            of which some start and end higher than others, where nobody says which it stands on.
     """
     path = os.path.abspath(os.fspath(file))
     notes: list[Note] = []
-    model, full = compiled(path, bare(path)), described(path)
-    hub = base_of(path, model)
-    base = int(model.body_rootid[hub])  # joints from there to the hub are of no limb, and held
-    notes.append(Note("taken", f"base {model.body(base).name!r}", "the link that floats, or that all limbs meet in"))
-    limbs = limbs_of(path, full, model, hub, notes)
-    reach_of = stretched(model, base, limbs)
-    reach, mass = float(np.mean([hip.reach for hip in reach_of])), float(model.body_subtreemass[base])
+    model, full = robot_in(path, base), described(path)
+    why = "as told" if base else "the link that floats, or that all limbs meet in"
+    if base is None and (base := middle_of(model)):
+        model, why = (
+            robot_in(path, base),
+            "the middle of the one row of joints, from foot to foot; --base takes another",
+        )
+    hub = base_of(path, model) if base is None else model.body(base).id
+    trunk = int(model.body_rootid[hub])  # joints from there to the hub are of no limb, and held
+    notes.append(Note("taken", f"base {model.body(trunk).name!r}", why))
+    limbs = stood_on(path, model, limbs_of(path, full, model, hub, notes), trunk, stand_on)
+    reach_of = stretched(model, trunk, limbs)
+    reach, mass = float(np.mean([hip.reach for hip in reach_of])), float(model.body_subtreemass[trunk])
     slides = any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for chain in limbs.values() for j in chain.joints)
     proportions = _proportions(mass, reach, slides)
-    held = _held(model, base, limbs, notes)
+    held = _held(model, trunk, limbs, notes)
     springs = _springs(model, limbs, driven_joints(full), proportions["control"], notes)
-    _looks(full, model, base, notes)
-    _kept_upright(model, base, notes)
+    _looks(full, model, trunk, notes)
+    _kept_upright(model, trunk, notes)
 
     key = keyframe(model)
     if written := len(full.keys) - model.nkey:
         why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
         notes.append(Note("ignored", f"{written} keyframes", why))
-    section = section_of(path, model, limbs, held, springs)
-    standing = of_keyframe(model, base, limbs, key) if key is not None else None
+    section = section_of(path, model, limbs, held, springs) | ({"base": base} if base else {})
+    standing = of_keyframe(model, trunk, limbs, key) if key is not None else None
     stance = checked(section, standing) if standing is not None else None
     if stance is not None:
         notes.append(Note("taken", f"stance of keyframe {model.key(key).name!r}", "the feet stand where it puts them"))

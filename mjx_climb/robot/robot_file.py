@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, bare, compiled, one_limit
+from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, one_limit
 from mjx_climb.robot.places import line_of
 from mjx_climb.robot.posture import limb_joints
+from mjx_climb.robot.rerooted import robot_in
 from mjx_climb.scenario.model import Limb, RobotFile
 
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
@@ -51,7 +52,7 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
 
 def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     """Return the robot of `spec_of` before it stands, and its base's centre of mass in its link's frame, (3,) m."""
-    file = compiled(source.file, bare(source.file))
+    file = robot_in(source.file, source.base)
     locked = _locked(source, file)
     data = mujoco.MjData(file)
     data.qpos[file.jnt_qposadr[np.isin(file.jnt_type, JOINTS)]] = 0

@@ -74,8 +74,8 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
         del changes[f"with gait.cycle={2 * gait.cycle:g}"]
     pulls = []
     for change, factors in changes.items():
-        numbers = {name: getattr(own, name) * by for name, by in factors.items()}
-        numbers = dataclasses.replace(own, holding_limit=np.array(math.inf), **numbers)
+        changed = {name: getattr(own, name) * by for name, by in factors.items()}
+        numbers = dataclasses.replace(own, holding_limit=np.array(math.inf), **changed)
         try:
             check_time_step(scenario, numbers=numbers)
         except ConfigError:

@@ -283,6 +283,9 @@ class RobotFile(Section):
 
     file: FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
     height: Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
+    base: Word | None = Field(
+        default=None, description="body that the limbs begin at, where the file's root is a foot; null: as in the file"
+    )
     limbs: Limbs = Field(description="joints and feet")
     locked: Locked = Field(default=Locked(), description="joints of the file that belong to no limb, held at a value")
     springs: Springs = Field(default=Springs(), description="joints of limbs that nothing drives, each on a spring")

@@ -10,8 +10,9 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import growth
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import bare, compiled, described, driven_joints
-from mjx_climb.robot.found_limbs import base_of, limbs_of
+from mjx_climb.robot.found_limbs import base_of, limbs_of, stood_on
 from mjx_climb.robot.proposal import propose
+from mjx_climb.robot.rerooted import rerooted
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
 from tuning.command_line import main
@@ -164,6 +165,66 @@ def test_a_base_that_slides_beside_a_pebble_that_floats(tmp_path):
     file = written(tmp_path, PLAIN.replace("<freejoint/>", SLIDES).replace("<worldbody>", f"<worldbody>{PEBBLE}"))
     model = compiled(file, bare(file))
     assert model.body(base_of(file, model)).name == "trunk"
+
+
+def test_a_file_that_begins_at_a_foot(tmp_path):
+    """Turned round it moves as before, and with its base named it is the robot whose file begins there."""
+    whole = written(tmp_path, climbers.mjcf(4, 3))
+    model = compiled(whole, bare(whole))
+    spec = rerooted(model, "L1_2")
+    other = spec.compile()
+    turned = written(tmp_path, spec.to_xml(), "turned.xml")  # in six digits
+    assert other.body(1).name == "L1_2"
+    placed = []
+    angles = np.random.default_rng(0).uniform(-0.5, 0.5, 12)
+    for each in (model, other):
+        data = mujoco.MjData(each)
+        for n, angle in enumerate(angles):
+            data.joint(f"L{n // 3}_{n % 3}").qpos[:] = angle
+        mujoco.mj_kinematics(each, data)
+        trunk, foot = data.body("trunk"), data.site("foot3")
+        own = data.site("foot1")
+        axes = trunk.xmat.reshape(3, 3)
+        placed.append([axes.T @ (place.xpos - trunk.xpos) for place in (foot, own)])
+        placed[-1].append(axes.T @ (data.body("L1_2").xipos - trunk.xpos))
+    np.testing.assert_allclose(*placed, atol=1e-12)
+    sections = [propose(file, base=base).sections["robot"] for file, base in ((whole, None), (turned, "trunk"))]
+    assert sections[1]["base"] == "trunk" and set(sections[1]["limbs"]) == set(sections[0]["limbs"])
+    ours, theirs = (load_robot(mc.Scenario.model_validate(
+        climbers.config(file, 4, 3) | {"robot": climbers.config(file, 4, 3)["robot"] | {"base": base}}).robot)
+        for file, base in ((turned, "trunk"), (whole, None)))  # fmt: skip
+    for name in ("base_mass", "link_mass", "link_inertia", "frame_position", "foot_center", "stance_joints"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-5)
+    with pytest.raises(mc.RobotError, match=r"robot\.base: expected a body of the file"):
+        propose(turned, base="torso")
+
+
+def test_one_row_of_joints_begins_at_a_foot(tmp_path):
+    """Its base is in the middle, and what hangs on it either way are the limbs."""
+    whole = written(tmp_path, climbers.mjcf(2, 7))
+    text = rerooted(compiled(whole, bare(whole)), "L0_6").to_xml()
+    proposal = propose(written(tmp_path, text, "worm.xml"))
+    robot = proposal.sections["robot"]
+    assert robot["base"] == "trunk" and "from foot to foot" in " ".join(map(" ".join, proposal.notes))
+    assert sorted(limb["joints"] for limb in robot["limbs"].values()) == [
+        [f"L{limb}_{joint}" for joint in range(7)] for limb in range(2)
+    ]
+
+
+def test_arms_above_legs_are_asked_for(tmp_path, capsys):
+    """Two limbs start and end a way above two others: one line names them and the option, by which they are held."""
+    legs, arms = (re.findall(r'<body name="L\d_0".*?</body></body></body>', climbers.mjcf(2, 3)) for _ in range(2))
+    arms = [re.sub(r'"(L|foot)(\d)', r'"arm_\1\2', arm).replace('0.0 0"', '0.0 0.8"') for arm in arms]
+    arms = [re.sub(r'(pos="\S+ \S+) 0"', r'\1 0.8"', arm, count=1) for arm in arms]
+    trunk = climbers.mjcf(2, 3).split('<body name="L0_0"')[0]
+    file = written(tmp_path, trunk + "".join(legs + arms) + "</body></worldbody></mujoco>")
+    with pytest.raises(mc.RobotError, match="got arm_L0, arm_L1 above L0, L1: choose with --limbs L0,L1, or"):
+        propose(file)
+    limbs, model = found(file)[0], compiled(file, bare(file))
+    assert list(stood_on(file, model, limbs, 1, ["L1", "L0"])) == ["L0", "L1"]
+    with pytest.raises(SystemExit) as ended:
+        main(["robot", file, "--limbs", "L0,leg"])
+    assert ended.value.code == 2 and "--limbs: expected two or more of L0, L1, arm_L0" in capsys.readouterr().err
 
 
 def test_what_is_told_of_a_robot_with_little_in_its_file(tmp_path):

@@ -16,6 +16,14 @@ def robot(
         float,
         typer.Option(min=0.0, metavar="M/S2", help="Gravity on level ground, m/s^2; on the Moon 1.62."),
     ] = 9.81,
+    base: Annotated[
+        str | None,
+        typer.Option(metavar="BODY", help="Body that the limbs begin at.", show_default="found"),
+    ] = None,
+    limbs: Annotated[
+        str | None,
+        typer.Option(metavar="NAME,NAME,...", help="Limbs to stand on; others are held.", show_default="all"),
+    ] = None,
 ) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
@@ -32,6 +40,7 @@ def robot(
     Examples:
       mjx-climb robot go2.xml
       mjx-climb robot anymal.urdf --write anymal.yaml
+      mjx-climb robot humanoid.xml --limbs left_leg,right_leg
       mjx-climb robot limbero.urdf --gravity 1.62
     """
     import mjx_climb as mc
@@ -45,7 +54,7 @@ def robot(
 
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(f"{write}: expected another file than the robot's own")
-    proposal = propose(file, gravity)
+    proposal = propose(file, gravity, base, limbs.split(",") if limbs else ())
     scenario = validated(mc.Scenario, {**proposal.sections, "time_step": 0.001}, str(file))
     step = min(0.001, largest_time_step(scenario, str(file)))
     scenario = scenario.with_overrides({"time_step": step})

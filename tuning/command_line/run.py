@@ -114,7 +114,7 @@ def run(
             lines += remarks.weightless({name: values for name, _, values in both})
         if metrics["detached_limb"] is not None:
             with meter.stage("what would help", compiles=False):
-                lines.append(remedies(scenario, metrics["detached_at"], own))
+                lines.append(remedies(scenario, float(metrics["detached_at"] or 0.0), own))
         for line in lines:
             tables.print(line, soft_wrap=True)
         console.print(f"written to {out}: {', '.join(files)}", soft_wrap=True)

@@ -27,7 +27,7 @@ def pull_forces(sample: Sample, context: Context) -> Array:
 
 
 def joint_limit_margins(sample: Sample, context: Context) -> Array:
-    """Return how far the joints are from the nearer of their limits, (3, L, B) rad; negative beyond."""
+    """Return how far the joints are from the nearer of their limits, (N, L, B) rad; negative beyond."""
     robot = context.robot
     return jnp.minimum(sample.joint_angles - robot.joint_lower, robot.joint_upper - sample.joint_angles)
 
