@@ -30,7 +30,8 @@ def stance(robot: str | RobotFile) -> np.ndarray:
     flat, head = mujoco.mjtBuiltin.mjBUILTIN_FLAT, spec.visual.headlight
     head.ambient, head.diffuse, head.active = [0.4] * 3, [0.5] * 3, 1
     spec.add_texture(name="sky", type=sky, builtin=flat, rgb1=[0.95, 0.95, 0.95], width=64, height=384)
-    ground = spec.worldbody.add_geom(type=plane, pos=[0, 0, 1], size=[10, 10, 0.1], rgba=[0.8, 0.78, 0.75, 1])
+    seen = float(robot.base is None)  # a file that begins at a foot has it upright, whatever the base does
+    ground = spec.worldbody.add_geom(type=plane, pos=[0, 0, 1], size=[10, 10, 0.1], rgba=[0.8, 0.78, 0.75, seen])
     ground.name = "ground of the picture"
     model = compiled(robot.file, spec)
     data, limbs, loaded = mujoco.MjData(model), dict(robot.limbs.items()), load_robot(robot)

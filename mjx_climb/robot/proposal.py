@@ -93,6 +93,7 @@ def propose(
     key = keyframe(model)
     if written := len(full.keys) - model.nkey:
         why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
+        why = why if base is None else "they begin at the file's own root"
         notes.append(Note("ignored", f"{written} keyframes", why))
     section = section_of(path, model, limbs, held, springs) | ({"base": base} if base else {})
     standing = of_keyframe(model, trunk, limbs, key) if key is not None else None

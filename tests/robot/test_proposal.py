@@ -310,7 +310,7 @@ def test_a_gravity_that_is_none_is_refused(tmp_path, capsys):
     file.write_text(dog())
     with pytest.raises(SystemExit) as ended:
         main(["robot", str(file), "--gravity", "inf"])
-    assert ended.value.code == 2 and "gravity: expected a list of three finite numbers" in capsys.readouterr().err
+    assert ended.value.code == 2 and "gravity: expected a list of three" in capsys.readouterr().err
 
 
 @pytest.mark.slow
