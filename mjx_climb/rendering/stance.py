@@ -29,9 +29,8 @@ def stance(robot: str | RobotFile) -> np.ndarray:
     sky, plane = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtGeom.mjGEOM_PLANE
     flat, head = mujoco.mjtBuiltin.mjBUILTIN_FLAT, spec.visual.headlight
     head.ambient, head.diffuse, head.active = [0.4] * 3, [0.5] * 3, 1
-    spec.add_texture(name="sky", type=sky, builtin=flat, rgb1=[0.95, 0.95, 0.95], width=64, height=384)
-    seen = float(robot.base is None)  # a file that begins at a foot has it upright, whatever the base does
-    ground = spec.worldbody.add_geom(type=plane, pos=[0, 0, 1], size=[10, 10, 0.1], rgba=[0.8, 0.78, 0.75, seen])
+    spec.add_texture(name="sky", type=sky, builtin=flat, rgb1=[0.95] * 3, rgb2=[0.95] * 3, width=64, height=384)
+    ground = spec.worldbody.add_geom(type=plane, pos=[0, 0, 1], size=[10, 10, 0.1], rgba=[0.8, 0.78, 0.75, 1])
     ground.name = "ground of the picture"
     model = compiled(robot.file, spec)
     data, limbs, loaded = mujoco.MjData(model), dict(robot.limbs.items()), load_robot(robot)
@@ -43,6 +42,12 @@ def stance(robot: str | RobotFile) -> np.ndarray:
     for name, value in held.items():
         data.joint(name).qpos[:] = value
     mujoco.mj_kinematics(model, data)
+    if robot.base is not None:  # the file has the foot upright that it begins at
+        base = model.body(robot.base).id
+        root = model.body_rootid[base]
+        upright = data.xmat[base].reshape(3, 3).T @ data.xmat[root].reshape(3, 3)
+        mujoco.mju_mat2Quat(model.body_quat[root], upright.ravel())
+        mujoco.mj_kinematics(model, data)
     feet = np.array([foot_of(model, data, limbs[name]) for name in loaded.limbs])
     model.geom(ground.name).pos[2] = feet[:, 2].mean()
     middle = (feet.mean(0) + data.xpos[1:].mean(0)) / 2
