@@ -86,6 +86,13 @@ KNOWN = {
     "known keys": lambda v, m, n: jax.random.normal(jax.random.key(1), (3,)) * v,
     "custom_vjp_call": lambda v, m, n: _own_rule(v),
     "stop_gradient": lambda v, m, n: lax.stop_gradient(v) * 2,
+    "NaN": lambda v, m, n: (
+        jnp.maximum(jnp.where(v > 0, jnp.nan, v), 0.5),
+        jnp.maximum(0.5, jnp.where(v > 0, jnp.nan, v)),
+        jnp.minimum(jnp.where(v > 0, jnp.nan, v), 0.5),
+        jnp.minimum(0.5, jnp.where(v > 0, jnp.nan, v)),
+    ),
+    "halves": lambda v, m, n: jnp.round(n + jnp.arange(-3.5, 4.0)),
     "is_finite": lambda v, m, n: (jnp.isfinite(1 / jnp.round(v)), jnp.isnan(jnp.sqrt(v))),
     "round": lambda v, m, n: (jnp.round(v), jnp.floor(v), jnp.ceil(v), jnp.sign(v), jnp.trunc(v)),
     "powers": lambda v, m, n: (v**3, jnp.abs(v) ** 1.7, jnp.square(v), jnp.cbrt(v), lax.rsqrt(jnp.abs(v))),

@@ -107,8 +107,71 @@ def test_walk_shows_every_quantity_with_its_unit(walk):
         "support",
     ]
     assert figure.axes[-1].get_xlabel() == "time [s]"
-    force = figure.axes[0].lines[0].get_ydata()
-    assert force.max() == plots.largest_foot_force(walk).max()
+
+
+def series(panel):
+    """Return the lines over time that a panel shows, without its marks."""
+    return [line.get_ydata() for line in panel.lines if len(line.get_xdata()) > 2]
+
+
+def assert_drawn(panel, walk, expected):
+    found = series(panel)
+    assert len(found) == len(expected), panel.get_ylabel()
+    for mine, values in zip(found, expected, strict=True):
+        np.testing.assert_allclose(mine, plots.thin(walk.time, values)[1], err_msg=panel.get_ylabel())
+
+
+def test_every_panel_of_a_walk_shows_its_series(walk):
+    """Millimetres and milliradians where the axis says so; the base and, dashed, where it should be, axis by axis."""
+    start, off = walk.base_reference[0], 1e3 * (walk.base_position - walk.base_reference)
+    base = [1e3 * (path - start)[:, axis] for axis in range(3) for path in (walk.base_position, walk.base_reference)]
+    torques = [[walk.joint_torque[:, limb, joint] for limb in range(4)] for joint in range(3)]
+    shift = 1e3 * walk.base_displacement
+    expected = [[plots.largest_foot_force(walk)], *torques, base, [*off.T], [*shift[:, :3].T], [*shift[:, 3:].T],
+                [walk.tsm], [walk.gia_margin]]  # fmt: skip
+    for panel, values in zip(plots.plot_walk(walk).axes, expected, strict=False):
+        assert_drawn(panel, walk, values)
+
+
+def test_a_mark_is_on_its_line(torn):
+    """The red cross: on the largest foot force, and on what is furthest from zero of several lines."""
+    (instant, limb), *_ = plots.detachments(torn)
+    row = int(np.searchsorted(torn.time, instant))
+    figure = plots.plot_walk(torn)
+    crosses = [find(panel, "detachment")[0].get_ydata()[0] for panel in figure.axes[:-1]]
+    largest = lambda values: values.ravel()[np.abs(values).argmax()]  # noqa: E731
+    off, shift = 1e3 * (torn.base_position - torn.base_reference)[row], 1e3 * torn.base_displacement[row]
+    base = 1e3 * (torn.base_position[row, 0] - torn.base_reference[0, 0])
+    torques = [largest(torn.joint_torque[row, :, joint]) for joint in range(3)]
+    margins = [torn.tsm[row], torn.gia_margin[row]]
+    force = np.linalg.norm(torn.foot_force[row], axis=-1).max()
+    expected = [force, *torques, base, largest(off), largest(shift[:3]), largest(shift[3:]), *margins]
+    np.testing.assert_allclose(crosses, expected, rtol=1e-12)
+    assert find(figure.axes[-1], "detachment")[0].get_ydata()[0] == torn.limbs.index(limb)
+
+
+def test_every_panel_of_a_comparison_shows_its_series(walk, torn):
+    panels = plots.plot_comparison({"pd": walk, "proposed": torn}, per_limb=True).axes
+
+    def lines(trajectory):
+        torque = np.abs(trajectory.joint_torque).max(2)
+        off = np.linalg.norm(trajectory.base_position - trajectory.base_reference, axis=1)
+        force = np.linalg.norm(trajectory.foot_force, axis=2).max(1)
+        return [force, torque.max(1), *torque.T, trajectory.tsm, trajectory.gia_margin, 1e3 * off]
+
+    for panel, expected in zip(panels, zip(lines(walk), lines(torn), strict=True), strict=True):
+        assert_drawn(panel, walk, expected)
+
+
+def test_feet_go_where_they_went(walk):
+    """From the side and from above, in mm from where the base starts: four feet, then the base."""
+    paths = 1e3 * np.concatenate([walk.foot_position, walk.base_position[:, None]], axis=1)
+    paths[..., :2] -= 1e3 * walk.base_reference[0, :2]
+    for panel, axis in zip(plots.plot_feet(walk).axes, (2, 1), strict=True):
+        drawn = [line for line in panel.lines if len(line.get_xdata()) > 10]
+        for line, path in zip(drawn, paths.swapaxes(0, 1), strict=True):
+            np.testing.assert_allclose(line.get_xdata(), path[:, 0], atol=1e-9)
+            np.testing.assert_allclose(line.get_ydata(), path[:, axis], atol=1e-9)
 
 
 def test_walk_marks_grip_changes_and_disturbances(walk):
@@ -144,6 +207,8 @@ def test_diverged_walk_is_drawn_to_its_end(walk, tmp_path):
 
 def test_walk_without_gravity_has_no_tsm(walk, tmp_path):
     figure = plots.plot_walk(dataclasses.replace(walk, tsm=np.full_like(walk.tsm, np.nan)))
+    (panel,) = (axes for axes in figure.axes if axes.get_ylabel() == "TSM [m]")
+    assert series(panel) == []
     plots.save_figure(figure, tmp_path / "walk", dpi=50)
 
 
@@ -251,7 +316,10 @@ def test_map_of_walks_without_values(tmp_path):
     dataset = grid()
     dataset["peak_foot_force"][:] = np.nan
     dataset["diverged"][:] = True
-    plots.save_figure(plots.plot_map(dataset, "peak_foot_force", baseline=2.0), tmp_path / "map", dpi=50)
+    figure = plots.plot_map(dataset, "peak_foot_force", baseline=2.0)
+    assert len(find(figure, "diverged")[0].get_path().to_polygons()) == dataset["diverged"].size
+    assert not np.isfinite(np.ma.filled(figure.axes[0].collections[0].get_array(), np.nan)).any()
+    plots.save_figure(figure, tmp_path / "map", dpi=50)
 
 
 def test_map_rejects_what_it_cannot_draw():

@@ -29,7 +29,6 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
 PATH = re.compile(r"(?:\.ci|configs|docs|mjx_climb|notebooks|tests|tuning)/[\w./-]*")
-every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
 def fences(page: Path, *languages: str) -> list[str]:
@@ -38,6 +37,13 @@ def fences(page: Path, *languages: str) -> list[str]:
 
 def inline(page: Path) -> list[str]:
     return [" ".join(code.split()) for code in INLINE.findall(FENCE.sub("", page.read_text("utf-8")))]
+
+
+def pages_with(found):
+    """Run a test over the pages in which there is something for it."""
+    pages = list(filter(found, PAGES))
+    assert pages
+    return pytest.mark.parametrize("page", pages, ids=lambda page: str(page.relative_to(ROOT)))
 
 
 def anchors(page: Path) -> set[str]:
@@ -59,25 +65,31 @@ def parsed(arguments: list[str]) -> dict:
     return PROGRAM.commands[name].make_context(name, rest).params
 
 
-@every_page
+def links(page: Path) -> list[str]:
+    """Return the links to other places of the repository."""
+    found = LINK.findall(FENCE.sub("", page.read_text("utf-8")))
+    return [link for link in found if not re.match(r"[a-z]+:", link)]
+
+
+@pages_with(links)
 def test_links_lead_somewhere(page):
-    for link in LINK.findall(FENCE.sub("", page.read_text("utf-8"))):
-        if re.match(r"[a-z]+:", link):
-            continue
+    for link in links(page):
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
 
 
-@every_page
+def paths(page: Path) -> list[str]:
+    return [word for code in inline(page) for word in code.split() if PATH.fullmatch(word)]
+
+
+@pages_with(paths)
 def test_paths_exist(page):
-    for word in (word for code in inline(page) for word in code.split()):
-        if PATH.fullmatch(word):
-            assert (ROOT / word).exists(), word
+    assert [word for word in paths(page) if not (ROOT / word).exists()] == []
 
 
-@every_page
+@pages_with(lambda page: "mjx-climb " in page.read_text("utf-8"))
 def test_commands_are_understood(page):
     """Calls in blocks are complete, with keys that a scenario has; those within a sentence may be cut short."""
     for arguments in (call for block in fences(page, "sh") for call in commands(block)):
@@ -101,14 +113,18 @@ def test_examples_in_the_help_are_understood(name):
         parsed(arguments)
 
 
-@every_page
-def test_make_targets_exist(page):
-    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+def made(page: Path) -> set[str]:
+    """Return the targets of make that a page names."""
     shown = {target for block in fences(page, "sh") for target in re.findall(r"^make ([\w-]+)", block, re.MULTILINE)}
-    assert shown | {code.split()[1] for code in inline(page) if re.match(r"make [\w-]+$", code)} <= targets
+    return shown | {code.split()[1] for code in inline(page) if re.match(r"make [\w-]+$", code)}
 
 
-@every_page
+@pages_with(made)
+def test_make_targets_exist(page):
+    assert made(page) <= set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+
+
+@pages_with(lambda page: fences(page, "sh", "text", "python", "yaml"))
 def test_code_is_as_narrow_as_its_box(page):
     """The site shows 112 columns on a window of 1400 px, see `tests/project/test_site.py`."""
     assert not [
@@ -116,22 +132,23 @@ def test_code_is_as_narrow_as_its_box(page):
     ]
 
 
-@every_page
+@pages_with(lambda page: fences(page, "python"))
 def test_code_uses_names_that_exist(page, monkeypatch):
     monkeypatch.syspath_prepend(page.parent)
     for block in fences(page, "python"):
         check_names(block)
 
 
-@every_page
-def test_names_in_sentences_and_in_the_reference_exist(page):
-    if page.name == "CHANGELOG.md":  # names of former times
-        return
-    dotted = re.compile(r"(?:mjx_climb|tuning)(?:\.\w+)+")
-    shown = [code.partition("(")[0] for code in inline(page)]
+def dotted(page: Path) -> list[str]:
+    """Return the names of ours that a page shows in full, but for the changelog's, which are of former times."""
+    shown = [code.partition("(")[0] for code in inline(page) if page.name != "CHANGELOG.md"]
     shown += re.findall(r"^::: (.+)$", page.read_text("utf-8"), re.MULTILINE)
-    for name in filter(dotted.fullmatch, shown):
-        assert pydoc.locate(name) is not None, name
+    return list(filter(re.compile(r"(?:mjx_climb|tuning)(?:\.\w+)+").fullmatch, shown))
+
+
+@pages_with(dotted)
+def test_names_in_sentences_and_in_the_reference_exist(page):
+    assert [name for name in dotted(page) if pydoc.locate(name) is None] == []
 
 
 def check_names(source: str) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.quantities.parameters import own_numbers
+from mjx_climb.rollouts.histories import histories
 from tests import oracle
 from tests.conftest import six_gains
 from tests.robot import climbers
@@ -95,6 +96,20 @@ def walk(request, tmp_path_factory):
 
 def test_a_walk_worked_out_again(walk):
     oracle.assert_is(walk)
+
+
+def test_lines_over_time(walk):
+    """The least and the largest value of each pair of the 300 steps."""
+    expected = {
+        "foot_force_history": np.linalg.norm(walk.foot_force, axis=2).max(1),
+        "base_deviation_history": np.linalg.norm(walk.base_position - walk.base_reference, axis=1),
+        "joint_torque_history": np.abs(walk.joint_torque).max((1, 2)),
+    }
+    found = histories(walk)
+    assert list(found) == list(expected)
+    for name, line in expected.items():
+        pairs = line.reshape(-1, 2)
+        np.testing.assert_allclose(found[name], [pairs.min(1), pairs.max(1)], rtol=1e-12, err_msg=name)
 
 
 def test_metrics_of_the_histories(walk):

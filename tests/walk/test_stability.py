@@ -180,6 +180,23 @@ def test_holding_force_adds_its_moments():
     assert margin == pytest.approx(gravity * 0.14 / height + 2 * holding * 0.28 / (mass * height), rel=1e-12)
 
 
+def test_a_gripper_across_an_axis_does_not_hold():
+    """A polygon with a notch at RH: RF and LH lie beyond the axes that RH ends, and could only tip the robot there."""
+    feet = np.array([[0.05, 0.05, 0], [-0.1, 0.1, 0], [0.02, 0.02, 0], [0.1, -0.1, 0]])
+    com, mass, gravity, holding = np.array([0.035, 0.035, 0.1]), 2.0, 9.81, 15.0
+    wrench = standing_still(com, mass, gravity)
+    tumbling, inside = [], []
+    for a, b, others in ((0, 1, (2, 3)), (1, 2, (3, 0)), (2, 3, (0, 1)), (3, 0, (1, 2))):
+        along = (feet[b] - feet[a])[:2] / np.linalg.norm(feet[b] - feet[a])
+        across = np.array([-along[1], along[0]])
+        side = lambda point, a=a, across=across: (point - feet[a])[:2] @ across  # noqa: E731  # m, inwards
+        tumbling.append(side(com) + holding * max(0, *(side(feet[j]) for j in others)) / (mass * gravity))
+        held = holding * sum(side(feet[j]) for j in others) / mass
+        inside.append((gravity * side(com) + held) / np.hypot(side(com), com[2]))
+    tsm, margin = one(feet, [True] * 4, com, *wrench, mass, gravity, holding)
+    assert (tsm, margin) == pytest.approx((min(tumbling), min(inside)), rel=1e-12)
+
+
 def test_center_of_mass_outside_of_the_polygon_tumbles_unless_held():
     com, mass, gravity = np.array([0.2, 0.0, 0.1]), 2.0, 9.81
     wrench = standing_still(com, mass, gravity)

@@ -87,8 +87,12 @@ HARDWARE = {
 }  # fmt: skip
 
 
+SCALED = ("coulomb_friction", "load_friction", "viscous_friction", "armature")
+
+
 def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     scenario = with_hardware(mc.load_scenario(config_path("case_2.yaml")), load_hardware("dynamixel_x"))
+    scenario = scenario.with_overrides({"hardware.servo": {"load_friction": 0.1, "viscous_friction": 0.02}})
     own = jax.tree.map(np.asarray, mc.parameters(scenario))
     before = ensembles.draw(scenario, Ensemble(members=50))
     drawn = ensembles.draw(scenario, ensembles.make({"members": 50, "hardware": HARDWARE}))
@@ -99,7 +103,7 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     np.testing.assert_allclose(drawn.control_period * 1000, np.round(drawn.control_period * 1000), atol=1e-9)
     for values, low, high in (
         (drawn.force_delay, 0.002, 0.015), (rate, 100.0, 500.0), (drawn.force_noise, 0.05, 0.3),
-        (drawn.coulomb_friction / own.coulomb_friction, 0.5, 2.0), (drawn.armature / own.armature, 0.5, 2.0),
+        *((getattr(drawn, name) / getattr(own, name), 0.5, 2.0) for name in SCALED),
         (drawn.force_filter, 10.0, 50.0), (drawn.force_bias, -0.2, 0.2), (drawn.capture_distance, 0.001, 0.01),
     ):  # fmt: skip
         reach = high - low
@@ -159,6 +163,7 @@ def test_worst_mean():
     values = np.arange(20.0)[::-1]
     assert ensembles.worst_mean(values, 0.05) == 19.0
     assert ensembles.worst_mean(values, 0.2) == 17.5
+    assert ensembles.worst_mean(values, 0.22) == 17.0  # five of them: no smaller share than asked for
     assert ensembles.worst_mean(values, 0.1, larger_is_better=True) == 0.5
     assert ensembles.worst_mean(values, 1.0) == values.mean()
 
@@ -181,6 +186,18 @@ def test_pd_scores_one(scenario, ensemble):
     value = one.score({name: v[:, None] for name, v in better.items()}).value[0]
     variation = pd["force_variation"]
     assert float(value) == pytest.approx(1 - 0.5 * 0.5 * variation[least] / variation.sum(), rel=1e-5)
+
+
+def test_mean_and_worst_count_by_their_weights():
+    """Walks with 1 and 3 N where pd has 2 N in the mean and 4 N in the worse half; farther is better."""
+    terms = (
+        robust.RobustTerm("force_variation", 3.0, False, 2.0, 4.0, 2.0, 4.0),
+        robust.RobustTerm("travel", 1.0, True, 2.0, 1.0, 2.0, 1.0),
+    )
+    goal = robust.RobustObjective(terms, (), ensembles.Worst(share=0.5, weight=0.25), None)
+    metrics = {"force_variation": [[1.0], [3.0]], "travel": [[1.5], [3.5]], "diverged": [[False], [False]]}
+    value = goal.score({name: np.array(values) for name, values in metrics.items()}).value[0]
+    assert value == pytest.approx((3 * (0.75 + 0.25 * 3 / 4) + (0.75 * (2 - 2.5 / 2) + 0.25 * (2 - 1.5))) / 4)
 
 
 def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
