@@ -79,6 +79,7 @@ def test_ten_thousand_targets_are_met_from_nearby(climber, name):
     # a limb stretched straight has no nearby postures: seven in ten thousand of those of four joints
     straight = np.abs(angles[2]) < 0.3 if joints == 4 else np.zeros(moved.shape, bool)
     assert missed[~straight].max() < 1e-6
+    assert np.median(missed) < 1e-13  # the last steps are exact: no pull towards the rest posture in them
     assert reachable.all()
     # central differences confirm the derivative, where the foot is not next to an axis of the hip
     push = 1e-6 * rng.normal(size=feet.shape)

@@ -56,7 +56,7 @@ def test_forces_at_the_same_level_and_calmer(both):
 
 
 def test_margins_at_the_same_level(both):
-    """Median TSM and GIA margin of the whole walk agree to 3 %."""
+    """Medians over the whole walk agree: TSM to 3 %, GIA margin to 0.5 %."""
     ours, theirs, rows = both
     assert np.median(ours.tsm[rows]) == pytest.approx(np.median(theirs["tsm"]), rel=0.03)
-    assert np.median(ours.gia_margin[rows]) == pytest.approx(np.median(theirs["gia_margin"]), rel=0.03)
+    assert np.median(ours.gia_margin[rows]) == pytest.approx(np.median(theirs["gia_margin"]), rel=0.0045)

@@ -24,17 +24,17 @@ def relative_errors(scenarios, single, walk):
 
 
 @pytest.mark.parametrize(
-    "law",
+    ("law", "within"),
     [
-        "virtual_model",
-        *(pytest.param(law, marks=pytest.mark.slow) for law in ("pd", "measured_pose", "end_effector")),
+        ("virtual_model", 4e-4),
+        pytest.param("pd", 4e-4, marks=pytest.mark.slow),
+        pytest.param("measured_pose", 3e-3, marks=pytest.mark.slow),
+        pytest.param("end_effector", 3e-3, marks=pytest.mark.slow),
     ],
 )
-def test_single_precision_is_good_enough(case, gains, numbers, walk, law):
-    """Over 8 s of each case the peak foot force in float32 is that in float64 within 0.5 %."""
+def test_single_precision_is_good_enough(case, gains, numbers, walk, law, within):
+    """Over 8 s of each case metrics in float32 are those in float64."""
     scenarios = [case(name, law) for name in CASES]
     errors = relative_errors(scenarios, single_precision(scenarios, gains, numbers), walk)
-    print({name: [f"{e:.1e}" for e in error] for name, error in errors.items()})
-    assert errors["peak_foot_force"].max() < 0.005
-    for name in ("force_variation", "peak_joint_torque", "cost_of_transport", "travel"):
-        assert errors[name].max() < 0.005, (name, errors[name])
+    for name in ("peak_foot_force", "force_variation", "peak_joint_torque", "cost_of_transport", "travel"):
+        assert errors[name].max() < within, (name, errors[name])

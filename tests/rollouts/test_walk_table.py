@@ -19,7 +19,7 @@ TABLE = [  # case, law, peak foot force N, variation N, cost of transport, final
 
 @pytest.mark.parametrize(("name", "law", "peak", "variation", "cost", "final_x"), TABLE)
 def test_figures_of_the_prototype(case, walk, name, law, peak, variation, cost, final_x):
-    """Peak foot force, its variation, cost of transport and final x of each case and law lie within 3 %."""
+    """Of each case and law; the prototype's variation and cost are given to two or three digits."""
     trajectory = walk(case(name, law, (("contact.holding_limit", None),)))
     ours = mc.metrics(trajectory)
     figures = {
@@ -29,4 +29,5 @@ def test_figures_of_the_prototype(case, walk, name, law, peak, variation, cost, 
         "final_x": (trajectory.base_position[-1, 0], final_x),
     }
     errors = {name: mine / theirs - 1 for name, (mine, theirs) in figures.items()}
-    assert max(map(abs, errors.values())) < 0.03, errors
+    allowed = {"peak_foot_force": 0.01, "force_variation": 0.022, "cost_of_transport": 0.03, "final_x": 0.01}
+    assert all(abs(error) < allowed[name] for name, error in errors.items()), errors

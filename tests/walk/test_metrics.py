@@ -9,6 +9,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.dynamics.spatial import norm
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.walk.metrics import Metric, largest, peak, smallest, total
 
 SPEED = peak("peak_base_speed", "m/s", "largest speed of the base", lambda s, _: norm(s.base_linear_velocity))
@@ -76,6 +77,19 @@ def test_companions_are_near_their_extremes_and_inside(batch):
     assert "smooth_impulse" not in batch
 
 
+def test_companions_are_means_over_instants_and_feet_or_joints(alone, batch):
+    """The power mean of order 32; of what may be negative a log-sum-exp in hundredths of the first value."""
+    force = np.linalg.norm(alone.foot_force, axis=-1)
+    power_mean = force.max() * ((force / force.max()) ** 32).mean() ** (1 / 32)
+    assert batch["smooth_peak_foot_force"][0] == pytest.approx(power_mean, rel=1e-9)
+    robot = load_robot("hubrobo_v3_2")
+    lower, upper = robot.joint_lower[..., 0].T, robot.joint_upper[..., 0].T
+    margin = np.minimum(alone.joint_angles - lower, upper - alone.joint_angles)
+    unit = abs(margin[0].min()) / 100
+    soft = margin.min() - unit * np.log(np.exp((margin.min() - margin) / unit).mean())
+    assert batch["smooth_joint_limit_margin"][0] == pytest.approx(soft, rel=1e-9)
+
+
 @pytest.mark.slow
 def test_slopes_of_own_metrics_are_those_of_finite_differences(scenario):
     gains = mc.Gains(*(np.full((1, 6), value) for value in (1.0, 100.0, 3e3)))
@@ -96,8 +110,12 @@ def test_another_metric_of_the_same_name_is_another_program(alone, scenario):
     assert double == pytest.approx(2 * once, rel=1e-12)
 
 
-def test_a_diverged_walk_has_the_metrics_of_its_finite_part(alone):
-    """From the first sample on that is not finite nothing counts; a gripper lost before is told."""
+OF_THE_STATE = ("base_position", "base_linear_velocity", "base_angular_velocity", "joint_angles", "joint_rates")
+
+
+@pytest.mark.parametrize("name", [*OF_THE_STATE, "joint_torque", "foot_force"])
+def test_a_diverged_walk_has_the_metrics_of_its_finite_part(alone, name):
+    """From the first sample on that is not finite nothing counts, be they again; a gripper lost before is told."""
     cut, lost = 200, 150
     histories = {
         field.name: getattr(alone, field.name).copy()
@@ -106,9 +124,8 @@ def test_a_diverged_walk_has_the_metrics_of_its_finite_part(alone):
     }
     histories["torn_off"][lost, 2] = True
     before = {name: value[:cut] for name, value in histories.items()}
-    for name in ("base_position", "foot_force", "joint_torque"):
-        histories[name][cut:] = np.nan
-    histories["base_position"][cut + 10 :] = 0.0  # and nothing counts again
+    histories[name][cut : cut + 10, -1] = np.nan
+    histories["foot_force"][cut + 10 :] *= 100
     diverged = mc.metrics(dataclasses.replace(alone, **histories), OWN)
     finite = mc.metrics(dataclasses.replace(alone, **before), OWN)
     assert (diverged.pop("diverged"), finite.pop("diverged")) == (True, False)
