@@ -376,7 +376,8 @@ def test_a_legend_is_as_wide_as_its_figure_at_most(words, columns):
     handles = [Line2D([], [], label=" ".join(["words"] * words)) for _ in range(6)]
     plots.legend_below(figure, handles, 3)
     [legend] = figure.legends
-    assert legend._ncols == columns
+    figure.draw_without_rendering()
+    assert len({round(text.get_window_extent().x0) for text in legend.get_texts()}) == columns
     assert legend.get_window_extent().width <= figure.bbox.width
 
 
