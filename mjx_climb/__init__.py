@@ -6,6 +6,8 @@ Names are imported when they are first used, so that the command line and the re
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mjx_climb.compilation import forked  # noqa: F401  # which must see forks from now on
+
 if TYPE_CHECKING:
     from mjx_climb.compilation.options import compiler_options, pieces_pay
     from mjx_climb.control import Command, Law, Measurement, Reference, Start, gain

@@ -108,7 +108,8 @@ def sweep_shard(
     walked, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
     how: dict[str, Any] = {"axes": axes, "law": own, "batch_size": batch_size, "engine": engine, "metrics": metrics}
     grid.claim(walked, out=folder, shard=part, **how)
-    swept.keep_beside(part, folder, scenario, law, gains, {"again": "the same call of tuning.sweep_shard for {shard}"})
+    again = {"again": "the same call of tuning.sweep_shard for {shard}"}
+    swept.keep_beside(part, folder, scenario, law, gains, metrics, again)
     grid.sweep_shard(walked, part, out=folder, progress=progress, **how)
     return part.folder(folder)
 
@@ -122,8 +123,8 @@ def merge(
 
     Arguments:
         folders: those of the shards, or one that holds them all; nothing in them is changed.
-        law: the user's own, where the shards had one.
-        metrics: those of the shards, where they had others than the shipped ones.
+        law: the user's own, where the shards had one whose file they do not name.
+        metrics: those of the shards, likewise.
 
     Raises:
         ConfigError: no shards there, shards of different things, or not all of them: in one line which are missing
@@ -167,7 +168,7 @@ def judge(
     drawn, table = ensemble.model_copy(update={"members": members}), mc.MetricTable(metrics)
     walks = judged.draw_of(scenario, judged.rivals(scenario, gains, law), drawn, law, table, engine)
     kept = None if out is None else Parts(Path(out), walks.identity())
-    return Judged(walks.dataset(shards.walk(walks, kept, progress)), scenario, drawn, table)
+    return Judged(walks.dataset(shards.walk(walks, kept, progress)), scenario, drawn, table, law)
 
 
 def judge_shard(

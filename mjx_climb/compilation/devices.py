@@ -57,12 +57,23 @@ def share_size(robots: int, limit: int | None, backend: str | None = None, *, in
     `backend` is where they walk, where that is not JAX's default; `in_pieces` whether their steps are compiled so, for
     values alone.
     """
+    check_batch_size(limit)
     if (backend or jax.default_backend()) == "cpu":
         shares = _CPU_SHARES_IN_PIECES if in_pieces else _CPU_SHARES
         share = next(share for most, share in shares.items() if robots <= most)
     else:
         share = -(-min(robots, limit or robots) // jax.device_count())
     return min(share, limit or share)
+
+
+def check_batch_size(robots: int | None) -> None:
+    """Refuse to walk fewer than one robot at a time.
+
+    Raises:
+        ValueError: in one line, how many.
+    """
+    if robots is not None and robots < 1:
+        raise ValueError(f"batch_size: expected 1 or more, got {robots}")
 
 
 def walking_with(robots: range, whole: int, *, in_pieces: bool) -> range:

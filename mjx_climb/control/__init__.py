@@ -7,6 +7,7 @@ from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
 from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.motion import Motion
 from mjx_climb.control.pd import PD
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Control, Scenario
 
 # (controller, reading of the paper's equation), as a config names them
@@ -36,7 +37,16 @@ __all__ = [
 
 
 def law_of(scenario: Scenario) -> Law:
-    """Return the law that a scenario names, with the gains of its control section."""
+    """Return the law that a scenario names, with the gains of its control section.
+
+    Raises:
+        ConfigError: it names one of the user's own, which is given beside it.
+    """
+    if scenario.own is not None and scenario.own.law is not None:
+        raise ConfigError(
+            f"scenario: own.law: expected the law beside the scenario, got none: {scenario.own.law.name} is loaded by "
+            "tuning.gains.own_section.taken(scenario)"
+        )
     law, control = LAWS[scenario.control.controller, scenario.control.reading], scenario.control
     values = {name: getattr(control, name) for name in law.GAINS}
     # six values of a law of translations alone: the rotations are not its own

@@ -1,9 +1,10 @@
-"""The files that a scenario names, a user's robot and height map, kept beside its results.
+"""The files that a scenario names, a user's robot, height map and code, kept beside its results.
 
 A results folder holds copies in `inputs/`, and its config.yaml names them relative to itself: a repetition needs no
 other place.
 """
 
+import ast
 import hashlib
 import os
 from collections.abc import Callable
@@ -21,15 +22,14 @@ FOLDER = "inputs"
 def copied(scenario: Scenario, folder: str | os.PathLike[str]) -> Scenario:
     """Copy the files that a scenario names into `folder`/inputs and return the scenario that names the copies.
 
-    An MJCF takes the files that it includes along, and the meshes that weigh something, in the same places beside it.
+    An MJCF takes the files that it includes along, and the meshes that weigh something, in the same places beside it; a
+    file of Python the modules beside it that it imports.
 
     Raises:
         ConfigError: a file cannot be read.
         OutputError: a copy cannot be written.
     """
-    return scenario.with_files(
-        lambda key, file: _copy(Path(file), Path(folder).absolute() / FOLDER / key.split(".")[0])
-    )
+    return scenario.with_files(lambda key, file: _copy(Path(file), Path(folder).absolute() / FOLDER / _place(key)))
 
 
 def portable_yaml(scenario: Scenario, folder: str | os.PathLike[str]) -> str:
@@ -43,12 +43,22 @@ def identity(scenario: Scenario) -> str:
     Raises:
         ConfigError: a file cannot be read.
     """
+    return scenario.with_files(lambda _, file: digest(Path(file))).to_yaml()
 
-    def digest(_: str, file: str) -> str:
-        contents = sorted((other.name, _content(other)) for other in _needed(Path(file)))
-        return hashlib.sha256(repr(contents).encode()).hexdigest()
 
-    return scenario.with_files(digest).to_yaml()
+def digest(file: Path) -> str:
+    """Return a digest of a file and of what it takes in.
+
+    Raises:
+        ConfigError: a file cannot be read.
+    """
+    contents = sorted((other.name, _content(other)) for other in _needed(file))
+    return hashlib.sha256(repr(contents).encode()).hexdigest()
+
+
+def _place(key: str) -> str:
+    """Return the folder of a copy by the key that names its file: robot, ground, law, metrics.0."""
+    return key.removeprefix("own.").removesuffix(".file").removesuffix(".map")
 
 
 def _needed(file: Path) -> list[Path]:
@@ -56,6 +66,8 @@ def _needed(file: Path) -> list[Path]:
     needed = [file]
     if file.suffix.lower() == ".xml":
         needed += filter(_weighs(file), map(Path, mujoco.mju_getXMLDependencies(str(file))))
+    if file.suffix.lower() == ".py":
+        needed += _imported(file, file.parent, set())
     return sorted({Path(os.path.abspath(file.parent / other)) for other in needed})
 
 
@@ -66,6 +78,22 @@ def _weighs(file: Path) -> Callable[[Path], bool]:
     except ValueError:
         return lambda other: True
     return lambda other: other.suffix.lower() == ".xml" or other.name in shapes
+
+
+def _imported(file: Path, folder: Path, seen: set[Path]) -> set[Path]:
+    """Return the modules and packages in a folder that a file of Python imports, and those that they import."""
+    try:
+        tree = ast.parse(_content(file))
+    except (SyntaxError, ValueError):  # running it says more
+        return seen
+    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    for top in sorted({name.partition(".")[0] for name in names} - {""}):
+        for other in [folder / f"{top}.py", *sorted((folder / top).rglob("*.py"))]:
+            if other.is_file() and other not in seen:
+                seen.add(other)
+                _imported(other, folder, seen)
+    return seen
 
 
 def _content(file: Path) -> bytes:

@@ -7,10 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.quantities.swing import rest_to_rest
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.robot.posture import limb_joints
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import HeightMap, Scenario
+
+_MISSED = 1e-9  # m
+_LITTLE = 1e-2  # of a stride: a limb that misses even that cannot follow at all
+_HALVINGS = 7  # of the stride, in search of the longest one
 
 
 def foothold_heights(scenario: Scenario) -> np.ndarray:
@@ -53,11 +58,12 @@ def _foothold_count(scenario: Scenario) -> int:
 
 
 def check_reach(scenario: Scenario, source: str = "scenario") -> None:
-    """Refuse uneven ground that a limb cannot reach from where the gait plans the base.
+    """Refuse a stride, or uneven ground, that a limb cannot reach from where the gait plans the base.
 
     Raises:
-        ConfigError: in one line, the first foothold out of reach.
+        ConfigError: in one line, the longest stride, or the first foothold out of reach.
     """
+    _check_stride(scenario, source)
     heights = foothold_heights(scenario)
     if not heights.size:
         return
@@ -69,14 +75,46 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
         feet = stance - center
         feet[:, 2] += height - height.mean()
         missed = limb_joints(robot.model, feet).errors
-        if missed.max() > 1e-9:
-            limb = int(np.argmax(np.where(missed > 1e-9, np.abs(height - height.mean()), -1)))
+        if missed.max() > _MISSED:
+            limb = int(np.argmax(np.where(missed > _MISSED, np.abs(height - height.mean()), -1)))
             key = f"ground.footholds.{robot.limbs[limb]}.{n}" if scenario.ground.footholds is not None else "ground.map"
             raise ConfigError(
                 f"{source}: {key}: expected footholds within reach and joint limits, got one of {robot.limbs[limb]} at "
                 f"{height[limb]:g} m, {height[limb] - height.mean():+.3g} m from the mean, missed by "
                 f"{missed[limb] * 1e3:.2g} mm"
             )
+
+
+def _check_stride(scenario: Scenario, source: str) -> None:
+    """Refuse a stride after which a foot cannot lift off or touch down where it should, on level ground.
+
+    Limbs that cannot give way to the base at all, those of fewer than three joints that are driven, do not count.
+    """
+    gait, robot = scenario.gait, load_robot(scenario.robot)
+    lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
+    feet = _stance_feet(robot) - robot.stance_position[:, 0]
+    rest = robot.model.key_qpos[0][7:].reshape(len(feet), -1)
+    extremes = -rest_to_rest(lift_off), 1 - rest_to_rest(lift_off + 1 - gait.duty)  # strides from foot to base, ahead
+
+    def missed(stride: float) -> np.ndarray:
+        planned = (feet + stride * np.outer(along, [1, 0, 0]) for along in extremes)
+        errors: np.ndarray = np.max([limb_joints(robot.model, each, rest).errors for each in planned], axis=0)
+        return errors > _MISSED
+
+    low, high = 0.0, min(gait.stride, 10 * float(np.abs(feet).max()))  # no limb is as long as that
+    if not missed(high).any():
+        return
+    free = ~missed(_LITTLE * high)
+    if not (missed(high) & free).any():
+        return
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if (missed(middle) & free).any() else (middle, high)
+    digit = 10.0 ** (math.floor(math.log10(low)) - 1) if low else 1.0
+    raise ConfigError(
+        f"{source}: gait.stride: expected at most {math.floor(low / digit) * digit:.2g} m, which keeps all feet within "
+        f"reach and joint limits, got {gait.stride:g}"
+    )
 
 
 def _stance_feet(robot: Robot) -> np.ndarray:

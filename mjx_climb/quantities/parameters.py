@@ -13,9 +13,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Real
 
+from mjx_climb.compilation.forked import check_process
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.quantities.low_reaction import swing_path
-from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.model import Scenario
 
 # batch axes of one gain need not be those of another: they broadcast; the hot path has them last
@@ -116,8 +116,48 @@ class Parameters:
     seed: _Scalar  # whole, below 2^24 so that single precision holds it
 
 
-def _or_infinite(value: float | None) -> float:
-    return math.inf if value is None else value
+KEYS = {  # of a scenario, whose values and ranges these are
+    "gravity": "gravity",
+    "contact_stiffness": "contact.stiffness",
+    "contact_damping": "contact.damping",
+    "rotational_stiffness": "contact.rotational_stiffness",
+    "rotational_damping": "contact.rotational_damping",
+    "holding_limit": "contact.holding_limit",
+    "kp": "control.kp",
+    "kd": "control.kd",
+    "stride": "gait.stride",
+    "step_height": "gait.step_height",
+    "cycle": "gait.cycle",
+    "duty": "gait.duty",
+    "heading": "gait.heading",
+    "cargo_mass": "disturbance.cargo.mass",
+    "cargo_start": "disturbance.cargo.start",
+    "cargo_stop": "disturbance.cargo.stop",
+    "push_force": "disturbance.pushes.force",
+    "push_moment": "disturbance.pushes.moment",
+    "push_start": "disturbance.pushes.start",
+    "push_stop": "disturbance.pushes.stop",
+    "capture_distance": "contact.capture_distance",
+    "control_period": "hardware.control_period",
+    "command_delay": "hardware.command_delay",
+    "force_delay": "hardware.force_sensor.delay",
+    "force_noise": "hardware.force_sensor.noise",
+    "force_bias": "hardware.force_sensor.bias",
+    "force_resolution": "hardware.force_sensor.resolution",
+    "force_filter": "hardware.force_sensor.filter",
+    "base_delay": "hardware.base_estimate.delay",
+    "position_noise": "hardware.base_estimate.position_noise",
+    "velocity_noise": "hardware.base_estimate.velocity_noise",
+    "torque_limit": "hardware.servo.torque_limit",
+    "no_load_speed": "hardware.servo.no_load_speed",
+    "armature": "hardware.servo.armature",
+    "coulomb_friction": "hardware.servo.coulomb_friction",
+    "viscous_friction": "hardware.servo.viscous_friction",
+    "load_friction": "hardware.servo.load_friction",
+    "backlash": "hardware.servo.backlash",
+    "servo_delay": "hardware.servo.delay",
+    "seed": "hardware.seed",
+}
 
 
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
@@ -132,64 +172,21 @@ def own_numbers(scenario: Scenario) -> Parameters:
 
 def parameters_by(array: Callable[[Any], Any], scenario: Scenario) -> Parameters:
     """Return the numbers of a scenario as arrays that a function makes."""
-    contact, control, gait = scenario.contact, scenario.control, scenario.gait
-    cargo, pushes = scenario.disturbance.cargo, scenario.disturbance.pushes
-    values = dict(
-        gravity=scenario.gravity,
-        contact_stiffness=contact.stiffness,
-        contact_damping=contact.damping,
-        rotational_stiffness=contact.rotational_stiffness,
-        rotational_damping=contact.rotational_damping,
-        holding_limit=_or_infinite(contact.holding_limit),
-        kp=control.kp,
-        kd=control.kd,
-        stride=gait.stride,
-        step_height=gait.step_height,
-        cycle=gait.cycle,
-        duty=gait.duty,
-        heading=gait.heading,
-        foothold_height=foothold_heights(scenario),
-        swing_path=swing_path(scenario),
-        cargo_mass=cargo.mass,
-        cargo_start=cargo.start,
-        cargo_stop=_or_infinite(cargo.stop),
-        push_force=[push.force for push in pushes],
-        push_moment=[push.moment for push in pushes],
-        push_start=[push.start for push in pushes],
-        push_stop=[_or_infinite(push.stop) for push in pushes],
-        mass_scale=1.0,
-        capture_distance=_or_infinite(contact.capture_distance),
-        **_hardware(scenario.hardware),
-    )
+    check_process()
+    values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
+    values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
     arrays = {name: array(value) for name, value in values.items()}
-    if not pushes:
+    if not scenario.disturbance.pushes:
         arrays |= {name: arrays[name].reshape(0, 3) for name in ("push_force", "push_moment")}
     return Parameters(**arrays)
 
 
-def _hardware(hardware: Hardware) -> dict[str, float]:
-    force, base, servo = hardware.force_sensor, hardware.base_estimate, hardware.servo
-    return dict(
-        control_period=hardware.control_period,
-        command_delay=hardware.command_delay,
-        force_delay=force.delay,
-        force_noise=force.noise,
-        force_bias=force.bias,
-        force_resolution=force.resolution,
-        force_filter=_or_infinite(force.filter),
-        base_delay=base.delay,
-        position_noise=base.position_noise,
-        velocity_noise=base.velocity_noise,
-        torque_limit=_or_infinite(servo.torque_limit),
-        no_load_speed=_or_infinite(servo.no_load_speed),
-        armature=servo.armature,
-        coulomb_friction=servo.coulomb_friction,
-        viscous_friction=servo.viscous_friction,
-        load_friction=servo.load_friction,
-        backlash=servo.backlash,
-        servo_delay=servo.delay,
-        seed=hardware.seed,
-    )
+def _value(section: Any, name: str, *rest: str) -> Any:
+    """Return the value at a key of a section, of each section in a list of them; null is infinite."""
+    if isinstance(section, tuple):
+        return [_value(each, name, *rest) for each in section]
+    value = getattr(section, name)
+    return _value(value, *rest) if rest else math.inf if value is None else value
 
 
 def gains(scenario: Scenario) -> Gains:

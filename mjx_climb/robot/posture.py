@@ -23,12 +23,13 @@ class LimbJoints(NamedTuple):
     errors: np.ndarray  # (L,) m
 
 
-def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
+def limb_joints(model: mujoco.MjModel, feet: np.ndarray, near: np.ndarray | None = None) -> LimbJoints:
     """Return joint angles within the limits that put the feet at `feet` (L, 3) m, in the frame of the base.
 
     Of several postures the one whose joints are nearest the middle of their ranges, in the mean of squares over these;
     of limbs of three joints the one whose knee is, and the others only where knees are alike. Of limbs with more joints
-    a singular posture only where there is no other. Joints nothing drives are where their springs are slack.
+    a singular posture only where there is no other. Joints nothing drives are where their springs are slack. `near` are
+    angles (L, N) to begin with: where all feet get there from these, no other posture is looked for.
     """
     data = mujoco.MjData(model)
     lower, upper = model.jnt_range[1:].reshape(len(feet), -1, 2).transpose(2, 0, 1)
@@ -38,8 +39,11 @@ def limb_joints(model: mujoco.MjModel, feet: np.ndarray) -> LimbJoints:
     turned = keeps_attitude(model)
     best, errors = middle.copy(), np.full(len(feet), np.inf)
     bend = np.full(len(feet), np.inf)
-    for fractions in _starts(lower.shape[1]):
-        start = np.where(driven, lower + (upper - lower) * fractions, slack)
+    starts = [lower + (upper - lower) * fractions for fractions in _starts(lower.shape[1])]
+    for number, wanted in enumerate(starts if near is None else [near, *starts]):
+        if near is not None and number == 1 and errors.max() < 1e-9:
+            break
+        start = np.where(driven, wanted, slack)
         angles, missed = _newton(model, data, start, feet, driven)
         missed = np.where(((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all(1), missed, np.inf)
         off = np.abs(angles - middle)

@@ -21,7 +21,7 @@ from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.stages import stages_of
 from mjx_climb.quantities.batches import batch_last, own_axes
 from mjx_climb.quantities.parameters import Parameters, own_numbers
-from mjx_climb.rollouts.given import AnyGains, checked, given
+from mjx_climb.rollouts.given import AnyGains, check_robots, checked, checked_dtype, given
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk import action as hot
 from mjx_climb.walk.sample import Sample
@@ -53,7 +53,9 @@ class EnvironmentState:
 
     step: Array  # (*batch,) how many have been made
     carry: Carry  # what one step hands to the next: values (*batch, ...)
-    constants: list[Array]  # what law and parameters make of themselves once a walk: values (*batch, ...)
+    constants: list[Array]  # what law and parameters make of themselves: values (*batch, ...)
+    law: Law  # with its gains as they are now, (*batch, ...)
+    parameters: Parameters  # (*batch, ...)
 
     @property
     def robot(self) -> State:
@@ -105,8 +107,8 @@ class Environment:
         pieces = pieces_pay(engine) if in_pieces is None else in_pieces
         self.scenario = scenario
         self.law = law_of(scenario) if law is None else checked(law)
-        self.dtype = jnp.dtype(jnp.result_type(float) if dtype is None else dtype)
-        self._structure = structure(scenario, engine, in_pieces=pieces)
+        self.dtype = checked_dtype(jnp.result_type(float) if dtype is None else dtype)
+        self._structure = structure(scenario, engine, law=self.law, in_pieces=pieces)
         own = given(scenario, self.law, None, own_numbers(scenario), self._array)
         self._kind = _kind(own.law, own.numbers)
 
@@ -128,14 +130,14 @@ class Environment:
         law, numbers, shape, _ = given(self.scenario, self.law, gains, numbers, self._array)
         self._check_hardware(numbers)
         shape = jnp.broadcast_shapes(shape, tuple(batch))
-        law = batch_last(_spread(law, shape), shape, self.dtype)
-        numbers = batch_last(_spread(numbers, shape), shape, self.dtype)
-        carry, constants = _begun(self._structure, self._kind, law, numbers)
-        carry, constants = _batch_first((carry, constants), shape)
-        return EnvironmentState(jnp.zeros(shape, jnp.int32), carry, constants)
+        check_robots(shape)
+        return self._begun(law, numbers, shape)
 
     def step(
-        self, state: EnvironmentState, action: JointTargets | BaseShift | None = None
+        self,
+        state: EnvironmentState,
+        action: JointTargets | BaseShift | None = None,
+        gains: AnyGains | None = None,
     ) -> tuple[EnvironmentState, Sample]:
         """Return the robots one time step later, and all that is known about this step.
 
@@ -143,13 +145,30 @@ class Environment:
             state: what `reset` or the last `step` gave.
             action: for this step, with the batch axes of the state; None: what the law says. The law stays as it is
                 while actions take its place.
+            gains: from this step on, in place of the law's, by name, `kp` and `kd` too; axes as of `reset`, within the
+                batch of the state. Those not given stay; so does what the law remembers.
 
         Returns:
             The state after the step; and the sample, fields as in `mjx_climb.Trajectory` with the batch axes in place
             of time: the state at the start of the step, and the forces and accelerations that act in it.
+
+        Raises:
+            ValueError: gains as of `reset`, or for more robots than there are.
         """
+        if gains is not None:
+            law, numbers, wanted, _ = given(self.scenario, state.law, gains, state.parameters, self._array)
+            if wanted != (shape := state.step.shape):
+                raise ValueError(f"gains: expected batch axes that broadcast to the state's {shape}, got {wanted}")
+            begun = self._begun(law, numbers, shape)
+            state = dataclasses.replace(begun, step=state.step, carry=state.carry)
         after: tuple[EnvironmentState, Sample] = _stepped(self._structure, self._kind, state, action)
         return after
+
+    def _begun(self, law: Law, numbers: Parameters, shape: tuple[int, ...]) -> EnvironmentState:
+        law, numbers = _spread(law, shape), _spread(numbers, shape)
+        laid_out = (batch_last(tree, shape, self.dtype) for tree in (law, numbers))
+        carry, constants = _batch_first(_begun(self._structure, self._kind, *laid_out), shape)
+        return EnvironmentState(jnp.zeros(shape, jnp.int32), carry, constants, law, numbers)
 
     def _array(self, value: Any) -> Array:
         return jnp.asarray(value, self.dtype)
@@ -246,7 +265,7 @@ def _stepped(
     call = in_kernels(call) if structure.in_pieces else call
     after, sample = call(carry, count, acting)
     sample = jax.tree.map(lambda leaf: _public(_with_batch(leaf, robots), shape), sample)
-    return EnvironmentState(state.step + 1, _batch_first(after, shape), state.constants), sample
+    return dataclasses.replace(state, step=state.step + 1, carry=_batch_first(after, shape)), sample
 
 
 def _with_batch(leaf: ArrayLike, robots: int) -> Array:

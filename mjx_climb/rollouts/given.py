@@ -8,10 +8,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
 from mjx_climb.control import PD, Law, law_of
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import Gains, Parameters
+from mjx_climb.quantities.ranges import check_ranges
 from mjx_climb.quantities.whole_steps import with_whole_steps
 from mjx_climb.scenario.model import Scenario
 
@@ -47,9 +49,11 @@ def given(
         array: makes arrays of the precision of the walk.
 
     Raises:
-        ValueError: in one line, a law that is none, an unknown name, a wrong shape, or a gain that is not positive.
+        ValueError: in one line, a law that is none, an unknown name, a wrong shape, a gain that is not positive, or a
+            parameter that no scenario could have. Of what is being traced only shapes are known.
     """
     law = law_of(scenario) if law is None else checked(law)
+    check_ranges(numbers)
     values = values_by_name(law, gains)
     joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
     law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
@@ -58,9 +62,31 @@ def given(
     # gains of a law without any still say how many walk
     others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
     shape = jnp.broadcast_shapes(batch_shape(law, numbers), *others)
+    check_robots(shape)
     if shape != batch_shape(law, numbers):
         numbers = dataclasses.replace(numbers, kp=_broadcast(numbers.kp, shape))
     return Given(law, numbers, shape, own)
+
+
+def check_robots(shape: tuple[int, ...]) -> None:
+    """Refuse a batch of nobody.
+
+    Raises:
+        ValueError: in one line, the batch axes.
+    """
+    if 0 in shape:
+        raise ValueError(f"gains and parameters: expected one robot or more, got batch axes {shape}")
+
+
+def checked_dtype(dtype: DTypeLike) -> np.dtype:
+    """Return the precision of a walk.
+
+    Raises:
+        ValueError: other than float32 and float64.
+    """
+    if np.dtype(dtype) not in (np.float32, np.float64):
+        raise ValueError(f"dtype: expected float32 or float64, got {np.dtype(dtype)}")
+    return np.dtype(dtype)
 
 
 def with_gains(law: Law, gains: AnyGains) -> Law:
@@ -166,9 +192,12 @@ def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
     Raises:
         ValueError: not so many on the last axis, or values known now that are not finite or too small.
     """
-    value = value if isinstance(value, jax.Array) else np.asarray(value, float if np.ndim(value) == 0 else None)
+    if not isinstance(value, jax.Array):
+        value = np.asarray(value, float if np.ndim(value) == 0 and not np.iscomplexobj(value) else None)
     if length > 1 and value.ndim and value.shape[-1] not in (1, length):
         raise ValueError(f"{name}: expected a scalar or a last axis of {_NUMBERS[length]}, got shape {value.shape}")
+    if np.iscomplexobj(value):
+        raise ValueError(f"{name}: expected real numbers, got {value.dtype}")
     if isinstance(value, jax.core.Tracer):
         return value
     known = np.asarray(value)

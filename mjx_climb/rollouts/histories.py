@@ -70,7 +70,7 @@ def rollout_histories(
     walkers = given_in(scenario, law, gains, numbers, dtype)
     backend = backend_of(walkers, engine, np.float64)  # no kernel writes histories
     in_pieces = pieces_pay(engine, backend)
-    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, in_pieces=in_pieces)
+    walk = structure(scenario, engine, walkers.numbers, law=law, metrics=metrics, in_pieces=in_pieces)
     compiled = functools.partial(_compiled, in_pieces=walk.in_pieces, backend=backend)
     return walk_batch(compiled, walk, walkers, batch_size=batch_size, progress=progress, backend=backend)
 

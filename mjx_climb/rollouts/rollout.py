@@ -28,7 +28,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import batch_last, batch_shape, flattened, own_axes, varying
 from mjx_climb.quantities.parameters import Parameters, own_numbers
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.rollouts.given import AnyGains, Given, checked, given, recorded
+from mjx_climb.rollouts.given import AnyGains, Given, checked, checked_dtype, given, recorded
 from mjx_climb.rollouts.identity import identity
 from mjx_climb.rollouts.trajectory import Trajectory, from_samples
 from mjx_climb.scenario.model import Scenario
@@ -145,8 +145,8 @@ def simulator(
         ValueError: no control law, or two metrics of one name. The function raises it for gains that the law does not
             have, or cannot have, and for a metric that does not keep its shapes.
     """
-    shape = structure(scenario, engine, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
     law = law_of(scenario) if law is None else checked(law)
+    shape = structure(scenario, engine, law=law, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(law)):
         return _simulate(scenario, law, shape)
     return _simulator(scenario, _ByValue(law), shape)
@@ -175,7 +175,7 @@ def _simulator(scenario: Scenario, law: _ByValue, shape: Structure) -> Callable[
 
 def _simulate(scenario: Scenario, law: Law, shape: Structure) -> Callable[..., Metrics]:
     def simulate(gains: AnyGains | None = None, numbers: Parameters | None = None) -> Metrics:
-        dtype = _floating_dtype(law if gains is None else gains)
+        dtype = checked_dtype(_floating_dtype(law if gains is None else gains))
         array = functools.partial(jnp.asarray, dtype=dtype)
         numbers = own_numbers(scenario) if numbers is None else numbers
         walking, numbers, *_ = given(scenario, law, gains, numbers, array)
@@ -222,7 +222,7 @@ def rollout(
     check_time_step(scenario, numbers=walker.numbers)
     enable_cache()
     with devices.on_host():
-        shape = structure(scenario, engine, walker.numbers, in_pieces=pieces_pay(engine, "cpu"))
+        shape = structure(scenario, engine, walker.numbers, law=law, in_pieces=pieces_pay(engine, "cpu"))
         with jax.enable_x64(np.dtype(dtype) == np.float64):
             samples = _compiled_samples(shape.in_pieces)(shape, walker.law, walker.numbers)
             samples = jax.tree.map(np.asarray, samples)
@@ -241,7 +241,7 @@ def given_in(
     Raises:
         ValueError: as `mjx_climb.rollouts.given.given`.
     """
-    array = functools.partial(np.asarray, dtype=dtype)
+    array = functools.partial(np.asarray, dtype=checked_dtype(dtype))
     with devices.on_host(), jax.enable_x64(True):
         return given(scenario, law, gains, own_numbers(scenario) if numbers is None else numbers, array)
 
@@ -280,14 +280,16 @@ def rollout_metrics(
 
     Raises:
         ConfigError: no such engine, or a time step too long for the scenario's contacts and joints.
-        ValueError: shapes that do not broadcast, or gains that the law does not have, or cannot have.
+        ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, parameters that no
+            scenario could have, no robots, or another precision than float32 and float64.
     """
     check_time_step(scenario)
     walkers = given_in(scenario, law, gains, numbers, dtype)
     backend = backend_of(walkers, engine, dtype)
     in_kernel = backend is None and kernel_pays(engine, dtype)
     in_pieces = pieces_pay(engine, backend)
-    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
+    how: dict[str, Any] = {"metrics": metrics, "smooth": smooth, "in_pieces": in_pieces}
+    walk = structure(scenario, engine, walkers.numbers, law=law, **how)
 
     def program(robots: int) -> Callable[..., Metrics]:
         return _compiled_kernel(robots) if in_kernel else _compiled_metrics(robots, walk.in_pieces, backend)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -68,7 +69,8 @@ def rollout_slopes(
     backend = backend_of(walkers, engine, dtype, slopes_of_each)
     in_kernel = backend is None and kernel_pays(engine, dtype)
     in_pieces = pieces_pay(engine, backend)
-    walk = structure(scenario, engine, walkers.numbers, metrics=metrics, smooth=smooth, in_pieces=in_pieces)
+    how: dict[str, Any] = {"metrics": metrics, "smooth": smooth, "in_pieces": in_pieces}
+    walk = structure(scenario, engine, walkers.numbers, law=law, **how)
 
     def compiled(robots: int) -> Callable[..., Metrics]:
         return _compiled_kernel(robots) if in_kernel else _compiled(robots, walk.in_pieces, backend)

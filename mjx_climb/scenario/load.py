@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mjx_climb.scenario import shipped
-from mjx_climb.scenario.model import PATHS, Scenario, at, overridden, validated
+from mjx_climb.scenario.model import Scenario, at, overridden, paths, validated
 from mjx_climb.scenario.yaml_text import parse, read
 
 
@@ -31,7 +31,7 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] | Mappi
 
 def _beside(data: Any, source: str) -> Any:
     """The data of a file with the relative paths in it as seen from here: they start at the file's folder."""
-    for *sections, key in PATHS:
+    for *sections, key in paths(data):
         values = at(data, sections)
         if isinstance(values, dict) and isinstance(values.get(key), str) and "\0" not in values[key]:
             values[key] = str(Path(source).parent.absolute() / values[key])

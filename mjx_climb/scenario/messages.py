@@ -45,12 +45,12 @@ def _explained(error: ErrorDetails, root: type[BaseModel], source: str, more: in
         case "tuple_type":
             expected = "a list"
         case _:
-            keys = ", ".join(_section(root, where).model_fields)
+            keys = ", ".join(section(root, where).model_fields)
             expected = f"a mapping with keys {keys}" if keys else "a mapping from names"
     return config_error(source, ".".join(map(str, where)), expected, got, more)
 
 
-def _section(root: type[BaseModel], where: Sequence[str | int]) -> type[BaseModel]:
+def section(root: type[BaseModel], where: Sequence[str | int]) -> type[BaseModel]:
     """The model at a place in another."""
     model = root
     for part in where:
@@ -71,7 +71,7 @@ def _model_in(annotation: Any) -> Any:
 
 def _suggestion(root: type[BaseModel], where: Sequence[str | int]) -> str:
     """The nearest key of the same section or, failing that, of another one."""
-    name, beside = str(where[-1]), list(_section(root, where[:-1]).model_fields)
+    name, beside = str(where[-1]), list(section(root, where[:-1]).model_fields)
     if near := difflib.get_close_matches(name, beside, 1):
         return f" (did you mean {near[0]}?)"
     places = list(keys(root))

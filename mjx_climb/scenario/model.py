@@ -28,6 +28,8 @@ from mjx_climb.scenario.values import (
     Name,
     NonNegative,
     Number,
+    Numbers,
+    OwnName,
     Pair,
     Positive,
     Share,
@@ -44,7 +46,6 @@ MIN_LIMBS, MAX_LIMBS = 2, 8
 SHIPPED_LIMBS = ("LF", "LH", "RH", "RF")  # of the robots known by name
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 _ROUNDING = 1e-9
-PATHS = (("robot", "file"), ("ground", "map", "file"))  # keys whose values are paths
 
 AnySection = TypeVar("AnySection", bound=BaseModel)
 
@@ -301,6 +302,36 @@ AnyRobot = Annotated[
 ]
 
 
+class OwnObject(Section):
+    """What a file of the user's defines, and the options that name it as FILE.py:NAME."""
+
+    file: FileName | None = Field(
+        default=None, description="file of Python, beside the config, if relative; null: it was defined in a session"
+    )
+    name: OwnName = Field(description="its name in the file")
+    digest: OwnName | None = Field(default=None, description="SHA-256 of file and imports beside it; null: any will do")
+
+
+class OwnGains(_ByName):
+    """Gains by the names that a law of one's own gives them."""
+
+    __pydantic_extra__: dict[str, Numbers]
+
+
+class OwnLaw(OwnObject):
+    """A control law of one's own, in place of the control section's."""
+
+    gains: OwnGains = Field(default=OwnGains(), description="in place of its own, SI units")
+
+
+class Own(Section):
+    """What walked, or judged the walks, beside what comes with the program."""
+
+    law: OwnLaw | None = Field(default=None, description="control law in place of the control section's")
+    metrics: tuple[OwnObject, ...] = Field(default=(), description="metrics beside the shipped ones")
+    objective: OwnObject | None = Field(default=None, description="objective of a search from Python")
+
+
 class Scenario(Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
@@ -314,6 +345,7 @@ class Scenario(Section):
     control: Control = Field(default=Control(), description="controller and gains")
     disturbance: Disturbance = Field(default=Disturbance(), description="cargo and pushes")
     hardware: Hardware = Field(default=Hardware(), description="sensors, rate, bus and servos; ideal ones by default")
+    own: Own | None = Field(default=None, description="law, metrics and objective of one's own: their files are run")
 
     @model_validator(mode="after")
     def _whole_steps(self) -> Scenario:
@@ -387,7 +419,7 @@ class Scenario(Section):
 
     def to_yaml(self) -> str:
         """The resolved scenario as YAML; loading it gives an equal scenario."""
-        return dump(self.model_dump(mode="json"))
+        return dump({key: value for key, value in self.model_dump(mode="json").items() if key != "own" or value})
 
     @classmethod
     def from_yaml(cls, text: str, source: str = "scenario") -> Scenario:
@@ -397,7 +429,7 @@ class Scenario(Section):
     def with_files(self, change: Callable[[str, str], str]) -> Scenario:
         """A copy with the paths in it changed; `change` is given a dotted key and its path."""
         data = self.model_dump(mode="json")
-        found = {".".join(keys): at(data, keys) for keys in PATHS}
+        found = {".".join(keys): at(data, keys) for keys in paths(data)}
         changed = {key: change(key, file) for key, file in found.items() if file is not None}
         return self.with_overrides(changed)
 
@@ -420,8 +452,19 @@ class Scenario(Section):
 def at(data: Any, keys: Sequence[str]) -> Any:
     """Return the value at some keys of nested mappings, None where there is none."""
     for key in keys:
-        data = data.get(key) if isinstance(data, dict) else None
+        if isinstance(data, list) and key.isdecimal():
+            data = data[int(key)]
+        else:
+            data = data.get(key) if isinstance(data, dict) else None
     return data
+
+
+def paths(data: Any) -> list[tuple[str, ...]]:
+    """Return the keys of a scenario's data whose values are paths."""
+    metrics = at(data, ("own", "metrics"))
+    own = [("metrics", str(n)) for n in range(len(metrics))] if isinstance(metrics, list) else []
+    places = [("law",), ("objective",), *own]
+    return [("robot", "file"), ("ground", "map", "file"), *(("own", *place, "file") for place in places)]
 
 
 def validated(kind: type[AnySection], data: Any, source: str) -> AnySection:

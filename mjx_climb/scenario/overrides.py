@@ -1,6 +1,7 @@
 """Single keys of nested data replaced, by dotted name."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from mjx_climb.scenario.messages import config_error, show
@@ -18,35 +19,49 @@ def override(data: dict[str, Any], overrides: Sequence[str] | Mapping[str, Any],
     Raises:
         ConfigError: an override of another form, or of a place that is not there.
     """
-    try:
-        for key, value in _pairs(overrides, source):
+    with _of_few_levels(source):
+        for key, value in pairs(overrides, source):
             _assign(data, key, value, source)
+
+
+def pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tuple[Any, Any]]:
+    """Return dotted keys and values of overrides, a mapping's keys one by one; arguments and errors as `override`."""
+    with _of_few_levels(source):
+        return [pair for key, value in _given(overrides, source) for pair in _single(key, value, source)]
+
+
+@contextlib.contextmanager
+def _of_few_levels(source: str) -> Iterator[None]:
+    try:
+        yield
     except RecursionError:
         raise config_error(source, "", "overrides of a few levels", "endless nesting") from None
 
 
-def _pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tuple[str, Any]]:
+def _given(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tuple[Any, Any]]:
     if isinstance(overrides, Mapping):
         return list(overrides.items())
-    pairs = []
+    found = []
     for text in [overrides] if isinstance(overrides, str) else overrides:
         key, equals, value = text.partition("=") if isinstance(text, str) else ("", "", "")
         if not (key.strip() and equals and value.strip()):  # an empty value would be a silent null
             raise config_error(source, "", "an override of the form dotted.key=value", show(text))
-        pairs.append((key.strip(), parse(value, source, key.strip())))
-    return pairs
+        found.append((key.strip(), parse(value, source, key.strip())))
+    return found
+
+
+def _single(key: Any, value: Any, source: str) -> list[tuple[Any, Any]]:
+    if not isinstance(value, Mapping):
+        return [(key, value)]
+    if not value:
+        raise config_error(source, key, "a mapping with at least one key", "{}")
+    return [pair for name, inner in value.items() for pair in _single(f"{key}.{name}", inner, source)]
 
 
 def _assign(data: dict[str, Any], key: Any, value: Any, source: str) -> None:
-    """Set `key` (dotted) of the nested mapping `data` to `value`; a mapping sets the keys that it names."""
+    """Set `key` (dotted) of the nested mapping `data` to `value`."""
     if not isinstance(key, str) or not all(key.split(".")):
         raise config_error(source, "", "an override of the form dotted.key=value", show(key))
-    if isinstance(value, Mapping):
-        if not value:
-            raise config_error(source, key, "a mapping with at least one key", "{}")
-        for name, inner in value.items():
-            _assign(data, f"{key}.{name}", inner, source)
-        return
     parts = key.split(".")
     target: Any = data
     for level, part in enumerate(parts):

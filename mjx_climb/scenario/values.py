@@ -60,6 +60,8 @@ Height = Annotated[Finite, Field(gt=0, le=MAX_LENGTH), _expects(f"a number above
 Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")]
 Name = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the name of a robot")]
 Word = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name in the robot's file")]
+OwnName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name of Python's")]
+Numbers = Annotated[Finite | tuple[Finite, ...], _expects("a finite number, or a list of them")]
 FileName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the path of a file")]
 Heights = Annotated[
     tuple[Finite, ...], Field(min_length=1), _expects("a list of one finite number or more, foothold after foothold")

@@ -10,7 +10,9 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.checks.stance import check_stance
-from mjx_climb.control import Law, Reference, Start, running
+from mjx_climb.compilation.contents import Unidentifiable, identity
+from mjx_climb.compilation.forked import check_process
+from mjx_climb.control import LAWS, Law, Reference, Start, running
 from mjx_climb.dynamics import ENGINES, ForwardDynamics, checked_engine
 from mjx_climb.dynamics.kinematics import (
     base_wrench_of_foot_force,
@@ -48,6 +50,7 @@ class Structure(NamedTuple):
     smooth: bool = False  # no gripper is torn off
     stages: Stages = IDEAL  # of hardware between law and joints
     in_pieces: bool = False  # steps are compiled in pieces, see `mjx_climb.compilation.cpu_pieces`
+    own_code: str = ""  # digest of a law and of metrics of the user's own
 
 
 class Walk(NamedTuple):
@@ -80,6 +83,7 @@ def structure(
     engine: str,
     numbers: Parameters | None = None,
     *,
+    law: Law | None = None,
     metrics: Iterable[Metric] = METRICS,
     smooth: bool = False,
     in_pieces: bool = False,
@@ -90,8 +94,10 @@ def structure(
 
     Raises:
         ConfigError: no such engine, or a rest stance that is singular.
+        RuntimeError: a process that was forked from one in which JAX had begun.
         ValueError: two metrics of one name.
     """
+    check_process()
     check_stance(scenario)
     numbers = own_numbers(scenario) if numbers is None else numbers
     table = MetricTable(metrics)
@@ -107,7 +113,21 @@ def structure(
         smooth=smooth,
         stages=stages,
         in_pieces=in_pieces,
+        own_code=_own_code(law, table),
     )
+
+
+def _own_code(law: Law | None, metrics: MetricTable) -> str:
+    """Return a digest of law and metrics that are not shipped: a global that they read may have changed since a trace.
+
+    Empty without any, and where contents do not tell.
+    """
+    own: list[Any] = [metric for metric in metrics if metric not in METRICS]
+    own += [] if law is None or type(law) in LAWS.values() else [type(law)]
+    try:
+        return identity(own) if own else ""
+    except Unidentifiable:
+        return ""
 
 
 def prepare(structure: Structure, law: Law, numbers: Parameters, batch: int) -> Walk:

@@ -4,6 +4,7 @@ import dataclasses
 import importlib.util
 import re
 import statistics
+import sys
 import time
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance, law_of
 from mjx_climb.files.dataset import OutputError
+from mjx_climb.walk.metrics import total
 from tuning.gains import gains_file, law_file
 from tuning.searches import grid
 from tuning.tune import tune
@@ -243,3 +245,31 @@ def test_as_fast_as_the_shipped_law(scenario, law):
             mc.rollout_metrics(long, gains, law=which)
             taken += [time.perf_counter() - begin] if number else []  # the first one compiles
     assert statistics.median(seconds[None]) / statistics.median(seconds[law]) > 0.8
+
+
+SHARE = 1.0  # read by the law and the metric below
+
+
+class ReadsAGlobal(VirtualModelAdmittance):
+    def step(self, state, measurement, reference):
+        return super().step(state, measurement._replace(wrench=SHARE * measurement.wrench), reference)
+
+
+WAY = (*mc.METRICS, total("way", "m", "way", lambda s, _: SHARE * jnp.ones_like(s.base_position[0])))
+
+
+@pytest.mark.parametrize("own", [{"law": ReadsAGlobal(damping=1e2)}, {"metrics": WAY}], ids=["law", "metric"])
+def test_another_value_of_a_global_is_another_program(scenario, monkeypatch, own):
+    before = mc.simulator(scenario, **own)
+    assert mc.simulator(scenario, **own) is before
+    monkeypatch.setattr(sys.modules[__name__], "SHARE", 0.0)
+    assert mc.simulator(scenario, **own) is not before
+
+
+@pytest.mark.slow
+def test_a_walk_reads_the_global_as_it_is(case, monkeypatch):
+    short = case("case_1_2", "virtual_model", {**dict(SHORT), "duration": 0.02, "disturbance.cargo.start": 0.0})
+    law = ReadsAGlobal(damping=1e2, stiffness=3e3)
+    assert np.abs(mc.rollout(short, law=law).base_displacement).max() > 1e-9
+    monkeypatch.setattr(sys.modules[__name__], "SHARE", 0.0)
+    assert np.abs(mc.rollout(short, law=law).base_displacement).max() == 0.0

@@ -9,6 +9,9 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.quantities.ground import check_reach, foothold_heights, footholds
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot.proposal import propose
+from tests.robot import climbers
 
 STEPS = {"LF": [0.0, 0.02], "LH": [0.01, -0.01], "RH": [0.0, 0.015, 0.03], "RF": [-0.01]}
 CALM = {"duration": 3.2, "gait.cycle": 1.6, "gait.stride": 0.02, "time_step": 0.001}
@@ -183,3 +186,22 @@ def test_a_map_beside_its_config(maps, tmp_path, monkeypatch):
     (tmp_path / "walk.yaml").write_text(json.dumps(text))
     monkeypatch.chdir("/")
     assert foothold_heights(mc.load_scenario(tmp_path / "walk.yaml")).any()
+
+
+def test_a_stride_out_of_reach_is_refused_with_the_longest_one():
+    scenario = mc.load_scenario("case_1_2")
+    for stride in (0.4, 100.0):
+        with pytest.raises(mc.ConfigError, match=r"^walk: gait\.stride: expected at most 0\.13 m, .* got ") as error:
+            check_reach(scenario.with_overrides({"gait.stride": stride}), "walk")
+        assert "\n" not in str(error.value)
+    check_reach(scenario.with_overrides({"gait.stride": 0.13}))
+    with pytest.raises(mc.ConfigError, match=r"gait\.stride"):
+        check_reach(scenario.with_overrides({"gait.stride": 0.14}))
+
+
+def test_limbs_that_cannot_follow_a_base_are_not_asked_to(tmp_path):
+    """Of two joints each: the base stays where it is, whatever the stride."""
+    (tmp_path / "robot.xml").write_text(climbers.mjcf(4, 2))
+    scenario = mc.Scenario.model_validate(propose(tmp_path / "robot.xml").sections)
+    assert load_robot(scenario.robot).joints == 2 and scenario.gait.stride > 0
+    check_reach(scenario)

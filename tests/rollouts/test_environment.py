@@ -189,3 +189,32 @@ def test_stepping_by_hand_is_half_as_fast_as_a_rollout(case):
     theirs = seconds(lambda: jax.block_until_ready(simulate(gains, numbers)))
     print(f"by hand {robots * scenario.steps / mine:.3g} steps/s, a rollout {robots * scenario.steps / theirs:.3g}")
     assert theirs > 0.5 * mine
+
+
+def test_gains_change_in_mid_walk(env, walked):
+    """From then on it walks as a robot that began with them and was brought to this state; what is not given stays."""
+    first = {"stiffness": 1e3, "kp": 40.0}
+    state, _ = walked(env.reset(gains=first))
+    state = dataclasses.replace(state, step=0 * state.step)
+    begun = env.reset(gains={"stiffness": 1e3, "damping": 50.0, "kp": 60.0})
+    expected = walked(dataclasses.replace(begun, carry=state.carry))[1]
+    after, sample = env.step(state, gains={"damping": 50.0, "kp": 60.0})
+    np.testing.assert_array_equal(sample.joint_torque, expected.joint_torque[0])
+    np.testing.assert_array_equal(env.step(after)[1].joint_torque, expected.joint_torque[1])
+    assert np.abs(walked(state)[1].joint_torque[0] - sample.joint_torque).max() > 1e-3
+    np.testing.assert_array_equal(after.law.damping, [50.0] * 6)
+    assert after.law.stiffness[0] == 1e3 and after.parameters.kp == 60.0
+    with pytest.raises(ValueError, match=r"^gains: expected batch axes that broadcast to the state's \(\), got \(2,\)"):
+        env.step(state, gains={"kp": np.ones(2)})
+
+
+@pytest.mark.slow
+def test_gains_change_under_scan_and_of_some_robots(env):
+    state = env.reset(batch=(2,))
+    gains = {"stiffness": jnp.array([[1e3], [1e5]]) * jnp.ones((3, 1, 1))}
+    _, together = jax.jit(lambda s: jax.lax.scan(lambda s, g: env.step(s, None, g), s, gains))(state)
+    for row, stiffness in enumerate((1e3, 1e5)):
+        one = env.reset(gains={"stiffness": stiffness})
+        for count in range(3):
+            one, sample = env.step(one)
+            np.testing.assert_allclose(together.joint_torque[count, row], sample.joint_torque, rtol=0, atol=1e-9)

@@ -1,6 +1,8 @@
 """Metrics as objects: the shipped ones and a user's own, in every kind of walk, up to where the state is finite."""
 
+import copy
 import dataclasses
+import pickle
 
 import jax
 import jax.numpy as jnp
@@ -144,6 +146,9 @@ def test_a_table_is_immutable_and_known_by_names():
     assert mc.METRICS["travel"] is mc.METRICS[5] and mc.METRICS["travel"].unit == "m"
     assert OWN[-2:].names == ("impulse", "weight") and OWN != mc.METRICS and len(OWN) == len(mc.METRICS) + 5
     assert hash(mc.METRICS + (SPEED,)) == hash(mc.METRICS + [SPEED])  # noqa: RUF005
+    again = pickle.loads(pickle.dumps(mc.METRICS.with_companions))
+    assert all(one is other for one, other in zip(again, mc.METRICS.with_companions, strict=True))
+    assert copy.deepcopy(mc.METRICS) == mc.METRICS
     with pytest.raises(KeyError, match="metric speed: expected one of peak_foot_force, "):
         mc.METRICS["speed"]
 

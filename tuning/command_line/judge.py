@@ -72,8 +72,7 @@ def judge(
         from tuning.searches import finished_parts, shards
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes, hardware)
-        user_law, table = options.own_law(law), options.metrics_from(metric)
+        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
         if user_law is None and scenario.control.controller == "pd":
             raise InputError("--controller: expected a law whose gains are judged, got pd, which walks beside them")
         rivals = judged.rivals(scenario, _named(gains, user_law), user_law)
@@ -107,7 +106,7 @@ def judge(
                 if json:
                     print(dumps({"shard": one.number, "of": one.count, "members": len(rows)}), file=stdout)
                 return
-            found = judged.Judged(draw.dataset(arrays), scenario, drawn, table)
+            found = judged.Judged(draw.dataset(arrays), scenario, drawn, table, user_law)
             again = "the same command, with config.yaml and --ensemble ensemble.yaml"
             verdict = found.write(out, origin=options.origin(config.stem, again), figures=formats, stage=meter.stage)
         print_verdict(found, verdict, console if json else report.console(file=stdout))

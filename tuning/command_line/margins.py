@@ -52,16 +52,14 @@ def margins(
     with options.reserved_stdout() as stdout:
         options.start_devices()
         from mjx_climb.control import PD
-        from mjx_climb.files import dataset, scenario_files
         from tuning.command_line import progress, report
-        from tuning.gains import gains_file, law_file
+        from tuning.gains import gains_file
         from tuning.judged import linear_margins
         from tuning.judged import margins as judged
         from tuning.output import margins as output
-        from tuning.output.folder import check_own
+        from tuning.output.folder import check_own, write_config
 
-        scenario = options.scenario_from(config, controller, changes, hardware)
-        own = None if law is None else law_file.load(law)
+        scenario, own, _ = options.asked(config, controller, changes, hardware, law)
         given = {} if gains is None else gains_file.load(gains, own)
         others = {} if gains is None or own is not None else {"config": judged.Walker(None, {})}
         if retuned_pd is not None:
@@ -70,8 +68,7 @@ def margins(
         formats = options.figures_from(figures)
         out = out or Path("results") / f"{config.stem}-margins"
         check_own(out, "margins.json")
-        scenario = scenario_files.copied(scenario, out)
-        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
+        scenario = write_config(scenario, out, own)
 
         console = report.console(stderr=True)
         progress.opening(console, scenario)

@@ -27,7 +27,8 @@ def merge(
 
     On CPUs sweep.nc and judged.nc are the same files, bit for bit. What stands beside a grid walks here: best, config's
     own and pd. Shards of different settings, files or versions are refused; of one that died it is said which walks are
-    missing and which command finishes it. The shards stay as they are. A law or metrics of one's own are given again.
+    missing and which command finishes it. The shards stay as they are. Of a law or metrics of one's
+    own the files are run that the shards took along, unless they are given again.
 
     \b
     Examples:

@@ -4,7 +4,7 @@ import contextlib
 import re
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
@@ -145,7 +145,10 @@ def figures_from(text: str) -> tuple[str, ...]:
 
 
 def scenario_from(
-    config: Path, controller: str | None, changes: list[str] | None, hardware: str | None = None
+    config: Path,
+    controller: str | None,
+    changes: "list[str] | Mapping[str, Any] | None",
+    hardware: str | None = None,
 ) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     import mjx_climb as mc
@@ -168,6 +171,56 @@ def scenario_from(
     check_time_step(scenario, str(config))
     check_reach(scenario, str(config))
     return scenario
+
+
+def asked(
+    config: Path,
+    controller: str | None,
+    changes: list[str] | None,
+    hardware: str | None,
+    law: str | None,
+    metrics: list[str] | None = None,
+) -> "tuple[mc.Scenario, mc.Law | None, mc.MetricTable]":
+    """Return the scenario of `scenario_from`, law (None: the scenario's) and metrics, from options or the config.
+
+    A change of `control.NAME`, a gain of a law of one's own, is the law's.
+
+    Raises:
+        ConfigError: no such law or metric, or one whose file is gone or has changed.
+        InputError: a change that a law of one's own cannot take.
+    """
+    import mjx_climb as mc
+    from mjx_climb.scenario.overrides import pairs
+    from tuning.gains.own_section import taken, without
+
+    source, user_law, table = str(shipped.found(config)), own_law(law), metrics_from(metrics)
+    given = dict(pairs(changes or (), source))
+    if law is not None and controller is not None:
+        raise InputError(f"--controller: expected none with --law, got {controller}")
+    if controller is not None:
+        given["own.law"] = None
+    named = mc.load_scenario(source, {key: value for key, value in given.items() if key.split(".")[0] == "own"})
+    _, user_law, table = taken(named, user_law, table, source)
+    if user_law is not None:
+        given, user_law = _taken_by(user_law, given)
+    scenario = scenario_from(Path(source), controller, given, hardware)
+    return without(scenario), user_law, table
+
+
+def _taken_by(law: "mc.Law", changes: dict[str, Any]) -> "tuple[dict[str, Any], mc.Law]":
+    """Return the changes that are not of a law of one's own, and the law with the others."""
+    from tuning.gains.own_section import of_one
+
+    own = {key: value for key, value in changes.items() if key.startswith("control.") and key[8:] in law.GAINS}
+    rest = {key: value for key, value in changes.items() if key not in own}
+    for key in rest:
+        if key.split(".")[0] == "control" and key not in ("control.kp", "control.kd"):
+            expected = ", ".join([*law.GAINS, "kp", "kd"])
+            raise InputError(f"--set {key}: expected one of {expected} in control, which {type(law).__name__} reads")
+    try:
+        return rest, of_one(law, {key[8:]: value for key, value in own.items()}) if own else law
+    except (TypeError, ValueError) as error:
+        raise InputError(f"--set {', '.join(own)}: {error}") from None
 
 
 def own_law(text: str | None) -> "mc.Law | None":
@@ -203,16 +256,17 @@ def gains_from(file: Path | None, law: "mc.Law | None") -> "mc.Gains | dict[str,
     return None if file is None else gains_file.load(file, law)
 
 
-def law_from(text: str | None, gains: Path | None, scenario: "mc.Scenario") -> "tuple[mc.Law | None, mc.Scenario]":
-    """Return the law of `--law`, None without one, and the scenario, both with the values of a gains file.
+def with_gains(
+    law: "mc.Law | None", gains: Path | None, scenario: "mc.Scenario"
+) -> "tuple[mc.Law | None, mc.Scenario]":
+    """Return a law of one's own, None without one, and the scenario, both with the values of a gains file.
 
     Raises:
-        ConfigError: no such law, the gains of another one, or joint gains too stiff for the time step.
+        ConfigError: the gains of another law, or joint gains too stiff for the time step.
     """
     from mjx_climb.checks.time_step import check_time_step
     from tuning.gains import gains_file
 
-    law = own_law(text)
     values = gains_from(gains, law)
     if values is None:
         return law, scenario
@@ -305,11 +359,6 @@ def engine_from(name: str | None) -> str:
     if name is not None and name not in ENGINES:
         raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {name!r}")
     return name or DEFAULT_ENGINE
-
-
-def own_options(law: str | None, metrics: list[str] | None) -> str:
-    """Return the options that choose a law and metrics of one's own, with a space before each; empty without any."""
-    return ("" if law is None else f" --law {law}") + "".join(f" --metric {text}" for text in metrics or ())
 
 
 def engine_option(engine: str) -> str:

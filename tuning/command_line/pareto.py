@@ -62,10 +62,8 @@ def pareto(
         from tuning.searches import pareto as fronts
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes, hardware)
-        user_law = options.own_law(law)
+        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
         engine, formats = options.engine_from(engine), options.figures_from(figures)
-        table = options.metrics_from(metric)
         wanted = options.search_from(search, space, scenario, config, user_law, table)
         for option, name in (("--better", better), ("--against", against)):
             settings.check_metrics(settings.make({"weights": {name: 1.0}}), table, option)
@@ -84,7 +82,7 @@ def pareto(
             with meter.stage("front", unit="rounds") as show:
                 front = output.Front(fronts.run(asked, points, out=out, progress=kept.phases(show)), asked)
             again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
-            again += f"--points {points}{options.own_options(law, metric)}{options.engine_option(engine)} --out again"
+            again += f"--points {points}{options.engine_option(engine)} --out again"
             front.write(out, origin=options.origin(config.stem, again), figures=formats, stage=meter.stage)
 
         tables = console if json else report.console(file=stdout)

@@ -58,23 +58,22 @@ def run(
         from mjx_climb.robot.constants import load_robot
         from mjx_climb.rollouts.remedies import remedies
         from tuning.command_line import interruption, progress, report
-        from tuning.output.folder import check_own
+        from tuning.output.folder import check_own, write_config
         from tuning.report import remarks
         from tuning.report.comparison import gains_of
 
-        scenario = options.scenario_from(config, controller, changes, hardware)
-        own, scenario = options.law_from(law, gains, scenario)
+        scenario, own, table = options.asked(config, controller, changes, hardware, law, metric)
+        own, scenario = options.with_gains(own, gains, scenario)
         name = options.law_name(own, scenario)
-        engine, table = options.engine_from(engine), options.metrics_from(metric)
+        engine = options.engine_from(engine)
         formats = options.figures_from(figures)
         load_robot(scenario.robot)
         pictures = render_options.pictures_from(video, snapshots, at, size, view, scenario)
         baseline = render_options.compared(scenario, compare)
         out = out or Path("results") / f"{config.stem}-{name}"
         check_own(out, "trajectory.nc")
-        scenario = scenario_files.copied(scenario, out)
+        scenario = write_config(scenario, out, own, table)
         baseline = None if baseline is None else scenario_files.copied(baseline, out)
-        dataset.write_text_atomically(out / "config.yaml", scenario_files.portable_yaml(scenario, out))
 
         console = report.console(stderr=True)
         progress.opening(console, scenario)

@@ -68,10 +68,8 @@ def schedule(
         from tuning.searches import schedule as schedules
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes, hardware)
-        user_law = options.own_law(law)
+        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
         engine, formats = options.engine_from(engine), options.figures_from(figures)
-        table = options.metrics_from(metric)
         wanted = options.search_from(search, space, scenario, config, user_law, table)
         levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
         loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)

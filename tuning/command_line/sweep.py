@@ -102,10 +102,8 @@ def sweep(
         from tuning.searches import grid, shards
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes, hardware)
-        user_law = options.own_law(law)
+        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
         values = options.gains_from(gains, user_law)
-        table = options.metrics_from(metric)
         engine = options.engine_from(engine)
         formats = options.figures_from(figures)
         if user_law is None and scenario.control.controller == "pd":
@@ -118,8 +116,7 @@ def sweep(
         check_own(out, "sweep.nc")
         walked, walking = (scenario, user_law) if values is None else replaced(scenario, user_law, values)
         how: dict[str, Any] = {"batch_size": batch_size, "engine": engine, "metrics": table}
-        again = _again(stiffness, damping, axis, batch_size) + options.own_options(law, metric)
-        again += " --gains gains.yaml" if law and gains else ""
+        again = _again(stiffness, damping, axis, batch_size)
         again += f"{options.engine_option(engine)} --out again"
         one = None if part is None else shards.made(*part)
         there = grid.claim(walked, axes=axes, law=walking, out=out, shard=one, **how)
@@ -136,7 +133,7 @@ def sweep(
             told = {"again": options.typed_but("--shard", shards.SHARD), "name": config.stem, "repeat": again}
             from tuning.output import swept
 
-            swept.keep_beside(one, out, scenario, user_law, values, told)
+            swept.keep_beside(one, out, scenario, user_law, values, table, told)
             with kept_in(one.folder(out), f"of {here} walks", there) as kept, meter.stage("grid") as show:
                 grid.sweep_shard(walked, one, out=out, axes=axes, law=walking, progress=kept.told(show), **how)
             text = f"{one.folder(out)} is whole; once all {one.count} are: mjx-climb merge {shlex.quote(str(out))}"

@@ -157,8 +157,8 @@ def tune(
         from tuning.searches import tune as searches
 
         begin = time.perf_counter()
-        scenario = options.scenario_from(config, controller, changes, hardware)
-        user_law, scenario = options.law_from(law, gains, scenario)
+        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
+        user_law, scenario = options.with_gains(user_law, gains, scenario)
         engine, formats = options.engine_from(engine), options.figures_from(figures)
         for option, value in (("--members", members), ("--judges", judges)):
             if value is not None and ensemble is None:
@@ -167,7 +167,6 @@ def tune(
         drawn = None if ensemble is None else ensembles.load(shipped.found(ensemble), **changed)
         if drawn is not None and weight is None and search is None:
             given["weights"] = robust_search.ROBUST_WEIGHTS
-        table = options.metrics_from(metric)
         wanted = _settings(search, given, table)
         if drawn is not None:
             wanted = robust_search.settled(wanted, {}, drawn)
@@ -204,7 +203,7 @@ def tune(
             again = "mjx-climb tune config.yaml --search search.yaml" + (
                 "" if drawn is None else " --ensemble ensemble.yaml"
             )
-            again += f"{options.own_options(law, metric)} --out again{options.engine_option(engine)}"
+            again += f" --out again{options.engine_option(engine)}"
             origin = options.origin(config.stem, again)
             result = _writable(found, problem, beside, drawn, judges)
             if found.interrupted:

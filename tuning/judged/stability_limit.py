@@ -93,7 +93,7 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
     law, calm, shape, _ = given_in(scenario, law, gains, calm, np.float64)
     trees, axes, count = (law, calm), (own_axes(law), own_axes(calm)), math.prod(shape)
     flat = flattened(trees, axes, shape)
-    walk = structure(scenario, engine, calm, smooth=True, in_pieces=mc.pieces_pay(engine, "cpu"))
+    walk = structure(scenario, engine, calm, law=law, smooth=True, in_pieces=mc.pieces_pay(engine, "cpu"))
     walk = walk._replace(stages=_linear(walk.stages))
     steps = np.ones(count, int)
     if walk.stages.control_period:

@@ -1,12 +1,15 @@
 """What every result leaves in its folder: the scenario, with copies of the files that it names."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset, scenario_files
+from tuning.gains.own_section import section
 from tuning.report.page import Origin
 from tuning.searches import finished_parts
 
@@ -33,15 +36,24 @@ def check_own(folder: Path, result: str) -> None:
         )
 
 
-def write_config(scenario: mc.Scenario, folder: Path) -> mc.Scenario:
+def write_config(
+    scenario: mc.Scenario,
+    folder: Path,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = (),
+    objective: Any = None,
+) -> mc.Scenario:
     """Write config.yaml, and return the scenario with the files that it names copied to the folder.
+
+    `law`, `metrics` and `objective` are the user's own, where there are any: config.yaml names them.
 
     Raises:
         OutputError: a file cannot be written.
     """
-    scenario = scenario_files.copied(scenario, folder)
-    dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(scenario, folder))
-    return scenario
+    own = section(law, metrics, objective)
+    written = scenario_files.copied(scenario if own is None else scenario.with_overrides({"own": own}), folder)
+    dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(written, folder))
+    return written if own is None else written.with_overrides({"own": None})
 
 
 def made_from(data: xr.Dataset, scenario: mc.Scenario) -> xr.Dataset:
@@ -49,10 +61,10 @@ def made_from(data: xr.Dataset, scenario: mc.Scenario) -> xr.Dataset:
     return data.assign_attrs(scenario=scenario.to_yaml())
 
 
-def complete(origin: Origin | None, call: str, again: str, scenario: mc.Scenario, folder: Path) -> Origin:
-    """Return where a report comes from, with the scenario in full; where None, it was made in Python by `call`."""
+def complete(origin: Origin | None, call: str, again: str, folder: Path) -> Origin:
+    """Return where a report comes from, with the folder's config.yaml; where None, it was made in Python by `call`."""
     origin = origin or Origin("the scenario", call, again)
-    return origin._replace(config=without_folders(scenario_files.portable_yaml(scenario, folder)))
+    return origin._replace(config=without_folders((folder / "config.yaml").read_text(encoding="utf-8")))
 
 
 def without_folders(text: str) -> str:

@@ -13,13 +13,14 @@ from mjx_climb.files import dataset
 from tuning.gains import gains_file
 from tuning.output.folder import check_own, made_from, write_config
 from tuning.output.stages import Stage
+from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.searches.result import Result
 
 Found = TypeVar("Found", bound=Result)
 
 
-def write_asked(scenario: mc.Scenario, search: Search, folder: Path, result: str) -> mc.Scenario:
+def write_asked(problem: Problem, search: Search, folder: Path, result: str) -> mc.Scenario:
     """Write what was asked, config.yaml and search.yaml; return the scenario as `write_config` does.
 
     `result` is the file by which the search's folder is known, see `tuning.output.folder.check_own`.
@@ -28,19 +29,19 @@ def write_asked(scenario: mc.Scenario, search: Search, folder: Path, result: str
         OutputError: a file cannot be written.
     """
     check_own(folder, result)
-    written = write_config(scenario, folder)
+    written = write_config(problem.scenario, folder, problem.law, problem.metrics, problem.judge)
     dataset.write_text_atomically(folder / "search.yaml", search.to_yaml())
     return written
 
 
-def write_gains(found: Found, folder: Path, comment: str, law: mc.Law | None) -> Found:
+def write_gains(found: Found, folder: Path, comment: str, problem: Problem) -> Found:
     """Write what was asked, the gains that were found and all that was judged, without walking anything.
 
     Arguments:
         found: the result.
         folder: where to.
         comment: in the file of the gains.
-        law: the user's own, if any.
+        problem: what was searched.
 
     Returns:
         The result, of the scenario with the files that it names copied to the folder.
@@ -48,9 +49,9 @@ def write_gains(found: Found, folder: Path, comment: str, law: mc.Law | None) ->
     Raises:
         OutputError: a file cannot be written.
     """
-    scenario = write_asked(found.scenario, found.search, folder, "search.nc")
+    scenario = write_asked(problem, found.search, folder, "search.nc")
     written = dataclasses.replace(found, scenario=scenario, history=made_from(found.history, scenario))
-    gains_file.save(found.gains, folder / "gains.yaml", comment, law)
+    gains_file.save(found.gains, folder / "gains.yaml", comment, problem.law)
     written.save(folder / "search.nc")
     return written
 

@@ -13,6 +13,7 @@ from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import gains as gains_of
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
+from tuning.gains.own_section import taken
 from tuning.output.folder import check_own, complete, made_from, write_config
 from tuning.output.found import draw
 from tuning.output.stages import Stage, silent
@@ -45,6 +46,7 @@ class Judged:
     scenario: mc.Scenario
     ensemble: Ensemble  # as its user gave it, with so many members
     metrics: mc.MetricTable = mc.METRICS
+    law: mc.Law | None = None  # whose gains they are, where it is not the scenario's
 
     def write(
         self,
@@ -67,13 +69,13 @@ class Judged:
         failed = ", ".join(f"{name} {share:.0%}" for name, share in lost)
         sentence = f"{self.ensemble.members} walks each; would lose a gripper, or diverge: {failed}"
         verdict = Verdict(summed, sentence, to_json(_plain(summed, self.metrics)))
-        scenario = write_config(self.scenario, folder)
+        scenario = write_config(self.scenario, folder, self.law, self.metrics)
         dataset.write_text_atomically(folder / "ensemble.yaml", self.ensemble.to_yaml())
         dataset.save(made_from(self.walks, scenario), folder / "judged.nc")
         dataset.write_text_atomically(folder / "summary.json", verdict.summary + "\n")
         draw({"judged": lambda: ensemble_pictures.plot_judged(self.walks)}, folder, {"png", *figures}, stage)
         with stage("report", compiles=False):
-            origin = complete(origin, "tuning.judge(...)", "tuning.judge(...)", scenario, folder)
+            origin = complete(origin, "tuning.judge(...)", "tuning.judge(...)", folder)
             shown = page.Page(
                 title=f"Gains judged on walks of {origin.name}", origin=origin, verdict=f"{sentence}.", notes=[],
                 scenario=scenario, explorers=[], tables=[pages.judged_table(summed, self.metrics)],
@@ -115,7 +117,7 @@ def keep_beside(
 ) -> None:
     """Leave in the folder of a shard what `merged` needs beside its walks; see `tuning.output.swept.keep_beside`."""
     folder = shard.folder(out)
-    write_config(draw.scenario, folder)
+    write_config(draw.scenario, folder, draw.law, draw.metrics)
     dataset.write_text_atomically(folder / "ensemble.yaml", ensemble.to_yaml())
     for number, own in enumerate(draw.gains.values()):
         gains_file.save(own, folder / f"gains-{number}.yaml", "judged in this folder", draw.law)
@@ -129,12 +131,12 @@ def merged(found: Sequence[shards.Kept], law: mc.Law | None, metrics: mc.MetricT
         ConfigError: shards of another law, other metrics or versions, or not all of them.
     """
     folder, told = found[0].folder, found[0].identity
-    scenario = mc.load_scenario(folder / "config.yaml")
+    scenario, law, metrics = taken(mc.load_scenario(folder / "config.yaml"), law, metrics, f"{folder}/config.yaml")
     files = [folder / f"gains-{number}.yaml" for number in range(len(told["gains"]))]
     gains: dict[str, Any] = dict(zip(told["gains"], (gains_file.load(file, law) for file in files), strict=True))
     ensemble = ensembles.load(folder / "ensemble.yaml")
     draw = draw_of(scenario, gains, ensemble, law, metrics, told["engine"])
-    return Judged(draw.dataset(shards.joined(draw, found)), scenario, ensemble, metrics)
+    return Judged(draw.dataset(shards.joined(draw, found)), scenario, ensemble, metrics, law)
 
 
 def _plain(summed: xr.Dataset, metrics: mc.MetricTable) -> dict[str, Any]:

@@ -94,11 +94,11 @@ class Front:
             OutputError: a file cannot be written.
         """
         folder, (problem, search, better, against) = Path(folder), self.trade
-        scenario = write_asked(problem.scenario, search, folder, "front.nc")
+        scenario = write_asked(problem, search, folder, "front.nc")
         dataset.save(made_from(self.data, scenario), folder / "front.nc")
         dataset.write_text_atomically(folder / "summary.json", self.summary + "\n")
         again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} --out again"
-        origin = complete(origin, "tuning.pareto(...)", again, scenario, folder)
+        origin = complete(origin, "tuning.pareto(...)", again, folder)
         comment = f"mjx-climb pareto {origin.name}: {better} against {against}, the knee of the front"
         gains_file.save(self.gains, folder / "gains.yaml", comment, problem.law)
         draw({"front": lambda: ensemble_pictures.plot_front(self.data)}, folder, {"png", *figures}, stage)

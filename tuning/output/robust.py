@@ -75,7 +75,7 @@ class Robust(Result):
         folder = Path(folder)
         found = self.write_found(folder, "from Python" if origin is None else origin.name)
         again = "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again"
-        origin = complete(origin, "tuning.robust(...)", again, found.scenario, folder)
+        origin = complete(origin, "tuning.robust(...)", again, folder)
         judged = judge(found, stage, out=folder)
         dataset.save(judged.walks, folder / "judged.nc")
         dataset.write_text_atomically(folder / "summary.json", judged.summary + "\n")
@@ -96,7 +96,7 @@ class Robust(Result):
         dataset.write_text_atomically(folder / "ensemble.yaml", ensemble.to_yaml())
         comment = f"{search.method}, {search.space}, {ensemble.members} members, objective {self.value:.4f} (pd: 1)"
         comment = f"mjx-climb tune {name} --ensemble: {comment}"
-        return write_gains(self, folder, comment, self.problem.law)
+        return write_gains(self, folder, comment, self.problem)
 
 
 def judge(found: Robust, stage: Stage = silent, *, out: Path | None = None) -> Judged:

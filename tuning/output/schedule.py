@@ -41,7 +41,7 @@ class Scheduled:
             OutputError: a file cannot be written.
         """
         folder = Path(folder)
-        scenario = write_asked(self.points.problem.scenario, self.points.search, folder, "schedule.nc")
+        scenario = write_asked(self.points.problem, self.points.search, folder, "schedule.nc")
         dataset.save(made_from(self.data, scenario), folder / "schedule.nc")
         dataset.write_text_atomically(folder / "schedule.csv", schedule.to_csv(self.data))
         dataset.write_text_atomically(folder / "schedule.yaml", schedule.to_yaml(self.data))

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from mjx_climb.files import dataset, scenario_files
 from mjx_climb.rollouts.given import AnyGains
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
+from tuning.gains.own_section import taken
 from tuning.judged import stability_limit
 from tuning.output.ahead import ahead, to_nobody
 from tuning.output.beside import GIVEN, Beside, beside, one_walk
@@ -84,14 +85,13 @@ class Swept:
         """
         folder = Path(folder)
         check_own(folder, "sweep.nc")
-        walked = write_config(self.walker()[0], folder)
+        walked, law = self.walker()
+        walked = write_config(walked, folder, law, self.metrics)
         own = scenario_files.copied(self.scenario, folder)
         found = dataclasses.replace(self, scenario=own, data=made_from(self.data, walked))
         judged = judge(found, stage, compared)
         dataset.save(judged.data, folder / "sweep.nc")
         dataset.write_text_atomically(folder / "comparison.json", judged.summary + "\n")
-        if found.law is not None and found.gains is not None:  # config.yaml has no place for them
-            gains_file.save(found.gains, folder / OWN_GAINS, "of the sweep in this folder", found.law)
         with ahead() as begin:
             many = judged.data["diverged"].size > grid.HISTORIES
             walking = begin(lambda _: _histories(found, judged) if many else judged.data)
@@ -100,7 +100,7 @@ class Swept:
                 histories = walking(to_nobody)
         with stage("report", compiles=False):
             again = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {_listed(self.data)}).write("again")'
-            origin = complete(origin, "tuning.sweep(...)", again, walked, folder)
+            origin = complete(origin, "tuning.sweep(...)", again, folder)
             page.write(_page(found, judged, histories, origin, folder), folder)
         finished_parts.clear(folder)
         return judged
@@ -112,20 +112,26 @@ class Swept:
 
 
 def keep_beside(
-    shard: Shard, out: Path, scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains | None, about: Mapping[str, str]
+    shard: Shard,
+    out: Path,
+    scenario: mc.Scenario,
+    law: mc.Law | None,
+    gains: AnyGains | None,
+    metrics: Iterable[mc.Metric],
+    about: Mapping[str, str],
 ) -> None:
     """Leave in the folder of a shard what `merged` needs beside its walks, before these begin.
 
     Arguments:
         shard, out: which shard, and the folder below which it is kept.
-        scenario, law, gains: as of `Swept`.
+        scenario, law, gains, metrics: as of `Swept`.
         about: `again`, see `tuning.searches.shards.tell`; what else the report is to say.
 
     Raises:
         OutputError: a file cannot be written.
     """
     folder = shard.folder(out)
-    write_config(scenario, folder)
+    write_config(scenario, folder, law, metrics)
     if gains is not None:
         gains_file.save(gains, folder / OWN_GAINS, "of the sweep in this folder", law)
     shards.tell(out, shard, about)
@@ -138,7 +144,7 @@ def merged(found: Sequence[shards.Kept], law: mc.Law | None, metrics: mc.MetricT
         ConfigError: shards of another law, other metrics or versions, or not all of them.
     """
     folder = found[0].folder
-    scenario = mc.load_scenario(folder / "config.yaml")
+    scenario, law, metrics = taken(mc.load_scenario(folder / "config.yaml"), law, metrics, f"{folder}/config.yaml")
     gains = gains_file.load(folder / OWN_GAINS, law) if (folder / OWN_GAINS).is_file() else None
     walked, walking = (scenario, law) if gains is None else replaced(scenario, law, gains)
     data = grid.merged(found, walked, walking, metrics)

@@ -87,7 +87,7 @@ class Tuned(Result):
         folder = Path(folder)
         found = self.write_found(folder, "from Python" if origin is None else origin.name)
         again = "mjx-climb tune config.yaml --search search.yaml --out again"
-        origin = complete(origin, "tune(...)", again, found.scenario, folder)
+        origin = complete(origin, "tune(...)", again, folder)
         drawn, formats = {}, {"png", *figures}
 
         def meanwhile(walks: Mapping[str, mc.Trajectory]) -> None:
@@ -114,7 +114,7 @@ class Tuned(Result):
     def write_found(self, folder: Path, name: str) -> Self:
         """Write what `tuning.output.found.write_gains` does, and return what it returns."""
         comment = f"{self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
-        return write_gains(self, folder, f"mjx-climb tune {name}: {comment}", self.problem.law)
+        return write_gains(self, folder, f"mjx-climb tune {name}: {comment}", self.problem)
 
 
 def judge(

@@ -145,7 +145,7 @@ def _judged_slopes(
 
 def under_pd(scenario: mc.Scenario) -> mc.Scenario:
     """Return the scenario with pd in place of its law."""
-    return scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model"})
+    return scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model", "own": None})
 
 
 @functools.lru_cache(maxsize=8)

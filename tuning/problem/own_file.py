@@ -3,12 +3,16 @@
 import importlib.util
 import os
 import sys
+import types
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import mjx_climb as mc
+from mjx_climb.files import scenario_files
 from mjx_climb.scenario.messages import ConfigError
+
+RUN: list[tuple[types.ModuleType, str]] = []  # what was run here, and the digest of its files then
 
 
 def load(text: str, what: str) -> tuple[Any, str, str]:
@@ -51,6 +55,7 @@ def _run(file: Path) -> Any:
     if spec is None or spec.loader is None:
         raise ConfigError(f"{file}: expected a file of Python, whose name ends in .py")
     module = importlib.util.module_from_spec(spec)
+    digest = scenario_files.digest(file)
     sys.path.insert(0, str(file.absolute().parent))  # for what the file itself imports, as python FILE does
     try:
         spec.loader.exec_module(module)
@@ -59,4 +64,5 @@ def _run(file: Path) -> Any:
         raise ConfigError(f"{file}: {type(error).__name__}: {reason}") from None
     finally:
         sys.path.pop(0)
+    RUN.append((module, digest))
     return module

@@ -167,6 +167,7 @@ def of(
         ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
     """
     lists = checked_axes(scenario, law, stiffness, damping, axes)
+    devices.check_batch_size(batch_size)
     size = batch_size or default_batch_size(math.prod(values.size for values in lists.values()), scenario.steps)
     return Grid(scenario, law, lists, size, dtype, engine, mc.MetricTable(metrics))
 

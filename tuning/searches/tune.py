@@ -157,6 +157,9 @@ def problem_of(
     Raises:
         ConfigError: settings that make no sense for the scenario or the metrics.
     """
+    if function is None and scenario.own is not None and scenario.own.objective is not None:
+        name = scenario.own.objective.name
+        raise ConfigError(f"own.objective: expected {name} again, in tuning.tune.tune(objective=...), got none")
     table = complete(metrics)
     search_settings.check_metrics(search, table)
     space = spaces.space(scenario, search, law)

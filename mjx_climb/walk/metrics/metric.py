@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsIndex
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,6 +42,13 @@ class Metric:
     finish: Callable[[Any, Context], Array]  # the metric (B,) of the last running value; NaN where it is not defined
     smooth: "Metric | None" = None  # its companion for searches that follow gradients; in place of an extreme
     scale: float | None = None  # how much counts as much, in its unit, where values pass through zero
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
+        """A shipped one is pickled by its name, as its functions have none; one's own by its fields."""
+        from mjx_climb.walk.metrics.shipped import METRICS, shipped
+
+        own = all(metric is not self for metric in METRICS.with_companions)
+        return super().__reduce_ex__(protocol) if own else (shipped, (self.name,))
 
 
 def total(name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = False) -> Metric:

@@ -157,3 +157,8 @@ METRICS = MetricTable(
         ),
     )
 )  # fmt: skip
+
+
+def shipped(name: str) -> Metric:
+    """Return a shipped metric, or the companion of one, by its name."""
+    return METRICS.with_companions[name]

@@ -92,6 +92,7 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path):
         ("axes.damping", (scenario, STIFFNESS, DAMPING * 2), {}),
         ("dtype", (scenario, STIFFNESS, DAMPING), {"dtype": np.float64}),
         ("batch_size", (scenario, STIFFNESS, DAMPING), {"batch_size": 2}),
+        ("metrics", (scenario, STIFFNESS, DAMPING), {"metrics": tuple(mc.METRICS)[:-1]}),
     ):
         with pytest.raises(OutputError, match=f"differs in {differs} ") as refused:
             grid.claim(*arguments, out=tmp_path, **options)

@@ -11,6 +11,7 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains import law_file
@@ -71,6 +72,19 @@ def test_a_schedule_of_a_law_of_ones_own(scenario, few):
     [head, *_] = schedule.to_csv(table).splitlines()
     assert "cutoff_rz" in head and ",share," in head
     assert ensemble_pictures.plot_schedule(table).axes
+
+
+@pytest.mark.parametrize("other", [{"gravity": (0.5,)}, {"cargo": (0.5,)}])
+def test_rounds_of_other_operating_points_are_refused(scenario, tmp_path, monkeypatch, other):
+    held = {name: np.full(1, float(name != "diverged")) for name in mc.METRICS.names}
+    monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: held)
+    monkeypatch.setattr(schedule.Rounds, "evaluate", lambda *_: pytest.fail("begun"))
+    points = {"gravity": (1.0,), "cargo": (0.0,)}
+    for _ in range(2):
+        with pytest.raises(pytest.fail.Exception, match="begun"):
+            schedule.schedule(scenario, **points, out=tmp_path)
+    with pytest.raises(OutputError, match="differs in operating_points "):
+        schedule.schedule(scenario, **(points | other), out=tmp_path)
 
 
 @pytest.mark.slow

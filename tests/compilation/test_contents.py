@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_climb.compilation.contents import Unidentifiable, identity
 from mjx_climb.scenario.messages import ConfigError
-from tuning.searches.identity import Unidentifiable, identity
 
 SCALE = 2.0
 TABLE = np.arange(3.0)
@@ -84,6 +84,7 @@ DIFFER = {
     "partial": (functools.partial(weighted, weight=1.0), functools.partial(weighted, weight=100.0)),
     "partial of another": (functools.partial(weighted, weight=1.0), functools.partial(helper, weight=1.0)),
     "default": (closed_over(1.0), types.FunctionType(weighted.__code__, globals(), argdefs=(3.0,))),
+    "default of a keyword": (lambda m, *, weight=1.0: weight * m, lambda m, *, weight=2.0: weight * m),
     "constants": (lambda m: 1.0 * m["travel"], lambda m: 2.0 * m["travel"]),
     "type of a constant": (lambda m: m["travel"] ** 2, lambda m: m["travel"] ** 2.0),
     "operations": (lambda m: m["travel"] + 1.0, lambda m: m["travel"] - 1.0),
@@ -176,7 +177,7 @@ def test_a_function_that_reads_what_none_can_see_is_refused():
 
 _ELSEWHERE = """
 import numpy as np, functools
-from tuning.searches.identity import identity
+from mjx_climb.compilation.contents import identity
 TABLE = {"a": np.arange(5.0), "b": frozenset({"x", "y", "z"})}
 def judge(m, scale=2.0, names=frozenset({"p", "q", "r"})):
     return TABLE["a"] * scale if m in {"one", "two", "three"} else 0

@@ -1,0 +1,174 @@
+"""Laws and metrics of the user's at the shell: what `--set` does to them, and what config.yaml says of them."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import mjx_climb as mc
+from mjx_climb.control import PD, law_of
+from mjx_climb.scenario.messages import ConfigError
+from tuning.command_line import main, options
+from tuning.command_line.ending import InputError
+from tuning.gains.own_section import taken
+from tuning.output.folder import write_config
+from tuning.problem import own_file
+from tuning.problem.search import Search
+from tuning.searches import tune
+
+TEXT = """
+import helper
+
+import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance
+from mjx_climb.control.motion import Motion
+from mjx_climb.walk.metrics import total
+
+
+class Scaled(VirtualModelAdmittance):
+    share: object = mc.gain("1", length=1, bounds=(0.05, 1.0), default=helper.SHARE)
+
+
+calm = Scaled(motion=Motion(deadband=(1.0, 0.1)))
+way = total("way", "m", "way", lambda sample, _: sample.base_linear_velocity[0])
+
+
+def judge(metrics):
+    return metrics["travel"]
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    (tmp_path / "helper.py").write_text("SHARE = 0.5\n")
+    path = tmp_path / "mine.py"
+    path.write_text(TEXT)
+    return path
+
+
+def asked(config, *changes, law=None, controller=None, metrics=None):
+    return options.asked(Path(config), controller, list(changes), None, law, metrics)
+
+
+@pytest.mark.parametrize("given", ["case_1_2", "config"])
+def test_set_reaches_a_law_of_ones_own(file, tmp_path, given):
+    law = f"{file}:Scaled"
+    if given == "config":
+        scenario, own, _ = asked("case_1_2", law=law)
+        write_config(scenario, tmp_path / "out", own)
+        given, law = tmp_path / "out" / "config.yaml", None
+    changes = ["control.stiffness=3000", "control={share: 0.25, kp: 40}", "gravity=[0, 0, -1]"]
+    scenario, own, _ = asked(given, *changes, law=law)
+    np.testing.assert_array_equal(own.stiffness, [3000.0] * 6)
+    assert own.share == 0.25 and own.damping == pytest.approx(5e3)
+    assert (scenario.control.kp, scenario.control.stiffness, scenario.gravity[2]) == (40.0, 5e4, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("control.deadband=1", "expected one of inertia, damping, stiffness, share, kp, kd in control"),
+        ("control.stiffness.2=1", "expected one of inertia"),
+        ("control.controller=pd", "expected one of inertia"),
+        ("control.stiffness=-1", "expected finite numbers above 0, got -1"),
+        ("control.share=[1, 2]", "expected the gains of one law, got 2 of share"),
+        ("control.share=much", "could not convert"),
+    ],
+)
+def test_what_a_law_of_ones_own_cannot_take_is_refused(file, change, said):
+    with pytest.raises(InputError, match=f"^--set {re.escape(change.partition('=')[0])}: .*{re.escape(said)}") as error:
+        asked("case_1_2", change, law=f"{file}:Scaled")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "command", ["run", "sweep --stiffness 1:2:2 --damping 1:2:2", "tune", "pareto", "schedule", "margins", "judge"]
+)
+def test_every_command_with_a_law_refuses_it(file, command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name, *rest = command.split()
+    rest += ["--gains", "none.yaml"] if name == "judge" else []
+    with pytest.raises(SystemExit) as ended:
+        main([name, "case_1_2", *rest, "--law", f"{file}:Scaled", "--set", "control.max_offset=1"])
+    assert ended.value.code == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "--set control.max_offset: expected one of" in line
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_controller_beside_a_law_is_refused_and_takes_the_place_of_a_configs(file, tmp_path):
+    with pytest.raises(InputError, match=r"--controller: expected none with --law"):
+        asked("case_1_2", law=f"{file}:Scaled", controller="pd")
+    scenario, law, _ = asked("case_1_2", law=f"{file}:Scaled")
+    write_config(scenario, tmp_path, law)
+    scenario, law, _ = asked(tmp_path / "config.yaml", controller="pd")
+    assert law is None and isinstance(law_of(scenario), PD)
+
+
+@pytest.fixture
+def written(file, tmp_path):
+    """A folder of results that was moved, and the law and metrics that walked there."""
+    scenario, law, metrics = asked("case_1_2", "control.damping=7", law=f"{file}:calm", metrics=[f"{file}:way"])
+    back = write_config(scenario, tmp_path / "out", law, metrics)
+    assert back.own is None
+    (tmp_path / "out").rename(tmp_path / "moved")
+    file.unlink()
+    return tmp_path / "moved", law, metrics
+
+
+def test_config_yaml_names_law_and_metrics(written):
+    folder, law, metrics = written
+    text = (folder / "config.yaml").read_text()
+    assert str(folder.parent) not in text
+    told = yaml.safe_load(text)["own"]
+    assert (told["law"]["file"], told["law"]["name"]) == ("inputs/law/mine.py", "calm")
+    scenario, again, table = asked(folder / "config.yaml")
+    assert type(again).__name__ == "Scaled" and again.motion == law.motion
+    for name in law.GAINS:
+        np.testing.assert_array_equal(getattr(again, name), np.broadcast_to(getattr(law, name), (6,) * law.AXES[name]))
+    assert table.names == metrics.names and scenario.own is None
+
+
+def test_in_python_the_law_of_a_config_is_not_forgotten(written):
+    folder, law, _ = written
+    scenario = mc.load_scenario(folder / "config.yaml")
+    with pytest.raises(ConfigError, match=r"own\.law: expected the law beside the scenario") as error:
+        mc.rollout(scenario)
+    assert "\n" not in str(error.value)
+    assert taken(scenario)[1].motion == law.motion
+    assert scenario.to_yaml() == mc.Scenario.from_yaml(scenario.to_yaml()).to_yaml()
+
+
+@pytest.mark.parametrize("name", ["mine.py", "helper.py"])
+def test_a_law_that_is_gone_or_changed_is_refused(written, name, capsys):
+    folder, *_ = written
+    for change, said in (
+        (lambda file: file.write_text(file.read_text() + "# new\n"), "own.law.digest: expected "),
+        (lambda file: file.unlink(), ""),
+    ):
+        change(folder / "inputs" / "law" / name)
+        with pytest.raises(SystemExit) as ended:
+            main(["run", str(folder / "config.yaml"), "--out", str(folder / "again")])
+        [line] = capsys.readouterr().err.splitlines()
+        assert ended.value.code == 2 and said in line and "inputs/law/mine.py" in line
+
+
+def test_a_law_of_a_session_is_named_and_refused(tmp_path):
+    space = {}
+    exec("from mjx_climb.control import VirtualModelAdmittance\nclass Mine(VirtualModelAdmittance): pass", space)
+    write_config(mc.Scenario(), tmp_path, space["Mine"]())
+    with pytest.raises(ConfigError, match=r"own\.law\.file: expected a file of Python, got none, as Mine was"):
+        asked(tmp_path / "config.yaml")
+    write_config(mc.Scenario(), tmp_path, PD())
+    assert isinstance(asked(tmp_path / "config.yaml")[1], PD)
+
+
+def test_an_objective_is_named_and_wanted_again(file, tmp_path):
+    judge, *_ = own_file.load(f"{file}:judge", "objective")
+    write_config(mc.Scenario(), tmp_path, objective=judge)
+    scenario, law, _ = asked(tmp_path / "config.yaml")
+    assert law is None and scenario.own.objective.name == "judge"
+    with pytest.raises(ConfigError, match=r"own\.objective: expected judge again"):
+        tune.problem_of(scenario, Search())

@@ -1,0 +1,125 @@
+"""The section `own` of a config.yaml: law, metrics and objective of the user's, written with results and read again."""
+
+import operator
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import mjx_climb as mc
+from mjx_climb.compilation.contents import in_library
+from mjx_climb.control import LAWS
+from mjx_climb.files import scenario_files
+from mjx_climb.rollouts.given import checked_gains
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import OwnObject
+from tuning.gains import law_file
+from tuning.problem import own_file
+
+_SHIPPED = {law.__name__: law for law in LAWS.values()}
+
+
+def section(law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: Any = None) -> dict[str, Any] | None:
+    """Return what config.yaml says of the user's own objects, None without any."""
+    found: dict[str, Any] = {}
+    if law is not None:
+        gains = {name: np.asarray(getattr(law, name), float).tolist() for name in law.GAINS}
+        found["law"] = _named(law, type(law).__qualname__) | ({"gains": gains} if gains else {})
+    if own := [_named(metric, metric.name) for metric in metrics if metric not in mc.METRICS]:
+        found["metrics"] = own
+    if objective is not None:
+        found["objective"] = _named(objective, getattr(objective, "__name__", type(objective).__name__))
+    return found or None
+
+
+def taken(
+    scenario: mc.Scenario,
+    law: mc.Law | None = None,
+    metrics: mc.MetricTable = mc.METRICS,
+    source: str = "scenario",
+) -> tuple[mc.Scenario, mc.Law | None, mc.MetricTable]:
+    """Return a scenario without the section, and law (None: the scenario's) and metrics: those that it names.
+
+    `law`, and `metrics` other than the shipped ones, take the place of what it names. The files named are run.
+
+    Raises:
+        ConfigError: in one line, a file that is gone or has changed, or that holds no such thing.
+    """
+    own = scenario.own
+    if own is None:
+        return scenario, law, metrics
+    if law is None and own.law is not None:
+        if own.law.file is None and own.law.name in _SHIPPED:
+            law = _SHIPPED[own.law.name]()
+        else:
+            law = law_file.load(_text(own.law, "law", source))
+        try:
+            law = of_one(law, dict(own.law.gains.items()))
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{source}: own.law: {error}") from None
+    if metrics == mc.METRICS:
+        metrics = own_file.metrics(_text(each, f"metrics.{n}", source) for n, each in enumerate(own.metrics))
+    return without(scenario), law, metrics
+
+
+def of_one(law: mc.Law, values: Mapping[str, Any]) -> mc.Law:
+    """Return a law with some gains of one robot replaced, all of their full length.
+
+    Raises:
+        TypeError, ValueError: no such values.
+    """
+    changed = checked_gains(law, values)
+    for name in values:
+        if (shape := np.shape(getattr(changed, name)))[: len(shape) - law.AXES[name]]:
+            raise ValueError(f"expected the gains of one law, got {shape[0]} of {name}")
+    return changed
+
+
+def without(scenario: mc.Scenario) -> mc.Scenario:
+    """Return a scenario that names no law and metrics; an objective stays, which a search needs from its caller."""
+    if scenario.own is None:
+        return scenario
+    objective = scenario.own.objective
+    bare = scenario.with_overrides({"own": None})
+    return bare if objective is None else bare.with_overrides({"own": {"objective": objective.model_dump()}})
+
+
+def _text(named: OwnObject, key: str, source: str) -> str:
+    """Return FILE.py:NAME of an object whose file is as it was."""
+    if named.file is None:
+        raise ConfigError(
+            f"{source}: own.{key}.file: expected a file of Python, got none, as {named.name} was defined in a session"
+        )
+    if named.digest not in (None, found := scenario_files.digest(Path(named.file))):
+        raise ConfigError(
+            f"{source}: own.{key}.digest: expected {named.file} as it was, {str(named.digest)[:12]}, got {found[:12]}"
+        )
+    return f"{named.file}:{named.name}"
+
+
+def _named(value: Any, name: str) -> dict[str, Any]:
+    """Return file, name and digest of an object that a module of the user's holds; else its name alone."""
+    loaded = [(module, digest) for module, digest in reversed(own_file.RUN)]
+    for module, digest in [*loaded, *((module, None) for module in list(sys.modules.values()))]:
+        file, title = getattr(module, "__file__", None), getattr(module, "__name__", "__main__")
+        if file is None or not file.endswith(".py") or title == "__main__":  # which would do all its work again
+            continue
+        if digest is None and in_library(title):
+            continue
+        for key, found in list(vars(module).items()):
+            if found is value or (isinstance(value, mc.Law) and _makes(found, value)):
+                return {"file": file, "name": key, "digest": digest or scenario_files.digest(Path(file))}
+    return {"name": name}
+
+
+def _makes(found: Any, law: mc.Law) -> bool:
+    """Return whether a class without arguments, or an instance, is a law but for its gains."""
+    if found is type(law):
+        try:
+            found = found()
+        except TypeError:  # a gain without a default
+            return False
+    return type(found) is type(law) and bool(operator.eq(*map(jax.tree.structure, (found, law))))
