@@ -67,7 +67,7 @@ def tune(
         ConfigError: settings that make no sense for the scenario, or a method that asks for no points of the space.
         OutputError: the folder cannot be written, or holds an unfinished search for something else.
         Unidentifiable: with `out`, an objective or method that cannot be told from another; see
-            `tuning.searches.identity`.
+            `mjx_climb.compilation.contents`.
     """
     wanted, own_method = searches.settled(search, method, settings)
     wanted = searches.for_this_machine(scenario, wanted, (search, method, settings.get("method")), engine, law)
