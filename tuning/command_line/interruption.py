@@ -90,7 +90,7 @@ def check() -> None:
 
 def _for_one_signal() -> Callable[[int], None]:
     """Have the handlers of both signals be good for one, the next then ends the process; return what puts one back."""
-    handlers = {number: ctypes.c_void_p() for number in SIGNALS}
+    handlers: dict[int, ctypes.c_void_p] = {number: ctypes.c_void_p() for number in SIGNALS}
 
     def put(number: int) -> None:
         with contextlib.suppress(AttributeError):  # no such function here
