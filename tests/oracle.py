@@ -292,6 +292,8 @@ def again(walk):
     grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3))
     law, servos = Law(scenario, reference, body.limbs), Servos(scenario, body.model, angles)
     forces, bases, commands, filtered = [np.zeros_like(feet)], [], [angles], np.zeros_like(feet)
+    read, by_law = np.zeros(feet.size + 6), sensor.filtered_by == "law"
+    share = 1 - np.exp(-2 * np.pi * (law.period if by_law else h) * number(sensor.filter))
     period, rows = round(law.period / h), []
     names = [f"base_{name}" for name in ("position", "orientation", "linear_velocity", "angular_velocity")]
     names += ["joint_angles", "joint_rates"]
@@ -320,13 +322,17 @@ def again(walk):
             force = force + sensor.noise * noise(hardware.seed, step, np.arange(force.size)).reshape(3, -1).T
         if sensor.resolution:
             force = sensor.resolution * np.round(force / sensor.resolution)
-        filtered = filtered + (1 - np.exp(-2 * np.pi * h * number(sensor.filter))) * (force - filtered)
+        if not by_law:
+            force = filtered = filtered + share * (force - filtered)
+        sampled = np.concatenate([force.ravel(), wrench_of(force)])
+        if not by_law or step % period == 0:
+            read = read + share * (sampled - read) if by_law else sampled
         bases.append(np.concatenate(state[:4]))
         base = np.split(late(bases, estimate.delay / h), [3, 7, 10])
         drawn = noise(hardware.seed, step, 1000 + np.arange(6))
         base[0], base[2] = base[0] + estimate.position_noise * drawn[:3], base[2] + estimate.velocity_noise * drawn[3:]
         if step % period == 0:
-            command = law.say(wanted, base, filtered, wrench_of(filtered), held["support"], targets)
+            command = law.say(wanted, base, read[:-6].reshape(-1, 3), read[-6:], held["support"], targets)
             before = said
             if three:
                 said = body.joints_for(*command[:3], said)

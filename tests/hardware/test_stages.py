@@ -280,6 +280,24 @@ def test_a_line_reaches_each_target_in_the_last_step_of_its_period():
     assert float(control_period.interpolated(2.0, 6.1, jnp.asarray([0.0]), jnp.ones(1))[0]) == 6.1
 
 
+def test_stages_are_those_with_a_number():
+    scenario = mc.Scenario()
+    assert stages_of(scenario, mc.parameters(scenario)) == IDEAL
+    changed = scenario.with_overrides(
+        {
+            "hardware.force_sensor": {"delay": 3e-3, "filter": 30.0},
+            "hardware.servo": {"torque_limit": 4.0, "no_load_speed": 4.8, "coulomb_friction": 0.1},
+            "hardware.interpolation": "linear",
+            "contact.capture_distance": 0.005,
+        }
+    )
+    wanted = IDEAL._replace(force_delay=8, force_filter=True, torque_limit=True, dry_friction=True, capture=True)
+    assert stages_of(changed, mc.parameters(changed)) == wanted
+    by_law = changed.with_overrides({"hardware.force_sensor.filtered_by": "law"})
+    wanted = wanted._replace(force_filter=False, sampled_filter=True)
+    assert stages_of(by_law, mc.parameters(by_law)) == wanted
+
+
 STAGE_OF = {name: name for name in IDEAL._fields if name in vars(mc.parameters(mc.Scenario()))} | {
     "position_noise": "base_noise", "velocity_noise": "base_noise", "coulomb_friction": "dry_friction",
     "load_friction": "dry_friction", "capture_distance": "capture", "rotational_stiffness": "rotational",

@@ -41,11 +41,11 @@ WALKS = {  # changes, and what is to happen
             "contact.capture_distance": 1e-3,
             "ground.footholds": {"LF": [0.004, 0.0, 0.002], "LH": [0.0, 0.003], "RH": [-0.002], "RF": [0.001, -0.002]},
             "hardware": {
-                "control_period": 0.005, "command_delay": 0.002, "interpolation": "linear", "seed": 7,
-                "force_sensor": {"delay": 0.003, "noise": 0.05, "bias": 0.3, "resolution": 0.01, "filter": 60.0},
+                "control_period": 0.005, "command_delay": 0.0017, "interpolation": "linear", "seed": 7,
+                "force_sensor": {"delay": 0.0034, "noise": 0.05, "bias": 0.3, "resolution": 0.01, "filter": 60.0},
                 "servo": {
                     "torque_limit": 0.3, "no_load_speed": 4.0, "armature": 0.002, "coulomb_friction": 0.02,
-                    "viscous_friction": 0.01, "load_friction": 0.1, "backlash": 0.001, "delay": 0.001,
+                    "viscous_friction": 0.01, "load_friction": 0.1, "backlash": 0.001, "delay": 0.0007,
                 },
             },
         },
@@ -55,7 +55,8 @@ WALKS = {  # changes, and what is to happen
         {
             "control.reading": "measured_pose", "control.damping": 500.0, "control.stiffness": 2e4,
             "gait.base_reference": "actual",
-            "hardware.base_estimate": {"delay": 0.002, "position_noise": 1e-4, "velocity_noise": 1e-3},
+            "hardware.base_estimate": {"delay": 0.0025, "position_noise": 1e-4, "velocity_noise": 1e-3},
+            "hardware.force_sensor": {"filter": 60.0, "filtered_by": "law"}, "hardware.control_period": 0.002,
         },
         lambda walk: np.ptp(walk.base_displacement),
     ),
