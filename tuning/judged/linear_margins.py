@@ -28,7 +28,8 @@ from tuning.judged.margins import (
     without_joint,
 )
 
-POINTS = 9  # values of a quantity
+POINTS = 9  # values of a quantity that are looked at first
+_FINER, _PRECISION = 4, 1e-3  # values between a good and a bad one, until these are as close together
 _BEYOND = 1.5  # times what a walk bears: a loop that is hardly unstable takes longer than a walk to tear a gripper off
 
 
@@ -61,9 +62,16 @@ def find(
     own, joint, found = own_numbers(scenario), joint_gains(scenario, gains), {}
     for done, (name, margin) in enumerate(margins.items()):
         values = _values(scenario, name, margin)
-        numbers = changes(own, name, values, joint)
-        radius = stability_limit.spectral_radius(scenario, without_joint(gains), numbers, law=law, engine=engine)
-        found[name] = Stable(crossing(values, radius), float(values[-1]))
+
+        def radii(some: np.ndarray, only: int | None = None, name: str = name, last: float = values[-1]) -> np.ndarray:
+            batch = np.unique([*some, last])  # with the worst value: buffers as long, and so the same program
+            of = stability_limit.by_stance(
+                scenario, without_joint(gains), changes(own, name, batch, joint), only=only, law=law, engine=engine
+            )
+            return of[np.searchsorted(batch, some)]
+
+        step = scenario.time_step if name == "control_period" else 0.0
+        found[name] = Stable(crossing(values, radii, step), float(values[-1]))
         if progress is not None:
             progress(done + 1, len(margins))
     return found
@@ -82,15 +90,32 @@ def warnings(margins: Mapping[str, Margin], stable: Mapping[str, Stable]) -> lis
     return lines
 
 
-def crossing(values: np.ndarray, radius: np.ndarray) -> float | None:
-    """Return where radii (N,) over values (N,) rise above 1, between two of them on a line; None: from the first on."""
-    stable = radius <= 1 + stability_limit.ROUNDING
-    bad = int(np.argmin([*stable, False]))
+def crossing(values: np.ndarray, radii: Callable[..., np.ndarray], step: float = 0.0) -> float | None:
+    """Return how far from the first of some values (N,) on a loop is stable, to a thousandth; None: nowhere.
+
+    `radii` gives those of values (N,) in each stance (N, S), or in the `only` one whose number is its second argument.
+    Of values that are whole steps, where there is a `step`, the last stable one is returned.
+    """
+    found = radii(values)
+    bad = _first_bad(found.max(1))
     if bad in (0, len(values)):
         return float(values[-1]) if bad else None
-    before, after = radius[bad - 1], radius[bad]
-    share = (1 - before) / (after - before) if np.isfinite(after) else 0.0
-    return float(values[bad - 1] + share * (values[bad] - values[bad - 1]))
+    good, worse, there = float(values[bad - 1]), float(values[bad]), found[bad]
+    while True:  # the worst stance alone: others are seldom worse where it begins to be stable
+        reached = good
+        while abs(worse - reached) > max(1.5 * step, _PRECISION * abs(worse)):
+            some = np.linspace(reached, worse, _FINER + 1)
+            some = np.unique(whole_steps(some, step)) if step else some
+            bad = 1 + _first_bad(radii(some[1:-1], int(there.argmax())).max(1))
+            reached, worse = float(some[bad - 1]), float(some[bad])
+        worse, there = reached, radii(np.array([reached]))[0]
+        if reached == good or there.max() <= 1 + stability_limit.ROUNDING:
+            return reached
+
+
+def _first_bad(radii: np.ndarray) -> int:
+    """Return the place of the first radius (N,) of a loop that is not stable, N where all are."""
+    return int(np.argmin([*(radii <= 1 + stability_limit.ROUNDING), False]))
 
 
 def _values(scenario: mc.Scenario, name: str, margin: Margin) -> np.ndarray:

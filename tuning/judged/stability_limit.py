@@ -1,10 +1,13 @@
 """The discrete stability limit of a control law: which gains let a small disturbance grow.
 
 The closed loop (robot, contacts, joint loop, law, and the hardware between them: delays, filter, control period,
-armature, viscous friction) is linearised over one control period about the stance in the middle of the first swing,
-without gravity; small disturbances grow where the largest eigenvalue of that period leaves the unit circle. This is the
-limit of the loop as it is simulated, not of the law by itself: the virtual model alone is stable for any positive
-gains.
+armature, viscous friction) is linearised over one control period about stances of the gait, without gravity; small
+disturbances grow in a stance where the largest eigenvalue of that period leaves the unit circle. Between two moments at
+which some foot is lifted off or set down the same feet hold: the stances are those of the beginning, the middle and the
+end of each such time in a cycle, on uneven ground in every cycle of the walk. The worst of them counts, not the product
+over the cycle: a disturbance that grows in one stance and dies out in the next is smaller after a cycle, and yet tears
+grippers off in between. This is the limit of the loop as it is simulated, not of the law by itself: the virtual model
+alone is stable for any positive gains.
 
 What has no linear part is left out: noise, bias, resolution, the limits of torque, offset and rate. So are dry
 friction, backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger
@@ -48,9 +51,11 @@ from mjx_climb.walk.step import Carry, Structure, Walk, advance, begin, prepare,
 ROUNDING = 1e-9  # a radius above 1 by less is 1
 # of the matrices of one compiled batch, about: with twice as many XLA refuses the pieces of some laws' steps
 _ENTRIES = 32 * 50**2
-_LARGEST_BATCH = 32  # gain sets
-_FINEST = 48  # values along an axis of a map
-_FINEST_WITH_MEMORY = 16  # the same where delays make the matrices large
+_LARGEST_BATCH = 32  # matrices
+_FINEST = 24  # values along an axis of a map
+_FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
+_MANY = 1000  # matrices, from which on a faster program is worth what it takes to compile
+_CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
 
 
@@ -62,11 +67,11 @@ def spectral_radius(
     law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
 ) -> np.ndarray:
-    """Return by how much a small disturbance grows in a time step at most; the loop is stable below 1.
+    """Return by how much a small disturbance grows in a time step of the worst stance; the loop is stable below 1.
 
-    It is the largest magnitude of an eigenvalue of one control period, taken to the power of a step; where the scenario
-    has cargo, the larger one of the robot without it and with it. What a law remembers in whole numbers, or in yes and
-    no, stays as it is: it cannot be off by a little.
+    It is the largest magnitude of an eigenvalue of one control period, taken to the power of a step, in any stance of
+    the scenario's gait; where the scenario has cargo, of the robot without it or with it. What a law remembers in whole
+    numbers, or in yes and no, stays as it is: it cannot be off by a little.
 
     Arguments:
         scenario: what walks where.
@@ -79,17 +84,25 @@ def spectral_radius(
     Returns:
         Radii with the batch axes of gains and numbers.
     """
+    return np.asarray(by_stance(scenario, gains, numbers, law=law, engine=engine).max(-1))
+
+
+def by_stance(
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    numbers: mc.Parameters | None = None,
+    *,
+    only: int | None = None,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> np.ndarray:
+    """Return the radii of `spectral_radius` in each stance, the last axis: of robots without cargo, then with it.
+
+    The other arguments are those of `spectral_radius`; `only` is the number of one stance, which is then the only one.
+    """
     if law is None:
         law = law_of(scenario.with_overrides(_UNBOUNDED))
     calm = _calm(scenario, numbers)
-    radius = _largest(scenario, law, gains, dataclasses.replace(calm, cargo_mass=calm.cargo_mass * 0), engine)
-    if not calm.cargo_mass.any():
-        return radius
-    return np.asarray(np.maximum(radius, _largest(scenario, law, gains, calm, engine)))
-
-
-def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Parameters, engine: str) -> np.ndarray:
-    """Return the radii of robots that carry their cargo from the start."""
     law, calm, shape, _ = given_in(scenario, law, gains, calm, np.float64)
     trees, axes, count = (law, calm), (own_axes(law), own_axes(calm)), math.prod(shape)
     flat = flattened(trees, axes, shape)
@@ -98,37 +111,56 @@ def _largest(scenario: mc.Scenario, law: Law, gains: AnyGains, calm: mc.Paramete
     steps = np.ones(count, int)
     if walk.stages.control_period:
         steps[:] = np.asarray(period_steps(jnp.asarray(flat[1].control_period), scenario.time_step))
-    middle = scenario.gait.cycle * (1 - scenario.gait.duty) / 2 / scenario.time_step
-    batch = _batch_of(walk.stages)
+    stances = _stances(scenario, steps, uneven=bool(calm.foothold_height.size))
+    cargo = 2 if calm.cargo_mass.any() else 1
+    which = np.arange(cargo * stances.shape[1]) if only is None else np.array([only])
+    size, batch = count * which.size, _batch_of(walk.stages)
     with jax.enable_x64(True), jax.default_device(devices.host()):
-        some, there = _rows(flat, axes, np.zeros(1, int))
+        some, there = _rows(flat, axes, np.zeros(1, int), np.ones(1))
         kinds_of = tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves((some, there)))
         states = _states(walk, jax.tree.structure((some, there)), kinds_of)
-        run, column = _program(batch * states, walk.in_pieces), np.repeat(np.arange(states), batch)
+        run, column = _program(batch * states, walk.in_pieces, size > _MANY), np.repeat(np.arange(states), batch)
 
     def radii_of(start: int) -> np.ndarray:
-        rows = np.minimum(np.arange(start, start + batch), count - 1)
-        given = _rows(flat, axes, np.tile(rows, states))
-        period = steps[rows]
-        first = period * np.round(middle / period)  # in the middle of the swing, where the law is worked out
+        places = np.minimum(np.arange(start, start + batch), size - 1)
+        rows, (loaded, stance) = places // which.size, np.divmod(which[places % which.size], stances.shape[1])
+        first, period = stances[rows, stance], steps[rows]
+        given = _rows(flat, axes, np.tile(rows, states), np.tile(loaded, states))
         # held: all further steps are alike; on a line to the next target each is another
         kinds = period.max() if walk.stages.linear else min(period.max(), 2)
         at = [np.tile(first + min(k, kinds - 1), states) for k in range(kinds)]
         with jax.enable_x64(True), jax.default_device(devices.host()):  # holds for one thread
             matrices = [np.asarray(run(walk, *given, step, column)).reshape(states, states, batch) for step in at]
-        return _radii(np.stack(matrices).transpose(0, 3, 1, 2), period)[: count - start]
+        return _radii(np.stack(matrices).transpose(0, 3, 1, 2), period)[: size - start]
 
     with ThreadPoolExecutor(devices.usable_cores()) as threads:
-        return np.concatenate(list(threads.map(radii_of, range(0, count, batch)))).reshape(shape)
+        radii = np.concatenate(list(threads.map(radii_of, range(0, size, batch))))
+    return np.asarray(radii.reshape(*shape, which.size))
 
 
-def _rows(trees: Any, axes: Any, rows: np.ndarray) -> tuple[Law, mc.Parameters]:
-    """Return law and numbers of some rows: all gains batched, come what may, for one program."""
+def _stances(scenario: mc.Scenario, periods: np.ndarray, *, uneven: bool) -> np.ndarray:
+    """Return at which steps (B, N) of a walk the loop is linearised, at whole multiples of control periods (B,)."""
+    times, cycle = scenario.gait, scenario.gait.cycle / scenario.time_step
+    moments = [0.0, 1.0, *(share + swing for share in times.lift_off.values() for swing in (0.0, 1 - times.duty))]
+    switches = np.unique(np.round(np.multiply(moments, cycle)))
+    switches = switches[np.diff(switches, prepend=-np.inf) > _CLEAR]  # shares are rounded
+    if uneven:
+        cycles = math.ceil(scenario.steps / cycle)
+        switches = np.unique([switches + number * np.round(cycle) for number in range(cycles)])
+    begin, end, period = switches[:-1], switches[1:], periods[:, None]
+    first, last = np.ceil((begin + _CLEAR) / period), np.maximum(np.floor((end - _CLEAR + 1) / period) - 1, 0)
+    middle = np.clip(np.round((begin + end) / 2 / period), first, last)
+    return np.asarray(np.concatenate([np.minimum(first, last), middle, last], axis=1) * period)
+
+
+def _rows(trees: Any, axes: Any, rows: np.ndarray, loaded: np.ndarray) -> tuple[Law, mc.Parameters]:
+    """Return law and numbers of some rows, `loaded` (B,) with their cargo: all gains batched for one program."""
     law, numbers = rows_of(trees, axes, rows)
     law = jax.tree.map(
         lambda gain, own: np.broadcast_to(gain, (len(rows), *gain.shape[gain.ndim - own :])), law, axes[0]
     )
-    return law, dataclasses.replace(numbers, kp=np.broadcast_to(numbers.kp, len(rows)))
+    kp = np.broadcast_to(numbers.kp, len(rows))
+    return law, dataclasses.replace(numbers, kp=kp, cargo_mass=numbers.cargo_mass * loaded)
 
 
 def _linear(stages: Stages) -> Stages:
@@ -174,8 +206,9 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
     The eigenvalues are those of these states together and of each other state by itself.
     """
     reach = acts | np.eye(len(acts), dtype=bool)
-    for _ in range(math.ceil(math.log2(len(acts)))):
-        reach = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
+    farther = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
+    while (farther != reach).any():
+        reach, farther = farther, (farther.astype(np.float32) @ farther.astype(np.float32)) > 0
     return np.asarray((reach & reach.T).sum(1) > 1)
 
 
@@ -196,7 +229,7 @@ def over_axes(
 ) -> xr.DataArray:
     """Return the radius over values of two gains, the same on all axes of one.
 
-    Of more than 48 values along an axis (16 with delays in the loop) so many are taken.
+    Of more than 24 values along an axis (8 with delays in the loop) so many are taken.
     """
     finest = _FINEST if _batch_of(structure(scenario, engine).stages) == _LARGEST_BATCH else _FINEST_WITH_MEMORY
     some = {name: _spread(np.asarray(values, float), finest) for name, values in axes.items()}
@@ -221,10 +254,10 @@ def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
 
 
 @functools.cache
-def _program(batch: int, in_pieces: bool) -> Callable[..., jax.Array]:
+def _program(batch: int, in_pieces: bool, fast: bool) -> Callable[..., jax.Array]:
     def compiled(in_pieces: bool) -> Callable[..., jax.Array]:
         options = mc.compiler_options(batch, in_pieces=in_pieces, backend="cpu")
-        options["xla_backend_optimization_level"] = 0  # one step is walked so fast that only the compiler's time counts
+        options["xla_backend_optimization_level"] = int(fast)  # higher ones only compile for longer
         return kept(_columns, _identity, options)
 
     return in_pieces_or_whole(compiled) if in_pieces else compiled(False)
@@ -287,13 +320,17 @@ def _stance(shape: Structure, law: Law, numbers: mc.Parameters, step: jax.Array)
     walk = prepare(shape, batch_last(law, (batch,), dtype), batch_last(numbers, (batch,), dtype), batch)
     carry = begin(walk, batch)
     now = gait.schedule(walk.plan, step)
-    base = jnp.broadcast_to(gait.base_reference(walk.plan, now, walk.plan.base_start), (3, batch))
+    _, start = gait.nominal_start(walk.plan, now, carry.gait, carry.gait)
+    base = jnp.broadcast_to(gait.base_reference(walk.plan, now, start), (3, batch))
     rotation = quaternion_to_matrix(walk.plan.base_orientation)[:, :, None]
-    target = gait.foot_targets(walk.plan, now, carry.contact.grip_point)
+    grip = walk.plan.footholds + now.foothold * walk.plan.advance[:, None]
+    grip = jnp.broadcast_to(grip.at[2].add(gait.ground_height(walk.plan, now)), carry.contact.grip_point.shape)
+    target = gait.foot_targets(walk.plan, now, grip)
     joints = inverse_kinematics(walk.controller.geometry, rotate_back(rotation, target - base[:, None])).joint_angles
     state = dataclasses.replace(carry.state, base_position=base, joint_angles=joints)
-    memory = control_loop.start(state, jnp.broadcast_to(target, carry.contact.grip_point.shape), walk.controller)
-    contact = carry.contact._replace(touching=jnp.broadcast_to(now.closed, carry.contact.touching.shape))
+    memory = control_loop.start(state, jnp.broadcast_to(target, grip.shape), walk.controller)
+    touching = jnp.broadcast_to(now.closed, carry.contact.touching.shape)
+    contact = carry.contact._replace(grip_point=grip, touching=touching)
     return walk, carry._replace(state=state, contact=contact, hardware=memory)
 
 

@@ -43,7 +43,7 @@ class Verification:
     slopes: dict[str, float]  # of the value per natural logarithm of a gain
     grid_value: float | None  # best of an isotropic grid
     grid_gains: dict[str, float] | None
-    spectral_radius: float  # of the closed loop; above 1 a small disturbance grows
+    spectral_radius: float  # of the closed loop in its worst stance; above 1 a small disturbance grows
     margins: dict[str, Margin]  # by quantity of hardware; empty where nobody looked for them
     warnings: list[str]
 
@@ -102,7 +102,7 @@ class Tests(NamedTuple):
 
     around: Evaluation  # of the result, and with each gain in turn 20 % less, then more
     slopes: np.ndarray  # (n,) of the value, true extremes
-    radius: float  # of the closed loop
+    radius: float  # of the closed loop in its worst stance
 
 
 def tests(found: Result, problem: Problem | None = None) -> Tests:
@@ -272,7 +272,7 @@ def _warnings(
         where = ", ".join(f"{name} {float(best[name]):.4g}" for name in _axes(best))
         lines.append(f"a coarse grid found better: {float(best['objective']):.4f} at {where}")
     if radius > 1 + 1e-9:
-        lines.append(f"the closed loop is unstable about the stance: a disturbance grows by {radius:.6f} a step")
+        lines.append(f"the closed loop is unstable in a stance of the gait: a disturbance grows by {radius:.6f} a step")
     if abs(float(alone.value) - found.value) > 0.01:
         lines.append(f"alone in float64 the objective is {float(alone.value):.4f}, in the search {found.value:.4f}")
     return lines

@@ -274,5 +274,5 @@ def outcome_of(checked: Verification, found: Result) -> list[str]:
     for name, margin in checked.margins.items():
         holds, better = (margins.in_words(name, margin.worst, reached) for reached in (margin.holds, margin.better))
         lines.append(f"margin, {margins.QUANTITIES[name].title}: holds up to {holds}, better than pd up to {better}")
-    lines.append(f"closed loop about the stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
+    lines.append(f"closed loop in its worst stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
     return lines

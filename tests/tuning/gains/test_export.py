@@ -311,10 +311,19 @@ def test_the_walk_has_the_filter_of_the_controller_that_gets_it():
     assert (off["sensor"] > 0.01).all() and off["sensor"].max() > 0.05
 
 
+def test_gains_that_shake_a_robot_on_all_feet_are_refused(export, judged, monkeypatch):
+    """It stands there before it walks, although its gait, with duty 0.75, always has a foot in the air."""
+    monkeypatch.setattr(
+        stability_limit, "spectral_radius", lambda scenario, *_, **__: np.array([1 + (scenario.gait.duty > 0.99)])
+    )
+    code, _, err = export(SPLIT, "--config", "case_1_2", "--hardware", "dynamixel_x")
+    assert code == 2 and "of a robot that stands on all feet that grows by 2.0" in err
+
+
 @pytest.mark.parametrize(
     ("changes", "code", "expected"),
     [
-        ({"radius": 1.001}, 2, "a disturbance about the stance that grows by 1.001"),
+        ({"radius": 1.001}, 2, "a disturbance about a stance of the gait that grows by 1.001"),
         ({"holds": 0.004}, 2, "a walk that loses a gripper or diverges"),
         ({"holds": 0.009, "better": 0.006}, 0, "warning: force delay: gains hold up to 9 ms only"),
         ({"better": 0.004}, 0, "warning: on the hardware itself the force varies no less than under pd"),
