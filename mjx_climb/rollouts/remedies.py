@@ -81,7 +81,8 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
         except ConfigError:
             continue
         walk = rollout(scenario, numbers=numbers, law=law)
-        force = np.linalg.norm(walk.foot_force, axis=-1)
+        with np.errstate(over="ignore"):  # where it diverges
+            force = np.linalg.norm(walk.foot_force, axis=-1)
         pull = force[walk.support & (walk.foot_force[..., 2] < 0)].max(initial=0.0)
         pulls.append(f"{change} {pull:.3g} N".strip() if np.isfinite(force).all() else f"{change} it diverges".strip())
     limit = scenario.contact.holding_limit
