@@ -22,6 +22,7 @@ from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.compilation.cache import enable_cache
 
 identity, answer, shape, double = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "double"
+options = {"xla_backend_optimization_level": int(sys.argv[5])}
 traced = []
 
 def function(structure, values):
@@ -32,7 +33,7 @@ def function(structure, values):
 
 enable_cache()
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # as if the machine were slow
-program = kept(function, lambda structure, *trees: identity or None, {})
+program = kept(function, lambda structure, *trees: identity or None, options)
 with jax.enable_x64(double):
     made = program(3.0, np.arange(shape, dtype=float if double else np.float32))
     print(len(traced), *(np.asarray(value).tobytes().hex() for value in made.values()))
@@ -43,8 +44,8 @@ with jax.enable_x64(double):
 def walk(tmp_path, monkeypatch):
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
 
-    def run(identity="a", answer="1.0", shape="4", double="single", umask=0o022):
-        command = [sys.executable, "-c", WALK, identity, answer, shape, double]
+    def run(identity="a", answer="1.0", shape="4", double="single", level="1", umask=0o022):
+        command = [sys.executable, "-c", WALK, identity, answer, shape, double, level]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, umask=umask)
         assert done.returncode == 0, done.stderr
         traced, *values = done.stdout.split()
@@ -54,14 +55,14 @@ def walk(tmp_path, monkeypatch):
 
 
 def test_the_next_process_neither_traces_nor_gets_another_program(walk):
-    """The same bits; another identity, shape or precision is another program; nothing is kept without an identity."""
+    """The same bits; another identity, shape, precision or option: another program; none kept without an identity."""
     first = walk()
     assert first[0] == 1
     assert walk(answer="9.0") == (0, first[1])  # the kept one, by its identity
-    for change in ({"identity": "b"}, {"shape": "5"}, {"double": "double"}, {"identity": ""}):
+    for change in ({"identity": "b"}, {"shape": "5"}, {"double": "double"}, {"level": "0"}, {"identity": ""}):
         traced, values = walk(**change)
         assert traced == 1
-        assert (values == first[1]) == (change.keys() == {"identity"})
+        assert (values == first[1]) == (change.keys() <= {"identity", "level"})
     assert walk(identity="")[0] == 1
 
 
@@ -100,6 +101,13 @@ def test_a_program_that_does_not_run_is_made_anew(walk, tmp_path):
     [wrong] = set((tmp_path / "programs").iterdir()) - {right}
     right.write_bytes(wrong.read_bytes())
     assert walk() == (1, values)
+
+
+def test_a_cache_that_the_user_chose_in_jax_stays(tmp_path, monkeypatch):
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "ours"))
+    with cache.cache_in(str(tmp_path / "own")):
+        cache.enable_cache()
+        assert cache.cache_in_use() == str(tmp_path / "own")
 
 
 @pytest.fixture

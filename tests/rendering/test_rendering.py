@@ -510,8 +510,11 @@ def test_instants_outside_the_walk_are_refused(at, refused, monkeypatch):
     assert "--at: expected up to 12 times from 0 to 8 s" in refused("--snapshots", "--at", at)
 
 
-def test_a_context_that_does_not_exist_does_not_work():
+def test_a_context_that_does_not_exist_or_hangs_does_not_work(monkeypatch):
     assert not backend.works("no_such_context")
+    monkeypatch.setattr(backend, "_TRIAL", "while True: pass")
+    monkeypatch.setattr(backend, "_TRIAL_SECONDS", 0.1)
+    assert not backend.works("egl")
 
 
 # ------------------------------------------------------------------------------------------------------------

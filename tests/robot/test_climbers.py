@@ -133,6 +133,22 @@ def test_a_held_joint_is_one_that_is_not_there(climber, tmp_path):
     np.testing.assert_allclose(robot.stance_position[:, 0] - [0, 0, 0.12], center - data.xpos[bodies[0]], atol=1e-12)
 
 
+def test_springs_of_the_file_are_taken(climber):
+    robot = load_robot(climber(4, 3, attributes='stiffness="2" springref="20"').robot)
+    np.testing.assert_allclose(robot.spring, np.full((3, 4, 1), 2.0))
+    np.testing.assert_allclose(robot.spring_rest, np.full((3, 4, 1), np.radians(20)))
+
+
+def test_attitudes_are_kept_where_every_limb_can_turn_its_foot(climber):
+    """Six driven joints in each limb, not in some."""
+    spring = lambda robot: robot.update(springs={"L1_5": {"stiffness": 2.0, "damping": 0.02}})  # noqa: E731
+    kept = [
+        limb_geometry(load_robot(climber(3, 6, change=change).robot), turned=True).attitude is not None
+        for change in (lambda robot: None, spring)
+    ]
+    assert kept == [True, False]
+
+
 def test_limbs_of_fewer_joints_are_filled_up(climber):
     """A limb that names one joint less, the last held, stands and moves as MuJoCo has it."""
 

@@ -157,6 +157,20 @@ def test_a_file_is_what_is_in_it_whatever_its_name(tmp_path):
     assert compiled(file, bare(file)).body("L0_2").mass[0] > 0.01
 
 
+def test_a_hand_ends_a_limb(tmp_path):
+    """Of two fingers beyond three joints; beyond two it is a fork in a limb, whose longest branch counts."""
+    finger = (
+        '<body name="{0}{1}" pos="0.15 0 0"><joint name="{0}{1}"/><geom size="0.01" pos="0.03 0 0"/>'
+        '<inertial pos="0.02 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/></body>'
+    )
+    ends = iter("abcd" * 2)
+    hands = lambda _: "".join(map(finger.format, [next(ends)] * 2, (0, 1)))  # noqa: E731
+    for joints, expected in ((3, 3), (2, 3)):
+        text = re.sub(r'<site name="foot\d" pos="[\d.]+ 0 0"/>', hands, climbers.mjcf(4, joints))
+        limbs, _ = found(written(tmp_path, text))
+        assert [len(limb.joints) for limb in limbs.values()] == [expected] * 4
+
+
 PEBBLE = '<body name="pebble"><freejoint/><geom size="0.1"/></body>'
 SLIDES = '<joint name="rx" type="slide" axis="1 0 0"/>'
 

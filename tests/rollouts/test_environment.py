@@ -46,6 +46,11 @@ def test_one_robot_walks_as_in_a_rollout_bit_for_bit(scenario, alone):
         np.testing.assert_array_equal(getattr(alone[1], name), getattr(trajectory, name), err_msg=name)
 
 
+def test_robots_have_the_precision_that_is_asked_for(scenario):
+    carry = jax.eval_shape(mc.Environment(scenario, dtype=np.float32).reset).carry
+    assert {value.dtype for value in vars(carry.state).values()} == {np.dtype(np.float32)}
+
+
 @pytest.mark.slow
 def test_a_batch_walks_as_its_robots_do(scenario, env, walked):
     stiffness = np.array([1e3, 5e4, 1e5])

@@ -70,8 +70,10 @@ def test_own_metrics_of_a_batch_are_those_of_each_walk(alone, batch):
         assert batch[name][0] == pytest.approx(value, rel=1e-4 if name == "weight" else 1e-9), name
 
 
-def test_companions_are_near_their_extremes_and_inside(batch):
+def test_companions_are_near_their_extremes_and_inside(alone, batch):
     """The companion of an extreme averages over all instants, so it lies within it, and not far from it."""
+    torques = np.abs(alone.joint_torque)  # of every instant, limb and joint
+    assert batch["smooth_peak_joint_torque"][0] == pytest.approx((torques**32).mean() ** (1 / 32), rel=1e-9)
     for name, inside in (("peak_base_speed", 1), ("largest_forward_speed", 1), ("lowest_base", -1)):
         gap = inside * (batch[name] - batch[f"smooth_{name}"])
         assert (gap >= 0).all(), name

@@ -20,7 +20,7 @@ from mjx_climb import plots
 from mjx_climb.compilation import devices
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from tuning.command_line import main, options, progress, report, sweep
-from tuning.command_line.ending import InputError
+from tuning.command_line.ending import InputError, user_error
 from tuning.command_line.sweep import log_range
 from tuning.gains import gains_file
 from tuning.output import beside
@@ -263,6 +263,11 @@ def test_a_closed_standard_error_leaves_standard_output_alone(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
+
+
+def test_a_long_line_is_shortened_in_the_middle():
+    line = user_error(InputError(f"--option: {'x' * 10_000} its end"))
+    assert len(line) < 1100 and line.startswith("--option: ") and line.endswith(" its end")
 
 
 def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):

@@ -10,6 +10,7 @@ from PIL import Image
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from tuning.command_line import main
+from tuning.output import redrawn
 
 
 @pytest.fixture
@@ -52,6 +53,12 @@ def test_a_metric_is_drawn_as_it_is_asked_for(plot, folder, tmp_path):
     assert plot(folder, *asked, "--style", tmp_path / "large.mplstyle")[0] == 0
     assert (out / "maps-peak_foot_force.svg").read_text() != plain
     assert plot(folder) == (0, ["maps.png"], "") and (folder / "maps.png").is_file()
+
+
+def test_pd_is_marked_on_the_colours_of_a_map_that_is_drawn_again(folder):
+    ((_, figure),) = redrawn.figures(folder, ["peak_foot_force"])
+    (mark,) = figure.findobj(lambda artist: artist.get_gid() == "baseline")
+    assert list(mark.get_ydata()) == [4.0, 4.0]
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ import pytest
 import mjx_climb as mc
 from tuning.gains import gains_file
 from tuning.judged import margins
-from tuning.output import beside_search
+from tuning.output import beside_search, tuned
 from tuning.problem.search import Search
-from tuning.searches import result
+from tuning.searches import result, retuned_pd
 from tuning.tune import tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
@@ -72,3 +72,32 @@ def test_a_search_without_slopes_has_the_program_of_the_tests_loaded_beside(monk
     for work in works:
         work(lambda *_: None)
     assert asked == [(2,)] * more
+
+
+def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
+    """Without walking: what the verdict on the force sensor is given."""
+
+    class Given(Exception):
+        pass
+
+    def worth(ours, theirs, joint, *, step, **_):
+        raise Given(ours, theirs, step)
+
+    nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
+    scenario = mc.load_scenario("case_1_2")
+    for module, name, value in (
+        (tuned.verification, "tests", nothing), (tuned.verification, "tuned", lambda _: scenario),
+        (tuned.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
+        (tuned.margins, "find", nothing), (tuned, "_with_joint_gains", nothing), (tuned, "differences", nothing),
+        (tuned, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
+        (retuned_pd, "spread_of", lambda _: 0.0), (retuned_pd, "lacks", nothing), (retuned_pd, "worth", worth),
+        (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+    found = types.SimpleNamespace(
+        scenario=scenario, problem=types.SimpleNamespace(law=None, engine="limb", objective=None), law=None, gains=None,
+        judged_by=None, beside=(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {}),
+    )  # fmt: skip
+    with pytest.raises(Given) as given:
+        tuned.judge(found)
+    assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)

@@ -396,6 +396,23 @@ def test_folders_of_a_machine_are_left_out(text, expected):
     assert without_folders(text) == expected
 
 
+def test_cells_of_a_grid_that_is_not_square():
+    """Histories of one row only; gains in the order of the cells, in the unit of translations."""
+    values = {"stiffness": ("N/m, N m/rad", [1e2, 1e3, 1e4]), "damping": ("N s/m, N m s/rad", [1e1, 1e2])}
+    axes = {name: (name, numbers, {"units": unit}) for name, (unit, numbers) in values.items()}
+    metrics = {"peak_foot_force": np.arange(6.0), "detached_at": np.full(6, np.nan), "diverged": np.zeros(6)}
+    data = {name: (list(axes), numbers.reshape(3, 2)) for name, numbers in metrics.items()}
+    names = {"flag_meanings": "none LF LH RH RF"}
+    grid = xr.Dataset(data | {"detached_limb": (list(axes), np.full((3, 2), -1), names)}, axes)
+    lines = np.arange(24.0).reshape(3, 2, 2, 2)
+    walks = xr.Dataset({name: ([*axes, "extreme", "stretch"], lines) for name in LINES}, axes)
+    points = explorer.grid_points(grid, walks.isel(damping=[1]), {}, {}, None)
+    assert points["stored"] == [1, 3, 5] and points["values"]["peak_foot_force"] == list(range(6))
+    assert points["gains"] == {"stiffness": [1e2, 1e2, 1e3, 1e3, 1e4, 1e4], "damping": [1e1, 1e2] * 3}
+    assert [axis["unit"] for axis in points["axes"]] == ["N/m", "N s/m"]
+    np.testing.assert_array_equal(unpacked(points["histories"]["foot_force_history"]), lines[:, 1].ravel())
+
+
 def test_a_coarser_grid_keeps_what_it_must():
     rows = explorer.coarser({"stiffness": 48, "damping": 5}, {"stiffness": 31, "damping": 4}, 100)
     assert len(rows["stiffness"]) * len(rows["damping"]) <= 100

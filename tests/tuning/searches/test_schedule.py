@@ -15,6 +15,7 @@ from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains import law_file
+from tuning.problem.search import Search
 from tuning.report import ensemble_pictures
 from tuning.searches import schedule
 
@@ -41,6 +42,15 @@ def made(scenario, **how):
 @pytest.fixture(scope="module")
 def table(scenario, few):
     return made(scenario)
+
+
+def test_each_operating_point_has_its_gravity_and_its_cargo(scenario, monkeypatch):
+    """The cargo runs fastest, in what is walked as in the tables."""
+    pd = dict.fromkeys(mc.METRICS.names, np.ones(6)) | {"diverged": np.zeros(6)}
+    monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: pd)
+    points = schedule.operating_points(scenario, Search(), gravity=(0.1, 1.0), cargo=(0.0, 0.5, 2.0))
+    np.testing.assert_allclose(points.numbers.gravity[:, 2], [-0.981] * 3 + [-9.81] * 3)
+    assert points.numbers.cargo_mass.tolist() == [0.0, 0.5, 2.0] * 2
 
 
 @pytest.mark.nightly

@@ -27,9 +27,10 @@ class Numbers:
     size: int = SIZE
     settings: float = 1.0
     in_pieces: bool = False
+    platform: str = "cpu"
 
     def identity(self):
-        return {"kind": "test", "settings": {"a": self.settings, "b": 2.0}, "platform": "cpu"}
+        return {"kind": "test", "settings": {"a": self.settings, "b": 2.0}, "platform": self.platform}
 
     def walk(self, rows):
         assert rows.min() >= 0 and rows.max() < self.rows
@@ -66,8 +67,9 @@ def test_shards_joined_are_the_whole(three):
     whole = shards.walk(Numbers(), None, None)
     np.testing.assert_array_equal(whole["x"], np.sin(np.arange(10.0)))
     for folders in ([three], list(reversed([Shard(n, 3).folder(three) for n in (1, 2, 3)]))):
-        joined = shards.joined(Numbers(), shards.find(folders))
-        assert joined["x"].tobytes() == whole["x"].tobytes()
+        for platform in ("cpu", "gpu"):  # of the machine that joins them
+            joined = shards.joined(Numbers(platform=platform), shards.find(folders))
+            assert joined["x"].tobytes() == whole["x"].tobytes()
 
 
 @pytest.mark.parametrize("in_pieces", [True, False])

@@ -1,7 +1,9 @@
 """Searches: spaces, objectives, gradients, methods, and results that survive a kill."""
 
+import contextlib
 import dataclasses
 import functools
+import itertools
 import os
 import signal
 import subprocess
@@ -22,7 +24,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.searches import result
-from tuning.searches.methods import METHODS, Method, Request, Task
+from tuning.searches.methods import METHODS, Method, Request, Task, refined_grid
 from tuning.searches.tune import problem_of, start_of
 from tuning.tune import tune
 
@@ -138,6 +140,8 @@ def test_pd_scores_one_and_keeps_its_own_limits(scenario):
     assert float(score.value) == pytest.approx(1, rel=1e-5)
     assert float(score.descent - score.penalty) == pytest.approx(1, rel=1e-5)
     assert bool(score.feasible)
+    (deviation,) = (limit.value for limit in target.limits if limit.metric == "base_deviation")
+    assert deviation == pytest.approx(3 * baseline["base_deviation"])  # the limit where the settings name none
 
 
 def test_a_limit_is_penalised_before_it_breaks_and_judged_where_it_breaks():
@@ -238,6 +242,24 @@ def test_methods_find_the_bottom_of_a_bowl(scenario, method, layout):
         pass
     assert min(found) < 0.5 + {"optuna": 0.8}.get(method, 0.06)
     assert rounds <= METHODS[method].rounds(Task(bowl, settings, start_of(bowl)))
+
+
+def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenario, monkeypatch):
+    """About its best point alone: nothing between two points of a grid is left out by the next, finer one."""
+    monkeypatch.setattr(refined_grid, "CELLS", 1)
+    settings = search.make({"method": "grid"})
+    bowl = Bowl(scenario, spaces.space(scenario, settings), objectives.Objective((), ()))
+    points, walked = refined_grid.run(Task(bowl, settings, start_of(bowl))), {"grid": [], "refined grid": []}
+    with contextlib.suppress(StopIteration):
+        request = next(points)
+        while True:
+            walked[request.phase].append(request.theta)
+            request = points.send(bowl.evaluate(request.theta))
+    levels = [np.concatenate(walked["grid"]), *walked["refined grid"]]
+    assert len(levels) == 3
+    for coarse, fine in itertools.pairwise(levels):
+        steps = [np.diff(np.unique(axis.round(9))).min() for axis in coarse.T]
+        np.testing.assert_allclose(np.ptp(fine, axis=0), 2 * np.array(steps), rtol=1e-6)
 
 
 def test_a_dead_start_does_not_poison_the_others(scenario):
