@@ -36,6 +36,7 @@ from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.compilation.machine import source_digest
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
 from mjx_climb.hardware.control_period import period_steps
 from mjx_climb.hardware.stages import Stages
@@ -45,6 +46,7 @@ from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.rollouts.identity import identity
 from mjx_climb.rollouts.rollout import given_in
 from mjx_climb.walk import control_loop, gait
+from mjx_climb.walk.contact import Attitude
 from mjx_climb.walk.inverse_kinematics import inverse_kinematics
 from mjx_climb.walk.step import Carry, Structure, Walk, advance, begin, prepare, structure
 
@@ -331,6 +333,9 @@ def _stance(shape: Structure, law: Law, numbers: mc.Parameters, step: jax.Array)
     memory = control_loop.start(state, jnp.broadcast_to(target, grip.shape), walk.controller)
     touching = jnp.broadcast_to(now.closed, carry.contact.touching.shape)
     contact = carry.contact._replace(grip_point=grip, touching=touching)
+    if walk.controller.stages.rotational:  # grips hold the attitudes that feet have now
+        frames = limb_frames(walk.robot, quaternion_to_matrix(state.base_orientation), joints)
+        contact = contact._replace(attitude=Attitude(frames.rotation[-1], touching))
     return walk, carry._replace(state=state, contact=contact, hardware=memory)
 
 

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.checks.time_step import growth
 from mjx_climb.quantities.parameters import own_numbers
 from tuning.judged import stability_limit
 
@@ -67,6 +68,18 @@ def test_stances_begin_halve_and_end_the_times_in_which_the_same_feet_hold(case)
     assert not (slow % 8).any() and ((np.sort(slow).reshape(4, 3) // 1000).T == np.arange(4)).all()
     standing = stability_limit._stances(turn.with_overrides({"gait.duty": 0.8}), np.array([1]), uneven=False)
     assert {802, 900, 998} < {*standing[0]}  # between two swings of 800 steps
+
+
+@pytest.mark.slow
+def test_grips_that_keep_attitudes_are_in_the_loop(case):
+    """Held too stiffly for the time step, feet shake about as fast as the check of the time step says of its stance."""
+    scenario = case("case_1_2", "virtual_model", {"control.controller": "pd", "contact.rotational_stiffness": 1.0})
+    stiffness = np.array([1.0, 3e3])
+    numbers = dataclasses.replace(own_numbers(scenario), rotational_stiffness=stiffness)
+    radius = stability_limit.spectral_radius(scenario, {"kp": 50.0, "kd": 0.2}, numbers)
+    contact = scenario.contact.model_copy(update={"rotational_stiffness": 3e3})
+    assert radius[0] < 1
+    np.testing.assert_allclose(radius[1], growth(scenario.model_copy(update={"contact": contact})), rtol=0.1)
 
 
 @pytest.mark.slow
