@@ -56,14 +56,14 @@ def scenarios(draw):
     readings = ["virtual_model", "measured_pose"][: 1 if controller == "end_effector_admittance" else 2]
     return {
         "robot": draw(st.text().filter(lambda text: text.strip() and text.isprintable())),
-        "gravity": draw(vector),
+        "gravity": draw(st.tuples(*3 * [st.floats(-1e4, 1e4)])),
         "duration": draw(st.integers(1, 10**6)) * time_step,
         "time_step": time_step,
         "gait": {
             "cycle": draw(st.integers(100, 10**6)) * time_step,
             "duty": draw(st.floats(0.75, 0.97)),
-            "stride": draw(not_below),
-            "step_height": draw(above),
+            "stride": draw(st.floats(0, 100)),
+            "step_height": draw(st.floats(0, 100, exclude_min=True)),
             "sequence": draw(st.permutations(["LF", "LH", "RH", "RF"])),
             "swing": draw(st.sampled_from(["cubic", "low_reaction"])),
             "base_reference": draw(st.sampled_from(["nominal", "actual"])),
