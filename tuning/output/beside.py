@@ -22,8 +22,7 @@ class Beside(NamedTuple):
     """What a grid is compared with, whatever its walks give: works that wait to be asked for, or are under way."""
 
     walks: Mapping[str, Asked[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
-    rival: Asked[retuned_pd.Rival | None]  # pd retuned
-    radius: Asked[xr.DataArray]  # the limit of stability
+    limits: Asked[tuple[retuned_pd.Rival | None, xr.DataArray]]  # pd retuned, and the limit of stability
 
 
 def beside(
@@ -35,11 +34,14 @@ def beside(
     walked, own = walkers[config] if gains is None else replaced(scenario, law, gains)
     if gains is not None:
         walkers[GIVEN] = walked, own
-    return Beside(
-        {name: begin(one_walk(*walker, engine)) for name, walker in walkers.items()},
-        begin(lambda _: retuned_pd.least(scenario, engine=engine)),
-        begin(lambda _: stability_limit.over_axes(walked, axes, law=own, engine=engine)),
+    # one after the other: each keeps all cores busy, and side by side they take more than twice as long
+    limits = begin(
+        lambda _: (
+            retuned_pd.least(scenario, halvings=1, engine=engine),
+            stability_limit.over_axes(walked, axes, law=own, engine=engine),
+        )
     )
+    return Beside({name: begin(one_walk(*walker, engine)) for name, walker in walkers.items()}, limits)
 
 
 def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Asked[mc.Trajectory]:

@@ -171,13 +171,15 @@ def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = No
     others = compared_with or beside(found.scenario, found.law, found.gains, axes, engine, lambda work: work)
     # side by side: most of the time goes to the compiler, which has a program of its own for each
     with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
-        retuning, limit = pool.submit(others.rival, to_nobody), pool.submit(others.radius, to_nobody)
+        limits = pool.submit(others.limits, to_nobody)
         asked = dict(others.walks)
         if best is not None:
             walker = found.walker({name: best[name].item() for name in found.axes})
             asked["best"] = one_walk(*walker, engine)
         walking = {name: pool.submit(walk, to_nobody) for name, walk in reversed(asked.items())}
-        rival, level, step = retuning.result(), None, None
+        (rival, limit), level, step = limits.result(), None, None
+        if best is not None and (rival is None or rival.lacks and best["force_variation"] < rival.value):
+            rival = retuned_pd.least(found.scenario, engine=engine)  # a verdict for the law takes all of pd's bounds
         if rival is not None:
             alone = retuned_pd.walker(found.scenario, rival.joint)
             walking[retuned_pd.NAME] = pool.submit(one_walk(alone, None, engine), to_nobody)
@@ -186,7 +188,7 @@ def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = No
                 shorter = walker[0].with_overrides({"time_step": step})
                 level = pool.submit(one_walk(shorter, walker[1], engine), to_nobody)
         walks = {name: each.result() for name, each in walking.items()}
-        radius = stability_limit.on_map(limit.result(), found.data)
+        radius = stability_limit.on_map(limit, found.data)
     config = next(name for name in others.walks if name not in ("pd", GIVEN))
     order = [name for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walks]
     walks = {name: walks[name] for name in order}

@@ -95,16 +95,17 @@ def walked_on_grid(
     return gains, {name: np.asarray(value) for name, value in walks.items()}
 
 
-def least(scenario: mc.Scenario, *, engine: str = DEFAULT_ENGINE) -> "Rival | None":
+def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFAULT_ENGINE) -> "Rival | None":
     """Search kp and kd with which pd has the least force variation and holds, None where it never does.
 
     Over all of the bounds first, then closer and closer about the best: what a sweep, which looks for the same among
-    the gains of a law, is compared with.
+    the gains of a law, is compared with. The time step is halved so many times at most for kp and kd that it cannot
+    follow; those that it then cannot are left out, which `Rival.lacks` says.
     """
     pd, table = under_pd(scenario), mc.MetricTable(mc.METRICS[name] for name in _JUDGED_BY)
     bounds = default_bounds(pd, PD())
     highest = {name: high for name, (_, high) in bounds.items()}
-    pd = pd.with_overrides({"time_step": time_step_for(scenario, highest)})
+    pd = pd.with_overrides({"time_step": time_step_for(scenario, highest, halvings)})
     lower, upper = np.log(list(bounds.values())).T
     best, centre, half = np.log([pd.control.kp, max(pd.control.kd, 1e-12)]), (lower + upper) / 2, (upper - lower) / 2
     offsets = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, POINTS)]), -1).reshape(-1, 2)
@@ -122,26 +123,27 @@ def least(scenario: mc.Scenario, *, engine: str = DEFAULT_ENGINE) -> "Rival | No
         centre, half = best, half * 2 / (POINTS - 1)
     if not np.isfinite(values[place]):
         return None
-    return Rival(_row(joint, place), spread(np.concatenate(every)), _lacks(pd, highest))
+    return Rival(_row(joint, place), float(values[place]), spread(np.concatenate(every)), _lacks(pd, highest))
 
 
 class Rival(NamedTuple):
     """pd with kp and kd that were searched."""
 
     joint: dict[str, float]
+    value: float  # N, the force variation
     spread: float  # see `spread`
     lacks: str  # in what it was searched less than it might be, nothing where all its bounds were
 
 
-def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float]) -> float:
-    """Return a time step, s, that joint gains can follow: the scenario's, halved up to `HALVINGS` times.
+def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: int = HALVINGS) -> float:
+    """Return a time step, s, that joint gains can follow: the scenario's, halved up to so many times.
 
     It is the scenario's own where a law looks one time step ahead, and would be another one at another step.
     """
     control, step = scenario.control, scenario.time_step
     if control.reading == "measured_pose" and not scenario.hardware.control_period:
         return step
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         try:
             shorter = scenario.with_overrides({"time_step": step / 2})
         except ConfigError:  # a delay of more time steps than are kept
