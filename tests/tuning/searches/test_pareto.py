@@ -10,6 +10,10 @@ from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains import law_file
+from tuning.problem import spaces
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.problem.search import Search
 from tuning.report import ensemble_pictures
 from tuning.report.pareto import front_table
 from tuning.searches import pareto, retuned_pd
@@ -34,6 +38,28 @@ def test_nondominated():
 def test_knee_is_furthest_from_the_line_between_the_ends():
     assert pareto.knee(np.array([0.0, 1.0, 5.0, 10.0]), np.array([10.0, 2.0, 1.0, 0.0])) == 1
     assert pareto.knee(np.array([1.0]), np.array([1.0])) == 0
+
+
+def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(few, monkeypatch):
+    """Metrics that are shares of the space: the feet's force has a limit, the base's deviation those of the rows."""
+
+    class Shares(Problem):
+        def evaluate(self, theta, directions=None):
+            shares = (theta - self.space.lower) / (self.space.upper - self.space.lower)
+            found = {"base_deviation": shares[:, 0] + 0.1, "force_variation": 1.1 - shares[:, 0]}
+            found["peak_foot_force"] = shares[:, 1]
+            ones = np.ones(len(theta))
+            slopes = np.zeros((len(theta), 0 if directions is None else len(directions)))
+            return Evaluation(ones, ones, 0 * ones, ones > 0, slopes, slopes, found)
+
+    monkeypatch.setattr(pareto, "_dataset", lambda asked, archive, *_: archive)
+    limits = tuple(Limit(name, 0.5, 0.5, 0.02, "") for name in ("base_deviation", "peak_foot_force"))
+    goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), limits)
+    problem = Shares(mc.Scenario(), spaces.space(mc.Scenario(), Search()), goal)
+    archive = pareto.run(pareto.Trade(problem, Search(), "force_variation", "base_deviation"), points=2)
+    theta, held = (np.concatenate(archive[name]) for name in ("theta", "held"))
+    deviation, force = ((theta - problem.space.lower) / (problem.space.upper - problem.space.lower)).T
+    assert held.tolist() == (force <= 0.5).tolist() and 0 < held.sum() < held.size and deviation[held].max() > 0.5
 
 
 def test_one_metric_twice_is_refused():
