@@ -74,6 +74,10 @@ def test_companions_are_near_their_extremes_and_inside(alone, batch):
     """The companion of an extreme averages over all instants, so it lies within it, and not far from it."""
     torques = np.abs(alone.joint_torque)  # of every instant, limb and joint
     assert batch["smooth_peak_joint_torque"][0] == pytest.approx((torques**32).mean() ** (1 / 32), rel=1e-9)
+    heights = alone.base_position[:, 2]
+    unit = heights[0] / 100
+    softest = heights.min() - unit * np.log(np.exp((heights.min() - heights) / unit).mean())
+    assert batch["smooth_lowest_base"][0] == pytest.approx(softest, rel=1e-9)
     for name, inside in (("peak_base_speed", 1), ("largest_forward_speed", 1), ("lowest_base", -1)):
         gap = inside * (batch[name] - batch[f"smooth_{name}"])
         assert (gap >= 0).all(), name
