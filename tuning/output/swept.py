@@ -178,7 +178,7 @@ def judge(found: Swept, stage: Stage = silent, compared_with: Beside | None = No
             asked["best"] = one_walk(*walker, engine)
         walking = {name: pool.submit(walk, to_nobody) for name, walk in reversed(asked.items())}
         (rival, limit), level, step = limits.result(), None, None
-        if best is not None and (rival is None or rival.lacks and best["force_variation"] < rival.value):
+        if best is not None and (rival is None or (rival.lacks and best["force_variation"] < rival.value)):
             rival = retuned_pd.least(found.scenario, engine=engine)  # a verdict for the law takes all of pd's bounds
         if rival is not None:
             alone = retuned_pd.walker(found.scenario, rival.joint)
