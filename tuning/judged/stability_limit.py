@@ -54,7 +54,7 @@ ROUNDING = 1e-9  # a radius above 1 by less is 1
 # of the matrices of one compiled batch, about: with twice as many XLA refuses the pieces of some laws' steps
 _ENTRIES = 32 * 50**2
 _LARGEST_BATCH = 32  # matrices
-_FINEST = 24  # values along an axis of a map
+_FINEST = 16  # values along an axis of a map
 _FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
 _MANY = 1000  # matrices, from which on a faster program is worth what it takes to compile
 _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
@@ -188,17 +188,18 @@ def _radii(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
     core = _coupled((matrices != 0).any((0, 1)))
     alone = np.diagonal(matrices, axis1=2, axis2=3)[..., ~core]
     matrices = matrices[:, :, core][..., core]
-    found = []
-    for index, period in enumerate(periods[finite]):
+    values = np.empty(matrices.shape[1])
+    for period in np.unique(periods[finite]):
+        rows = periods[finite] == period
+        kinds = min(int(period), len(matrices))
         whole, single = np.eye(int(core.sum())), np.ones(alone.shape[-1])
-        for k in range(min(period, len(matrices))):
-            last = k == len(matrices) - 1
-            times = int(period) - k if last else 1
-            whole = np.linalg.matrix_power(matrices[k, index], times) @ whole
-            single = single * alone[k, index] ** times
-        values = [*np.abs(np.linalg.eigvals(whole)), *np.abs(single)]
-        found.append(max(values) ** (1 / period))
-    radius[finite] = found
+        for k in range(kinds):
+            times = int(period) - k if k == len(matrices) - 1 else 1
+            whole = np.linalg.matrix_power(matrices[k, rows], times) @ whole
+            single = single * alone[k, rows] ** times
+        sizes = np.abs(np.concatenate([np.linalg.eigvals(whole), single], axis=-1))
+        values[rows] = sizes.max(-1) ** (1 / period)
+    radius[finite] = values
     return radius
 
 
@@ -231,7 +232,7 @@ def over_axes(
 ) -> xr.DataArray:
     """Return the radius over values of two gains, the same on all axes of one.
 
-    Of more than 24 values along an axis (8 with delays in the loop) so many are taken.
+    Of more than 16 values along an axis (8 with delays in the loop) so many are taken.
     """
     finest = _FINEST if _batch_of(structure(scenario, engine).stages) == _LARGEST_BATCH else _FINEST_WITH_MEMORY
     some = {name: _spread(np.asarray(values, float), finest) for name, values in axes.items()}

@@ -53,7 +53,7 @@ def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
     assert walks.assign(spectral_radius=radius)["stiffness"].attrs == {"units": "N/m"}
     assert radius.shape == (200, 3) and np.isfinite(radius[[0, -1]]).all()
     known = radius.dropna("stiffness")
-    assert known.sizes["stiffness"] == 24
+    assert known.sizes["stiffness"] == 16
     np.testing.assert_allclose(known, np.broadcast_to(walks["damping"] / 1e2, known.shape))
 
 
