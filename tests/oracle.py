@@ -40,7 +40,7 @@ class Gait:
     def __init__(self, walk, feet, base):
         scenario, gait = walk.scenario, walk.scenario.gait
         self.cycle = round(gait.cycle / scenario.time_step)
-        self.swing = round((1 - gait.duty) * gait.cycle / scenario.time_step)
+        self.swing = int(round((1 - gait.duty) * self.cycle, 6))  # limbs in turn never swing together
         self.offset = np.array([round(gait.lift_off[limb] * self.cycle) for limb in walk.limbs])
         self.step_height, turn = gait.step_height, Rotation.from_euler("z", gait.heading)
         self.advance, self.feet, self.base = turn.apply([gait.stride, 0, 0]), turn.apply(feet), turn.apply(base)
