@@ -17,7 +17,8 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.scenario.shipped import config_path
 from tuning.problem import ensemble
-from tuning.searches import result, tune
+from tuning.searches import result
+from tuning.tune import tune
 
 ROOT = Path(__file__).parents[3]
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
@@ -139,5 +140,5 @@ def test_tuned_gains_go_from_file_to_file(quiet, tmp_path):
         assert {name: metrics[name] for name in tuned} == tuned
 
     stored = result.load(folder / "search.nc")
-    again = tune.tune(stored.scenario, stored.search)
+    again = tune(stored.scenario, stored.search)
     np.testing.assert_array_equal(again.gains.stiffness, stored.gains.stiffness)
