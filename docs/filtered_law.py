@@ -1,4 +1,4 @@
-"""Eq. 3 of the paper behind a low-pass filter, with two parameters of its own."""
+"""Eq. 3 of the paper behind a low-pass filter, with two gains of its own."""
 
 import jax.numpy as jnp
 
@@ -13,13 +13,12 @@ class Filtered(VirtualModelAdmittance):
     share: object = mc.gain("1", length=1, bounds=(0.05, 1.0), default=1.0, long_name="share of the wrench")
 
     def init(self, start):
-        """Return the state of Eq. 3, the filter's pole and its last output, (6, B) each."""
-        pole = jnp.exp(-2 * jnp.pi * self.cutoff * start.period)
-        return super().init(start), pole, jnp.zeros_like(pole)
+        """Return the state of Eq. 3, the filter's poles (6,) and its last output (6,)."""
+        return super().init(start), jnp.exp(-2 * jnp.pi * self.cutoff * start.period), jnp.zeros(6)
 
-    def step(self, state, measurement, reference):
+    def step(self, state, measured, reference):
         """Filter the wrench, then do what Eq. 3 does with it."""
-        inner, pole, before = state
-        wrench = pole * before + (1 - pole) * self.share * measurement.wrench
-        inner, command = super().step(inner, measurement._replace(wrench=wrench), reference)
-        return (inner, pole, wrench), command
+        mass, pole, before = state
+        wrench = pole * before + (1 - pole) * self.share * measured.wrench
+        mass, command = super().step(mass, measured._replace(wrench=wrench), reference)
+        return (mass, pole, wrench), command

@@ -38,9 +38,7 @@ def walked(scenario: mc.Scenario, damping: np.ndarray) -> tuple[dict, dict]:
 
     with jax.enable_x64(True):
         logs = jnp.log(jnp.asarray(damping))
-        run = jax.jit(
-            lambda x: jax.jvp(metrics, (x,), (jnp.ones_like(x),)), compiler_options=mc.compiler_options(damping.size)
-        )
+        run = jax.jit(lambda x: jax.jvp(metrics, (x,), (jnp.ones_like(x),)))
         return jax.tree.map(np.asarray, run(logs))
 
 

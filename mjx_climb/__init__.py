@@ -1,95 +1,41 @@
-"""mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control.
+"""mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control."""
 
-Names are imported when they are first used, so that the command line and the reading of scenarios start at once.
-"""
+from mjx_climb.execution import forked  # noqa: F401  # which must see forks from now on
+from mjx_climb.lazy import lazy_names
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
-from mjx_climb.compilation import forked  # noqa: F401  # which must see forks from now on
-
+TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from mjx_climb.compilation.options import compiler_options, pieces_pay
-    from mjx_climb.control import Command, Law, Measurement, Reference, Start, gain
-    from mjx_climb.dynamics import ENGINES, forward_dynamics
-    from mjx_climb.dynamics.state import Acceleration, State
-    from mjx_climb.quantities.parameters import Gains, Parameters, parameters
-    from mjx_climb.robot.constants import RobotError
-    from mjx_climb.rollouts.environment import BaseShift, Environment, EnvironmentState, JointTargets
-    from mjx_climb.rollouts.histories import rollout_histories
-    from mjx_climb.rollouts.judged import metrics
-    from mjx_climb.rollouts.rollout import rollout, rollout_metrics, simulator
-    from mjx_climb.rollouts.slopes import rollout_slopes
-    from mjx_climb.rollouts.trajectory import Trajectory
-    from mjx_climb.scenario.load import load_scenario
-    from mjx_climb.scenario.messages import ConfigError
-    from mjx_climb.scenario.model import Scenario
-    from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
-
-_PUBLIC = {
-    "compilation.options": ("compiler_options", "pieces_pay"),
-    "control": ("Command", "Law", "Measurement", "Reference", "Start", "gain"),
-    "dynamics": ("ENGINES", "forward_dynamics"),
-    "dynamics.state": ("Acceleration", "State"),
-    "quantities.parameters": ("Gains", "Parameters", "parameters"),
-    "robot.constants": ("RobotError",),
-    "rollouts.environment": ("BaseShift", "Environment", "EnvironmentState", "JointTargets"),
-    "rollouts.histories": ("rollout_histories",),
-    "rollouts.judged": ("metrics",),
-    "rollouts.rollout": ("rollout", "rollout_metrics", "simulator"),
-    "rollouts.slopes": ("rollout_slopes",),
-    "rollouts.trajectory": ("Trajectory",),
-    "scenario.load": ("load_scenario",),
-    "scenario.messages": ("ConfigError",),
-    "scenario.model": ("Scenario",),
-    "walk.metrics": ("METRICS", "Metric", "MetricTable"),
-}
-_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
-
-__all__ = [
-    "ENGINES",
-    "METRICS",
-    "Acceleration",
-    "BaseShift",
-    "Command",
-    "ConfigError",
-    "Environment",
-    "EnvironmentState",
-    "Gains",
-    "JointTargets",
-    "Law",
-    "Measurement",
-    "Metric",
-    "MetricTable",
-    "Parameters",
-    "Reference",
-    "RobotError",
-    "Scenario",
-    "Start",
-    "State",
-    "Trajectory",
-    "compiler_options",
-    "forward_dynamics",
-    "gain",
-    "load_scenario",
-    "metrics",
-    "parameters",
-    "pieces_pay",
-    "rollout",
-    "rollout_histories",
-    "rollout_metrics",
-    "rollout_slopes",
-    "simulator",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    from mjx_climb.control import Command as Command
+    from mjx_climb.control import Law as Law
+    from mjx_climb.control import Measurement as Measurement
+    from mjx_climb.control import Reference as Reference
+    from mjx_climb.control import Start as Start
+    from mjx_climb.control import gain as gain
+    from mjx_climb.dynamics import ENGINES as ENGINES
+    from mjx_climb.dynamics import forward_dynamics as forward_dynamics
+    from mjx_climb.dynamics.state import Acceleration as Acceleration
+    from mjx_climb.dynamics.state import State as State
+    from mjx_climb.quantities.parameters import Gains as Gains
+    from mjx_climb.quantities.parameters import Parameters as Parameters
+    from mjx_climb.quantities.parameters import parameters as parameters
+    from mjx_climb.robot.constants import RobotError as RobotError
+    from mjx_climb.rollouts.environment import Environment as Environment
+    from mjx_climb.rollouts.functions import metrics as metrics
+    from mjx_climb.rollouts.functions import rollout as rollout
+    from mjx_climb.rollouts.functions import rollout_histories as rollout_histories
+    from mjx_climb.rollouts.functions import rollout_jvp as rollout_jvp
+    from mjx_climb.rollouts.functions import rollout_metrics as rollout_metrics
+    from mjx_climb.rollouts.functions import simulator as simulator
+    from mjx_climb.rollouts.trajectory import Trajectory as Trajectory
+    from mjx_climb.scenario.load import load_scenario as load_scenario
+    from mjx_climb.scenario.messages import ConfigError as ConfigError
+    from mjx_climb.scenario.model import Scenario as Scenario
+    from mjx_climb.simulation import Simulation as Simulation
+    from mjx_climb.simulation import SimulationState as SimulationState
+    from mjx_climb.walk.control_loop import BaseShift as BaseShift
+    from mjx_climb.walk.control_loop import JointTargets as JointTargets
+    from mjx_climb.walk.metrics import METRICS as METRICS
+    from mjx_climb.walk.metrics import Metric as Metric
+    from mjx_climb.walk.metrics import MetricTable as MetricTable
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -21,13 +21,13 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.compilation import cache, gpu_kernel, kept_programs, nvrtc
 from mjx_climb.dynamics.state import State, integrate
+from mjx_climb.execution import cache, cached_executables, gpu_kernel, nvrtc
 from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
 cache.enable_cache()
-kept_programs.cache_folder = lambda: None  # tests replace functions of which a kept program knows nothing
+cached_executables.cache_folder = lambda: None  # tests replace functions of which a kept program knows nothing
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 gc.set_threshold(50_000, 50, 100)  # tracing makes many objects that stay
 
@@ -119,13 +119,14 @@ def engine(request):
 
 @pytest.fixture(scope="session")
 def open_loop():
-    """Return states (T, ...) of a motion under given forces, in the layout of the hot path, by engine."""
+    """Return states (motion, T, ...) of motions under given forces (motion, T, ...), by engine."""
 
     @functools.cache
     def program(engine, robot="hubrobo_v3_2"):
         forward_dynamics = mc.ENGINES[engine](jax.tree.map(jnp.asarray, load_robot(robot)))
 
         @jax.jit
+        @jax.vmap
         def move(state: State, torque, foot_force, push, cargo, gravity, time_step):
             def step(state, forces):
                 after = integrate(state, forward_dynamics(state, *forces, gravity), time_step)

@@ -47,6 +47,8 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "sweep": "{config} --stiffness 1e3:1e5:3 --damping 1e2:1e3:2 --gains {gains} --batch-size 4 --shard 2/3 "
     "--set control.kd=0.1",
     "merge": "taken",
+    "plot": "taken --metric min_tsm --figures png,pdf --size 60x60 --dpi 100 --style ggplot",
+    "robot": "taken --gravity 1.6 --base base --limbs a,b",
     "tune": "{config} --method grid --space split --starts 3 --iterations 2 --seed 1 --weight force_variation=1 "
     "--limit base_deviation=0.01 --bound damping=1:10 --pin stiffness.rotation=3 --search {search} --gains {gains}",
     "pareto": "{config} --better force_variation --against base_deviation --points 3 --space split --search {search}",
@@ -84,6 +86,10 @@ WORDS = (
     "0/3", "4/3", "1/1/1",
     "a\nb", "a\tb", "a\x1b[31mb", "\udc80", "a\0b", "/", ".", "..", "/dev/null", "/proc/nowhere/x", "b" * 300,
 )  # fmt: skip
+
+
+FOLDERS = ("{folder}/taken", "{folder}/taken/below", "/dev/null", "/dev/null/x", "/proc/nowhere", "", "{long}")
+KEYS = ("frobnicate: 1", "a: &a [x]\nb: *a", "<<: {duration: 1}", "1: 2", "? [a]\n: b")
 
 
 class Case(NamedTuple):
@@ -130,7 +136,7 @@ def _muddled(rng: random.Random) -> list[str]:
     for kind in USES:
         words = words.replace(f"{{{kind}}}", f"{{folder}}/{kind}.yaml")
     words = words.split()
-    if command not in ("bench", "doctor"):
+    if command not in ("bench", "doctor", "robot"):
         words += ["--out", "{folder}/out"]
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         at = rng.randrange(len(words)) if words else 0
@@ -146,21 +152,10 @@ def _muddled(rng: random.Random) -> list[str]:
                 words[at], words[other] = words[other], words[at]
             case 4 if words:
                 option, equals, _ = words[at].partition("=")
-                words[at] = (
-                    f"{option}={rng.choice(VALUES)}" if equals else words[at][: rng.randrange(len(words[at]) + 1)]
-                )
+                cut = words[at][: rng.randrange(len(words[at]) + 1)]
+                words[at] = f"{option}={rng.choice(VALUES)}" if equals else cut
             case 5 if "--out" in words[:-1]:
-                words[words.index("--out") + 1] = rng.choice(
-                    [
-                        "{folder}/taken",
-                        "{folder}/taken/below",
-                        "/dev/null",
-                        "/dev/null/x",
-                        "/proc/nowhere",
-                        "",
-                        "c" * 300,
-                    ]
-                )
+                words[words.index("--out") + 1] = rng.choice(FOLDERS).replace("{long}", "c" * 300)
             case _ if words:
                 words[at] = rng.choice(WORDS)
     return [command, *words]
@@ -192,9 +187,7 @@ def _damaged(rng: random.Random, content: bytes) -> bytes:
             key, colon, _ = lines[at].partition(":")
             lines[at] = key[::-1] + colon + " 1"
         case 7:
-            lines.insert(
-                at, rng.choice(("frobnicate: 1", "a: &a [x]\nb: *a", "<<: {duration: 1}", "1: 2", "? [a]\n: b"))
-            )
+            lines.insert(at, rng.choice(KEYS))
         case 8:
             bomb = ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}, *a{n - 1}]" for n in range(1, 40))]
             lines = [*bomb, *lines]

@@ -6,7 +6,6 @@ its end before. Prints how the tries ended and how long the commands took to obe
 """
 
 import argparse
-import os
 import signal
 import subprocess
 import sys
@@ -20,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-ROOT = Path(__file__).parents[1]
+from tests.shell import ROOT, finish, start
+
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 ROBOT = str(ROOT / "mjx_climb" / "robot" / "models" / "hubrobo_v3_2.xml")
 SHORT = [CASE, "--set", "duration=0.1"]
@@ -69,34 +69,24 @@ def prepared(folder: Path) -> dict[str, Path]:
     places = {"gains": folder / "gains.yaml", "swept": folder / "swept", "shards": folder / "shards"}
     places["gains"].write_text(GAINS)
     for name, options in (("swept", []), ("shards", ["--shard", "1/2"]), ("shards", ["--shard", "2/2"])):
-        arguments = [*GRID, *options, "--out", str(places[name])]
-        assert _process(arguments, folder).wait() == 0, arguments
+        finish(*GRID, *options, "--out", places[name])
     return places
 
 
-def start(command: str, given: Mapping[str, Path], folder: Path) -> subprocess.Popen[str]:
+def begin(command: str, given: Mapping[str, Path], folder: Path) -> subprocess.Popen[str]:
     """Start a command that writes below a folder."""
     arguments = [argument.format(**given) for argument in COMMANDS[command]]
     arguments += ["--out", str(folder / "out")] if command in IN_A_FOLDER else []
-    return _process(arguments, folder)
-
-
-def _process(arguments: list[str], folder: Path) -> subprocess.Popen[str]:
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = {**os.environ, "PYTHONPATH": path, "MUJOCO_GL": "off"}
-    return subprocess.Popen(
-        [sys.executable, "-m", "tuning.command_line", *arguments], cwd=folder, env=environment, text=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )  # fmt: skip
+    return start(*arguments, folder=folder)
 
 
 def undisturbed(command: str, given: Mapping[str, Path], folder: Path) -> float:
     """Return how long a command takes, in s, once its programs are compiled."""
     for _ in range(2):
-        begin = time.monotonic()
-        process = start(command, given, folder)
+        since = time.monotonic()
+        process = begin(command, given, folder)
         _, errors = process.communicate()
-        length = time.monotonic() - begin
+        length = time.monotonic() - since
         if process.returncode != 0:
             raise RuntimeError(f"{command} undisturbed: {errors}")
     return length
@@ -112,13 +102,13 @@ def attempts(
 
 
 def _attempt(command: str, after: float, name: str, given: Mapping[str, Path], folder: Path) -> Attempt:
-    process = start(command, given, Path(tempfile.mkdtemp(dir=folder)))
+    process = begin(command, given, Path(tempfile.mkdtemp(dir=folder)))
     time.sleep(after)
-    begin = time.monotonic()
+    since = time.monotonic()
     before = process.poll() is not None
     process.send_signal(getattr(signal, name))
     _, errors = process.communicate()
-    took = time.monotonic() - begin
+    took = time.monotonic() - since
     lines = errors.splitlines()
     last = lines[-1] if lines else ""
     kind = _kind(process.returncode, errors, last, before)

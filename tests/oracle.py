@@ -47,7 +47,7 @@ class Gait:
         self.actual, self.start = gait.base_reference == "actual", None
         given = dict(scenario.ground.footholds.items()) if scenario.ground.footholds is not None else {}
         self.heights = [given.get(limb, (0.0,)) for limb in walk.limbs]
-        self.path = gait.step_height * turn.apply(np.moveaxis(walk.numbers.swing_path, 1, 2))
+        self.path = gait.step_height * turn.apply(np.moveaxis(walk.parameters.swing_path, 1, 2))
 
     def height(self, foothold):
         """Return the heights (L,) of the limbs' footholds of these numbers; the last goes on for ever."""
@@ -220,7 +220,7 @@ class Body:
         scenario = walk.scenario
         self.model = model = load_model(scenario.robot).__copy__()
         for values in (model.body_mass, model.body_inertia):
-            values *= float(walk.numbers.mass_scale)
+            values *= float(walk.parameters.mass_scale)
         model.opt.gravity[:] = scenario.gravity
         model.dof_damping[6:] += scenario.hardware.servo.viscous_friction
         self.armature = model.dof_armature[6:] + scenario.hardware.servo.armature
@@ -389,7 +389,7 @@ def judged(walk):
     pulling = walk.support & (walk.foot_force[..., 2] < 0)
     ahead = [np.cos(scenario.gait.heading), np.sin(scenario.gait.heading)]
     travel = (walk.base_position[-1, :2] - walk.base_position[0, :2]) @ ahead
-    mass = model.body_mass.sum() * float(walk.numbers.mass_scale) + walk.cargo_mass.max()
+    mass = model.body_mass.sum() * float(walk.parameters.mass_scale) + walk.cargo_mass.max()
     weight = mass * np.linalg.norm(scenario.gravity)
     work = scenario.time_step * np.abs(walk.joint_torque * walk.joint_rates).sum()
     lower, upper = (model.jnt_range[1:, side].reshape(size.shape[1], -1) for side in (0, 1))

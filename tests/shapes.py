@@ -56,6 +56,8 @@ def _of_any_array(hint: Any) -> Any:
 
 
 def _stands_for_a_leaf(value: object) -> bool:
-    """Return whether JAX put a value into a tree in place of an array: a flag, a shape, nothing at all."""
+    """Return whether JAX put a value into a tree in place of an array: a flag, a shape, its name, nothing at all."""
     kind = type(value)
+    if isinstance(value, str):
+        return value.endswith("]")  # as in "float64[3]"
     return kind in (object, bool) or (kind.__module__.startswith("jax") and not isinstance(value, jax.Array))

@@ -1,30 +1,21 @@
 """Searches for admittance gains, and the command line on top of them.
 
 `tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`: what they return writes by `.write(folder)` what the
-command writes. `sweep_shard`, `judge_shard` and `merge` are for several machines. Names are imported when they are
-first used, so that the command line starts at once.
+command writes. `sweep_shard`, `judge_shard` and `merge` are for several machines.
 """
 
-TYPE_CHECKING = False  # `typing` takes longest of all that is imported before the program watches signals
+from mjx_climb.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tuning.searching import judge, judge_shard, merge, pareto, robust, schedule, sweep, sweep_shard
-    from tuning.tune import tune
-
-__all__ = ["judge", "judge_shard", "merge", "pareto", "robust", "schedule", "sweep", "sweep_shard", "tune"]
-
-
-def __getattr__(name: str) -> object:
-    import importlib
-
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name == "tune":  # the module, which may be called; it has set itself here
-        return importlib.import_module("tuning.tune")
-    value = getattr(importlib.import_module("tuning.searching"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    from tuning.searches.judge import judge as judge
+    from tuning.searches.judge import judge_shard as judge_shard
+    from tuning.searches.merge import merge as merge
+    from tuning.searches.pareto import pareto as pareto
+    from tuning.searches.robust import robust as robust
+    from tuning.searches.schedule import schedule as schedule
+    from tuning.searches.sweep import sweep as sweep
+    from tuning.searches.sweep import sweep_shard as sweep_shard
+    from tuning.tune import tune as tune
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -1,26 +1,29 @@
-"""Docstrings in the reference of the API: fields of classes with their comments, and stars that mean a star."""
+"""Docstrings in the reference of the API: fields of classes with their comments or help, and stars that mean a star."""
 
+import ast
 import re
+import textwrap
 
 import griffe
 
 PRIVATE = re.compile(r"\b_[A-Z]\w*")  # the name of a module's own type
+NUMBER = re.compile(r"\b_(Positive|NonNegative|Finite|Share)\b")
 STAR = re.compile(r"(?<=[( ])\*(?=\w)")  # of (*batch, 3)
 
 
 class Fields(griffe.Extension):
-    """Adds the fields of a class to its docstring, each with the comment that stands beside it in the code."""
+    """Adds the fields of a class to its docstring: the comment beside each, of a setting its help and default."""
 
     def on_class(self, *, cls: griffe.Class, **_) -> None:
         """Add a section of them, where they have comments."""
         rows, commented = [], False
         for name, field in cls.attributes.items():
-            if not name.islower() or name.startswith("_"):  # AXES and the like are no fields
+            if not name.islower() or name.startswith("_") or name == "model_config":  # AXES and the like are no fields
                 continue
             lines = cls.lines_collection[field.filepath][field.lineno - 1 : field.endlineno]  # it may be inherited
             comment = " ".join(found[1] for line in lines if (found := re.search(r"  # (.*)", line)))
-            kind = PRIVATE.sub("Array", str(field.annotation)).replace("Array | Array", "Array")
-            rows.append(f"    {name} ({kind}): {comment}")
+            comment = comment or _help("\n".join(lines))
+            rows.append(f"    {name} ({_kind(str(field.annotation))}): {comment}")
             commented |= bool(comment)
         if commented and cls.docstring:
             cls.docstring.value = "\n".join([cls.docstring.value, "", "Attributes:", *rows])
@@ -31,3 +34,23 @@ class Fields(griffe.Extension):
             parts = obj.docstring.value.split("`")
             parts[::2] = [STAR.sub(r"\\*", part) for part in parts[::2]]
             obj.docstring.value = "`".join(parts)
+
+
+def _kind(annotation: str) -> str:
+    """Return the type of a field without a module's own names and without what a validator reads."""
+    annotation = re.sub(r"^Annotated\[(.*), \w+(\(.*\))?\]$", r"\1", annotation)
+    return PRIVATE.sub("Array", NUMBER.sub("float", annotation)).replace("Array | Array", "Array")
+
+
+def _help(code: str) -> str:
+    """Return help and default of `name: kind = setting(default, "help")` or `Field(..., description="help")`."""
+    call = getattr(ast.parse(textwrap.dedent(code)).body[0], "value", None)
+    if not isinstance(call, ast.Call) or getattr(call.func, "id", "") not in ("setting", "Field"):
+        return ""
+    named = {keyword.arg: keyword.value for keyword in call.keywords}
+    text = named.get("description", call.args[1] if len(call.args) > 1 else None)
+    default = named.get("default", call.args[0] if call.args else None)
+    if not isinstance(text, ast.Constant):
+        return ""
+    shown = "" if default is None or ast.unparse(default) in ("None", "...") else f" Default: `{ast.unparse(default)}`."
+    return f"{text.value[:1].upper()}{text.value[1:]}.{shown}"

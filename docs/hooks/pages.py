@@ -7,7 +7,7 @@ import typer
 from mkdocs.structure.files import File
 from nbconvert import MarkdownExporter
 
-from tuning.command_line.program import app
+from tuning.command_line.program import program
 
 ROOT = Path(__file__).parents[2]
 AS_THEY_ARE = ("CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")
@@ -40,10 +40,10 @@ def _notebook(config, path: Path) -> list[File]:
 
 def _command_line() -> str:
     """Return the help of every command."""
-    program = typer.main.get_command(app)
-    top = click.Context(program, info_name="mjx-climb", terminal_width=80, **program.context_settings)
-    parts = [COMMAND_LINE, _fenced(program.get_help(top))]
-    for name, command in program.commands.items():
+    whole = typer.main.get_command(program())
+    top = click.Context(whole, info_name="mjx-climb", terminal_width=80, **whole.context_settings)
+    parts = [COMMAND_LINE, _fenced(whole.get_help(top))]
+    for name, command in whole.commands.items():
         parts.append(f"## {name}\n\n{_fenced(command.get_help(click.Context(command, top, name)))}")
     return "\n".join(parts)
 

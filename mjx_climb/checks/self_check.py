@@ -16,16 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mjx_climb.compilation.cache import enable_cache
-from mjx_climb.compilation.options import compiler_options, pieces_pay
-from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES, forward_dynamics
+from mjx_climb.dynamics import ENGINES, forward_dynamics
 from mjx_climb.dynamics.state import State
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.robot.constants import load_model
-from mjx_climb.rollouts.judged import named
-from mjx_climb.rollouts.rollout import Metrics, simulator
+from mjx_climb.rollouts.trajectory import named
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.simulation import Simulation
 
 MUJOCO = "mujoco"  # among the engines: its C code
 STORED = Path(str(resources.files("mjx_climb"))) / "checks" / "self_check.json"
@@ -62,9 +60,8 @@ def measure() -> dict[str, dict[str, Any]]:
     The gradient is the derivative by the logarithm of damping and stiffness together. Accelerations: base linear m/s^2,
     base angular rad/s^2, joints rad/s^2, world axes.
     """
-    enable_cache()
+    walk, gradient = _walk()
     with jax.enable_x64(True):
-        walk, gradient = _walk()
         accelerations = {engine: _acceleration(engine) for engine in sorted(ENGINES)}
     return {"walk": walk, "gradient": gradient, **accelerations, MUJOCO: _mujoco_acceleration()}
 
@@ -96,19 +93,12 @@ def _distance(value: Any, stored: Any) -> float:
 
 
 def _walk() -> tuple[dict[str, Any], dict[str, float]]:
-    in_pieces = pieces_pay(DEFAULT_ENGINE)
-    simulate = simulator(SCENARIO, in_pieces=in_pieces)
-
-    def walked(logarithm: jax.Array) -> Metrics:
-        factor = jnp.broadcast_to(jnp.exp(logarithm), 6)
-        return simulate(Gains(jnp.full(6, INERTIA), DAMPING * factor, STIFFNESS * factor))
-
-    program = jax.jit(
-        lambda at: jax.jvp(walked, (at,), (1.0,)), compiler_options=compiler_options(1, in_pieces=in_pieces)
-    )
-    values, slopes = program(0.0)
+    gains = Gains(np.full(6, INERTIA), np.full(6, DAMPING), np.full(6, STIFFNESS))
+    # the derivative by a logarithm is that along the gain itself
+    along = {"damping": np.full((1, 6), DAMPING), "stiffness": np.full((1, 6), STIFFNESS)}
+    values, tangents = Simulation(SCENARIO).jvp(gains, along, dtype=np.float64)
     walk = named({name: value.item() for name, value in values.items()}, ("LF", "LH", "RH", "RF"))
-    return walk, {name: slopes[name].item() for name, value in walk.items() if type(value) is float}
+    return walk, {name: tangents[name].item() for name, value in walk.items() if type(value) is float}
 
 
 def _state() -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 Held by contact springs, joint loop and the joints' friction alone (no admittance law, no gravity, no delays), the robot
 is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D
 v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a law
-adds is in `tuning.judged.stability_limit`.
+adds is in `tuning.evaluation.stability_limit`.
 """
 
 import functools
@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mjx_climb.hardware.friction import PRESLIDING, RELAXATION
+from mjx_climb.hardware.servo import PRESLIDING, RELAXATION
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import load_model, load_robot
@@ -71,18 +71,18 @@ def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     )
 
 
-def check_time_step(scenario: Scenario, source: str = "scenario", numbers: Parameters | None = None) -> None:
+def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Parameters | None = None) -> None:
     """Refuse a time step that is too long for the robot's contacts and joint loop.
 
     Arguments:
         scenario: what walks.
         source: where it comes from, for the message.
-        numbers: parameters of one robot that walk in place of the scenario's.
+        parameters: of one robot in place of the scenario's.
 
     Raises:
         ConfigError: in one line, the time step that would do.
     """
-    scenario = scenario if numbers is None else _with_numbers(scenario, numbers)
+    scenario = scenario if parameters is None else _with_parameters(scenario, parameters)
     grows = growth(scenario)
     if grows <= 1 + _ROUNDING:
         return
@@ -96,9 +96,9 @@ def check_time_step(scenario: Scenario, source: str = "scenario", numbers: Param
     )
 
 
-def _with_numbers(scenario: Scenario, numbers: Parameters) -> Scenario:
-    """Return a scenario with those numbers of a walk that shorten the time step, where they are not its own."""
-    given = {key: float(getattr(numbers, name)) for key, name in _STIFFENING.items()}
+def _with_parameters(scenario: Scenario, parameters: Parameters) -> Scenario:
+    """Return a scenario with those parameters of a walk that shorten the time step, where they are not its own."""
+    given = {key: float(getattr(parameters, name)) for key, name in _STIFFENING.items()}
     sections = {"control": scenario.control, "contact": scenario.contact}
     own = {key: getattr(sections[key.split(".")[0]], key.split(".")[1]) for key in given}
     others = {key: value for key, value in given.items() if not math.isclose(value, own[key], rel_tol=1e-6)}

@@ -4,9 +4,8 @@ import math
 
 from mjx_climb.control.base_admittance import MeasuredPoseAdmittance, VirtualModelAdmittance
 from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
-from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
-from mjx_climb.control.motion import Motion
-from mjx_climb.control.pd import PD
+from mjx_climb.control.law import PD, Command, GainField, Law, Measurement, Reference, Start, begin, gain, shifted
+from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Control, Scenario
 
@@ -31,8 +30,10 @@ __all__ = [
     "Reference",
     "Start",
     "VirtualModelAdmittance",
+    "begin",
     "gain",
     "law_of",
+    "shifted",
 ]
 
 

@@ -8,51 +8,57 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.control.base_shift import shifted
-from mjx_climb.control.impedance import SixAxes
-from mjx_climb.control.law import Command, Measurement, Reference, Start
-from mjx_climb.control.motion import Mass, Motion, begin, move
-from mjx_climb.control.virtual_model import rest
-from mjx_climb.dynamics.spatial import (
-    quaternion_conjugate,
-    quaternion_from_rotation_vector,
-    quaternion_multiply,
-    quaternion_to_matrix,
-    rotate_back,
-)
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain, shifted
+from mjx_climb.control.virtual_mass import Motion, VirtualMass, advance, at_rest
+from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
 
 
-def _in_reference_axes(rotation: Array, vector: Array) -> Array:
-    """Turn the two halves of a six-vector (6, B) from world axes into those of the base reference."""
-    return jnp.concatenate([rotate_back(rotation, vector[:3]), rotate_back(rotation, vector[3:])])
+class SixAxes(Law):
+    """Gains of `M dxdd + D dxd + K dx = w` in three translations and three rotations.
+
+    A rotation's gain is about a lever squared, 0.04 m^2, times that of a translation with the same effect at the feet.
+    """
+
+    inertia: Array = gain(
+        "kg, kg m^2",
+        bounds=(1e-1, 1e2),
+        rotation_bounds=(1e-2, 1e1),
+        default=1.0,
+        long_name="virtual inertia M",
+        searched=False,
+    )
+    damping: Array = gain(
+        "N s/m, N m s/rad", bounds=(1e0, 1e5), rotation_bounds=(1e-1, 1e4), default=5e3, long_name="virtual damping D"
+    )
+    stiffness: Array = gain(
+        "N/m, N m/rad", bounds=(1e2, 1e6), rotation_bounds=(1e1, 1e5), default=5e4, long_name="virtual stiffness K"
+    )
 
 
 class VirtualModelAdmittance(SixAxes):
-    """Eq. 3 as a virtual mass, spring and damper, integrated exactly, that yields to the wrench.
+    """Eq. 3 as a virtual mass, damper and spring, integrated exactly, that yields to the wrench.
 
     The ground pushes the feet with w where something pushes the base with -w, so dx is driven by -w.
     """
 
     motion: Motion = Motion()
 
-    def init(self, start: Start) -> Mass:
-        """Return the virtual mass at rest, (6, B)."""
-        return begin(self.motion, self, start.period, rest(self.stiffness))
+    def init(self, start: Start) -> VirtualMass:
+        """Return the virtual mass at rest."""
+        return at_rest(self, start.period, jnp.zeros_like(start.reference.base_position, shape=6), self.motion)
 
-    def step(self, state: Mass, measurement: Measurement, reference: Reference) -> tuple[Mass, Command]:
-        """Return the reference with the base shifted."""
-        rotation = quaternion_to_matrix(reference.base_orientation)
-        moved = move(self.motion, self, state, -_in_reference_axes(rotation, measurement.wrench))
-        displacement = moved.state.displacement
-        turn = quaternion_from_rotation_vector(displacement[3:])
-        return moved, shifted(reference, rotation, displacement, turn)
+    def step(self, mass: VirtualMass, measured: Measurement, reference: Reference) -> tuple[VirtualMass, Command]:
+        """Let the mass move under the wrench for one period, and shift the base by where it is."""
+        to_reference = quaternion_to_matrix(reference.base_orientation).T
+        mass = advance(mass, -_turned(to_reference, measured.wrench), self.motion)
+        return mass, shifted(reference, mass.displacement)
 
 
 class MeasuredPoseAdmittance(SixAxes):
     """Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
 
-    `a = (w - D dxd - K dx) / M`, target `x_b + dt dxd + dt^2 a`; dx is the base's offset from its reference, dxd the
-    base's own velocity. Rotations are twice the vector part of the quaternion. dt is the `horizon`: what the gains do
+    `a = (w - D dxd - K dx) / M`, target `x_b + h dxd + h^2 a`; dx is the base's offset from its reference, dxd the
+    base's own velocity. Rotations are twice the vector part of the quaternion. h is the `horizon`: what the gains do
     depends on it.
     """
 
@@ -62,33 +68,23 @@ class MeasuredPoseAdmittance(SixAxes):
         """Return the horizon: there is nothing else to remember."""
         return start.period if self.horizon is None else self.horizon
 
-    def step(
-        self, state: float | Array, measurement: Measurement, reference: Reference
-    ) -> tuple[float | Array, Command]:
-        """Return the reference with the base shifted to where one step of the virtual mass leads."""
-        rotation = quaternion_to_matrix(reference.base_orientation)
-        turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measurement.base_orientation)
-        turn = jnp.where(turn[0] < 0, -turn, turn)
-        offset = jnp.concatenate(
-            [rotate_back(rotation, measurement.base_position - reference.base_position), 2 * turn[1:]]
-        )
-        rate = _in_reference_axes(
-            rotation, jnp.concatenate([measurement.base_linear_velocity, measurement.base_angular_velocity])
-        )
-        wrench = _in_reference_axes(rotation, measurement.wrench)
+    def step(self, horizon: Array, measured: Measurement, reference: Reference) -> tuple[Array, Command]:
+        """Shift the base to where one step of the virtual mass leads."""
+        to_reference = quaternion_to_matrix(reference.base_orientation).T
+        turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measured.base_orientation)
+        turn = jnp.where(turn[0] < 0, -turn, turn)  # of the two quaternions of a rotation, that of the shorter way
+        offset = jnp.concatenate([to_reference @ (measured.base_position - reference.base_position), 2 * turn[1:]])
+        velocity = jnp.concatenate([measured.base_linear_velocity, measured.base_angular_velocity])
+        rate, wrench = _turned(to_reference, velocity), _turned(to_reference, measured.wrench)
+
         acceleration = (wrench - self.damping * rate - self.stiffness * offset) / self.inertia
-        target = offset + state * rate + state**2 * acceleration
-        half = target[3:] / 2
-        length = jnp.minimum(jnp.sum(half * half, axis=0), 1.0)
-        # a demand beyond half a turn keeps its axis and saturates there
-        real = jnp.sqrt(jnp.where(length < 1, 1 - length, 1.0)) * (length < 1)
-        vector = half / jnp.sqrt(jnp.maximum(jnp.sum(half * half, axis=0), 1.0))
-        return state, shifted(reference, rotation, target, jnp.concatenate([real[None], vector]))
+        target = offset + horizon * rate + horizon**2 * acceleration
+        return horizon, shifted(reference, target, _of_doubled_vector_part(target[3:]))
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches look, which is what the length of a step makes of the gains.
 
-        One step takes the shares dt D / M of the rate and dt^2 K / M of the offset out of the target; the base is held
+        One step takes the shares h D / M of the rate and h^2 K / M of the offset out of the target; the base is held
         only by shares of the order of one.
         """
         mass = float(np.exp(np.log(np.asarray(self.inertia, float)).mean()))
@@ -98,3 +94,20 @@ class MeasuredPoseAdmittance(SixAxes):
             "damping": (mass / period, 1e2 * mass / period),
             "stiffness": (1e-2 * mass / period**2, mass / period**2),
         }
+
+
+def _turned(rotation: Array, vectors: Array) -> Array:
+    """Return a wrench or a velocity (6,) with both of its vectors turned."""
+    return jnp.concatenate([rotation @ vectors[:3], rotation @ vectors[3:]])
+
+
+def _of_doubled_vector_part(vector: Array) -> Array:
+    """Return the unit quaternion (4,) with half of `vector` (3,) as its vector part.
+
+    A demand beyond half a turn keeps its axis and saturates there.
+    """
+    half = vector / 2
+    square = jnp.sum(half * half)
+    less = square < 1
+    real = jnp.where(less, jnp.sqrt(jnp.where(less, 1 - square, 1.0)), 0.0)
+    return jnp.concatenate([real[None], half / jnp.sqrt(jnp.maximum(square, 1.0))])

@@ -5,46 +5,35 @@ shifted by dx, which goes back to zero at once when the gripper opens. The gains
 every foot.
 """
 
-from typing import NamedTuple
-
-import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.impedance import ThreeAxes
-from mjx_climb.control.law import Command, Measurement, Reference, Start, no_shift
-from mjx_climb.control.motion import Mass, Motion, begin, move
-from mjx_climb.control.virtual_model import VirtualState, rest
-from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate, rotate_back
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.virtual_mass import Motion, VirtualMass, advance, at_rest
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 
 
-class Feet(NamedTuple):
-    """The virtual masses of the feet, and the shift that the base never makes."""
+class EndEffectorAdmittance(Law):
+    """Eq. 2 for the feet of a robot: a virtual mass, damper and spring for each."""
 
-    model: Mass  # (3, L, B)
-    no_shift: Array  # (6, B)
-
-
-class EndEffectorAdmittance(ThreeAxes):
-    """Eq. 2 for the feet of a robot."""
-
+    inertia: Array = gain(
+        "kg", length=3, bounds=(1e-1, 1e2), default=1.0, long_name="virtual inertia M", searched=False
+    )
+    damping: Array = gain("N s/m", length=3, bounds=(1e0, 1e5), default=5e3, long_name="virtual damping D")
+    stiffness: Array = gain("N/m", length=3, bounds=(1e2, 1e6), default=5e4, long_name="virtual stiffness K")
     motion: Motion = Motion()
 
-    def init(self, start: Start) -> Feet:
-        """Return the virtual masses of the feet at rest."""
-        model = begin(self.motion, self._every_foot(), start.period, rest(start.reference.foot_position))
-        return Feet(model, no_shift(start))
+    def init(self, start: Start) -> VirtualMass:
+        """Return the virtual masses of the feet at rest, (limb, 3)."""
+        return at_rest(self, start.period, start.reference.foot_position, self.motion)
 
-    def step(self, state: Feet, measurement: Measurement, reference: Reference) -> tuple[Feet, Command]:
-        """Return the reference with the supporting feet shifted."""
-        model, rotation = state.model, quaternion_to_matrix(reference.base_orientation)[:, :, None]
-        model = move(self.motion, self._every_foot(), model, rotate_back(rotation, measurement.foot_force))
-        moved = VirtualState(*(jnp.where(measurement.support, value, 0.0) for value in model.state))
-        target = reference.foot_position + rotate(rotation, moved.displacement)
-        command = Command(reference.base_position, reference.base_orientation, target, state.no_shift)
-        return state._replace(model=model._replace(state=moved)), command
-
-    def _every_foot(self) -> "EndEffectorAdmittance":
-        """Return the gains with an axis of feet, (3, 1, B)."""
-        wide: EndEffectorAdmittance = jax.tree.map(lambda gain: gain[:, None], self)
-        return wide
+    def step(self, masses: VirtualMass, measured: Measurement, reference: Reference) -> tuple[VirtualMass, Command]:
+        """Let the masses move under the forces for one period, and shift the supporting feet by where they are."""
+        rotation, support = quaternion_to_matrix(reference.base_orientation), measured.support[:, None]
+        moved = advance(masses, measured.foot_force @ rotation, self.motion)  # each row of F R is R^T times a force
+        moved = moved._replace(
+            displacement=jnp.where(support, moved.displacement, 0.0), rate=jnp.where(support, moved.rate, 0.0)
+        )
+        no_shift = jnp.zeros_like(reference.base_position, shape=6)
+        target = reference.foot_position + moved.displacement @ rotation.T
+        return moved, Command(reference.base_position, reference.base_orientation, target, no_shift)

@@ -5,7 +5,7 @@ class Damped(mjx_climb.Law):
     damping: Array = mjx_climb.gain("N s/m", length=3, bounds=(1.0, 1e5), default=5e3)
 
     def init(self, start): ...
-    def step(self, state, measurement, reference): ...
+    def step(self, state, measured, reference): ...
 ```
 """
 
@@ -18,54 +18,64 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
+
 _LENGTHS = (1, 3, 6)
 _JOINT_LOOP = ("kp", "kd")
 
 
 class Measurement(NamedTuple):
-    """What the robot's sensors tell, and the base pose it works out from them; world axes, the batch last."""
+    """What the robot's sensors measure, and the base pose that it estimates from them; world axes."""
 
-    base_position: Array  # (3, B) m, of the base's centre of mass
-    base_orientation: Array  # (4, B) wxyz, base to world
-    base_linear_velocity: Array  # (3, B) m/s, of the base's centre of mass
-    base_angular_velocity: Array  # (3, B) rad/s
-    foot_force: Array  # (3, L, B) N, of the ground on the foot
-    wrench: Array  # (6, B) N, N m: `w = J_b^T F_e`, moments about the base's centre of mass
-    support: Array  # (L, B) bool: the gripper is shut and holds
+    base_position: Array  # (3,) m, of the base's centre of mass
+    base_orientation: Array  # (4,) wxyz, base to world
+    base_linear_velocity: Array  # (3,) m/s, of the base's centre of mass
+    base_angular_velocity: Array  # (3,) rad/s
+    foot_force: Array  # (limb, 3) N, of the ground on the foot
+    wrench: Array  # (6,) N, N m: `w = J_b^T F_e`, moments about the base's centre of mass
+    support: Array  # (limb,) bool: the gripper is shut and holds
 
 
 class Reference(NamedTuple):
-    """What the gait asks for; world axes. What all environments share may have a batch axis of one."""
+    """What the gait asks for; world axes."""
 
-    base_position: Array  # (3, B) m, of the base's centre of mass
-    base_orientation: Array  # (4, B) wxyz, base to world: the axes of the reference
-    foot_position: Array  # (3, L, B) m
+    base_position: Array  # (3,) m, of the base's centre of mass
+    base_orientation: Array  # (4,) wxyz, base to world: the axes of the reference
+    foot_position: Array  # (limb, 3) m
 
 
 class Command(NamedTuple):
     """Targets for the inverse kinematics, world axes, and the shift that led to them."""
 
-    base_position: Array  # (3, B) m, of the base's centre of mass
-    base_orientation: Array  # (4, B) wxyz, base to world
-    foot_position: Array  # (3, L, B) m
-    base_displacement: Array  # (6, B) m, rad: the law's shift of the base, reference axes
+    base_position: Array  # (3,) m, of the base's centre of mass
+    base_orientation: Array  # (4,) wxyz, base to world
+    foot_position: Array  # (limb, 3) m
+    base_displacement: Array  # (6,) m, rad: the law's shift of the base, reference axes
 
 
 class Start(NamedTuple):
     """What a law knows before its first step."""
 
-    period: float | Array  # s, from one step of the law to the next; an array (B,) where it differs
-    reference: Reference  # at the start, with the whole batch: the shapes of all that follows
+    period: float | Array  # () s, from one step of the law to the next
+    reference: Reference  # at the start
 
 
-def no_shift(start: Start) -> Array:
-    """Return the shift of a base that stays where the gait wants it, (6, B)."""
-    position = start.reference.base_position
-    return jnp.zeros((6, position.shape[-1]), position.dtype)
+def shifted(reference: Reference, displacement: Array, turn: Array | None = None) -> Command:
+    """Return the reference with its base shifted by `displacement` (6,) m, rad, along the axes of the reference.
+
+    Its last three values are a rotation vector, unless the quaternion `turn` (4,) says how the base is turned.
+    """
+    turn = quaternion_from_rotation_vector(displacement[3:]) if turn is None else turn
+    return Command(
+        base_position=reference.base_position + quaternion_to_matrix(reference.base_orientation) @ displacement[:3],
+        base_orientation=quaternion_multiply(reference.base_orientation, turn),
+        foot_position=reference.foot_position,
+        base_displacement=displacement,
+    )
 
 
 class GainField(NamedTuple):
-    """What is known about a gain beside its value."""
+    """What a law declares of a gain beside its value."""
 
     unit: str
     length: int  # 1; 3 axes; or 6: three translations, then three rotations
@@ -89,7 +99,7 @@ def gain(
 
     Arguments:
         unit: as in "N s/m", or "N s/m, N m s/rad" where rotations have their own.
-        length: 1, or 3 or 6 axes; a value is a scalar, which holds for all axes, or has them last, after any batch.
+        length: 1, or 3 or 6 axes; a value is a scalar, which holds for all axes, or has them last, after a batch's.
         bounds: where searches look, low and high. A gain must be above 0, unless `low` lets it be 0 or less.
         rotation_bounds: the bounds of the three rotations, where they are others.
         default: the value of a law that is made without one.
@@ -114,16 +124,15 @@ def gain(
 class Law:
     """Base of control laws: a class that inherits from it becomes a frozen dataclass and a pytree.
 
-    Fields made by `gain` are its numbers: swept, batched, differentiated, tuned. Any other field is part of the
-    program: hashable, and another value is compiled anew.
+    Fields made by `gain` are its gains: swept, batched, differentiated, tuned. Any other field is part of the program:
+    it must be hashable, and another value is compiled anew.
 
-    Outside a walk gains are scalars, (n,) or (*batch, n), of length 1 (*batch). In `init` and `step` everything is in
-    the layout of the hot path, batch last: gains (n, B), of length 1 (B,); what does not vary over the batch may have a
-    batch axis of one.
+    `init` and `step` are written for one robot: a gain of length 1 is (), of length 3 or 6 (3,) or (6,). Outside a walk
+    a gain may also be a scalar that holds for all axes, or have batch axes in front.
     """
 
     GAINS: ClassVar[Mapping[str, GainField]] = MappingProxyType({})  # by name, in the order of the fields
-    AXES: ClassVar[Mapping[str, int]] = MappingProxyType({})  # how many axes the value of one environment has
+    AXES: ClassVar[Mapping[str, int]] = MappingProxyType({})  # number of axes of one robot's value
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -138,14 +147,11 @@ class Law:
         jax.tree_util.register_dataclass(cls, data_fields=list(gains), meta_fields=others)
 
     def init(self, start: Start) -> Any:
-        """Return the state at the start: a pytree.
-
-        What depends on the gains alone belongs here: what `step` hands on unchanged is no part of the loop.
-        """
+        """Return the state at the start: a pytree. What depends on the gains alone belongs into it."""
         raise NotImplementedError(f"{type(self).__name__}.init")
 
-    def step(self, state: Any, measurement: Measurement, reference: Reference) -> tuple[Any, Command]:
-        """Return the state after a step, of the same structure, and what the robot is to do."""
+    def step(self, state: Any, measured: Measurement, reference: Reference) -> tuple[Any, Command]:
+        """Return the state after a step, of the same structure and shapes, and what the robot is to do."""
         raise NotImplementedError(f"{type(self).__name__}.step")
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
@@ -153,3 +159,46 @@ class Law:
         bounds = {name: field.bounds for name, field in self.GAINS.items()}
         rotations = {name: field.rotation_bounds for name, field in self.GAINS.items()}
         return bounds | {f"{name}.rotation": found for name, found in rotations.items() if found is not None}
+
+
+class PD(Law):
+    """The baseline: it commands the gait's own reference, whatever the forces. It has no gains and no state."""
+
+    def init(self, start: Start) -> tuple[()]:
+        """Return no state."""
+        return ()
+
+    def step(self, state: tuple[()], measured: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
+        """Return the reference as it is."""
+        return state, Command(*reference, jnp.zeros_like(reference.base_position, shape=6))
+
+
+def begin(law: Law, start: Start) -> Any:
+    """Return the state of a law at the start of a walk, as arrays, real ones in the precision of the reference.
+
+    Raises:
+        ValueError: `step` returns a state of another structure, shape or type than `init`, or no `Command` of one
+            robot. This is found by tracing one step.
+    """
+    position, _, feet = start.reference
+
+    def as_array(leaf: Any) -> Array:
+        array = jnp.asarray(leaf)
+        # the type is given even where it is the same: an array of a Python number would be weakly typed
+        return jnp.asarray(array, position.dtype if jnp.issubdtype(array.dtype, jnp.floating) else array.dtype)
+
+    state = jax.tree.map(as_array, law.init(start))
+    six, support = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool)
+    measured = Measurement(*start.reference[:2], position, position, feet, six, support)
+    after, command = jax.eval_shape(law.step, state, measured, start.reference)
+    _check(f"{type(law).__name__}.step: expected a state like that of init", state, after)
+    _check(f"{type(law).__name__}.step: expected the command", Command(*start.reference, six), command)
+    return state
+
+
+def _check(message: str, expected: Any, got: Any) -> None:
+    """Raise a ValueError where two trees differ in structure, or their arrays in shape or type."""
+    # maps whole trees, so that the message shows the names of their fields
+    one, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
+    if jax.tree.flatten(one) != jax.tree.flatten(other):
+        raise ValueError(f"{message}, {one}, got {other}")

@@ -1,10 +1,12 @@
 """Forward dynamics behind one seam: state, torques and forces in, accelerations out.
 
-An engine is one module with `build(robot) -> ForwardDynamics`, in the layout of the hot path; nothing outside this
-package knows which one runs.
+An engine is one module with `build(robot) -> ForwardDynamics`, for one robot; nothing outside this package knows which
+one runs.
 """
 
+import dataclasses
 import functools
+import math
 from collections.abc import Callable
 
 import jax
@@ -13,11 +15,11 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from mjx_climb.dynamics import limb_engine
-from mjx_climb.dynamics.state import Acceleration, State, batch_last, joints_to_limbs, limbs_to_joints
+from mjx_climb.dynamics.state import Acceleration, State
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 
-# state, joint torque (N, L, B), foot force (3, L, B), base wrench (6, B), cargo mass (B,), gravity (3, B)
+# state, joint torque (limb, joint), foot force (limb, 3), base wrench (6,), cargo mass (), gravity (3,)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
 
 
@@ -87,27 +89,22 @@ def _forward_dynamics(
     robot: Robot,
     engine: str,
 ) -> Acceleration:
-    dtype = jnp.result_type(state.base_position)
-    shape = state.base_position.shape[:-1]
-    limbs, joints = len(robot.limbs), robot.joints
+    dtype, shape = jnp.result_type(state.base_position), jnp.shape(state.base_position)[:-1]
+    joints = (len(robot.limbs), robot.joints)
+    solve = ENGINES[engine](robot)
 
-    def flat(value: ArrayLike | tuple[float, ...], *tail: int) -> Array:
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (*shape, *tail)).reshape(-1, *tail)
+    def alone(state: State, tau: Array, *acting: Array) -> Acceleration:
+        angles, rates = state.joint_angles.reshape(joints), state.joint_rates.reshape(joints)
+        result = solve(dataclasses.replace(state, joint_angles=angles, joint_rates=rates), tau.reshape(joints), *acting)
+        return dataclasses.replace(result, joints=result.joints.ravel())
 
-    hot = batch_last(
-        State(**{name: flat(value, value.shape[-1]) for name, value in vars(state).items()}),
-        limbs,
-    )
-    result = ENGINES[engine](robot)(
-        hot,
-        joints_to_limbs(flat(tau, joints * limbs), limbs),
-        jnp.moveaxis(flat(foot_force, limbs, 3), (0, 1, 2), (2, 1, 0)),
-        flat(base_wrench, 6).T,
-        flat(cargo_mass),
-        flat(gravity, 3).T,
-    )
-    return Acceleration(
-        base_linear=result.base_linear.T.reshape(*shape, 3),
-        base_angular=result.base_angular.T.reshape(*shape, 3),
-        joints=limbs_to_joints(result.joints).reshape(*shape, joints * limbs),
-    )
+    def in_batch(value: ArrayLike | tuple[float, ...], *own: int) -> Array:
+        return jnp.broadcast_to(jnp.asarray(value, dtype), (*shape, *own)).reshape(-1, *own)
+
+    batch = jax.tree.map(lambda value: in_batch(value, value.shape[-1]), state)
+    acting = (in_batch(tau, math.prod(joints)), in_batch(foot_force, joints[0], 3), in_batch(base_wrench, 6))
+    # XLA's default for float32 on a GPU is TF32, of ten bits
+    with jax.default_matmul_precision("highest"):
+        result = jax.vmap(alone)(batch, *acting, in_batch(cargo_mass), in_batch(gravity, 3))
+    in_shape: Acceleration = jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), result)
+    return in_shape

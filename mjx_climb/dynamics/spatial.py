@@ -1,107 +1,92 @@
-"""Vectors, rotations and quaternions with their components on the leading axis.
+"""Rotations, quaternions and small symmetric matrices, as far as JAX does not have them.
 
-A vector is `(3, ...)`, a rotation matrix `(3, 3, ...)` (row, column), a quaternion `(4, ...)` in the order wxyz.
-Trailing axes (limbs, batch) stay contiguous and broadcast, so every function here is elementwise over them.
+A vector is (3,), a rotation matrix (3, 3), a quaternion (4,) in the order wxyz. Functions whose shapes begin with dots
+work over any leading axes and for NumPy's arrays, which stay NumPy's.
 """
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-
-def dot(a: Float[Array | np.ndarray, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*_"]:
-    """Return the scalar product over the leading axis, of any length."""
-    product = a[0] * b[0]
-    for i in range(1, a.shape[0]):
-        product = product + a[i] * b[i]
-    return product
+AnyArray = Any  # an array of JAX or of NumPy
 
 
-def chosen(mask: np.ndarray, one: Array, other: Array) -> Array:
-    """Return `one` where a constant mask is true, else `other`; an array that none of it asks for is left out.
-
-    XLA:CPU ends the process at a kernel of which it has simplified such an array away.
-    """
-    if mask.all():
-        return one
-    return jnp.where(mask, one, other) if mask.any() else other
+def namespace(*arrays: object) -> Any:
+    """Return `jax.numpy` where some of the arrays are JAX's, else `numpy`."""
+    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
 
 
-def cross(a: Float[Array | np.ndarray, "3 *#rest"], b: Float[Array | np.ndarray, "3 *#rest"]) -> Float[Array, "3 *_"]:
-    """Return the vector product over the leading axis."""
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def norm(a: Float[Array | np.ndarray, "n *rest"]) -> Float[Array, "*rest"]:
-    """Return the Euclidean length over the leading axis, with derivative zero at the zero vector."""
-    square = jnp.sum(a * a, axis=0)
+def norm(vector: Float[AnyArray, "... n"], at_zero: float = 0.0) -> Float[AnyArray, "..."]:
+    """Return the Euclidean length, with derivative zero at the zero vector, where it is `at_zero` (1 in a divisor)."""
+    xp = namespace(vector)
+    square = (vector * vector).sum(-1)
     positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+    # the square root's own derivative at zero is infinite, and infinite times zero is NaN
+    return xp.where(positive, xp.sqrt(xp.where(positive, square, 1.0)), at_zero)
 
 
-def rotate(matrix: Float[Array, "m n *#rest"], vector: Float[Array | np.ndarray, "n *#rest"]) -> Float[Array, "m *_"]:
-    """Return `matrix @ vector`."""
-    return matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
+def skew(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Return the matrix of `cross(vector, .)`."""
+    x, y, z = vector
+    zero = jnp.zeros_like(x)
+    return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
 
 
-def rotate_back(
-    matrix: Float[Array | np.ndarray, "n 3 *#rest"], vector: Float[Array, "n *#rest"]
-) -> Float[Array, "3 *_"]:
-    """Return `matrix.T @ vector`."""
-    return jnp.stack([dot(matrix[:, i], vector) for i in range(3)])
+def turn_about_z(rotation: Float[AnyArray, "... 3 3"], angle: Float[AnyArray, "..."]) -> Float[AnyArray, "... 3 3"]:
+    """Return rotations, each followed by a turn about its own z axis by an angle in rad."""
+    xp = namespace(rotation, angle)
+    c, s = xp.cos(angle)[..., None], xp.sin(angle)[..., None]
+    x, y, z = rotation[..., 0], rotation[..., 1], rotation[..., 2]
+    return xp.stack(xp.broadcast_arrays(c * x + s * y, c * y - s * x, z), axis=-1)
 
 
-def compose(
-    first: Float[Array, "3 3 *#rest"], second: Float[Array | np.ndarray, "3 3 *#rest"]
-) -> Float[Array, "3 3 *_"]:
-    """Return the matrix product `first @ second`."""
-    return jnp.stack([rotate(first, second[:, j]) for j in range(3)], axis=1)
-
-
-def rotation_about_z(angle: Float[Array | np.ndarray, "*rest"]) -> Float[Array, "3 3 *rest"]:
-    """Return the rotation matrix about z, `(3, 3, ...)`, for an angle in rad."""
-    c, s, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
-    return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, zero + 1])])
-
-
-def quaternion_to_matrix(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"]:
-    """Return the rotation matrix of a unit quaternion wxyz."""
+def quaternion_to_matrix(quaternion: Float[AnyArray, "4"]) -> Float[AnyArray, "3 3"]:
+    """Return the rotation matrix of a unit quaternion, of JAX or of NumPy."""
     w, x, y, z = quaternion
-    return jnp.stack(
-        [
-            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
-        ]
-    )
+    elements = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return namespace(quaternion).stack(elements).reshape(3, 3)
 
 
-def quaternion_multiply(a: Float[Array, "4 *#rest"], b: Float[Array | np.ndarray, "4 *#rest"]) -> Float[Array, "4 *_"]:
-    """Return the Hamilton product of two quaternions wxyz."""
-    return jnp.stack(
-        [
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-        ]
-    )
+def rotation_about_z(angle: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """Return the rotation matrix about z by an angle in rad."""
+    matrix: Array = turn_about_z(jnp.eye(3, dtype=angle.dtype), angle)
+    return matrix
 
 
-def quaternion_conjugate(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "4 *rest"]:
-    """Return the inverse of a unit quaternion wxyz."""
+def quaternion_about_z(angle: Float[Array, ""]) -> Float[Array, "4"]:
+    """Return the quaternion of a rotation about z by an angle in rad."""
+    zero = jnp.zeros_like(angle)
+    return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])
+
+
+def quaternion_multiply(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Return the Hamilton product of two quaternions."""
+    real = a[0] * b[0] - jnp.dot(a[1:], b[1:])
+    vector = a[0] * b[1:] + b[0] * a[1:] + jnp.cross(a[1:], b[1:])
+    return jnp.concatenate([real[None], vector])
+
+
+def quaternion_conjugate(quaternion: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Return the inverse of a unit quaternion."""
     return jnp.concatenate([quaternion[:1], -quaternion[1:]])
 
 
-def quaternion_normalize(quaternion: Float[Array, "4 *rest"]) -> Float[Array, "4 *rest"]:
+def quaternion_normalize(quaternion: Float[Array, "4"]) -> Float[Array, "4"]:
     """Return the quaternion scaled to unit length."""
-    return quaternion / jnp.sqrt(jnp.sum(quaternion * quaternion, axis=0))
+    return quaternion / jnp.sqrt(jnp.dot(quaternion, quaternion))
 
 
-def quaternion_from_rotation_vector(vector: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
-    """Return the quaternion wxyz of a rotation vector in rad, smooth through zero."""
-    square = jnp.sum(vector * vector, axis=0)
+def quaternion_from_rotation_vector(vector: Float[Array, "3"]) -> Float[Array, "4"]:
+    """Return the quaternion of a rotation vector in rad, smooth through zero."""
+    square = jnp.dot(vector, vector)
     small = square < 1e-6
     angle = jnp.sqrt(jnp.where(small, 1.0, square))
     # sin(a/2)/a to seventh order in a: exact to rounding below a = 1e-3
@@ -110,7 +95,35 @@ def quaternion_from_rotation_vector(vector: Float[Array, "3 *rest"]) -> Float[Ar
     return jnp.concatenate([real[None], scale * vector])
 
 
-def quaternion_about_z(angle: Float[Array | np.ndarray, "*rest"]) -> Float[Array, "4 *rest"]:
-    """Return the quaternion wxyz of a rotation about z by an angle in rad."""
-    zero = jnp.zeros_like(angle)
-    return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])
+def inverse_3x3(matrix: Float[AnyArray, "3 3"]) -> Float[Array, "3 3"]:
+    """Return the inverse of a symmetric matrix, by cofactors."""
+    (a, b, c), (_, d, e), (_, _, f) = matrix
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    inverse: Array = jnp.stack([aa, ab, ac, ab, bb, bc, ac, bc, cc]).reshape(3, 3) / (a * aa + b * ab + c * ac)
+    return inverse
+
+
+def solve_symmetric(
+    matrix: Float[AnyArray, "... n n"], right: Float[AnyArray, "... n k"]
+) -> Float[AnyArray, "... n k"]:
+    """Return the solution of symmetric positive definite systems, by `L D L^T` written out element by element.
+
+    XLA calls a library for `jnp.linalg.solve`, which takes longer than these few operations (docs/performance.md).
+    """
+    size = matrix.shape[-1]
+    lower: dict[tuple[int, int], AnyArray] = {}  # by row and column
+    scaled: dict[tuple[int, int], AnyArray] = {}  # D L^T
+    inverse: list[AnyArray] = []
+    rows: list[AnyArray] = []
+    for row in range(size):
+        rows.append(right[..., row, :] - sum(lower[row, k] * rows[k] for k in range(row)))
+        for column in range(row, size):
+            value = matrix[..., row, column, None] - sum(lower[column, k] * scaled[k, row] for k in range(row))
+            if column == row:
+                inverse.append(1 / value)
+            else:
+                scaled[row, column], lower[column, row] = value, value * inverse[row]
+    for row in reversed(range(size)):
+        rows[row] = rows[row] * inverse[row] - sum(lower[k, row] * rows[k] for k in range(row + 1, size))
+    return namespace(matrix, right).stack(rows, axis=-2)

@@ -137,7 +137,7 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     }
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
     attrs = {"title": "walk of a limbed climbing robot", **provenance(trajectory.scenario)}
-    attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.numbers)}
+    attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.parameters)}
     attrs |= {"law": trajectory.law} if trajectory.law else {}
     return xr.Dataset(data, coords, attrs)
 

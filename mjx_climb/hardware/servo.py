@@ -1,65 +1,116 @@
-"""The joints' servos: from the torque that the joint loop asks for to the one that turns the joint."""
+"""The joints' servos: from the torque that the joint loop asks for to the one that turns the joint.
+
+Dry friction is a bristle, a spring with a damper, that slips once it bears as much as the friction can (an elastic,
+perfectly plastic element, also called Jenkin's, damped as LuGre's bristles are). A joint at rest is held by the spring,
+not by a viscosity: it does not creep, and what holds it has derivatives.
+
+A bristle that is not to ring is damped more than light links can bear in a step of explicit Euler. So what it bears in
+a step is taken at the rates after the step: `(H + A) qdd = f - borne(rates before)` with `A = h dborne/drate` on the
+joints' diagonal of H, where an armature is too. It then holds at any time step.
+"""
 
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.hardware import delay, friction
-from mjx_climb.hardware.backlash import across
-from mjx_climb.hardware.stages import Stages
-from mjx_climb.hardware.torque_limit import limited
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.hardware import signals
+from mjx_climb.hardware.stages import Hardware, Stages
 
-_NONE: Any = ()
+PRESLIDING = 5e-4  # rad, bend at which a bristle slips: a third of a count of a servo's encoder of 4096 counts
+RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
 
 
 class Servo(NamedTuple):
-    """What the servos remember."""
+    """What the servos remember; empty where they have no such stage."""
 
-    buffer: Any  # of torques (N, L, B) N m, newest first
-    bristle: Any  # (N, L, B) 1, see `friction`
-
-
-def start(rest: Array, stages: Stages) -> Servo:
-    """Return servos without torque; `rest` is zero in the shape of the joints (N, L, B)."""
-    return Servo(delay.start(rest, stages.servo_delay), rest if stages.dry_friction else ())
-
-
-def target_across_play(target: Array, angles: Array, numbers: Parameters, stages: Stages) -> Array:
-    """Return the target (N, L, B) rad that a joint at `angles` feels through its gears."""
-    return angles + across(target - angles, jnp.asarray(numbers.backlash)) if stages.backlash else target
+    buffer: signals.Buffer  # of torques (limb, joint) N m
+    bristle: Any  # (limb, joint) 1, see `bent`
 
 
 class Drive(NamedTuple):
     """What the servos do in a step."""
 
-    motor_torque: Array  # (N, L, B) N m
-    joint_torque: Array  # (N, L, B) N m, less friction
-    armature: Any  # (N, L, B) kg m^2, what sticking joints have more of it in this step; () without dry friction
+    motor_torque: Array  # (limb, joint) N m
+    joint_torque: Array  # (limb, joint) N m, less friction
+    armature: Any  # (limb, joint) kg m^2, what sticking joints have more of it in this step; () without dry friction
 
 
-def driven(
-    servo: Servo,
-    torque: Array,
-    rates: Array,
-    numbers: Parameters,
-    stages: Stages,
-    weights: tuple[Array, ...],
-    time_step: float,
-) -> tuple[Servo, Drive]:
-    """Return the servos after this step and what they do in it, asked for `torque` (N, L, B) N m."""
+def resting_servo(angles: Array, stages: Stages) -> Servo:
+    """Return servos without torque, of joints at `angles` (limb, joint) rad."""
+    zero = jnp.zeros_like(angles)
+    return Servo(signals.filled(zero, stages.servo_delay), zero if stages.dry_friction else ())
+
+
+def felt_target(target: Array, angles: Array, hardware: Hardware) -> Array:
+    """Return the target (limb, joint) rad that a joint at `angles` feels through the play of its gears."""
+    if not hardware.stages.backlash:
+        return target
+    return angles + across_play(target - angles, jnp.asarray(hardware.parameters.backlash))
+
+
+def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tuple[Servo, Drive]:
+    """Return the servos after this step and what they do in it, asked for `torque` (limb, joint) N m."""
     buffer, bristle = servo
+    parameters, stages, time_step = hardware.parameters, hardware.stages, hardware.time_step
     if stages.servo_delay:
-        buffer, torque = delay.delayed(buffer, torque, weights)
+        buffer, torque = signals.delayed(buffer, torque, hardware.pace.servo)
     if stages.torque_limit:
-        torque = limited(torque, rates, jnp.asarray(numbers.torque_limit), jnp.asarray(numbers.no_load_speed))
-    joint_torque, armature = torque, _NONE
+        torque = limited(torque, rates, jnp.asarray(parameters.torque_limit), jnp.asarray(parameters.no_load_speed))
+    joint_torque = torque
+    armature: Any = ()
     if stages.dry_friction:
-        most = jnp.asarray(numbers.coulomb_friction) + jnp.asarray(numbers.load_friction) * jnp.abs(torque)
-        bristle = friction.bent(bristle, rates, time_step)
-        lost, armature = friction.dry(bristle, rates, most, time_step)
+        # the gears rub under the torque that the motor gives, not under the one that it is asked for
+        most = jnp.asarray(parameters.coulomb_friction + parameters.load_friction * jnp.abs(torque))
+        bristle = bent(bristle, rates, time_step)
+        lost, armature = dry_friction(bristle, rates, most, time_step)
         joint_torque = joint_torque + lost
     if stages.viscous_friction:
-        joint_torque = joint_torque + friction.viscous(rates, jnp.asarray(numbers.viscous_friction))
+        joint_torque = joint_torque - parameters.viscous_friction * rates
     return Servo(buffer, bristle), Drive(torque, joint_torque, armature)
+
+
+def across_play(error: Array, backlash: Array) -> Array:
+    """Return the part of a position error in rad that gears with a play of `backlash` rad pass on.
+
+    The motor rests at its target; the link is free to move by half the play to either side.
+    """
+    play = backlash / 2
+    return error - jnp.clip(error, -play, play)
+
+
+def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Array) -> Array:
+    """Return the torque that the motor gives, N m, for the one that it is asked for.
+
+    With the motion it falls to nothing at the no-load speed and brakes beyond it; against the motion it is limited
+    alone.
+
+    Arguments:
+        torque: N m.
+        rate: rad/s.
+        torque_limit: N m, at standstill; infinite: none.
+        no_load_speed: rad/s; infinite: the same limit at any speed.
+    """
+    slowness = rate / no_load_speed
+    bound = jnp.where(jnp.isfinite(torque_limit), torque_limit, 0.0)
+    upper, lower = bound * jnp.clip(1 - slowness, -1.0, 1.0), -bound * jnp.clip(1 + slowness, -1.0, 1.0)
+    return jnp.where(jnp.isfinite(torque_limit), jnp.clip(torque, lower, upper), torque)
+
+
+def bent(bristle: Array, rate: Array, time_step: float) -> Array:
+    """Return the bristles after one step at `rate` rad/s: their bend as a share of `PRESLIDING`, -1 to 1."""
+    return jnp.clip(bristle + rate * (time_step / PRESLIDING), -1.0, 1.0)
+
+
+def dry_friction(bristle: Array, rate: Array, most: Array, time_step: float) -> tuple[Array, Array]:
+    """Return the torque of dry friction on the joint, N m, and what it adds to the armature in this step, kg m^2.
+
+    Arguments:
+        bristle: see `bent`.
+        rate: rad/s.
+        most: N m, what the friction can bear.
+    """
+    slope = (RELAXATION + time_step) / PRESLIDING
+    share = bristle + rate * slope
+    sticks = jnp.abs(share) < 1
+    return -most * jnp.clip(share, -1.0, 1.0), jnp.where(sticks, most * (slope * time_step), 0.0)

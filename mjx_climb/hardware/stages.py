@@ -1,18 +1,22 @@
-"""Which stages of hardware a walk has: decided once, before it is compiled. Their numbers are `Parameters`."""
+"""Which stages of hardware a walk has, decided once before it is compiled, and what they need of its parameters."""
 
-from typing import NamedTuple
+import dataclasses
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 
-from mjx_climb.hardware.delay import samples
+from mjx_climb.hardware.signals import Buffer, buffer_length, filter_share, period_steps, weights
 from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
 
 
 class Stages(NamedTuple):
-    """The stages that a walk has; lengths of buffers in samples, 0 without one. Hashable."""
+    """The stages that a walk has; lengths of buffers in samples, 0 without one. Static: a walk is compiled for them."""
 
     force_delay: int = 0
     force_noise: bool = False
@@ -45,42 +49,46 @@ class Stages(NamedTuple):
 IDEAL = Stages()
 
 
-def stages_of(scenario: Scenario, numbers: Parameters) -> Stages:
-    """Return the stages that some environment of a batch needs.
+def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = None) -> Stages:
+    """Return the stages that some robot of a batch needs.
 
     Arguments:
         scenario: says how targets move between two periods, and who filters.
-        numbers: with any leading batch axes; buffers are as long as the longest delay needs.
+        parameters: with any leading batch axes; buffers are as long as the longest delay needs.
+        robot: its file may ask for stages of the joints.
 
     Raises:
-        TypeError: numbers that are traced by JAX, so that nothing can be decided by them.
+        TypeError: parameters that are traced by JAX, so that nothing can be decided by them.
     """
-    for name, value in vars(numbers).items():
+    for name, value in vars(parameters).items():
         if isinstance(value, jax.core.Tracer):
-            raise TypeError(f"numbers.{name}: expected an array, got one that JAX traces")
+            raise TypeError(f"parameters.{name}: expected an array, got one that JAX traces")
     step = scenario.time_step
-    period, filtered = given(numbers.control_period), finite(numbers.force_filter)
+    period, filtered = given(parameters.control_period), finite(parameters.force_filter)
     by_law = scenario.hardware.force_sensor.filtered_by == "law"
+    limited, dry, viscous = (
+        robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
+    )
     return Stages(
-        force_delay=samples(numbers.force_delay, step),
-        force_noise=given(numbers.force_noise),
-        force_bias=given(numbers.force_bias),
-        force_resolution=given(numbers.force_resolution),
+        force_delay=buffer_length(parameters.force_delay, step),
+        force_noise=given(parameters.force_noise),
+        force_bias=given(parameters.force_bias),
+        force_resolution=given(parameters.force_resolution),
         force_filter=filtered and not by_law,
         sampled_filter=filtered and by_law,
-        base_delay=samples(numbers.base_delay, step),
-        base_noise=given(numbers.position_noise) or given(numbers.velocity_noise),
+        base_delay=buffer_length(parameters.base_delay, step),
+        base_noise=given(parameters.position_noise) or given(parameters.velocity_noise),
         control_period=period,
         linear=period and scenario.hardware.interpolation == "linear",
-        command_delay=samples(numbers.command_delay, step),
-        servo_delay=samples(numbers.servo_delay, step),
-        torque_limit=finite(numbers.torque_limit),
-        armature=given(numbers.armature),
-        dry_friction=given(numbers.coulomb_friction) or given(numbers.load_friction),
-        viscous_friction=given(numbers.viscous_friction),
-        backlash=given(numbers.backlash),
-        capture=finite(numbers.capture_distance),
-        rotational=given(numbers.rotational_stiffness),
+        command_delay=buffer_length(parameters.command_delay, step),
+        servo_delay=buffer_length(parameters.servo_delay, step),
+        torque_limit=limited or finite(parameters.torque_limit),
+        armature=given(parameters.armature),
+        dry_friction=dry or given(parameters.coulomb_friction) or given(parameters.load_friction),
+        viscous_friction=viscous or given(parameters.viscous_friction),
+        backlash=given(parameters.backlash),
+        capture=finite(parameters.capture_distance),
+        rotational=given(parameters.rotational_stiffness),
     )
 
 
@@ -92,3 +100,71 @@ def given(value: ArrayLike) -> bool:
 def finite(value: ArrayLike) -> bool:
     """Return whether any number of an array is finite: infinity stands for none."""
     return bool(np.any(np.isfinite(np.asarray(value))))
+
+
+class Pace(NamedTuple):
+    """What is worked out once of a robot's delays, filter and control period; empty where it has no such stage."""
+
+    force: Buffer  # weights of the samples, see `signals.weights`
+    base: Buffer
+    command: Buffer
+    servo: Buffer
+    filter_share: Any  # () 1
+    period: Any  # () time steps
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Hardware:
+    """The hardware of one robot: what it is compiled for, and its parameters."""
+
+    parameters: Parameters  # those of joints are (), or (limb, joint) where the robot's file says something of them
+    pace: Pace
+    stages: Stages = dataclasses.field(metadata={"static": True})
+    time_step: float = dataclasses.field(metadata={"static": True})  # s
+
+    @property
+    def law_period(self) -> float | Array:
+        """Time from one step of the law to the next, s."""
+        return self.time_step * self.pace.period if self.stages.control_period else self.time_step
+
+
+def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot: Robot | None = None) -> Hardware:
+    """Return the hardware of a robot; what its file says of its joints comes beside the scenario's parameters."""
+
+    def buffer_weights(seconds: Any, length: int) -> Buffer:
+        return weights(jnp.asarray(seconds) / time_step, length) if length else ()
+
+    period: Any = ()
+    if stages.control_period:
+        period = period_steps(jnp.asarray(parameters.control_period), time_step)
+    share: Any = ()
+    if stages.force_filter or stages.sampled_filter:
+        sampled = time_step * period if stages.sampled_filter and stages.control_period else time_step
+        share = filter_share(jnp.asarray(parameters.force_filter), sampled)
+    pace = Pace(
+        force=buffer_weights(parameters.force_delay, stages.force_delay),
+        base=buffer_weights(parameters.base_delay, stages.base_delay),
+        command=buffer_weights(parameters.command_delay, stages.command_delay),
+        servo=buffer_weights(parameters.servo_delay, stages.servo_delay),
+        filter_share=share,
+        period=period,
+    )
+    return Hardware(parameters if robot is None else _with_joints_of(robot, parameters), pace, stages, time_step)
+
+
+def _with_joints_of(robot: Robot, parameters: Parameters) -> Parameters:
+    """Return the parameters with what the robot's file says of its joints, (limb, joint) where it does.
+
+    Frictions add up, the lower torque limit holds, and a joint that nothing drives has no gains.
+    """
+    changes: dict[str, Any] = {}
+    if robot.driven is not None:
+        changes |= {"kp": parameters.kp * robot.driven, "kd": parameters.kd * robot.driven}
+    if robot.torque_limit is not None:
+        changes["torque_limit"] = jnp.minimum(jnp.asarray(parameters.torque_limit), robot.torque_limit)
+    if robot.friction is not None:
+        changes["coulomb_friction"] = parameters.coulomb_friction + robot.friction
+    if robot.damping is not None:
+        changes["viscous_friction"] = parameters.viscous_friction + robot.damping
+    return dataclasses.replace(parameters, **changes)

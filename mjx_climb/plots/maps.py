@@ -1,5 +1,6 @@
 """Maps of a metric over two gains."""
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
@@ -18,16 +20,15 @@ from matplotlib.path import Path
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from mjx_climb.files.dataset import larger_is_better
-from mjx_climb.plots.colors import BLACK, GREY, HELD, LIMB_COLORS, RED, SAME
-from mjx_climb.plots.styling import COLUMN, legend_below, styled
+from mjx_climb.plots.styling import BLACK, COLUMN, GREY, HELD, LIMB_COLORS, RED, SAME, legend_below, style
 from mjx_climb.walk.metrics import FAILURES
 
 _LEAST_SPAN = 0.05  # of a scale, relative to its values
 _MARKERS = ("*", "o", "D", "^", "s", "P", "v")
-_TORN, _DIVERGED = "/////", "xxxxx"  # hatches
+_HATCHES = {"gripper torn off": "/////", "diverged": "xxxxx"}
 
 
-@styled
+@style()
 def plot_map(
     dataset: xr.Dataset,
     metric: str,
@@ -56,26 +57,16 @@ def plot_map(
     `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
-    handles, label, bar = _draw_map(
-        figure,
-        figure.subplots(),
-        dataset,
-        metric,
-        marks or {},
-        baseline,
-        baseline_name,
-        stability_lines(dataset, x, y),
-        x,
-        y,
-    )
-    bar.set_label(label)
+    grid = _Grid(dataset, x, y, marks or {}, baseline_name, stability_lines(dataset, x, y))
+    handles, bar = grid.draw(figure.subplots(), metric, baseline)
+    bar.set_label(_label(dataset[metric], metric))
     legend_below(figure, handles, 3)
     if title:
         figure.suptitle(title, fontsize=8.5)
     return figure
 
 
-@styled
+@style()
 def plot_maps(
     dataset: xr.Dataset,
     metrics: Sequence[str],
@@ -96,11 +87,11 @@ def plot_maps(
         raise ValueError("expected at least one metric to draw")
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
     figure, axes = _sheet(rows, columns)
-    handles, limit = {}, stability_lines(dataset, x, y)
+    handles = {}
+    grid = _Grid(dataset, x, y, marks or {}, baseline_name, stability_lines(dataset, x, y))
     for metric, panel in zip(metrics, axes.flat, strict=False):
-        value = (baselines or {}).get(metric)
-        found, label, _ = _draw_map(figure, panel, dataset, metric, marks or {}, value, baseline_name, limit, x, y)
-        panel.set_title(label, y=1.0)  # where it is anyway, without a search for it
+        found, _ = grid.draw(panel, metric, (baselines or {}).get(metric))
+        panel.set_title(_label(dataset[metric], metric), y=1.0)  # where it is anyway, without a search for it
         handles.update({handle.get_label(): handle for handle in found})
     for number, panel in enumerate(axes.flat):
         if number >= len(metrics):
@@ -137,127 +128,133 @@ def _sheet(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
     return figure, axes
 
 
-def _draw_map(
-    figure: Figure,
-    panel: Axes,
-    dataset: xr.Dataset,
-    metric: str,
-    marks: Mapping[str, tuple[float, float]],
-    baseline: float | None,
-    baseline_name: str,
-    limit: Sequence[np.ndarray],
-    x: str,
-    y: str,
-) -> tuple[list[Artist], str, Colorbar]:
-    """Draw one map with its colour bar; return the handles of its legend, what its colours stand for, and the bar."""
-    variable = _grid(dataset, metric, x, y)
-    failed = failed_walks(dataset, x, y)
-    values = comparable(dataset, metric).transpose(y, x).values.astype(float)
-    x_edges, y_edges = (_log_edges(dataset[name].values) for name in (x, y))
-    flags = variable.attrs.get("flag_meanings", "").split()
-    known = np.unique(values[np.isfinite(values)])
-    colormap: Colormap
-    norm: Normalize
-    if flags:
-        codes = np.asarray(variable.attrs["flag_values"], float)
-        colors = ["0.9", *LIMB_COLORS][: len(flags)]
-        colormap, norm, extend = (
-            ListedColormap(colors),
-            BoundaryNorm([*(codes - 0.5), codes[-1] + 0.5], len(codes)),
-            "neither",
-        )
-    else:
-        larger = larger_is_better(variable)
-        colormap = mpl.colormaps["viridis" if larger else "viridis_r"] if known.size != 1 else ListedColormap([SAME])
-        norm, extend = color_scale(values, failed, baseline, larger)
-    panel.set_facecolor(GREY)
-    mesh = panel.pcolormesh(
-        x_edges,
-        y_edges,
-        np.ma.masked_invalid(values),
-        cmap=colormap,
-        norm=norm,
-        linewidth=0,
-        rasterized=values.size > 1e4,
-    )
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    panel.set_xlabel(_label(dataset[x], x))
-    panel.set_ylabel(_label(dataset[y], y))
+@dataclasses.dataclass(frozen=True)
+class _Grid:
+    """Walks over two gains, and what all maps of them show."""
 
-    handles: list[Artist] = []
-    if failed.any():
+    dataset: xr.Dataset
+    x: str
+    y: str
+    marks: Mapping[str, tuple[float, float]]
+    baseline_name: str
+    limit: Sequence[np.ndarray]  # of stability, lines (N, 2)
+
+    def draw(self, panel: Axes, metric: str, baseline: float | None) -> tuple[list[Artist], Colorbar]:
+        """Draw the map of a metric with its colour bar; return the handles of its legend, and the bar."""
+        variable = _variable(self.dataset, metric, self.x, self.y)
+        failed = failed_walks(self.dataset, self.x, self.y)
+        values = comparable(self.dataset, metric).transpose(self.y, self.x).values.astype(float)
+        edges = _log_edges(self.dataset[self.x].values), _log_edges(self.dataset[self.y].values)
+        colormap, norm, extend = _colors(variable, values, failed, baseline)
+        panel.set_facecolor(GREY)
+        mesh = panel.pcolormesh(
+            *edges, np.ma.masked_invalid(values), cmap=colormap, norm=norm, linewidth=0,
+            rasterized=values.size > 1e4,
+        )  # fmt: skip
+        panel.set(xscale="log", yscale="log")
+        panel.set_xlabel(_label(self.dataset[self.x], self.x))
+        panel.set_ylabel(_label(self.dataset[self.y], self.y))
+
         shades = colormap(norm(np.nan_to_num(values, nan=norm.vmin or 0.0)))[..., :3] @ [0.299, 0.587, 0.114]
         dark = (shades < 0.4) & np.isfinite(values)
-        torn = torn_off(dataset, x, y)
-        for kind, hatch, name in ((torn, _TORN, "gripper torn off"), (failed & ~torn, _DIVERGED, "diverged")):
-            hatched: dict[str, Any] = {"facecolor": "none", "hatch": hatch, "linewidth": 0}
-            for chosen, color in ((kind & ~dark, "0.15"), (kind & dark, "0.85")):
-                cells = [
-                    Path([(x_edges[i], y_edges[j]), (x_edges[end], y_edges[j]), (x_edges[end], y_edges[j + 1]),
-                          (x_edges[i], y_edges[j + 1]), (x_edges[i], y_edges[j])], closed=True)
-                    for j, i, end in _runs(chosen)
-                ]  # fmt: skip
-                if cells:  # one shape: each would be hatched by itself
-                    whole = PathPatch(Path.make_compound_path(*cells), **hatched, edgecolor=color, gid=name)
-                    panel.add_artist(whole)
-            if kind.any():
-                handles.append(Patch(**hatched | {"facecolor": "white"}, edgecolor="0.15", label=name))
-    empty = np.isnan(values)
-    if metric == "detached_at" and (held := empty & ~failed).any():
-        panel.pcolormesh(x_edges, y_edges, np.ma.masked_where(~held, held), cmap=ListedColormap([HELD]), linewidth=0)
-        handles.append(Patch(facecolor=HELD, label="held all the way"))
-        empty &= failed
-    if empty.any():
-        handles.append(Patch(facecolor=GREY, label="no value"))
-    for number, (name, (at_x, at_y)) in enumerate(marks.items()):
-        marker = _MARKERS[number % len(_MARKERS)]
-        look: dict[str, Any] = {
-            "marker": marker,
-            "linestyle": "none",
-            "markerfacecolor": "white",
-            "markeredgecolor": BLACK,
-            "markeredgewidth": 0.9,
-            "markersize": 9 if marker == "*" else 6,
-        }
-        panel.plot([at_x], [at_y], **look, zorder=4, label=name)
-        handles.append(Line2D([], [], **look, label=name))
-    for line in limit:
-        panel.plot(*line.T, color=RED, linewidth=1.0, zorder=3, gid="stability limit")
-    if limit:
-        handles.append(Line2D([], [], color=RED, linewidth=1.0, label="stability limit"))
-    # a mark beside the grid is shown too
-    panel.set_xlim(*_span(x_edges, [mark[0] for mark in marks.values()]))
-    panel.set_ylim(*_span(y_edges, [mark[1] for mark in marks.values()]))
+        torn = _torn_off(self.dataset, self.x, self.y)
+        handles = [
+            *_hatch(panel, edges, torn, dark, "gripper torn off"),
+            *_hatch(panel, edges, failed & ~torn, dark, "diverged"),
+        ]
+        empty = np.isnan(values)
+        if metric == "detached_at" and (held := empty & ~failed).any():
+            panel.pcolormesh(*edges, np.ma.masked_where(~held, held), cmap=ListedColormap([HELD]), linewidth=0)
+            handles.append(Patch(facecolor=HELD, label="held all the way"))
+            empty &= failed
+        if empty.any():
+            handles.append(Patch(facecolor=GREY, label="no value"))
+        handles += self._draw_marks(panel)
+        # a mark beside the grid is shown too
+        panel.set_xlim(*_span(edges[0], [mark[0] for mark in self.marks.values()]))
+        panel.set_ylim(*_span(edges[1], [mark[1] for mark in self.marks.values()]))
 
-    bar = figure.colorbar(mesh, ax=panel, extend=extend, fraction=0.05, pad=0.02, aspect=25)
-    bar.outline.set_linewidth(0.6)
-    if flags:
-        bar.set_ticks(codes.tolist(), labels=flags)
-        bar.ax.minorticks_off()
-    elif known.size == 1:
-        bar.set_ticks([])
-        text = f"all cells: {known[0]:.4g}"
-        panel.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", gid="constant")
-    elif (
-        isinstance(norm, LogNorm) and mesh.get_clim()[1] < 1e3 * mesh.get_clim()[0]
-    ):  # so few decades want ticks between them
-        bar.locator = LogLocator(subs=(1, 2, 5))
-        bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
-        bar.minorformatter = NullFormatter()
-        bar.update_ticks()
-    if baseline is not None and not flags and known.size != 1:
-        _mark_on_bar(bar, float(baseline), baseline_name)
-    return handles, _label(variable, metric), bar
+        return handles, self._draw_bar(panel, mesh, variable, baseline, extend)
+
+    def _draw_bar(
+        self, panel: Axes, mesh: ScalarMappable, variable: xr.DataArray, baseline: float | None, extend: str
+    ) -> Colorbar:
+        """Draw the colour bar of a map: names, values or, where all are equal, nothing but the value on the map."""
+        bar = panel.figure.colorbar(mesh, ax=panel, extend=extend, fraction=0.05, pad=0.02, aspect=25)
+        bar.outline.set_linewidth(0.6)
+        known: np.ndarray = np.unique(np.ma.asarray(mesh.get_array()).compressed())
+        low, high = bar.mappable.get_clim()
+        if flags := variable.attrs.get("flag_meanings", "").split():
+            bar.set_ticks(np.asarray(variable.attrs["flag_values"], float).tolist(), labels=flags)
+            bar.ax.minorticks_off()
+        elif known.size == 1:
+            bar.set_ticks([])
+            text = f"all cells: {known[0]:.4g}"
+            panel.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", gid="constant")
+        else:
+            if isinstance(bar.norm, LogNorm) and high < 1e3 * low:  # so few decades want ticks between them
+                bar.locator = LogLocator(subs=(1, 2, 5))
+                bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
+                bar.minorformatter = NullFormatter()
+                bar.update_ticks()
+            if baseline is not None:
+                _mark_on_bar(bar, float(baseline), self.baseline_name)
+        return bar
+
+    def _draw_marks(self, panel: Axes) -> list[Artist]:
+        """Draw the marks and the limit of stability, and return the handles of their legend."""
+        handles: list[Artist] = []
+        for number, (name, place) in enumerate(self.marks.items()):
+            marker = _MARKERS[number % len(_MARKERS)]
+            size = 9 if marker == "*" else 6
+            handles += panel.plot(
+                *([at] for at in place), marker, mfc="white", mec=BLACK, mew=0.9, ms=size, zorder=4, label=name
+            )
+        for line in self.limit:
+            panel.plot(*line.T, color=RED, linewidth=1.0, zorder=3, gid="stability limit")
+        if self.limit:
+            handles.append(Line2D([], [], color=RED, linewidth=1.0, label="stability limit"))
+        return handles
 
 
-def _runs(chosen: np.ndarray) -> list[tuple[int, int, int]]:
-    """Return the row, the first column and the one after the last of all that are chosen side by side."""
-    padded = np.pad(chosen.astype(int), ((0, 0), (1, 1)))
-    steps = np.diff(padded, axis=1)
+def _colors(
+    variable: xr.DataArray, values: np.ndarray, failed: np.ndarray, baseline: float | None
+) -> tuple[Colormap, Any, str]:
+    """Return the colours of a map, the scale (of matplotlib's) on which they lie, and which ends of it are passed."""
+    if flags := variable.attrs.get("flag_meanings", "").split():
+        codes = np.asarray(variable.attrs["flag_values"], float)
+        norm = BoundaryNorm([*(codes - 0.5), codes[-1] + 0.5], len(codes))
+        return ListedColormap(["0.9", *LIMB_COLORS][: len(flags)]), norm, "neither"
+    larger = larger_is_better(variable)
+    scale, extend = color_scale(values, failed, baseline, larger)
+    constant = np.unique(values[np.isfinite(values)]).size == 1
+    colormap = ListedColormap([SAME]) if constant else mpl.colormaps["viridis" if larger else "viridis_r"]
+    return colormap, scale, extend
+
+
+def _hatch(
+    panel: Axes, edges: tuple[np.ndarray, np.ndarray], cells: np.ndarray, dark: np.ndarray, name: str
+) -> list[Artist]:
+    """Hatch cells (y, x), in light lines where they are dark, and return the handle of the legend if there are any."""
+    if not cells.any():
+        return []
+    x, y = edges
+    look: dict[str, Any] = {"hatch": _HATCHES[name], "linewidth": 0}
+    for part, color in ((cells & ~dark, "0.15"), (cells & dark, "0.85")):
+        if part.any():  # one shape: each cell would be hatched by itself
+            rows, starts, ends = _runs(part)
+            corners = [(x[starts], y[rows]), (x[ends], y[rows]), (x[ends], y[rows + 1]), (x[starts], y[rows + 1])]
+            corners.append(corners[0])
+            path = Path.make_compound_path_from_polys(np.moveaxis(np.array(corners), -1, 0))
+            panel.add_artist(PathPatch(path, facecolor="none", edgecolor=color, gid=name, **look))
+    return [Patch(facecolor="white", edgecolor="0.15", label=name, **look)]
+
+
+def _runs(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the row, the first column and the one after the last of all cells (y, x) that lie side by side."""
+    steps = np.diff(np.pad(cells.astype(int), ((0, 0), (1, 1))), axis=1)
     rows, starts = np.nonzero(steps == 1)
-    ends = np.nonzero(steps == -1)[1]
-    return list(zip(rows.tolist(), starts.tolist(), ends.tolist(), strict=True))
+    return rows, starts, np.nonzero(steps == -1)[1]
 
 
 def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping") -> list[np.ndarray]:
@@ -267,7 +264,7 @@ def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping
     """
     if "spectral_radius" not in dataset:
         return []
-    radius = _grid(dataset, "spectral_radius", x, y).dropna(x, how="all").dropna(y, how="all")
+    radius = _variable(dataset, "spectral_radius", x, y).dropna(x, how="all").dropna(y, how="all")
     excess = np.clip((radius.values - 1) * 1e3, -1, 1)  # beyond the limit it grows without bounds
     if min(excess.shape) < 2 or not (excess > 0).any() or not (excess <= 0).any():
         return []
@@ -282,18 +279,10 @@ def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:
     place = min(max(value, low), high)
     bar.ax.axhline(place, color=RED, linewidth=1.4, gid="baseline")
     bar.ax.annotate(
-        name + arrow,
-        (0, place),
-        xycoords=bar.ax.get_yaxis_transform(),
-        xytext=(-2, 0),
-        textcoords="offset points",
-        ha="right",
-        va="center",
-        fontsize=6.5,
-        color=RED,
-        bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6},
+        name + arrow, (0, place), xycoords=bar.ax.get_yaxis_transform(), xytext=(-2, 0), textcoords="offset points",
+        ha="right", va="center", fontsize=6.5, color=RED, bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6},
         zorder=6,
-    )
+    )  # fmt: skip
 
 
 def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
@@ -304,7 +293,7 @@ def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     return variable.where(~dataset["diverged"].astype(bool))
 
 
-def _grid(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
+def _variable(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
     """Return a variable as (y, x).
 
     Raises:
@@ -317,21 +306,21 @@ def _grid(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
     return dataset[name].transpose(y, x)
 
 
-def torn_off(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
+def _torn_off(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
     """Return which walks lost a gripper, (y, x), be it that they diverged later."""
     torn = np.zeros((dataset.sizes[y], dataset.sizes[x]), bool)
     if "detached_at" in dataset:
-        torn |= np.isfinite(_grid(dataset, "detached_at", x, y).values)
+        torn |= np.isfinite(_variable(dataset, "detached_at", x, y).values)
     if "detached_limb" in dataset:
-        torn |= _grid(dataset, "detached_limb", x, y).values >= 0
+        torn |= _variable(dataset, "detached_limb", x, y).values >= 0
     return torn
 
 
 def failed_walks(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
     """Return which walks failed, (y, x): a gripper was torn off, or the state stopped being finite."""
-    failed = torn_off(dataset, x, y)
+    failed = _torn_off(dataset, x, y)
     if "diverged" in dataset:
-        failed |= _grid(dataset, "diverged", x, y).values.astype(bool)
+        failed |= _variable(dataset, "diverged", x, y).values.astype(bool)
     return failed
 
 

@@ -1,20 +1,34 @@
-"""How pictures look: the width of a column, letters and lines, legends."""
+"""How pictures look, and how they are written: colours, letters, lines, legends, files."""
 
 import contextlib
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from contextvars import ContextVar
-from types import MappingProxyType
-from typing import Any, ParamSpec, TypeVar
+import io
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
+from matplotlib.mathtext import MathTextParser
+from matplotlib.text import Text
 
-COLUMN = 3.5  # inch, width of a column
+from mjx_climb.files.dataset import write_bytes_atomically
+
+COLUMN = 3.5  # inch, width of a column of a paper
+
+# Colours that the colour-blind can tell apart: Okabe & Ito, "Color Universal Design", 2008
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+LIMB_COLORS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, "#8C6D31", "#4D4D4D")
+AXIS_COLORS = (VERMILLION, SKY, BLACK)
+# colour and width: the baseline is a broad band, so that what runs on top of it does not hide it
+SERIES = (("0.65", 1.8), (VERMILLION, 0.8), (BLUE, 0.8), (GREEN, 0.8), (ORANGE, 0.8), (PURPLE, 0.8))
+RED = "#D00000"  # what must not be passed: a torn gripper; on maps the baseline and the limit of stability
+CARGO, PUSH = "#F6F0E1", "#DCE9F4"
+GREY = "#BDBDBD"
+SAME = "#EDEDED"  # a map on which all walks are equal
+HELD = "#DDEFD9"  # on a map of detachments, the walks without any
 
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -38,56 +52,37 @@ _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "mjx_climb",
     "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
 }
+_METADATA: dict[str, dict[str, Any] | None] = {"png": None, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+FORMATS = tuple(_METADATA)
 
 
-_Arguments = ParamSpec("_Arguments")
-_Result = TypeVar("_Result")
-
-
-_OVER: ContextVar[Mapping[str, Any]] = ContextVar("_OVER", default=MappingProxyType({}))
-
-
-def style() -> AbstractContextManager[None]:
-    """Return a context in which matplotlib draws in this module's style: `with plots.style(): ...`."""
-    settings: dict[Any, Any] = dict(_OVER.get())
-    return mpl.rc_context(_STYLE | settings)
+@contextlib.contextmanager
+def style() -> Iterator[None]:
+    """Draw in the style of this package, `with plots.style(): ...`; matplotlib's own settings come back afterwards."""
+    with mpl.rc_context(_STYLE):
+        yield
 
 
 @contextlib.contextmanager
 def over_style(settings: Mapping[str, Any]) -> Iterator[None]:
-    """Put settings of matplotlib's over this module's style for all that is drawn and saved in the context."""
-    before = _OVER.set(settings)
+    """Put settings of matplotlib's over the style of this package for all that is drawn and saved in the context."""
+    before = _STYLE.copy()
+    _STYLE.update(settings)
     try:
         yield
     finally:
-        _OVER.reset(before)
-
-
-def styled(draw: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """Run a drawing function in this module's style and leave matplotlib's own as it was."""
-
-    @functools.wraps(draw)
-    def styled(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
-        with style():
-            return draw(*args, **kwargs)
-
-    return styled
+        _STYLE.clear()
+        _STYLE.update(before)
 
 
 def legend(figure: Figure, handles: Sequence[Artist], title: str | None = None) -> None:
     """Put a legend, and a title over it, above the panels, with as many columns as fit."""
     width = 0.055 * max(len(str(handle.get_label())) for handle in handles) + 0.35  # inch
     figure.legend(
-        handles=handles,
-        title=title,
-        title_fontsize=8.5,
-        loc="outside upper center",
-        ncols=min(len(handles), max(1, int(COLUMN / width))),
-        handlelength=1.4,
-        columnspacing=1.0,
-        handletextpad=0.4,
+        handles=handles, title=title, title_fontsize=8.5, loc="outside upper center",
+        ncols=min(len(handles), max(1, int(COLUMN / width))), handlelength=1.4, columnspacing=1.0, handletextpad=0.4,
         borderaxespad=0.2,
-    )
+    )  # fmt: skip
 
 
 def legend_below(figure: Figure, handles: Sequence[Artist], columns: int) -> None:
@@ -102,22 +97,41 @@ def legend_below(figure: Figure, handles: Sequence[Artist], columns: int) -> Non
         legend.remove()
 
 
-def legend_inside(panel: Axes, names: Sequence[str], colors: Sequence[str], extra: Sequence[Line2D] = ()) -> None:
-    """Put a legend of coloured lines into a panel, above what it shows."""
-    handles = [Line2D([], [], color=color, label=name) for name, color in zip(names, colors, strict=True)]
-    panel.legend(
-        handles=[*handles, *extra],
-        loc="upper left",
-        ncols=4,
-        handlelength=1.0,
-        columnspacing=0.7,
-        handletextpad=0.3,
-        borderaxespad=0.1,
-        fontsize=6.5,
-    )
+@style()
+def save_figure(
+    figure: Figure, path_stem: str | os.PathLike[str], formats: Collection[str] = ("png",), *, dpi: int = 300
+) -> tuple[Path, ...]:
+    """Write a figure to `path_stem`.png, or in other formats of `FORMATS`, and return the paths in their order.
+
+    Each file is either whole or not there.
+
+    Raises:
+        OutputError: a file cannot be written.
+        ValueError: a format that is none.
+    """
+    if unknown := [kind for kind in formats if kind not in FORMATS]:
+        raise ValueError(f"formats: expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if not _is_mathematics(text.get_text()):
+            text.set_parse_math(False)
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)  # it is laid out now; each format would do it again
+    paths = []
+    for kind in formats:
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=_METADATA[kind])
+        paths.append(write_bytes_atomically(f"{os.fspath(path_stem)}.{kind}", buffer.getvalue()))
+    return tuple(paths)
 
 
-def leave_headroom(panel: Axes, share: float = 0.3) -> None:
-    """Leave room above the lines for a legend."""
-    low, high = panel.get_ylim()
-    panel.set_ylim(low, high + share * (high - low))
+def _is_mathematics(text: str) -> bool:
+    """Return whether matplotlib can set what stands between dollars; a limb's name need not be mathematics."""
+    try:
+        for line in text.split("\n"):
+            if line.count("$") > 1:
+                MathTextParser("path").parse(line)
+    except ValueError:
+        return False
+    return True

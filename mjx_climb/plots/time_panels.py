@@ -10,17 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
-from mjx_climb.plots.colors import GREY, LIMB_COLORS, RED
-from mjx_climb.plots.styling import COLUMN
-from mjx_climb.plots.walk_events import (
-    detachments,
-    disturbances,
-    end_of,
-    failure_time,
-    grip_changes,
-    rows_before_divergence,
-)
+from mjx_climb.plots.events import detachments, disturbances, end_of, failure_time, finite_rows, grip_changes
+from mjx_climb.plots.styling import COLUMN, GREY, LIMB_COLORS, RED
 from mjx_climb.rollouts.trajectory import Trajectory
+
+SMALL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5}  # words within a panel
 
 
 def panels_over_time(heights: Sequence[float], end: float, height: float) -> tuple[Figure, list[Axes]]:
@@ -41,13 +35,13 @@ def panels_over_time(heights: Sequence[float], end: float, height: float) -> tup
     return figure, axes
 
 
-def draw_line(axes: Axes, trajectory: Trajectory, values: np.ndarray, **style: Any) -> None:
+def draw_line(panel: Axes, trajectory: Trajectory, values: np.ndarray, **style: Any) -> None:
     """Draw one line over time, up to where the state stopped being finite.
 
     What comes after a failure may be thousands of times larger: the axes reach at most two spans beyond what
     was before.
     """
-    rows = rows_before_divergence(trajectory)
+    rows = finite_rows(trajectory)
     if not rows:
         return
     time, drawn = thin(trajectory.time[:rows], values[:rows])
@@ -57,9 +51,9 @@ def draw_line(axes: Axes, trajectory: Trajectory, values: np.ndarray, **style: A
     low, high = before.min(), before.max()
     low, high = max(np.nanmin(drawn), 3 * low - 2 * high), min(np.nanmax(drawn), 3 * high - 2 * low)
     # unlike plot, add_artist leaves the limits alone
-    axes.add_artist(Line2D(time, drawn, solid_joinstyle="round", **style))
-    axes.update_datalim([(time[0], low), (time[-1], high)])
-    axes.autoscale_view(scalex=False)
+    panel.add_artist(Line2D(time, drawn, solid_joinstyle="round", **style))
+    panel.update_datalim([(time[0], low), (time[-1], high)])
+    panel.autoscale_view(scalex=False)
 
 
 def thin(time: np.ndarray, values: np.ndarray, points: int = 1500) -> tuple[np.ndarray, np.ndarray]:
@@ -73,29 +67,23 @@ def thin(time: np.ndarray, values: np.ndarray, points: int = 1500) -> tuple[np.n
     low = np.where(np.isfinite(stretches), stretches, np.inf).argmin(1)
     high = np.where(np.isfinite(stretches), stretches, -np.inf).argmax(1)
     first = np.arange(len(rows))
-    kept = np.unique(np.concatenate([[0, time.size - 1], rows[first, low], rows[first, high]]))
-    return time[kept], values[kept]
+    chosen = np.unique(np.concatenate([[0, time.size - 1], rows[first, low], rows[first, high]]))
+    return time[chosen], values[chosen]
 
 
 def mark_events(axes: Sequence[Axes], trajectory: Trajectory) -> None:
     """Shade disturbances and mark changes of grip in every panel; name the disturbances above the first."""
-    changes, windows = grip_changes(trajectory), disturbances(trajectory)
-    for (start, stop, label, color), level in zip(windows, _levels(axes[0], windows), strict=True):
+    first, windows = axes[0], disturbances(trajectory)
+    for (start, stop, label, color), level in zip(windows, _levels(first, windows), strict=True):
         for panel in axes:
             panel.axvspan(start, stop, color=color, linewidth=0, zorder=0, gid="disturbance")
-        place: dict[str, Any] = {"xy": ((start + stop) / 2, 1), "xycoords": axes[0].get_xaxis_transform()}
-        text = axes[0].annotate(
-            label,
-            **place,
-            xytext=(0, 2 + 8 * level),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            fontsize=6.5,
-        )
-        text.set_gid("disturbance label")
+        place = ((start + stop) / 2, 1)
+        first.annotate(
+            label, place, xycoords=first.get_xaxis_transform(), xytext=(0, 2 + 8 * level), ha="center", va="bottom",
+            gid="disturbance label", **SMALL,
+        )  # fmt: skip
     for panel in axes:
-        for change in changes:
+        for change in grip_changes(trajectory):
             panel.axvline(change, color="0.7", linewidth=0.4, linestyle=(0, (4, 2)), zorder=0.5, gid="grip change")
 
 
@@ -112,45 +100,32 @@ def _levels(panel: Axes, windows: Sequence[tuple[float, float, str, str]]) -> li
 
 
 def mark_failure(
-    axes: Sequence[Axes],
-    trajectory: Trajectory,
-    lines: Sequence[np.ndarray],
-    color: str = RED,
-    level: int = 0,
+    axes: Sequence[Axes], trajectory: Trajectory, lines: Sequence[np.ndarray], color: str = RED, level: int = 0
 ) -> bool:
     """Mark the first torn gripper by a red cross on the line (T,) of every panel.
 
     What failed when stands in the first panel, `level` lines below its top. False where nothing failed.
     """
-    instants, words = [], []
+    failures = []  # instants, s, and words
     if torn := detachments(trajectory):
         instant, limb = torn[0]
         row = int(np.searchsorted(trajectory.time, instant))
         for panel, values in zip(axes, lines, strict=True):
             panel.axvline(instant, color=RED, linewidth=0.5, zorder=1.5)
             draw_cross(panel, instant, values[row])
-        instants.append(instant)
-        words.append(f"{limb} torn off, {instant:.2f} s")
-    if (rows := rows_before_divergence(trajectory)) < trajectory.time.size:
-        instants.append(float(trajectory.time[rows]))
-        words.append(f"diverged, {instants[-1]:.2f} s")
-    if not words:
+        failures.append((instant, f"{limb} torn off, {instant:.2f} s"))
+    if (rows := finite_rows(trajectory)) < trajectory.time.size:
+        instant = float(trajectory.time[rows])
+        failures.append((instant, f"diverged, {instant:.2f} s"))
+    if not failures:
         return False
-    late = instants[0] > 0.5 * axes[0].get_xlim()[1]
-    axes[0].annotate(
-        "\n".join(words),
-        (instants[0], 1),
-        xycoords=axes[0].get_xaxis_transform(),
-        xytext=(-4 if late else 4, -3 - 17 * level),
-        textcoords="offset points",
-        ha="right" if late else "left",
-        va="top",
-        color=color,
-        fontsize=6.5,
-        bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8},
-        zorder=6,
-        gid="failure",
-    )
+    at, first = failures[0][0], axes[0]
+    late = at > 0.5 * first.get_xlim()[1]
+    first.annotate(
+        "\n".join(words for _, words in failures), (at, 1), xycoords=first.get_xaxis_transform(),
+        xytext=(-4 if late else 4, -3 - 17 * level), ha="right" if late else "left", va="top", color=color,
+        bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8}, zorder=6, gid="failure", **SMALL,
+    )  # fmt: skip
     return True
 
 
@@ -161,21 +136,19 @@ def draw_cross(panel: Axes, x: float, y: float) -> None:
 
 def shade_divergence(axes: Sequence[Axes], trajectory: Trajectory) -> None:
     """Grey out the time in which there is no state any more."""
-    if (rows := rows_before_divergence(trajectory)) < trajectory.time.size:
+    if (rows := finite_rows(trajectory)) < trajectory.time.size:
         for panel in axes:
-            panel.axvspan(
-                trajectory.time[rows], end_of(trajectory), color=GREY, linewidth=0, zorder=0.2, gid="diverged"
-            )
+            span = trajectory.time[rows], end_of(trajectory)
+            panel.axvspan(*span, color=GREY, linewidth=0, zorder=0.2, gid="diverged")
 
 
 def draw_gait(panel: Axes, trajectory: Trajectory) -> None:
     """Draw per limb when its gripper is shut and holds, and a red cross where it is torn off."""
-    end = end_of(trajectory)
-    support = trajectory.support[: rows_before_divergence(trajectory)]
+    time = np.append(trajectory.time, end_of(trajectory))
+    support = trajectory.support[: finite_rows(trajectory)]
     panel.grid(False)
     for number, color in enumerate(limb_colors(trajectory)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], support[:, number], [False]]).astype(int)))
-        time = np.append(trajectory.time, end)
         bars = [(time[a], time[b] - time[a]) for a, b in edges.reshape(-1, 2)]
         panel.broken_barh(bars, (number - 0.35, 0.7), facecolors=color, linewidth=0, gid="support")
     for instant, limb in detachments(trajectory):

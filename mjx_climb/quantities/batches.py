@@ -1,10 +1,10 @@
-"""Batch axes of laws, gains and parameters: leading in public, last in the hot path.
+"""Batch axes of laws, gains and parameters, in front of the axes of one robot's values.
 
 A tree here has `AXES`: how many axes one environment's value has, by field, where it is no scalar.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -21,6 +21,12 @@ def own_axes(tree: Tree) -> Tree:
     return own
 
 
+def axes_behind(tree: Tree, shape: Sequence[int]) -> Tree:
+    """Return in place of each value how many axes it has behind the batch axes `shape`."""
+    own: Tree = jax.tree.map(lambda value: jnp.ndim(value) - len(shape), tree)
+    return own
+
+
 def batch_shape(*trees: Any) -> tuple[int, ...]:
     """Return the batch shape that the values of trees broadcast to.
 
@@ -34,36 +40,19 @@ def batch_shape(*trees: Any) -> tuple[int, ...]:
     return jnp.broadcast_shapes(*shapes)
 
 
-def batch_last(tree: Tree, shape: Sequence[int], dtype: Any) -> Tree:
-    """Return a tree with values (..., B) in the layout of the hot path.
-
-    The batch axes `shape` are flattened to one; what does not vary over them keeps a batch axis of size one.
-    """
-
-    def last(value: Any, own: int) -> jax.Array:
-        value = jnp.asarray(value, dtype)
-        natural, lead = value.shape[value.ndim - own :], value.shape[: value.ndim - own]
-        if math.prod(lead) != 1:
-            lead = tuple(shape)
-        value = jnp.broadcast_to(value, (*lead, *natural)).reshape(math.prod(lead), *natural)
-        return jnp.moveaxis(value, 0, -1)
-
-    laid_out: Tree = jax.tree.map(last, tree, own_axes(tree))
-    return laid_out
-
-
 def flattened(tree: Tree, axes: Tree, shape: Sequence[int]) -> Tree:
-    """Return arrays of numpy with one batch axis wherever they vary, before each value's own `axes`.
+    """Return arrays with one batch axis wherever they vary, before each value's own `axes`.
 
     Of a single robot those vary that have batch axes, so that it walks by the program of several.
     """
     robots = math.prod(shape)
 
-    def flat(value: np.ndarray, own: int) -> np.ndarray:
+    def flat(value: Any, own: int) -> Any:
         tail, varies = value.shape[value.ndim - own :], robots == 1 and value.ndim > own
         if math.prod(value.shape[: value.ndim - own]) == 1 and not varies:
             return value.reshape(tail)
-        return np.broadcast_to(value, (*shape, *tail)).reshape(robots, *tail)
+        broadcast = jnp.broadcast_to if isinstance(value, jax.Array) else np.broadcast_to
+        return broadcast(value, (*shape, *tail)).reshape(robots, *tail)
 
     result: Tree = jax.tree.map(flat, tree, axes)
     return result
@@ -75,7 +64,18 @@ def rows_of(tree: Tree, axes: Tree, rows: np.ndarray) -> Tree:
     return some
 
 
-def varying(tree: Tree) -> Tree:
-    """Return in place of each value of a flattened tree whether it varies from environment to environment."""
-    flags: Tree = jax.tree.map(lambda value, own: jnp.ndim(value) > own, tree, own_axes(tree))
-    return flags
+def over_batch(function: Callable[..., Any], trees: Sequence[Any], axes: Sequence[Any], shape: Sequence[int]) -> Any:
+    """Return what a function of one robot gives for all robots of a batch, with the batch axes in front.
+
+    What does not vary over the batch is passed as it is, so that it is worked out once.
+    """
+    if not shape:
+        return function(*trees)
+    leaves, tree = jax.tree.flatten(flattened(tuple(trees), tuple(axes), shape))
+    mapped = [0 if leaf.ndim > own else None for leaf, own in zip(leaves, jax.tree.leaves(tuple(axes)), strict=True)]
+
+    def of_leaves(*leaves: Any) -> Any:
+        return function(*jax.tree.unflatten(tree, leaves))
+
+    found = jax.vmap(of_leaves, in_axes=mapped, axis_size=math.prod(shape))(*leaves)
+    return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), found)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mjx_climb.mujoco_import import mujoco
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.quantities.swing import rest_to_rest
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.robot.posture import limb_joints
@@ -19,7 +20,7 @@ _HALVINGS = 7  # of the stride, in search of the longest one
 
 
 def foothold_heights(scenario: Scenario) -> np.ndarray:
-    """Return the heights (L, N) m of every limb's footholds in order, limbs in the robot's; N is 0 on flat ground.
+    """Return the heights (limb, N) m of every limb's footholds in order, limbs in the robot's; N is 0 on flat ground.
 
     Raises:
         ConfigError: a height map that cannot be read or does not reach as far as the walk.
@@ -37,9 +38,9 @@ def foothold_heights(scenario: Scenario) -> np.ndarray:
 
 
 def footholds(scenario: Scenario) -> np.ndarray:
-    """Return where the gait plans each limb's footholds, (L, N, 2) m, x and y in the world, the first ones included."""
+    """Return where the gait plans each limb's footholds, (limb, N, 2) m, in the world, the first ones included."""
     robot, gait = load_robot(scenario.robot), scenario.gait
-    stance = _stance_feet(robot)[:, None, :2]
+    stance = (robot.stance_position + _stance_feet(robot))[:, None, :2]
     planned = stance + np.arange(_foothold_count(scenario))[:, None] * np.array([gait.stride, 0.0])
     c, s = np.cos(gait.heading), np.sin(gait.heading)
     return np.asarray(planned @ np.array([[c, s], [-s, c]]))
@@ -68,11 +69,10 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
     if not heights.size:
         return
     robot = load_robot(scenario.robot)
-    stance, center = _stance_feet(robot), robot.stance_position[:, 0]
     heights = heights[:, : _foothold_count(scenario)]
     for n in np.sort(np.unique(heights, axis=1, return_index=True)[1]):
         height = heights[:, n]
-        feet = stance - center
+        feet = _stance_feet(robot)
         feet[:, 2] += height - height.mean()
         missed = limb_joints(robot.model, feet).errors
         if missed.max() > _MISSED:
@@ -92,13 +92,14 @@ def _check_stride(scenario: Scenario, source: str) -> None:
     """
     gait, robot = scenario.gait, load_robot(scenario.robot)
     lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
-    feet = _stance_feet(robot) - robot.stance_position[:, 0]
-    rest = robot.model.key_qpos[0][7:].reshape(len(feet), -1)
+    feet = _stance_feet(robot)
     extremes = -rest_to_rest(lift_off), 1 - rest_to_rest(lift_off + 1 - gait.duty)  # strides from foot to base, ahead
 
     def missed(stride: float) -> np.ndarray:
         planned = (feet + stride * np.outer(along, [1, 0, 0]) for along in extremes)
-        errors: np.ndarray = np.max([limb_joints(robot.model, each, rest).errors for each in planned], axis=0)
+        errors: np.ndarray = np.max(
+            [limb_joints(robot.model, each, robot.stance_joints).errors for each in planned], axis=0
+        )
         return errors > _MISSED
 
     low, high = 0.0, min(gait.stride, 10 * float(np.abs(feet).max()))  # no limb is as long as that
@@ -118,15 +119,13 @@ def _check_stride(scenario: Scenario, source: str) -> None:
 
 
 def _stance_feet(robot: Robot) -> np.ndarray:
-    """Return the feet (L, 3) m of the rest stance, heading along x."""
-    data = mujoco.MjData(robot.model)
-    data.qpos[:] = robot.model.key_qpos[0]
-    mujoco.mj_kinematics(robot.model, data)
-    return np.array(data.site_xpos)
+    """Return the feet (limb, 3) m of the rest stance, heading along x, from the base's centre of mass."""
+    rotation = quaternion_to_matrix(robot.stance_orientation)
+    return np.asarray(limb_frames(robot, rotation, robot.stance_joints).foot)
 
 
 def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> np.ndarray:
-    """Return the map's heights (L, N) m at points (L, N, 2), linear between its samples."""
+    """Return the map's heights (limb, N) m at points (limb, N, 2), linear between its samples."""
     grid = _grid(ground.file)
     column, row = np.moveaxis((points - np.array(ground.origin)) / ground.resolution, -1, 0)
     rows, columns = grid.shape

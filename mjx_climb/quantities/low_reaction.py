@@ -27,7 +27,7 @@ def swing_path(scenario: Scenario) -> np.ndarray:
 
     Axes: ahead, left, up; shapes as `mjx_climb.quantities.swing.added_shapes`. For `low_reaction` the integral of the
     squared reaction on the base is as small as these shapes make it (a local minimum, from the cubic), on flat ground:
-    see `mjx_climb.quantities.swing_reaction`. Limbs that lift off together are judged by the sum of their reactions.
+    see `mjx_climb.quantities.swing_reaction`. Limbs that lift off together count by the sum of their reactions.
     Feet stay above the ground and as high as the cubic in the middle, joints within their limits or those of the cubic.
     A limb that cannot follow its cubic keeps it, as do those that lift off with it.
 
@@ -44,36 +44,36 @@ def swing_path(scenario: Scenario) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
+    """Return the paths (limb, 3, K) by Gauss-Newton, one for each group of limbs that lift off together."""
     robot = load_robot(name)
     limbs, unknowns = len(robot.limbs), 3 * COUNT
     lift_off = [gait.lift_off[limb] for limb in robot.limbs]
-    together = [np.array([other == one for other in lift_off]) for one in sorted(set(lift_off))]
-    lower, upper = robot.joint_lower[..., 0].T, robot.joint_upper[..., 0].T
+    groups = [np.array([other == one for other in lift_off]) for one in sorted(set(lift_off))]
 
-    def walked(paths: np.ndarray, near: np.ndarray | None = None) -> Reaction:
+    def swung(paths: np.ndarray, near: np.ndarray | None = None) -> Reaction:
         return reaction(name, gait, turned, paths, near, _NODES)
 
     path = np.zeros((limbs, 3, COUNT))
-    now = walked(path)
-    lower = np.minimum(lower, now.joints.min(0)) - _WITHIN
-    upper = np.maximum(upper, now.joints.max(0)) + _WITHIN
-    keep = np.array([_WEIGHT * _sum_of_squares(now, path, 0.0, group) for group in together])
+    now = swung(path)
+    lower = np.minimum(robot.joint_lower, now.joints.min(0)) - _WITHIN
+    upper = np.maximum(robot.joint_upper, now.joints.max(0)) + _WITHIN
+    weights = [_WEIGHT * _sum_of_squares(now, path, 0.0, group) for group in groups]
     for _ in range(_ROUNDS):
         aside = path + _DIFFERENCE * np.eye(unknowns).reshape(-1, 1, 3, COUNT)
-        residuals = _residuals(now)
-        slopes = (_residuals(walked(aside, now.joints[:, None])) - residuals[:, None]) / _DIFFERENCE
+        around = swung(aside, now.joints[:, None])
+        jacobian = (around.residuals - now.residuals[:, None]) / _DIFFERENCE
         step = np.zeros_like(path)
-        for group, weight in zip(together, keep, strict=True):
-            columns = np.moveaxis(slopes[:, :, group], (2, 1), (-2, -1)).reshape(-1, group.sum() * unknowns)
+        for group, weight in zip(groups, weights, strict=True):
+            columns = np.moveaxis(jacobian[:, :, group], (2, 1), (-2, -1)).reshape(-1, group.sum() * unknowns)
             held = np.sqrt(weight) * np.eye(columns.shape[1])
-            left = np.concatenate([residuals[:, group].sum(1).ravel(), np.sqrt(weight) * path[group].ravel()])
+            left = np.concatenate([now.residuals[:, group].sum(1).ravel(), np.sqrt(weight) * path[group].ravel()])
             step[group] = -np.linalg.lstsq(np.concatenate([columns, held]), left, rcond=None)[0].reshape(-1, 3, COUNT)
         tried = path + _TRIED[:, None, None, None] * step
-        tries = walked(tried, now.joints[:, None])
+        tries = swung(tried, now.joints[:, None])
         allowed = ((tries.joints >= lower) & (tries.joints <= upper)).all((0, -1)) & (tries.missed.max(0) <= _WITHIN)
         allowed &= (heights(_CHECKED, tried) >= 0).all(0)
         gained = 0.0
-        for group, weight in zip(together, keep, strict=True):
+        for group, weight in zip(groups, weights, strict=True):
             before = _sum_of_squares(now, path, weight, group)
             after = _sum_of_squares(tries, tried, weight, group)
             after = np.where(allowed[:, group].all(1), after, np.inf)
@@ -81,21 +81,14 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
             if after[best] < before:
                 path[group] = tried[best, group]
                 gained = max(gained, 1 - after[best] / before)
-        now = walked(path, now.joints)
+        now = swung(path, now.joints)
         if gained < _ENOUGH:
             break
     return path
 
 
-def _residuals(walked: Reaction) -> np.ndarray:
-    """Return forces and moments over the length, weighted for the integral of their squares, (S, ..., L, 6)."""
-    wrench = np.concatenate([walked.force, walked.moment / walked.length], axis=-1)
-    weighted: np.ndarray = wrench * np.sqrt(walked.weight).reshape(-1, *[1] * (wrench.ndim - 1))
-    return weighted
-
-
-def _sum_of_squares(walked: Reaction, path: np.ndarray, weight: float, group: np.ndarray) -> np.ndarray:
+def _sum_of_squares(swung: Reaction, path: np.ndarray, weight: np.ndarray | float, group: np.ndarray) -> np.ndarray:
     """Return (...) what is made small for limbs that swing together."""
-    joint = _residuals(walked)[..., group, :].sum(-2)
-    total: np.ndarray = (joint**2).sum((0, -1)) + weight * (path[..., group, :, :] ** 2).sum((-3, -2, -1))
+    together = swung.residuals[..., group, :].sum(-2)
+    total: np.ndarray = (together**2).sum((0, -1)) + weight * (path[..., group, :, :] ** 2).sum((-3, -2, -1))
     return total

@@ -1,4 +1,4 @@
-"""The numbers of a scenario as a pytree: what may differ from one environment of a batch to the next."""
+"""The values of a scenario as a pytree: what may differ from one robot of a batch to the next."""
 
 import dataclasses
 import functools
@@ -13,21 +13,21 @@ import numpy as np
 from jax import Array
 from jaxtyping import Real
 
-from mjx_climb.compilation.forked import check_process
+from mjx_climb.execution.forked import check_process
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.quantities.low_reaction import swing_path
 from mjx_climb.scenario.model import Scenario
 
-# batch axes of one gain need not be those of another: they broadcast; the hot path has them last
+# batch axes of one gain need not be those of another: they broadcast
 _Values = Array | np.ndarray
-_Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | Real[_Values, "6 _"] | float
+_Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | float
 _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
-_Vector = Real[_Values, "... 3"] | Real[_Values, "3 _"]
-_Footholds = Real[_Values, "... L N"]
-_SwingPaths = Real[_Values, "... limbs 3 K"] | Real[_Values, "limbs 3 K _"]
-_Pushes = Real[_Values, "... pushes 3"] | Real[_Values, "pushes 3 _"]
-_PushTimes = Real[_Values, "... pushes"] | Real[_Values, "pushes _"]
+_Vector = Real[_Values, "... 3"]
+_Footholds = Real[_Values, "... limbs N"]
+_SwingPaths = Real[_Values, "... limbs 3 K"]
+_Pushes = Real[_Values, "... pushes 3"]
+_PushTimes = Real[_Values, "... pushes"]
 
 
 @jax.tree_util.register_dataclass
@@ -51,10 +51,10 @@ class Gains:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Parameters:
-    """Numbers of a scenario in SI units, each with any leading batch axes that broadcast with the gains'.
+    """Values of a scenario in SI units, each with any leading batch axes that broadcast with the gains'.
 
-    Arrays of JAX, or of numpy, which keep double precision whatever JAX's own setting.
-    `AXES` tells how many axes one environment's value has, where it is no scalar.
+    Arrays of JAX, or of NumPy, which keep double precision whatever JAX's own setting.
+    `AXES` tells how many axes one robot's value has, where it is no scalar.
     """
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType(
@@ -82,10 +82,8 @@ class Parameters:
     cycle: _Scalar  # s
     duty: _Scalar  # 1
     heading: _Scalar  # rad
-    foothold_height: _Footholds  # (L, N) m, of each limb's footholds in order; N = 0: flat ground
-    swing_path: (
-        _SwingPaths  # (L, 3, K) step heights, added to each limb's swing, see `low_reaction`; K = 0: cubics alone
-    )
+    foothold_height: _Footholds  # (limb, N) m, of each limb's footholds in order; N = 0: flat ground
+    swing_path: _SwingPaths  # (limb, 3, K) step heights, added to each swing, see `low_reaction`; K = 0: nothing
     cargo_mass: _Scalar  # kg
     cargo_start: _Scalar  # s
     cargo_stop: _Scalar  # s
@@ -161,17 +159,17 @@ KEYS = {  # of a scenario, whose values and ranges these are
 
 
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
-    """Return the numbers of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
+    """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
     return parameters_by(functools.partial(jnp.asarray, dtype=dtype or jnp.result_type(float)), scenario)
 
 
-def own_numbers(scenario: Scenario) -> Parameters:
-    """Return the numbers of a scenario in double precision, as arrays of NumPy."""
+def own_parameters(scenario: Scenario) -> Parameters:
+    """Return the parameters of a scenario in double precision, as arrays of NumPy."""
     return parameters_by(functools.partial(np.asarray, dtype=float), scenario)
 
 
 def parameters_by(array: Callable[[Any], Any], scenario: Scenario) -> Parameters:
-    """Return the numbers of a scenario as arrays that a function makes."""
+    """Return the parameters of a scenario as arrays that a function makes."""
     check_process()
     values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
     values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}

@@ -17,13 +17,13 @@ _OTHERS: dict[str, Any] = {"foothold_height": Number, "swing_path": Number, "mas
 _PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
 
 
-def check_ranges(numbers: Parameters) -> None:
+def check_ranges(parameters: Parameters) -> None:
     """Refuse parameters that no scenario could have, as far as their values are known.
 
     Raises:
         ValueError: in one line, which one, what was expected and the first value that is wrong.
     """
-    for name, value in vars(numbers).items():
+    for name, value in vars(parameters).items():
         if isinstance(value, jax.core.Tracer):
             continue
         values = np.asarray(value)
@@ -31,7 +31,7 @@ def check_ranges(numbers: Parameters) -> None:
             raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
         for end in (values.min(), values.max()) if values.size else ():  # of NaN among them both are
             _check(name, float(end))
-    pushes = {name: np.shape(getattr(numbers, name))[axis] for name, axis in _PUSHES.items()}
+    pushes = {name: np.shape(getattr(parameters, name))[axis] for name, axis in _PUSHES.items()}
     if len(set(pushes.values())) > 1:
         counts = ", ".join(f"{count} of {name}" for name, count in pushes.items())
         raise ValueError(f"parameters.push_start: expected as many of each for the pushes, got {counts}")

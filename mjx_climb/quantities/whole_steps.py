@@ -36,15 +36,15 @@ def _module(array: Any) -> Any:
     return jnp if isinstance(array, jax.Array) else np
 
 
-def with_whole_steps(numbers: Parameters, time_step: float) -> Parameters:
+def with_whole_steps(parameters: Parameters, time_step: float) -> Parameters:
     """Return parameters whose gait, windows and control period are whole time steps, counted in double precision.
 
     A walk in any precision finds the same numbers of steps in them. Values that JAX traces stay as they are.
     """
-    known = {name: getattr(numbers, name) for name in (*_TIMES, "duty")}
+    known = {name: getattr(parameters, name) for name in (*_TIMES, "duty")}
     known = {n: np.asarray(v, np.float64) for n, v in known.items() if not isinstance(v, jax.core.Tracer)}
     steps = {name: whole_steps(known[name], time_step) for name in _TIMES if name in known}
     changed = {name: count * time_step for name, count in steps.items()}
     if "duty" in known and "cycle" in known:
         changed["duty"] = stance_steps(known["duty"], steps["cycle"]) / np.maximum(steps["cycle"], 1)
-    return dataclasses.replace(numbers, **changed)
+    return dataclasses.replace(parameters, **changed)

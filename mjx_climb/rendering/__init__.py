@@ -7,9 +7,8 @@ strip = rendering.snapshots(trajectory, count=4)
 """
 
 from mjx_climb.rendering.backend import RenderingError
-from mjx_climb.rendering.film import frames, pictures, snapshots
+from mjx_climb.rendering.film import encode, frames, pictures, save_image, save_video, snapshots
 from mjx_climb.rendering.stance import stance
 from mjx_climb.rendering.viewer import view
-from mjx_climb.rendering.writer import encode, save_image, save_video
 
 __all__ = ["RenderingError", "encode", "frames", "pictures", "save_image", "save_video", "snapshots", "stance", "view"]

@@ -16,13 +16,13 @@ OFF = ("disable", "disabled", "off", "false", "0")
 
 # GLFW in C ends the process where there is no display, and PyOpenGL serves one platform per process: so each is tried
 # in a process of its own
-_TRIAL = """
+TRIAL = """
 import sys, importlib, mujoco
 context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
 context.make_current()
 mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
 """
-_TRIAL_SECONDS = 60
+TRIAL_SECONDS = 60
 
 
 class RenderingError(ValueError):
@@ -78,9 +78,9 @@ def require_display() -> None:
 def works(name: str) -> bool:
     """Return whether MuJoCo can render through this context on this machine."""
     environment = {**os.environ, "MUJOCO_GL": "disable"}
-    trial = [sys.executable, "-c", _TRIAL, name]
+    trial = [sys.executable, "-c", TRIAL, name]
     try:
-        ended = subprocess.run(trial, env=environment, capture_output=True, timeout=_TRIAL_SECONDS)
+        ended = subprocess.run(trial, env=environment, capture_output=True, timeout=TRIAL_SECONDS)
     except (OSError, subprocess.TimeoutExpired):
         return False
     return ended.returncode == 0

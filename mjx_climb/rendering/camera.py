@@ -1,4 +1,4 @@
-"""Where the camera stands: one view that follows the walk, the same for all walks shown together."""
+"""What of a walk is shown: the row at a time, the pose of the model in it, and a camera that follows the walk."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,13 +6,34 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.rendering.replay import whole
+from mjx_climb.plots.events import finite_rows
 from mjx_climb.rollouts.trajectory import Trajectory
 
 AZIMUTH, ELEVATION = 98.0, -38.0  # degrees, at heading zero: to the robot's right, so high that no limb hides
 MICROGRAVITY = 0.02  # m/s^2; below, there is no down
 MARGIN = 1.12
 TALLEST = 0.6  # m, a robot that flies off leaves the picture
+
+
+def whole(trajectory: Trajectory) -> int:
+    """Return how many rows can be shown: those before the state stops being finite, at least one."""
+    return max(finite_rows(trajectory), 1)
+
+
+def row_at(trajectory: Trajectory, time: float) -> int:
+    """Return the row nearest to a time, s; the last finite one where the walk ended or diverged before."""
+    row = round((time - float(trajectory.time[0])) / trajectory.scenario.time_step)
+    return min(max(row, 0), whole(trajectory) - 1)
+
+
+def pose(model: mujoco.MjModel, data: mujoco.MjData, trajectory: Trajectory, row: int) -> None:
+    """Put the model where the robot was."""
+    data.qpos[:3] = trajectory.base_position[row]
+    data.qpos[3:7] = trajectory.base_orientation[row]
+    data.qpos[7:] = trajectory.joint_angles[row].ravel()
+    data.time = trajectory.time[row]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,9 +56,8 @@ class View:
     def axes(self) -> np.ndarray:
         """Return right, up and forward of the picture as rows, (3, 3) world."""
         azimuth, elevation = np.deg2rad([self.azimuth, ELEVATION])
-        forward = np.array(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-        )
+        flat = np.cos(elevation)
+        forward = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
         up = self.up - (self.up @ forward) * forward
         up /= np.linalg.norm(up)
         return np.stack([np.cross(forward, up), up, forward])
@@ -62,22 +82,21 @@ class Follower:
         # the ball around what is to be seen must fit the narrower side of the picture
         half = np.deg2rad(fovy) / 2
         half = min(half, np.arctan(np.tan(half) * aspect * 0.8))
-        self._distance = MARGIN * self._radius(trajectories) / np.sin(half)
+        self._distance = MARGIN * max(map(self._radius, trajectories)) / np.sin(half)
 
-    def _radius(self, trajectories: Sequence[Trajectory]) -> float:
-        spans = []
-        for trajectory in trajectories:
-            rows = slice(0, whole(trajectory), 20)
-            points = np.concatenate([trajectory.foot_position[rows], trajectory.base_position[rows, None]], axis=1)
-            target = np.stack([np.interp(trajectory.time[rows], self._time, line) for line in self._path.T], -1)
-            distance = np.linalg.norm(points - target[:, None], axis=-1)
-            spans.append(distance[np.isfinite(distance) & (distance < TALLEST)].max(initial=0.2))
-        return float(max(spans))
+    def _radius(self, trajectory: Trajectory) -> float:
+        """Return how far feet and base are from where the camera looks, m, at most."""
+        rows = slice(0, whole(trajectory), 20)
+        points = np.concatenate([trajectory.foot_position[rows], trajectory.base_position[rows, None]], axis=1)
+        distance = np.linalg.norm(points - self._target(trajectory.time[rows])[:, None], axis=-1)
+        return float(distance[np.isfinite(distance) & (distance < TALLEST)].max(initial=0.2))
+
+    def _target(self, time: np.ndarray | float) -> np.ndarray:
+        return np.stack([np.interp(time, self._time, line) for line in self._path.T], axis=-1)
 
     def at(self, time: float) -> View:
         """Return the view at a time, s."""
-        target = np.array([np.interp(time, self._time, line) for line in self._path.T])
-        return View(target * [1, 1, 0.55], self._distance, self._azimuth, self._up)
+        return View(self._target(time) * [1, 1, 0.55], self._distance, self._azimuth, self._up)
 
 
 def _smoothed(path: np.ndarray, window: int) -> np.ndarray:

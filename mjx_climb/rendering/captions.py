@@ -1,35 +1,41 @@
-"""Words and scales over a picture: controller, case, time, forces, and a legend."""
+"""Words and scales on pictures: controller, case, time, forces, a legend, and the largest foot force over time."""
 
+import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
+import matplotlib
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
-from mjx_climb.plots.walk_events import detachments
+from mjx_climb.plots.events import detachments, disturbances, failure_time, largest_foot_force
+from mjx_climb.plots.time_panels import thin
 from mjx_climb.rendering import marks
-from mjx_climb.rendering.camera import MICROGRAVITY, View
-from mjx_climb.rendering.lettering import font
-from mjx_climb.rendering.replay import whole
+from mjx_climb.rendering.camera import MICROGRAVITY, View, row_at, whole
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import Scenario
 
 BEYOND = 1e4  # N
 WHITE, DIM, DARK, ALARM = (255, 255, 255), (205, 208, 212), (16, 18, 22, 168), (255, 120, 110)
-LAWS = {
-    "pd": "pd",
-    "base_admittance": "base admittance",
-    "end_effector_admittance": "end-effector admittance",
-}
+GROUND, SHADE, OTHERS, OWN = (22, 25, 30), (44, 50, 60), (118, 124, 132), (120, 190, 255)  # of a trace of forces
+FINER = 2  # times the pixels while the lines of a trace are drawn
+
+
+@functools.cache
+def font(pixels: float, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """Return a font of a height, in pixels: the one that comes with matplotlib."""
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, round(pixels))
 
 
 def controller(trajectory: Trajectory) -> str:
     """Return the name of the control law of a walk."""
     if trajectory.law:
         return trajectory.law
-    scenario = trajectory.scenario
-    name = LAWS[scenario.control.controller]
-    return name if scenario.control.reading == "virtual_model" else f"{name}, measured pose"
+    control = trajectory.scenario.control
+    name = control.controller.replace("end_effector", "end-effector").replace("_", " ")
+    return name if control.reading == "virtual_model" else f"{name}, measured pose"
 
 
 def case(scenario: Scenario) -> str:
@@ -47,31 +53,36 @@ def case(scenario: Scenario) -> str:
     return ", ".join(parts)
 
 
-class Caption:
-    """Draws over the pictures of one walk."""
+def newtons(value: float) -> str:
+    """Return the size of a force in words."""
+    if value > BEYOND:  # the walk has long failed: no number tells more
+        return f"over {BEYOND / 1e3:g} kN"
+    return f"{value:.1f} N" if value < 1000 else f"{value / 1e3:.1f} kN"
 
-    def __init__(self, trajectory: Trajectory, label: str, size: tuple[int, int], scale: float, legend: bool):
-        self._trajectory, self._size, self._legend = trajectory, size, legend
+
+class Caption:
+    """Draws over the pictures of one walk, in which an arrow of 1 N is `scale` m long."""
+
+    def __init__(self, trajectory: Trajectory, label: str, size: tuple[int, int], scale: float):
+        self._trajectory, self._label, self._size, self._scale = trajectory, label, size, scale
         self._unit = max(min(size[1] / 36, size[0] / 56), 7.0)  # pixels, the height of a line of text
-        self._scale = scale
         self._forces = np.linalg.norm(trajectory.foot_force[: whole(trajectory)], axis=-1)
         self._torn = detachments(trajectory)
-        self._label = label
 
-    def draw(self, picture: np.ndarray, row: int, view: View, pixels_per_meter: float) -> np.ndarray:
+    def draw(self, picture: np.ndarray, row: int, view: View, pixels_per_meter: float | None) -> np.ndarray:
         """Return the picture (H, W, 3) with everything on it.
 
         Arguments:
             row: of the trajectory, shown in the picture.
             view: of the picture.
-            pixels_per_meter: at the distance of what the camera looks at.
+            pixels_per_meter: at the distance of what the camera looks at, for a legend; none where None.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image, "RGBA")
         self._heading(draw)
         self._state(draw, row)
-        if self._legend:
-            self._explain(draw, pixels_per_meter)
+        if pixels_per_meter is not None:
+            self._legend(draw, pixels_per_meter)
         self._down(draw, view)
         return np.array(image)
 
@@ -81,7 +92,7 @@ class Caption:
 
     def _heading(self, draw: ImageDraw.ImageDraw) -> None:
         unit = self._unit
-        title, text = font(round(1.25 * unit), bold=True), font(round(0.9 * unit))
+        title, text = font(1.25 * unit, bold=True), font(0.9 * unit)
         line = case(self._trajectory.scenario)
         width = max(title.getlength(self._label), text.getlength(line)) + 1.2 * unit
         self._box(draw, 0.7 * unit, 0.7 * unit, width, 3.4 * unit)
@@ -89,74 +100,71 @@ class Caption:
         draw.text((1.3 * unit, 2.7 * unit), line, DIM, text)
 
     def _state(self, draw: ImageDraw.ImageDraw, row: int) -> None:
+        """Write time and forces, and what is or went wrong, at the bottom left."""
         trajectory, unit = self._trajectory, self._unit
         limb = int(self._forces[row].argmax())
         now, peak = self._forces[row, limb], self._forces[: row + 1].max()
+        force = f"largest force {newtons(now)} at {trajectory.limbs[limb]}" if now >= 0.05 else "no force on any foot"
+        plain, bold = font(unit), font(unit, bold=True)
         lines = [
-            (f"t = {trajectory.time[row]:.2f} s", WHITE, font(round(1.25 * unit), bold=True)),
-            (
-                f"largest force {newtons(now)} at {trajectory.limbs[limb]}" if now >= 0.05 else "no force on any foot",
-                WHITE,
-                font(round(unit)),
-            ),
-            (f"largest so far {newtons(peak)}", DIM, font(round(unit))),
+            (f"t = {trajectory.time[row]:.2f} s", WHITE, font(1.25 * unit, bold=True)),
+            (force, WHITE, plain),
+            (f"largest so far {newtons(peak)}", DIM, plain),
         ]
-        push = float(np.linalg.norm(trajectory.push[row, :3]))
-        if push:
-            red, green, blue = (int(255 * channel) for channel in marks.PUSH)
-            lines.append((f"push {newtons(push)}", (red, green, blue), font(round(unit), bold=True)))
-        torn = [name for time, name in self._torn if time <= trajectory.time[row]]
-        if torn:
-            lines.append((f"{', '.join(torn)} torn off", ALARM, font(round(unit), bold=True)))
+        if push := float(np.linalg.norm(trajectory.push[row, :3])):
+            lines.append((f"push {newtons(push)}", _bytes(marks.PUSH), bold))
+        if torn := [name for time, name in self._torn if time <= trajectory.time[row]]:
+            lines.append((f"{', '.join(torn)} torn off", ALARM, bold))
         if row == whole(trajectory) - 1 < trajectory.time.size - 1:
-            lines.append(("diverged", ALARM, font(round(unit), bold=True)))
+            lines.append(("diverged", ALARM, bold))
         step = 1.45 * unit
         top = self._size[1] - 1.1 * unit - step * len(lines) - 0.4 * unit
         self._box(draw, 0.7 * unit, top, 16.5 * unit, step * len(lines) + 0.6 * unit)
         for number, (words, fill, letters) in enumerate(lines):
             draw.text((1.3 * unit, top + 0.3 * unit + number * step), words, fill, letters)
 
-    def _explain(self, draw: ImageDraw.ImageDraw, pixels_per_meter: float) -> None:
-        """Draw the legend: what the arrows' colours and lengths mean."""
-        unit, text = self._unit, font(round(0.85 * self._unit))
+    def _legend(self, draw: ImageDraw.ImageDraw, pixels_per_meter: float) -> None:
+        """Say what the arrows' colours and lengths mean, at the bottom right."""
+        unit, text = self._unit, font(0.85 * self._unit)
         limit = self._trajectory.scenario.contact.holding_limit
         pushes = bool(self._trajectory.scenario.disturbance.pushes)
         rows = 2 + (2.1 if limit else 1) + pushes
         width, height = 15.5 * unit, (1.5 * rows + 0.8) * unit
         left, top = self._size[0] - width - 0.7 * unit, self._size[1] - height - 0.7 * unit
         self._box(draw, left, top, width, height)
-        x, y, swatch = left + 0.7 * unit, top + 0.55 * unit, 2.2 * unit
-
-        def entry(rgb: Iterable[float], words: str) -> None:
-            nonlocal y
-            fill = tuple(int(255 * channel) for channel in rgb)
-            middle = y + 0.6 * unit
-            draw.line((x, middle, x + 0.65 * swatch, middle), fill, max(round(0.32 * unit), 2))
-            tip = [(x + swatch, middle), (x + 0.6 * swatch, middle - 0.45 * unit)]
-            draw.polygon([*tip, (x + 0.6 * swatch, middle + 0.45 * unit)], fill)
-            draw.text((x + swatch + 0.6 * unit, y), words, WHITE, text)
-            y += 1.5 * unit
-
-        entry(marks.PRESSED, "foot force, pressed")
-        entry(marks.pulled(0.5), f"pulled, share of {limit:g} N" if limit else "foot force, pulled")
+        x, y = left + 0.7 * unit, top + 0.55 * unit
+        self._entry(draw, (x, y), marks.PRESSED, "foot force, pressed")
+        y += 1.5 * unit
+        pulled = f"pulled, share of {limit:g} N" if limit else "foot force, pulled"
+        self._entry(draw, (x, y), marks.pulled(0.5), pulled)
+        y += 1.5 * unit
         if limit:
             bar = round(width - 1.4 * unit)
             for pixel in range(bar):
-                fill = tuple(int(255 * channel) for channel in marks.pulled(pixel / bar))
-                draw.line((x + pixel, y, x + pixel, y + 0.55 * unit), fill)
+                draw.line((x + pixel, y, x + pixel, y + 0.55 * unit), _bytes(marks.pulled(pixel / bar)))
             for share, anchor in ((0.0, "lt"), (0.5, "mt"), (1.0, "rt")):
                 draw.text((x + share * bar, y + 0.7 * unit), f"{100 * share:.0f} %", DIM, text, anchor=anchor)
             y += 1.65 * unit
         if pushes:
-            entry(marks.PUSH, "push on the base")
-        newtons = _nice(0.55 * width / (self._scale * pixels_per_meter))
-        length, middle = newtons * self._scale * pixels_per_meter, y + 0.7 * unit
-        for line in ((x, middle, x + length, middle), *((e, middle - 4, e, middle + 4) for e in (x, x + length))):
+            self._entry(draw, (x, y), marks.PUSH, "push on the base")
+            y += 1.5 * unit
+        pixels_per_newton = self._scale * pixels_per_meter
+        force = _nice(0.55 * width / pixels_per_newton)
+        end, middle = x + force * pixels_per_newton, y + 0.7 * unit
+        for line in ((x, middle, end, middle), *((at, middle - 4, at, middle + 4) for at in (x, end))):
             draw.line(line, WHITE, max(round(0.12 * unit), 1))
-        draw.text((x + length + 0.6 * unit, y + 0.1 * unit), f"{newtons:g} N", WHITE, text)
+        draw.text((end + 0.6 * unit, y + 0.1 * unit), f"{force:g} N", WHITE, text)
+
+    def _entry(self, draw: ImageDraw.ImageDraw, place: tuple[float, float], rgb: Iterable[float], words: str) -> None:
+        """Draw an arrow and what it stands for."""
+        unit, (x, y), fill = self._unit, place, _bytes(rgb)
+        middle, tip, head = y + 0.6 * unit, x + 2.2 * unit, x + 1.32 * unit
+        draw.line((x, middle, x + 1.43 * unit, middle), fill, max(round(0.32 * unit), 2))
+        draw.polygon([(tip, middle), (head, middle - 0.45 * unit), (head, middle + 0.45 * unit)], fill)
+        draw.text((tip + 0.6 * unit, y), words, WHITE, font(0.85 * unit))
 
     def _down(self, draw: ImageDraw.ImageDraw, view: View) -> None:
-        """Draw which way is down: the picture's plane cuts gravity's direction; nothing where there is none."""
+        """Draw which way is down: gravity's direction in the picture's plane; nothing where there is none."""
         gravity = np.asarray(self._trajectory.scenario.gravity)
         if np.linalg.norm(gravity) < MICROGRAVITY:
             return
@@ -169,14 +177,74 @@ class Caption:
         draw.line((*start, *(end - 0.6 * unit * way)), WHITE, max(round(0.2 * unit), 2))
         tip = [end, end - 0.9 * unit * way + 0.45 * unit * side, end - 0.9 * unit * way - 0.45 * unit * side]
         draw.polygon([tuple(corner) for corner in tip], WHITE)
-        draw.text(tuple(center + 0.75 * unit * side), "g", WHITE, font(round(unit), bold=True), anchor="mm")
+        draw.text(tuple(center + 0.75 * unit * side), "g", WHITE, font(unit, bold=True), anchor="mm")
 
 
-def newtons(value: float) -> str:
-    """Return the size of a force in words."""
-    if value > BEYOND:  # the walk has long failed: no number tells more
-        return f"over {BEYOND / 1e3:g} kN"
-    return f"{value:.1f} N" if value < 1000 else f"{value / 1e3:.1f} kN"
+class ForceTrace:
+    """The largest foot force of one walk over time, that of the walks beside it in grey, and a line that moves on."""
+
+    def __init__(self, trajectories: Sequence[Trajectory], number: int, size: tuple[int, int]):
+        self._walk = trajectories[number]
+        self._forces = largest_foot_force(self._walk)
+        self._end = max(float(walk.time[-1]) for walk in trajectories)
+        self._top = 1.08 * max(max(map(_highest, trajectories)), 1e-9)
+        self._unit = max(size[1] / 6, 7.0)  # pixels, the height of a line of text
+        self._left, self._size = 3.1 * self._unit, size
+        self._picture = self._drawn([walk for walk in trajectories if walk is not self._walk])
+
+    def at(self, time: float) -> np.ndarray:
+        """Return the strip (H, W, 3) at a time, s."""
+        picture = self._picture.copy()
+        draw = ImageDraw.Draw(picture)
+        row = row_at(self._walk, time)
+        x, y = self._place(float(self._walk.time[row]), float(self._forces[row]))
+        draw.line((x, 0, x, self._size[1]), WHITE, max(round(self._unit / 14), 1))
+        reach = 0.22 * self._unit
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), OWN, WHITE)
+        return np.asarray(picture)
+
+    def _place(self, time: float, force: float) -> tuple[float, float]:
+        """Return the pixel of a force, N, at a time, s."""
+        width, height = self._size
+        above = min(force / self._top, 1.0) if np.isfinite(force) else 1.0
+        x = self._left + (width - 1.3 * self._left) * time / max(self._end, 1e-9)
+        return x, height - 0.5 * self._unit - (height - 1.9 * self._unit) * above
+
+    def _drawn(self, others: Sequence[Trajectory]) -> Image.Image:
+        """Return the strip without the line that moves on."""
+        width, height = self._size
+        image = Image.new("RGB", (FINER * width, FINER * height), GROUND)
+        draw = ImageDraw.Draw(image)
+        for start, stop, *_ in disturbances(self._walk):
+            left, right = (FINER * self._place(time, 0.0)[0] for time in (start, min(stop, self._end)))
+            draw.rectangle((left, FINER * 1.4 * self._unit, right, FINER * (height - 0.5 * self._unit)), SHADE)
+        for walk, color in [*((walk, OTHERS) for walk in others), (self._walk, OWN)]:
+            rows = whole(walk)
+            time, forces = thin(walk.time[:rows], largest_foot_force(walk)[:rows])
+            line = [FINER * pixel for point in zip(time, forces, strict=True) for pixel in self._place(*point)]
+            draw.line(line, color, max(round(FINER * self._unit / 10), 1), joint="curve")
+        image = image.resize(self._size, Image.Resampling.LANCZOS)
+        draw, text = ImageDraw.Draw(image), font(0.85 * self._unit)
+        words = "largest foot force" + (", the other walk's in grey" if others else "")
+        draw.text((self._left, 0.2 * self._unit), words, DIM, text)
+        for force in (0.0, self._top / 1.08):
+            place = (self._left - 0.35 * self._unit, self._place(0.0, force)[1])
+            draw.text(place, f"{force:.2g} N" if force else "0", DIM, text, anchor="rm")
+        return image
+
+
+def _highest(walk: Trajectory) -> float:
+    """Return the largest force, N; of a walk that failed at most three times what was before."""
+    rows = whole(walk)
+    forces = largest_foot_force(walk)[:rows]
+    before = forces[walk.time[:rows] <= failure_time(walk)]
+    return float(min(forces.max(), 3 * before.max() if before.size else np.inf))
+
+
+def _bytes(rgb: Iterable[float]) -> tuple[int, int, int]:
+    """Return a colour of numbers in [0, 1] as Pillow has it."""
+    red, green, blue = (int(255 * channel) for channel in rgb)
+    return red, green, blue
 
 
 def _nice(value: float) -> float:

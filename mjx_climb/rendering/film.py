@@ -1,79 +1,68 @@
-"""Pictures of one walk, or of several side by side in sync: a film's frames, or a strip of snapshots."""
+"""Pictures of one walk, or of several side by side in sync: frames, snapshots, and their files (PNG, H.264 in MP4)."""
 
-import contextlib
 import functools
-from collections.abc import Iterable, Iterator, Sequence
+import io
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
+from mjx_climb.files.writing import whole, write_bytes_atomically
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering import marks, surroundings
-from mjx_climb.rendering.camera import Follower
+from mjx_climb.rendering.camera import Follower, pose, row_at
 from mjx_climb.rendering.canvas import Canvas
-from mjx_climb.rendering.captions import Caption, controller
-from mjx_climb.rendering.force_trace import ForceTrace
-from mjx_climb.rendering.replay import pose, row_at
+from mjx_climb.rendering.captions import Caption, ForceTrace, controller
 from mjx_climb.rollouts.trajectory import Trajectory
 
-PATH_STEP = 0.04  # s, between points of a foot's path
 TRACE = 0.16  # of a film's height
 FPS, SIZE, PAIR_SIZE = 25, (1280, 720), (960, 720)
 SNAPSHOTS, SNAPSHOT_SIZE = 4, (800, 600)
+QUALITY = "20"  # x264's constant rate factor: smaller is better and larger
 
 
-class Shot:
-    """Walks of one robot, ready to be drawn side by side with the same camera, scales and ground."""
-
-    def __init__(
-        self,
-        trajectories: Sequence[Trajectory],
-        labels: Sequence[str] | None,
-        size: tuple[int, int],
-        trace: float,
-        stack: contextlib.ExitStack,
-    ):
-        check(trajectories, labels, size)
-        strip = 2 * round(trace * size[1] / 2)
-        self._traces = [ForceTrace(trajectories, i, (size[0], strip)) for i in range(len(trajectories)) if strip]
-        size = size[0], size[1] - strip
-        scenario = trajectories[0].scenario
-        names = [controller(t) for t in trajectories] if labels is None else labels
-        self._trajectories, self._size = trajectories, size
-        grips = np.concatenate([marks.grip_points(t) for t in trajectories])
-        middle = trajectories[0].base_reference[[0, -1], :2].mean(0)
-        self._model = surroundings.model(scenario.robot, np.asarray(scenario.gravity), grips, middle)
-        self._data = mujoco.MjData(self._model)
-        fovy = float(self._model.vis.global_.fovy)
-        self._camera = Follower(trajectories, fovy, size[0] / size[1])
-        self._focal = size[1] / (2 * np.tan(np.deg2rad(fovy) / 2))  # pixels
-        self._scale = marks.scale(trajectories)
-        self._every = max(round(PATH_STEP / scenario.time_step), 1)
-        last = len(trajectories) - 1
-        self._captions = [
-            Caption(t, name, size, self._scale, legend=number == last)
-            for number, (t, name) in enumerate(zip(trajectories, names, strict=True))
-        ]
-        self._canvas = stack.enter_context(Canvas(self._model, *size))
-
-    def at(self, time: float) -> np.ndarray:
-        """Return the picture at a time (s), (H, walks W, 3) uint8."""
-        view = self._camera.at(time)
-        panels = []
-        for trajectory, caption in zip(self._trajectories, self._captions, strict=True):
-            row = row_at(trajectory, time)
-            pose(self._model, self._data, trajectory, row)
-            picture = self._canvas.draw(
-                self._data,
-                view,
-                functools.partial(marks.around, trajectory=trajectory, row=row, every=self._every),
-                functools.partial(marks.forces, trajectory=trajectory, row=row, scale=self._scale),
-            )
-            panels.append(caption.draw(picture, row, view, self._focal / view.distance))
-        if self._traces:
-            panels = [np.concatenate(pair) for pair in zip(panels, (t.at(time) for t in self._traces), strict=True)]
-        for panel in panels[1:]:
-            panel[:, :2] = 255  # a line between walks
-        return np.concatenate(panels, axis=1)
+def pictures(
+    trajectories: Sequence[Trajectory],
+    times: Iterable[float],
+    *,
+    labels: Sequence[str] | None = None,
+    size: tuple[int, int] = SIZE,
+    trace: float = 0.0,
+) -> Iterator[np.ndarray]:
+    """Yield the pictures of walks at some times (s), as `frames` does; `trace` is the share of the force's trace."""
+    check(trajectories, labels, size)
+    count, strip = len(trajectories), 2 * round(trace * size[1] / 2)
+    traces = [ForceTrace(trajectories, number, (size[0], strip)) for number in range(count) if strip]
+    size = size[0], size[1] - strip
+    model = surroundings.of(trajectories)
+    data = mujoco.MjData(model)
+    fovy = float(model.vis.global_.fovy)
+    follower, scale = Follower(trajectories, fovy, size[0] / size[1]), marks.scale(trajectories)
+    focal = size[1] / (2 * np.tan(np.deg2rad(fovy) / 2))  # pixels
+    captions = [
+        Caption(trajectory, controller(trajectory) if labels is None else labels[number], size, scale)
+        for number, trajectory in enumerate(trajectories)
+    ]
+    with Canvas(model, *size) as canvas:
+        for time in map(float, times):
+            view, panels = follower.at(time), []
+            for number, trajectory in enumerate(trajectories):
+                row = row_at(trajectory, time)
+                pose(model, data, trajectory, row)
+                around = functools.partial(marks.around, trajectory=trajectory, row=row)
+                forces = functools.partial(marks.forces, trajectory=trajectory, row=row, scale=scale)
+                picture = canvas.draw(data, view, around, forces)
+                legend = None if number < count - 1 else focal / view.distance
+                panel = captions[number].draw(picture, row, view, legend)
+                if traces:
+                    panel = np.concatenate([panel, traces[number].at(time)])
+                if number:
+                    panel[:, :2] = 255  # a line between walks
+                panels.append(panel)
+            yield np.concatenate(panels, axis=1)
 
 
 def check(trajectories: Sequence[Trajectory], labels: Sequence[str] | None, size: tuple[int, int]) -> None:
@@ -127,21 +116,6 @@ def frames(
     yield from pictures(trajectories, frame_times(trajectories, fps), labels=labels, size=size, trace=TRACE)
 
 
-def pictures(
-    trajectories: Sequence[Trajectory],
-    times: Iterable[float],
-    *,
-    labels: Sequence[str] | None = None,
-    size: tuple[int, int] = SIZE,
-    trace: float = 0.0,
-) -> Iterator[np.ndarray]:
-    """Yield the pictures of walks at some times (s), as `frames` does; `trace` is the share of the force's trace."""
-    with contextlib.ExitStack() as stack:
-        shot = Shot(trajectories, labels, size, trace, stack)
-        for time in times:
-            yield shot.at(float(time))
-
-
 def snapshot_times(trajectories: Sequence[Trajectory], count: int = SNAPSHOTS) -> np.ndarray:
     """Return the middles of `count` equal stretches of the walk, (count,) s."""
     return (np.arange(count) + 0.5) / count * length(trajectories)
@@ -168,8 +142,72 @@ def snapshots(
         ValueError: what cannot be shown.
     """
     instants = snapshot_times(trajectories, count) if times is None else times
-    columns = [
-        np.concatenate(np.split(picture, len(trajectories), axis=1))
-        for picture in pictures(trajectories, instants, labels=labels, size=size)
-    ]
+    shown = pictures(trajectories, instants, labels=labels, size=size)
+    columns = [np.concatenate(np.split(picture, len(trajectories), axis=1)) for picture in shown]
     return np.concatenate(columns, axis=1)
+
+
+def save_video(
+    path: str | os.PathLike[str],
+    *trajectories: Trajectory,
+    labels: Sequence[str] | None = None,
+    fps: int = FPS,
+    size: tuple[int, int] = SIZE,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Write walks as an MP4 video, side by side and in sync, and return its path.
+
+    The file is either whole or not there.
+
+    Arguments:
+        path: ends in .mp4.
+        trajectories, labels, fps, size: as of `frames`.
+        progress: called with how many frames are done, and of how many.
+
+    Raises:
+        RenderingError: no OpenGL on this machine.
+        OutputError: the file cannot be written.
+        ValueError: what cannot be shown.
+    """
+    check(trajectories, labels, size)
+    shown, total = frames(*trajectories, labels=labels, fps=fps, size=size), frame_times(trajectories, fps).size
+    return encode(path, shown, fps, (size[0] * len(trajectories), size[1]), lambda done: progress(done, total))
+
+
+def encode(
+    path: str | os.PathLike[str],
+    pictures: Iterable[np.ndarray],
+    fps: int,
+    size: tuple[int, int],
+    progress: Callable[[int], None] = lambda done: None,
+) -> Path:
+    """Write pictures (H, W, 3) uint8 of one size (W, H) as an H.264 video and return its path.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    import av
+
+    # the index in front lets a browser start before all is there
+    first = {"movflags": "+faststart"}
+    with whole(path) as part, av.open(str(part), "w", format="mp4", options=first) as container:
+        stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": QUALITY, "preset": "veryfast"})
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"  # what all players decode
+        stream.codec_context.time_base = Fraction(1, fps)
+        for done, picture in enumerate(pictures, 1):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            progress(done)
+        container.mux(stream.encode(None))
+    return Path(path)
+
+
+def save_image(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
+    """Write a picture (H, W, 3) uint8 as PNG and return its path.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, format="PNG", optimize=True)
+    return write_bytes_atomically(path, buffer.getvalue())

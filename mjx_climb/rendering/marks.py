@@ -1,21 +1,22 @@
 """What is drawn into the scene beside the robot: forces, grips, foot paths, cargo and pushes, as MuJoCo's geoms."""
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.plots.colors import LIMB_COLORS, ORANGE, RED, SKY, VERMILLION
-from mjx_climb.rendering.replay import whole
+from mjx_climb.plots.styling import LIMB_COLORS, ORANGE, RED, SKY, VERMILLION
+from mjx_climb.rendering.camera import whole
 from mjx_climb.rollouts.trajectory import Trajectory
 
 LONGEST = 0.24  # m, of the largest arrow
 SHORTEST = 0.004  # m, shorter ones are left out
 SHAFT = 0.0045  # m, radius
 PIECE = 0.004  # m, of a foot's path
+PATH_STEP = 0.04  # s, between points of a foot's path
 PATHS = LIMB_COLORS
 PRESSED = np.array(to_rgb(SKY))
 # from barely pulled to the holding limit; darker all the way, so that it also reads without colours
@@ -23,6 +24,10 @@ PULLED = (to_rgb("#FFF3A0"), to_rgb("#F0C020"), to_rgb(ORANGE), to_rgb(VERMILLIO
 PUSH = np.array(to_rgb("#E24FB0"))
 GRIP = np.array([0.95, 0.95, 0.95])
 CARGO_DENSITY = 2600.0  # kg/m^3, of the box that stands for the cargo
+
+_ARROW, _CAPSULE, _CYLINDER, _BOX = (
+    getattr(mujoco.mjtGeom, f"mjGEOM_{name}") for name in ("ARROW", "CAPSULE", "CYLINDER", "BOX")
+)
 
 
 def scale(trajectories: Sequence[Trajectory]) -> float:
@@ -58,21 +63,25 @@ def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: floa
     limit = trajectory.scenario.contact.holding_limit
     for limb, force in enumerate(trajectory.foot_force[row]):
         foot = trajectory.foot_position[row, limb]
-        _arrow(scene, foot, foot + scale * force, color(force, limit))
+        arrow(scene, foot, foot + scale * force, color(force, limit))
         if trajectory.detached[row, limb] or trajectory.torn_off[row, limb]:
-            _cross(scene, foot)
+            for across in np.array([[0.028, 0.028, 0.0], [0.028, -0.028, 0.0]]):
+                _connect(scene, _CAPSULE, 0.004, (foot - across, foot + across), to_rgb(RED), emission=0.8)
     push = trajectory.push[row, :3]
-    length = scale * float(np.linalg.norm(push))
-    if length > SHORTEST:
+    if scale * (strength := float(np.linalg.norm(push))) > SHORTEST:
         # it ends at the hull, not inside
-        hit = trajectory.base_position[row] - 0.055 * push / np.linalg.norm(push)
-        _arrow(scene, hit - scale * push, hit, PUSH, 1.5)
+        hit = trajectory.base_position[row] - 0.055 * push / strength
+        arrow(scene, hit - scale * push, hit, PUSH, 1.5)
 
 
-def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, every: int) -> None:
-    """Add the grip points and foot paths up to this row, sampled `every` rows, and the cargo."""
-    _grips(scene, trajectory, row, every)
-    _paths(scene, trajectory, row, every)
+def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
+    """Add the grip points and foot paths up to this row, and the cargo."""
+    every = max(round(PATH_STEP / trajectory.scenario.time_step), 1)
+    rows = np.unique([*range(0, row + 1, every), row])
+    for limb in range(len(trajectory.limbs)):
+        _grips(scene, trajectory, rows, limb)
+    for limb in range(len(trajectory.limbs)):
+        _path(scene, trajectory.foot_position[rows, limb], to_rgb(PATHS[limb % len(PATHS)]))
     mass = float(trajectory.cargo_mass[row])
     if mass > 0:
         _cargo(scene, trajectory, row, (mass / CARGO_DENSITY) ** (1 / 3) / 2)
@@ -85,62 +94,64 @@ def grip_points(trajectory: Trajectory) -> np.ndarray:
     return np.unique(gripped.round(3), axis=0) if gripped.size else trajectory.grip_point[0]
 
 
-def _grips(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, every: int) -> None:
-    rows = np.unique([*range(0, row + 1, every), row])
-    for limb in range(len(trajectory.limbs)):
-        held = trajectory.support[rows, limb]
-        points = np.unique(trajectory.grip_point[rows[held], limb].round(3), axis=0)
-        now = trajectory.grip_point[row, limb]
-        for point in points:
-            current = trajectory.support[row, limb] and np.abs(point - now).max() < 1e-3
-            rim = to_rgb(PATHS[limb % len(PATHS)])
-            _add(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, [0.031 if current else 0.026, 0.0012, 0], point, rim)
-            _add(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, [0.025 if current else 0.022, 0.0016, 0], point, GRIP)
+def _grips(scene: mujoco.MjvScene, trajectory: Trajectory, rows: np.ndarray, limb: int) -> None:
+    """Add a disc for each point that a limb gripped, a larger one for what it holds in the last of the rows."""
+    held = trajectory.support[rows, limb]
+    for point in np.unique(trajectory.grip_point[rows[held], limb].round(3), axis=0):
+        current = held[-1] and np.abs(point - trajectory.grip_point[rows[-1], limb]).max() < 1e-3
+        rim = to_rgb(PATHS[limb % len(PATHS)])
+        _add(scene, _CYLINDER, [0.031 if current else 0.026, 0.0012, 0], point, rim)
+        _add(scene, _CYLINDER, [0.025 if current else 0.022, 0.0016, 0], point, GRIP)
 
 
-def _paths(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, every: int) -> None:
-    rows = np.unique([*range(0, row + 1, every), row])
-    for limb in range(len(trajectory.limbs)):
-        points = trajectory.foot_position[rows, limb]
-        start = points[0]
-        for point in points[1:]:
-            if np.linalg.norm(point - start) > PIECE:
-                rgb = to_rgb(PATHS[limb % len(PATHS)])
-                _connect(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, 0.0022, start, point, rgb, emission=0.5)
-                start = point
+def _path(scene: mujoco.MjvScene, points: np.ndarray, rgb: tuple[float, float, float]) -> None:
+    start = points[0]
+    for point in points[1:]:
+        if np.linalg.norm(point - start) > PIECE:
+            _connect(scene, _CYLINDER, 0.0022, (start, point), rgb, emission=0.5)
+            start = point
 
 
 def _cargo(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, half: float) -> None:
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, np.asarray(trajectory.base_orientation[row], float))
-    up = rotation.reshape(3, 3)[:, 2]
-    position = trajectory.base_position[row] + up * (0.036 + half)
-    box, size = mujoco.mjtGeom.mjGEOM_BOX, np.full(3, half)
-    _add(scene, box, size, position, to_rgb("#C9A227"), rotation)
-    for strap in ([1.03, 0.2, 1.03], [0.2, 1.03, 1.03]):
-        _add(scene, box, size * strap, position, (0.25, 0.22, 0.18), rotation)
-
-
-def _cross(scene: mujoco.MjvScene, foot: np.ndarray) -> None:
-    for arm in ([0.028, 0.028, 0.0], [0.028, -0.028, 0.0]):
-        across = np.array(arm)
-        rgb = to_rgb(RED)
-        _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.004, foot - across, foot + across, rgb, emission=0.8)
+    position = trajectory.base_position[row] + rotation.reshape(3, 3)[:, 2] * (0.036 + half)
+    _add(scene, _BOX, [half] * 3, position, to_rgb("#C9A227"), rotation)
+    for strap in np.array([[1.03, 0.2, 1.03], [0.2, 1.03, 1.03]]):
+        _add(scene, _BOX, half * strap, position, (0.25, 0.22, 0.18), rotation)
 
 
 def limb(scene: mujoco.MjvScene, points: np.ndarray, radius: float, color: str) -> None:
     """Add lines between the joints of a limb and its foot, (N, 3) m from the base outwards, and a ball at the foot."""
-    rows = [*itertools.pairwise(points), (points[-1], points[-1] + 1e-5)]
-    for number, (start, end) in enumerate(rows):
-        thick = radius if number == len(rows) - 1 else radius / 4
-        _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, thick, start, end, to_rgb(color), emission=0.8)
+    for ends in itertools.pairwise(points):
+        _connect(scene, _CAPSULE, radius / 4, ends, to_rgb(color), emission=0.8)
+    _connect(scene, _CAPSULE, radius, (points[-1], points[-1] + 1e-5), to_rgb(color), emission=0.8)
 
 
-def _arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: ArrayLike, width: float = 1) -> None:
+def arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: ArrayLike, width: float = 1) -> None:
+    """Add an arrow between two points, (3,) m, so many times as thick as others."""
     if SHORTEST < np.linalg.norm(end - start) < 10 * LONGEST:  # longer: the walk has long failed
         # half of the light is its own: shaded, and still of the legend's colour
-        dim = 0.5 * np.asarray(rgb)
-        _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, width * SHAFT, start, end, dim, emission=1.3)
+        _connect(scene, _ARROW, width * SHAFT, (start, end), 0.5 * np.asarray(rgb), emission=1.3)
+
+
+def _connect(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    width: float,
+    ends: tuple[np.ndarray, np.ndarray],
+    rgb: Iterable[float],
+    *,
+    emission: float,
+) -> None:
+    """Add a geom between two points, (3,) m, that shines by itself."""
+    start, end = ends
+    if (geom := _add(scene, kind, np.zeros(3), np.zeros(3), rgb)) is None:
+        return
+    mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
+    if kind == _ARROW:
+        geom.size[2] *= 2  # MuJoCo draws an arrow half as long as its connector
+    geom.emission = emission
 
 
 def _add(
@@ -150,40 +161,13 @@ def _add(
     position: ArrayLike,
     rgb: Iterable[float],
     rotation: np.ndarray | None = None,
-) -> None:
-    def shape(geom: mujoco.MjvGeom) -> None:
-        matrix = np.eye(3).ravel() if rotation is None else rotation
-        mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(position, float), matrix, _rgba(rgb))
-
-    _next(scene, shape)
-
-
-def _connect(
-    scene: mujoco.MjvScene,
-    kind: mujoco.mjtGeom,
-    width: float,
-    start: np.ndarray,
-    end: np.ndarray,
-    rgb: Iterable[float],
-    emission: float = 0.0,
-) -> None:
-    def shape(geom: mujoco.MjvGeom) -> None:
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _rgba(rgb))
-        mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
-        if kind == mujoco.mjtGeom.mjGEOM_ARROW:
-            geom.size[2] *= 2  # MuJoCo draws an arrow half as long as its connector
-        geom.emission = emission
-
-    _next(scene, shape)
-
-
-def _rgba(rgb: Iterable[float]) -> np.ndarray:
-    return np.array([*rgb, 1.0], np.float32)
-
-
-def _next(scene: mujoco.MjvScene, shape: Callable[[mujoco.MjvGeom], None]) -> None:
-    """Shape one more geom; none once the scene is full."""
-    if scene.ngeom < scene.maxgeom:
-        shape(scene.geoms[scene.ngeom])
-        scene.geoms[scene.ngeom].category = mujoco.mjtCatBit.mjCAT_DECOR
-        scene.ngeom += 1
+) -> mujoco.MjvGeom | None:
+    """Add a geom and return it; none once the scene is full."""
+    if scene.ngeom == scene.maxgeom:
+        return None
+    geom, rgba = scene.geoms[scene.ngeom], np.array([*rgb, 1.0], np.float32)
+    matrix = np.eye(3).ravel() if rotation is None else rotation
+    mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(position, float), matrix, rgba)
+    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+    scene.ngeom += 1
+    return geom

@@ -8,7 +8,7 @@ from mjx_climb.rendering.camera import AZIMUTH, View
 from mjx_climb.rendering.canvas import Canvas
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.description import bare, compiled, described
-from mjx_climb.robot.stance import foot_of
+from mjx_climb.robot.found_limbs import foot_of
 from mjx_climb.scenario.model import RobotFile
 
 SIZE = (800, 600)
@@ -37,7 +37,7 @@ def stance(robot: str | RobotFile) -> np.ndarray:
     held = dict(robot.locked.items())
     for number, name in enumerate(loaded.limbs):
         joints = limbs[name].joints
-        held |= dict(zip(joints, loaded.stance_joints[: len(joints), number, 0], strict=True))
+        held |= dict(zip(joints, loaded.stance_joints[number, : len(joints)], strict=True))
     data.qpos[:] = model.qpos0
     for name, value in held.items():
         data.joint(name).qpos[:] = value
@@ -60,4 +60,4 @@ def stance(robot: str | RobotFile) -> np.ndarray:
 
     mujoco.mj_forward(model, data)
     with Canvas(model, *SIZE) as canvas:
-        return canvas.draw(data, View(middle, _AWAY * half, AZIMUTH, np.array([0.0, 0, 1])), lambda scene: None, mark)
+        return canvas.draw(data, View(middle, _AWAY * half, AZIMUTH, np.array([0.0, 0, 1])), on_top=mark)

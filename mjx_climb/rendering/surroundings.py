@@ -1,11 +1,14 @@
 """What the robot walks on, for the eye: rock under gravity, the panels of a station without."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.rendering.marks import grip_points
 from mjx_climb.robot.constants import load_spec
+from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import RobotFile
 
 GROUND = "relief"  # the geom's name
@@ -37,9 +40,11 @@ STYLES = (
 )
 
 
-def style(gravity: float) -> Style:
-    """Return how the surroundings look under a gravity of this strength, m/s^2."""
-    return next(s for s in STYLES if gravity < s.below)
+def of(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
+    """Return the model of walks of one robot on one ground, that of the first."""
+    scenario, reference = trajectories[0].scenario, trajectories[0].base_reference
+    grips = np.concatenate([grip_points(trajectory) for trajectory in trajectories])
+    return model(scenario.robot, np.asarray(scenario.gravity), grips, reference[[0, -1], :2].mean(0))
 
 
 def model(robot: str | RobotFile, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray) -> mujoco.MjModel:
@@ -52,47 +57,41 @@ def model(robot: str | RobotFile, gravity: np.ndarray, grips: np.ndarray, center
         center: (2,) m, world; the middle of the ground.
     """
     spec = load_spec(robot)
-    looks = style(float(np.linalg.norm(gravity)))
+    looks = next(style for style in STYLES if np.linalg.norm(gravity) < style.below)
     for element in [*spec.worldbody.geoms, *spec.worldbody.lights]:
         spec.delete(element)
     for texture in list(spec.textures):
         if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             spec.delete(texture)
-    _sky(spec, looks)
+    _add_sky(spec, looks)
     _ground(spec, looks, grips, center)
-    _lights(spec, looks, center)
+    _add_sun(spec, looks, center)
     scene = spec.compile()
-    scene.vis.global_.fovy = 30
-    scene.vis.quality.shadowsize = 2048
-    scene.vis.quality.offsamples = 4
-    scene.vis.quality.numslices, scene.vis.quality.numstacks = 20, 4  # a foot's path has hundreds of round pieces
-    scene.vis.headlight.ambient[:] = looks.ambient
-    scene.vis.headlight.diffuse[:] = 0.18
-    scene.vis.headlight.specular[:] = 0.05
-    scene.vis.map.zfar = 14
-    scene.vis.map.znear = 0.02
-    scene.stat.extent = 0.5
-    scene.stat.center[:] = [*center, 0.05]
+    quality, head, scene.vis.global_.fovy = scene.vis.quality, scene.vis.headlight, 30
+    quality.shadowsize, quality.offsamples = 2048, 4
+    quality.numslices, quality.numstacks = 20, 4  # a foot's path has hundreds of round pieces
+    head.ambient[:], head.diffuse[:], head.specular[:] = looks.ambient, 0.18, 0.05
+    scene.vis.map.znear, scene.vis.map.zfar = 0.02, 14
+    scene.stat.extent, scene.stat.center[:] = 0.5, [*center, 0.05]
     return scene
 
 
-def _sky(spec: mujoco.MjSpec, looks: Style) -> None:
-    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=512, height=3072)
-    sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
-    sky.rgb1, sky.rgb2 = looks.sky
-    if looks.sky[0][2] < 0.1:  # dark: stars
-        sky.mark, sky.markrgb, sky.random = mujoco.mjtMark.mjMARK_RANDOM, [0.9, 0.9, 0.9], 0.0008
+def _add_sky(spec: mujoco.MjSpec, looks: Style) -> None:
+    kind, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    stars = {"mark": mujoco.mjtMark.mjMARK_RANDOM, "markrgb": [0.9] * 3, "random": 0.0008}
+    dark = looks.sky[0][2] < 0.1
+    spec.add_texture(
+        name="sky", type=kind, builtin=gradient, rgb1=looks.sky[0], rgb2=looks.sky[1], width=512, height=3072,
+        **(stars if dark else {}),
+    )  # fmt: skip
 
 
-def _lights(spec: mujoco.MjSpec, looks: Style, center: np.ndarray) -> None:
-    # low enough for the robot's shadow to lie beside it
-    towards = np.array([0.28, 0.42, -1.0])
-    sun = spec.worldbody.add_light(name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True)
-    sun.dir = towards
-    sun.pos = np.array([*center, 0.0]) - 1.5 * towards
-    sun.diffuse = [looks.sun] * 3
-    sun.ambient = [0.0] * 3
-    sun.specular = [0.25] * 3
+def _add_sun(spec: mujoco.MjSpec, looks: Style, center: np.ndarray) -> None:
+    towards = np.array([0.28, 0.42, -1.0])  # low enough for the robot's shadow to lie beside it
+    spec.worldbody.add_light(
+        name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True, dir=towards,
+        pos=[*center, 0.0] - 1.5 * towards, diffuse=[looks.sun] * 3, ambient=[0.0] * 3, specular=[0.25] * 3,
+    )  # fmt: skip
 
 
 def _ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.ndarray) -> None:
@@ -106,7 +105,7 @@ def _ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.nda
     side = 2 * REACH
     material.texrepeat = [side / (2 * PANEL), side / (2 * PANEL)] if looks.name == "station" else [3, 3]
 
-    height = _relief(random, looks.relief, grips - [*center, 0.0])
+    height = relief_of(random, looks.relief, grips - [*center, 0.0])
     low, high = float(height.min()), float(height.max())
     relief = spec.add_hfield(name=GROUND, nrow=CELLS, ncol=CELLS, size=[REACH, REACH, max(high - low, 1e-3), 0.1])
     relief.userdata = ((height - low) / max(high - low, 1e-3)).ravel()
@@ -146,7 +145,7 @@ def _panels(random: np.random.Generator) -> np.ndarray:
     return np.where((edge > 8) & (edge < 24) & (distance < 4), 0.6, paint)
 
 
-def _relief(random: np.random.Generator, boulders: float, grips: np.ndarray) -> np.ndarray:
+def relief_of(random: np.random.Generator, boulders: float, grips: np.ndarray) -> np.ndarray:
     """Return the height of the ground, (CELLS, CELLS) m, rows along y, columns along x, centred.
 
     Close to the grips (N, 3) m it follows their heights; away from them rock rises up to `boulders`.

@@ -11,9 +11,8 @@ import numpy as np
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering import film, marks, surroundings
 from mjx_climb.rendering.backend import require_display
-from mjx_climb.rendering.camera import Follower
+from mjx_climb.rendering.camera import Follower, pose, row_at
 from mjx_climb.rendering.captions import controller
-from mjx_climb.rendering.replay import pose, row_at
 from mjx_climb.rollouts.trajectory import Trajectory
 
 PAUSE = 1.0  # s, at the end of a walk, before the next one starts
@@ -34,14 +33,10 @@ def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[
     """
     film.check(trajectories, None, film.SIZE)
     require_display()
-    scenario = trajectories[0].scenario
-    middle = trajectories[0].base_reference[[0, -1], :2].mean(0)
-    grips = np.concatenate([marks.grip_points(trajectory) for trajectory in trajectories])
-    model = surroundings.model(scenario.robot, np.asarray(scenario.gravity), grips, middle)
+    model = surroundings.of(trajectories)
     model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
     model.light("sun").castshadow = False  # such a ground takes none
-    data = mujoco.MjData(model)
-    scale, every = marks.scale(trajectories), max(round(film.PATH_STEP / scenario.time_step), 1)
+    data, scale = mujoco.MjData(model), marks.scale(trajectories)
     start = Follower(trajectories, float(model.vis.global_.fovy), 1.5).at(0.0)
     length = film.length(trajectories)
     pose(model, data, trajectories[0], 0)
@@ -59,9 +54,9 @@ def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[
             with window.lock():
                 pose(model, data, trajectory, row)
                 window.user_scn.ngeom = 0
-                marks.around(window.user_scn, trajectory, row, every)
+                marks.around(window.user_scn, trajectory, row)
                 marks.forces(window.user_scn, trajectory, row, scale)
-            window.set_texts((None, None, *_words(trajectory, row)))
+            window.set_texts((None, None, *words(trajectory, row)))
             window.sync()
             time.sleep(1 / 60)
 
@@ -83,7 +78,7 @@ def _window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
             thread.join()
 
 
-def _words(trajectory: Trajectory, row: int) -> tuple[str, str]:
+def words(trajectory: Trajectory, row: int) -> tuple[str, str]:
     """Return names and values to write into the window."""
     forces = np.linalg.norm(trajectory.foot_force[row], axis=-1)
     limb = int(forces.argmax())

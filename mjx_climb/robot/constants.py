@@ -1,4 +1,4 @@
-"""The robot as constants: what the equations need of an MJCF, in the layout of the hot path."""
+"""The robot as constants: what the equations need of an MJCF."""
 
 import dataclasses
 import functools
@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import PASSIVE, RobotError
-from mjx_climb.robot.robot_file import model_of, spec_of
 from mjx_climb.scenario.model import RobotFile
 
 __all__ = [
@@ -41,58 +40,60 @@ _KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 )  # fmt: skip
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """A base with limbs of N joints each, revolute or prismatic: masses, frames and limits.
+    """A base with limbs of as many joints each, revolute or prismatic: masses, frames and limits.
 
     Every link has a frame at its joint whose z axis is the joint's axis; with the joint at zero, `frame_rotation` and
-    `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: link (from
-    the base outwards) before components, limbs (L) second to last, batch (1) last. SI units; a prismatic joint's values
-    are in m where a revolute one's are in rad.
+    `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: limb, joint
+    (from the base outwards), components. SI units; a prismatic joint's values are in m where a revolute one's are
+    in rad.
     """
 
     name: str
     limbs: tuple[str, ...]
-    model: mujoco.MjModel  # what the numbers were read off
-    base_mass: Float[np.ndarray, " #B"]  # kg
-    base_inertia: Float[np.ndarray, "3 3 #B"]  # kg m^2, base frame
-    link_mass: Float[np.ndarray, "N L #B"]  # kg
-    link_center: Float[np.ndarray, "N 3 L #B"]  # m: [link, component], link frame
-    link_inertia: Float[np.ndarray, "N 3 3 L #B"]  # kg m^2 about the link's centre of mass, link frame
-    frame_position: Float[np.ndarray, "N 3 L #B"]  # m: [link, component], parent frame
-    frame_rotation: Float[np.ndarray, "N 3 3 L #B"]  # [link, row, column]
-    foot_center: Float[np.ndarray, "3 L #B"]  # m, frame of the last link
-    joint_lower: Float[np.ndarray, "N L #B"]  # rad
-    joint_upper: Float[np.ndarray, "N L #B"]  # rad
-    stance_position: Float[np.ndarray, "3 #B"]  # m, world
-    stance_orientation: Float[np.ndarray, "4 #B"]  # wxyz
-    stance_joints: Float[np.ndarray, "N L #B"]  # rad
-    armature: Float[np.ndarray, "N L #B"] | None = None  # kg m^2, of the drives, seen at the joints; None: none
-    damping: Float[np.ndarray, "N L #B"] | None = None  # N m s/rad, of the joints, as the file says; None: none
-    friction: Float[np.ndarray, "N L #B"] | None = None  # N m, dry, of the joints, as the file says; None: none
-    spring: Float[np.ndarray, "N L #B"] | None = None  # N m/rad, of the joints, as the file says; None: none
-    spring_rest: Float[np.ndarray, "N L #B"] | None = None  # rad, where the springs are slack
-    torque_limit: Float[np.ndarray, "N L #B"] | None = None  # N m, of the drives, infinite: none; None: none at all
-    slides: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: the joint is prismatic; (): none is
-    passive: tuple[tuple[bool, ...], ...] = ()  # [link][limb]: nothing drives the joint; (): all are driven
-    joint_names: tuple[str, ...] = ()  # (N,) of a limb's joints, from the base outwards
+    model: mujoco.MjModel  # what the constants were read off
+    base_mass: Float[np.ndarray, ""]  # kg
+    base_inertia: Float[np.ndarray, "3 3"]  # kg m^2, base frame
+    link_mass: Float[np.ndarray, "limb joint"]  # kg
+    link_center: Float[np.ndarray, "limb joint 3"]  # m, link frame
+    link_inertia: Float[np.ndarray, "limb joint 3 3"]  # kg m^2 about the link's centre of mass, link frame
+    frame_position: Float[np.ndarray, "limb joint 3"]  # m, parent frame
+    frame_rotation: Float[np.ndarray, "limb joint 3 3"]
+    foot_center: Float[np.ndarray, "limb 3"]  # m, frame of the last link
+    joint_lower: Float[np.ndarray, "limb joint"]  # rad
+    joint_upper: Float[np.ndarray, "limb joint"]  # rad
+    stance_position: Float[np.ndarray, "3"]  # m, world
+    stance_orientation: Float[np.ndarray, "4"]  # wxyz
+    stance_joints: Float[np.ndarray, "limb joint"]  # rad
+    # as the file says, None where it says nothing
+    armature: Float[np.ndarray, "limb joint"] | None = None  # kg m^2, of the drives, seen at the joints
+    damping: Float[np.ndarray, "limb joint"] | None = None  # N m s/rad
+    friction: Float[np.ndarray, "limb joint"] | None = None  # N m, dry
+    spring: Float[np.ndarray, "limb joint"] | None = None  # N m/rad
+    spring_rest: Float[np.ndarray, "limb joint"] | None = None  # rad, where the springs are slack
+    torque_limit: Float[np.ndarray, "limb joint"] | None = None  # N m, of the drives; infinite: none
+    slides: tuple[tuple[bool, ...], ...] = ()  # [limb][joint]: the joint is prismatic; (): none is
+    passive: tuple[tuple[bool, ...], ...] = ()  # [limb][joint]: nothing drives the joint; (): all are driven
+    joint_names: tuple[str, ...] = ()  # (joint,) of a limb, from the base outwards
 
     @property
     def joints(self) -> int:
         """Number of joints of each limb."""
-        return len(self.frame_position)
+        return int(self.frame_position.shape[1])
 
-    def sliding(self, link: int) -> np.ndarray | None:
-        """Return which limbs have a prismatic joint at a link, (L, 1) bool; None where all are revolute."""
-        return np.array(self.slides[link])[:, None] if self.slides and any(self.slides[link]) else None
+    @property
+    def sliding(self) -> np.ndarray | None:
+        """Which joints are prismatic, (limb, joint) bool; None where none is."""
+        return np.array(self.slides) if self.slides else None
 
     @property
     def driven(self) -> np.ndarray | None:
-        """Which joints are driven, (N, L, 1) bool; None where all are."""
-        return ~np.array(self.passive)[..., None] if self.passive else None
+        """Which joints are driven, (limb, joint) bool; None where all are."""
+        return ~np.array(self.passive) if self.passive else None
 
     @property
-    def total_mass(self) -> Float[np.ndarray, " B"]:
+    def total_mass(self) -> Float[np.ndarray, ""]:
         """Mass of base and links, kg."""
-        mass: np.ndarray = self.base_mass + self.link_mass.sum((0, 1))
+        mass: np.ndarray = self.base_mass + self.link_mass.sum()
         return mass
 
 
@@ -116,13 +117,19 @@ def model_path(name: str | RobotFile) -> Path:
 def load_model(name: str | RobotFile) -> mujoco.MjModel:
     """Return the compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
     if isinstance(name, RobotFile):
+        from mjx_climb.robot.robot_file import model_of  # which looks for a stance with the constants of a robot
+
         return model_of(name)
     return mujoco.MjModel.from_xml_path(str(model_path(name)))
 
 
 def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
     """Return the editable description that `load_model` compiles."""
-    return spec_of(name) if isinstance(name, RobotFile) else mujoco.MjSpec.from_file(str(model_path(name)))
+    if isinstance(name, RobotFile):
+        from mjx_climb.robot.robot_file import spec_of
+
+        return spec_of(name)
+    return mujoco.MjSpec.from_file(str(model_path(name)))
 
 
 @functools.cache
@@ -173,96 +180,83 @@ def _exact(value: np.ndarray) -> np.ndarray:
 
 
 def _flags(mask: np.ndarray) -> tuple[tuple[bool, ...], ...]:
-    """Return a mask (N, L, 1) as tuples, empty where it is false throughout."""
-    return tuple(map(tuple, mask[..., 0].tolist())) if mask.any() else ()
+    """Return a mask (limb, joint) as tuples, empty where it is false throughout."""
+    return tuple(map(tuple, mask.tolist())) if mask.any() else ()
 
 
-def robot_from_model(model: mujoco.MjModel, name: str) -> Robot:
-    """Return the constants of a MuJoCo model: see `load_robot`."""
-    limbs = _limb_bodies(model, name)
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0
-    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
-    mujoco.mj_kinematics(model, data)
+def robot_from_model(model: mujoco.MjModel, name: str, stance: np.ndarray | None = None) -> Robot:
+    """Return the constants of a MuJoCo model: see `load_robot`.
+
+    `stance` (nq,) is the rest stance; None: the model's first keyframe.
+    """
+    chains = _limb_bodies(model, name)
     if np.abs(model.body_ipos[1]).max() > 1e-12:
         raise RobotError(
             f"{name}: expected the base frame at the base's centre of mass, got an offset {model.body_ipos[1]}"
         )
-
-    def inertia(body: int, rotation: np.ndarray) -> np.ndarray:
-        principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
-        return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
-
-    keys = (
-        "mass",
-        "center",
-        "inertia",
-        "position",
-        "rotation",
-        "foot",
-        "lower",
-        "upper",
-        "slides",
-        "passive",
-        *_DRIVES,
+    if stance is None and model.nkey < 1:
+        raise RobotError(f"{name}: expected a keyframe with the rest stance")
+    stance = np.array(model.key_qpos[0] if stance is None else stance)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0
+    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+    mujoco.mj_kinematics(model, data)
+    links = _links(model, data, chains, name)
+    joints = model.body_jntadr[np.array(chains)]  # (limb, joint), as all that follows
+    limited, dofs = model.jnt_limited[joints] != 0, model.jnt_dofadr[joints]
+    drives: dict[str, Any] = {key: getattr(model, field)[dofs] for key, field in _DRIVES.items()}
+    spring, limit = model.jnt_stiffness[joints], model.jnt_actfrcrange[joints, 1]
+    limit = np.where(model.jnt_actfrclimited[joints] != 0, limit, np.inf)
+    return Robot(
+        name=name,
+        limbs=tuple(model.body(chain[0]).name.rsplit("_", 1)[0] for chain in chains),
+        model=model,
+        base_mass=np.array(model.body_mass[1]),
+        base_inertia=_inertia(model, data, 1, np.eye(3)),
+        link_mass=model.body_mass[np.array(chains)],
+        **links,
+        joint_lower=np.where(limited, model.jnt_range[joints, 0], -np.pi),
+        joint_upper=np.where(limited, model.jnt_range[joints, 1], np.pi),
+        stance_position=stance[:3],
+        stance_orientation=stance[3:7],
+        stance_joints=stance[model.jnt_qposadr[joints]],
+        **{key: value for key, value in drives.items() if value.any()},
+        joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in chains[0]),
+        spring=spring if spring.any() else None,
+        spring_rest=model.qpos_spring[model.jnt_qposadr[joints]] if spring.any() else None,
+        torque_limit=limit if np.isfinite(limit).any() else None,
+        slides=_flags(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE),
+        passive=_flags(model.jnt_group[joints] == PASSIVE),
     )
-    keys += ("spring", "rest", "limit")
-    fields: dict[str, list[np.ndarray]] = {key: [] for key in keys}
-    for chain in limbs:
-        parent_position, parent_rotation = np.zeros(3), np.eye(3)
-        column: dict[str, Any] = {key: [] for key in keys}
-        for body in chain:
+
+
+def _links(model: mujoco.MjModel, data: mujoco.MjData, chains: list[list[int]], name: str) -> dict[str, np.ndarray]:
+    """Return frames, centres and inertias of the links, and the feet, as fields of a `Robot`; joints at zero."""
+    shape = (len(chains), len(chains[0]))
+    position, center, rotation, inertia = (np.empty((*shape, *own)) for own in ((3,), (3,), (3, 3), (3, 3)))
+    foot = np.empty((len(chains), 3))
+    for limb, chain in enumerate(chains):
+        at, axes = np.zeros(3), np.eye(3)  # of the parent
+        for link, body in enumerate(chain):
             joint = model.body_jntadr[body]
-            position = data.xanchor[joint]
-            rotation = _frame(data.xaxis[joint], data.xmat[body].reshape(3, 3))
-            column["mass"].append(model.body_mass[body])
-            column["center"].append(rotation.T @ (data.xipos[body] - position))
-            column["inertia"].append(inertia(body, rotation))
-            column["position"].append(_exact(parent_rotation.T @ (position - parent_position)))
-            column["rotation"].append(_exact(parent_rotation.T @ rotation))
-            column["lower"].append(model.jnt_range[joint, 0] if model.jnt_limited[joint] else -np.pi)
-            column["upper"].append(model.jnt_range[joint, 1] if model.jnt_limited[joint] else np.pi)
-            for key, field in _DRIVES.items():
-                column[key].append(getattr(model, field)[model.jnt_dofadr[joint]])
-            column["slides"].append(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
-            column["passive"].append(model.jnt_group[joint] == PASSIVE)
-            column["spring"].append(model.jnt_stiffness[joint])
-            column["rest"].append(model.qpos_spring[model.jnt_qposadr[joint]])
-            column["limit"].append(model.jnt_actfrcrange[joint, 1] if model.jnt_actfrclimited[joint] else np.inf)
-            parent_position, parent_rotation = position, rotation
+            parent, anchor = axes, data.xanchor[joint]
+            axes = _frame(data.xaxis[joint], data.xmat[body].reshape(3, 3))
+            position[limb, link] = _exact(parent.T @ (anchor - at))
+            rotation[limb, link] = _exact(parent.T @ axes)
+            center[limb, link] = axes.T @ (data.xipos[body] - anchor)
+            inertia[limb, link] = _inertia(model, data, body, axes)
+            at = anchor
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
         if len(sites) != 1:
             raise RobotError(f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}")
-        column["foot"] = parent_rotation.T @ (data.site_xpos[sites[0]] - parent_position)
-        for key, value in column.items():
-            fields[key].append(np.asarray(value))
-    if model.nkey < 1:
-        raise RobotError(f"{name}: expected a keyframe with the rest stance")
-    stance = model.key_qpos[0]
-    stacked = {key: np.stack(value, axis=-1)[..., None] for key, value in fields.items()}
-    sprung = stacked["spring"].any()
-    return Robot(
-        name=name,
-        limbs=tuple(model.body(chain[0]).name.rsplit("_", 1)[0] for chain in limbs),
-        model=model,
-        base_mass=model.body_mass[1:2].copy(),
-        base_inertia=inertia(1, np.eye(3))[..., None],
-        link_mass=stacked["mass"],
-        link_center=stacked["center"],
-        link_inertia=stacked["inertia"],
-        frame_position=stacked["position"],
-        frame_rotation=stacked["rotation"],
-        foot_center=stacked["foot"],
-        joint_lower=stacked["lower"],
-        joint_upper=stacked["upper"],
-        stance_position=stance[:3, None].copy(),
-        stance_orientation=stance[3:7, None].copy(),
-        stance_joints=stance[7:].reshape(len(limbs), -1).T[..., None].copy(),
-        **{key: stacked[key] if stacked[key].any() else None for key in _DRIVES},
-        joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in limbs[0]),
-        spring=stacked["spring"] if sprung else None,
-        spring_rest=stacked["rest"] if sprung else None,
-        torque_limit=stacked["limit"] if np.isfinite(stacked["limit"]).any() else None,
-        slides=_flags(stacked["slides"]),
-        passive=_flags(stacked["passive"]),
-    )
+        foot[limb] = axes.T @ (data.site_xpos[sites[0]] - at)
+    return {
+        "frame_position": position, "frame_rotation": rotation, "link_center": center, "link_inertia": inertia,
+        "foot_center": foot,
+    }  # fmt: skip
+
+
+def _inertia(model: mujoco.MjModel, data: mujoco.MjData, body: int, rotation: np.ndarray) -> np.ndarray:
+    """Return a body's moments of inertia (3, 3) kg m^2 about its centre of mass, in the axes of a frame."""
+    principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
+    return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.places import line_in, line_of, line_with, repeated
+from mjx_climb.robot.file_lines import line_in, line_of, line_with, repeated
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
@@ -54,11 +54,9 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
     for body in spec.bodies:
         for joint in body.joints:
             if not joint.name:
-                joint.name = _free(
-                    body.name if joint.type != mujoco.mjtJoint.mjJNT_FREE else f"{body.name}_free", taken
-                )
-    balls = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_BALL]
-    for ball in balls:
+                free = joint.type == mujoco.mjtJoint.mjJNT_FREE
+                joint.name = _free(f"{body.name}_free" if free else body.name, taken)
+    for ball in [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_BALL]:
         _as_hinges(spec, ball)
     return spec
 
@@ -186,12 +184,9 @@ def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
         RobotError: a file that MuJoCo does not read.
     """
     spec = described(file, looks=bool(shaped))
-    urdf = is_urdf(file)
-    meshes = {mesh.name: found_mesh(file, spec, mesh.file) for mesh in spec.meshes} if shaped else {}
     _limit_torques(spec)
-    for kind in _DROPPED:
-        for part in getattr(spec, kind):
-            spec.delete(part)
+    for part in [part for kind in _DROPPED for part in getattr(spec, kind)]:
+        spec.delete(part)
     positions = sum(_POSITIONS.get(int(joint.type), 1) for joint in spec.joints)
     for key in spec.keys:
         key.ctrl, key.act = [], []
@@ -202,29 +197,39 @@ def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
             spec.delete(equality)
     for body in spec.bodies:
         _mend(body)
-    lowest, highest = spec.compiler.inertiagrouprange
-    from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    for geom in spec.geoms:
-        weighed = urdf or (geom.parent.explicitinertial and not from_shapes) or geom.parent.name == "world"
-        if not weighed and geom.mass != 0 and geom.density != 0 and lowest <= geom.group <= highest:
-            continue
-        meant = geom.parent.name in shaped and meshes.get(geom.meshname) is not None
-        if geom.parent.name == "world" or not (_plain(geom) or meant):
-            spec.delete(geom)
-        else:
-            geom.mass = 0
-    used = {geom.meshname for geom in spec.geoms}
-    for mesh in spec.meshes:
-        if path := meshes.get(mesh.name):
-            mesh.file, mesh.inertia = path, mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # one that need not be closed
-    for drawn in (*spec.geoms, *spec.sites):
-        drawn.material = ""
-    for part in (*(mesh for mesh in spec.meshes if mesh.name not in used), *spec.materials, *spec.textures):
-        spec.delete(part)
+    _drop_shapes(file, spec, shaped)
     spec.compiler.fusestatic = False
     spec.compiler.boundmass = max(spec.compiler.boundmass, SPECK)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, SPECK_MOMENT)
     return spec
+
+
+def _drop_shapes(file: str, spec: mujoco.MjSpec, shaped: Collection[str]) -> None:
+    """Leave shapes that weigh, plain ones, and meshes of the bodies in `shaped`, without materials."""
+    meshes = {mesh.name: found_mesh(file, spec, mesh.file) for mesh in spec.meshes} if shaped else {}
+    urdf, (lowest, highest) = is_urdf(file), spec.compiler.inertiagrouprange
+    from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    for geom in spec.geoms:
+        geom.material = ""
+        in_world = geom.parent.name == "world"
+        weighed = urdf or (geom.parent.explicitinertial and not from_shapes) or in_world
+        if not weighed and geom.mass != 0 and geom.density != 0 and lowest <= geom.group <= highest:
+            continue
+        meant = geom.parent.name in shaped and meshes.get(geom.meshname) is not None
+        if in_world or not (_plain(geom) or meant):
+            spec.delete(geom)
+        else:
+            geom.mass = 0
+    for site in spec.sites:
+        site.material = ""
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in spec.meshes:
+        if mesh.name not in used:
+            spec.delete(mesh)
+        elif path := meshes.get(mesh.name):
+            mesh.file, mesh.inertia = path, mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # one that need not be closed
+    for part in (*spec.materials, *spec.textures):
+        spec.delete(part)
 
 
 def found_mesh(file: str, spec: mujoco.MjSpec, mesh: str) -> str | None:

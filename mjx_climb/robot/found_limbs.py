@@ -1,15 +1,17 @@
 """The limbs of a robot in its file: rows of joints from one base outwards, each ending in a foot."""
 
 import collections
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import JOINTS, RobotError, bare, compiled, driven_joints
-from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
+from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS, Limb
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
 _ARM, _FINGER = 3, 3  # joints: several short branches beyond so many are fingers
@@ -27,6 +29,22 @@ class Note(NamedTuple):
     kind: str  # taken, changed or ignored
     what: str
     why: str
+
+
+class Notes(list[Note]):
+    """Notes in the order in which they are made."""
+
+    def taken(self, what: str, why: str) -> None:
+        """Note what is as the file has it."""
+        self.append(Note("taken", what, why))
+
+    def changed(self, what: str, why: str) -> None:
+        """Note what is otherwise than in the file, or not in it."""
+        self.append(Note("changed", what, why))
+
+    def ignored(self, what: str, why: str) -> None:
+        """Note what is left out."""
+        self.append(Note("ignored", what, why))
 
 
 class Chain(NamedTuple):
@@ -86,15 +104,12 @@ def stood_on(
         data.qpos[:] = model.key_qpos[0]
         mujoco.mj_kinematics(model, data)
     up = data.xmat[base].reshape(3, 3)[:, 2]
-    starts = {name: float(up @ data.xanchor[chain.joints[0]]) for name, chain in limbs.items()}
-    ends = {name: float(up @ data.xanchor[chain.joints[-1]]) for name, chain in limbs.items()}
-    tall = max(starts.values()) - min(ends.values())
-    low = [
-        name for name in limbs if max(starts[name] - min(starts.values()), ends[name] - min(ends.values())) < tall / 4
-    ]
-    high = [
-        name for name in limbs if min(starts[name] - min(starts.values()), ends[name] - min(ends.values())) > tall / 4
-    ]
+    # of the first and the last joint of each limb, (limb, 2) m
+    heights = data.xanchor[[[chain.joints[0], chain.joints[-1]] for chain in limbs.values()]] @ up
+    above = heights - heights.min(0)
+    quarter = (heights[:, 0].max() - heights[:, 1].min()) / 4
+    low = [name for name, each in zip(limbs, above, strict=True) if each.max() < quarter]
+    high = [name for name, each in zip(limbs, above, strict=True) if each.min() > quarter]
     if len(low) >= MIN_LIMBS and high:
         raise RobotError(
             f"{path}: expected limbs that stand on the ground, got {', '.join(high)} above {', '.join(low)}: choose "
@@ -103,9 +118,7 @@ def stood_on(
     return limbs
 
 
-def limbs_of(
-    path: str, described: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: list[Note]
-) -> dict[str, Chain]:
+def limbs_of(path: str, described: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: Notes) -> dict[str, Chain]:
     """Return the limbs by name, in the order of the file.
 
     Raises:
@@ -122,28 +135,29 @@ def limbs_of(
     limbs = _named(model, _limbs(path, model, chains, notes))
     if guessed := [repr(chain.foot) for chain in limbs.values() if chain.guessed]:
         why = f"not in the file ({', '.join(guessed)}), nor shapes: guessed from weights; correct robot.limbs' `at`"
-        notes.append(Note("changed", "ends of last links", why))
+        notes.changed("ends of last links", why)
     if ends := sorted({chain.end for chain in limbs.values() if chain.end}):
         which = ", ".join(ends[:MAX_LIMBS]) + (", ..." if len(ends) > MAX_LIMBS else "")
-        notes.append(Note("taken", "feet", f"where the shapes of the last links reach farthest: {which}"))
+        notes.taken("feet", f"where the shapes of the last links reach farthest: {which}")
     return limbs
 
 
-def _with_shapes(path: str, model: mujoco.MjModel, bodies: set[str], notes: list[Note]) -> mujoco.MjModel:
+def _with_shapes(path: str, model: mujoco.MjModel, bodies: set[str], notes: Notes) -> mujoco.MjModel:
     """Return the robot with the shapes of some bodies, meshes among them; without these where one cannot be read."""
     try:
         return compiled(path, bare(path, bodies))
     except RobotError as error:
-        notes.append(Note("ignored", "meshes of the last links", str(error)))
+        notes.ignored("meshes of the last links", str(error))
         return model
 
 
-def rigid_parts(model: mujoco.MjModel) -> np.ndarray:
-    """Return for each body the first body of the rigid part that it belongs to."""
+def rigid_parts(model: mujoco.MjModel, held: Collection[int] = ()) -> np.ndarray:
+    """Return for each body the first body of the rigid part that it belongs to, where some joints are held."""
     part = np.arange(model.nbody)
-    for body in range(2, model.nbody):
-        if not model.body_jntnum[body] and model.body_parentid[body] != 0:
-            part[body] = part[model.body_parentid[body]]
+    for body in range(1, model.nbody):
+        parent, first = model.body_parentid[body], model.body_jntadr[body]
+        if parent != 0 and all(joint in held for joint in range(first, first + model.body_jntnum[body])):
+            part[body] = part[parent]
     return part
 
 
@@ -248,21 +262,27 @@ def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.ndar
     return [*(center - ways), *(center + ways)]
 
 
-def at_zero(model: mujoco.MjModel) -> mujoco.MjData:
-    """Return the robot with its joints at zero."""
+def at_zero(model: mujoco.MjModel, held: Mapping[int, float] = MappingProxyType({})) -> mujoco.MjData:
+    """Return the robot with its joints at zero, but for those that are held."""
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[np.isin(model.jnt_type, JOINTS)]] = 0
+    data.qpos[model.jnt_qposadr[list(held)]] = list(held.values())
     mujoco.mj_kinematics(model, data)
     return data
 
 
-def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: list[Note]) -> list[Chain]:
+def foot_of(model: mujoco.MjModel, data: mujoco.MjData, limb: Chain | Limb) -> np.ndarray:
+    """Return where a limb's foot is, (3,) m in world axes; at a site as far off it as from a body."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, limb.foot)
+    place = data.site(site) if site >= 0 else data.body(limb.foot)
+    return np.asarray(place.xpos + place.xmat.reshape(3, 3) @ np.array(limb.at))
+
+
+def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: Notes) -> list[Chain]:
     """Return the rows that are limbs: those that end in feet, of about the commonest number of joints."""
     for number, chain in enumerate(chains):
         if len(chain.joints) > MOST_JOINTS:
-            notes.append(
-                Note("changed", f"{len(chain.joints)} joints in a row", f"the last beyond {MOST_JOINTS} are held")
-            )
+            notes.changed(f"{len(chain.joints)} joints in a row", f"the last beyond {MOST_JOINTS} are held")
             chains[number] = chain._replace(joints=chain.joints[:MOST_JOINTS])
     able = [chain for chain in chains if len(chain.joints) >= FEWEST_JOINTS]
     feet = [chain for chain in able if chain.named]
@@ -274,26 +294,25 @@ def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: list[No
         expected = f"{MIN_LIMBS} limbs or more, rows of {FEWEST_JOINTS} joints or more from the base"
         raise RobotError(f"{path}: expected {expected}, got {len(found)}")
     if len(found) > MAX_LIMBS:
-        notes.append(Note("ignored", f"{len(found) - MAX_LIMBS} limbs", f"more than {MAX_LIMBS}: held"))
+        notes.ignored(f"{len(found) - MAX_LIMBS} limbs", f"more than {MAX_LIMBS}: held")
     return found[:MAX_LIMBS]
+
+
+def beginning(names: Sequence[list[str]]) -> list[str]:
+    """Return the words with which all names begin."""
+    alike = itertools.takewhile(lambda words: len(set(words)) == 1, zip(*names, strict=False))
+    return [words[0] for words in alike]
 
 
 def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
     """Return the limbs by what the names of their joints have in common, at the beginning or at the end."""
 
-    def words(chain: Chain) -> list[list[str]]:
-        return [[w for w in re.split(r"[_\-. /]+", model.joint(j).name) if w] for j in chain.joints]
-
-    def common(rows: list[list[str]]) -> list[str]:
-        shared = []
-        for column in zip(*rows, strict=False):
-            if len(set(column)) > 1:
-                break
-            shared.append(column[0])
-        return shared
-
-    beginnings = ["_".join(common(words(chain))) for chain in limbs]
-    ends = ["_".join(common([row[::-1] for row in words(chain)])[::-1]) for chain in limbs]
+    words = [
+        [[word for word in re.split(r"[_\-. /]+", model.joint(joint).name) if word] for joint in chain.joints]
+        for chain in limbs
+    ]
+    beginnings = ["_".join(beginning(rows)) for rows in words]
+    ends = ["_".join(beginning([row[::-1] for row in rows])[::-1]) for rows in words]
     bodies = [model.body(model.jnt_bodyid[chain.joints[0]]).name for chain in limbs]
     for names in (beginnings, ends, bodies):
         if all(names) and len(set(names)) == len(names) and not any("." in name for name in names):

@@ -1,35 +1,17 @@
 """What a robot's file suggests for a scenario: base, limbs, feet, stance, a gait in proportion, what was left out."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import (
-    JOINTS,
-    SPECK,
-    SPECK_MOMENT,
-    described,
-    driven_joints,
-    impossible,
-    one_limit,
-)
-from mjx_climb.robot.found_limbs import Chain, Note, base_of, limbs_of, middle_of, stood_on
+from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, described, driven_joints, impossible, one_limit
+from mjx_climb.robot.found_limbs import Chain, Note, Notes, base_of, limbs_of, middle_of, stood_on
 from mjx_climb.robot.rerooted import robot_in
 from mjx_climb.robot.robot_file import REACH
-from mjx_climb.robot.stance import (
-    STANDING,
-    Stance,
-    checked,
-    judge,
-    keyframe,
-    of_keyframe,
-    searched,
-    section_of,
-    stretched,
-)
+from mjx_climb.robot.stance import STANDING, Hip, Stance, checked, keyframe, of_keyframe, searched, stretched, worth_of
 
 EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
@@ -68,68 +50,75 @@ def propose(
         RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more; limbs
             of which some start and end higher than others, where nobody says which it stands on.
     """
-    path = os.path.abspath(os.fspath(file))
-    notes: list[Note] = []
+    path, notes = os.path.abspath(os.fspath(file)), Notes()
     model, full = robot_in(path, base), described(path)
     why = "as told" if base else "the link that floats, or that all limbs meet in"
     if base is None and (base := middle_of(model)):
-        model, why = (
-            robot_in(path, base),
-            "the middle of the one row of joints, from foot to foot; --base takes another",
-        )
+        model = robot_in(path, base)
+        why = "the middle of the one row of joints, from foot to foot; --base takes another"
     hub = base_of(path, model) if base is None else model.body(base).id
     trunk = int(model.body_rootid[hub])  # joints from there to the hub are of no limb, and held
-    notes.append(Note("taken", f"base {model.body(trunk).name!r}", why))
+    notes.taken(f"base {model.body(trunk).name!r}", why)
     limbs = stood_on(path, model, limbs_of(path, full, model, hub, notes), trunk, stand_on)
-    reach_of = stretched(model, trunk, limbs)
-    reach, mass = float(np.mean([hip.reach for hip in reach_of])), float(model.body_subtreemass[trunk])
+    hips = stretched(model, trunk, limbs)
+    reach, mass = float(np.mean([hip.reach for hip in hips])), float(model.body_subtreemass[trunk])
     slides = any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for chain in limbs.values() for j in chain.joints)
     proportions = _proportions(mass, reach, slides)
     held = _held(model, trunk, limbs, notes)
     springs = _springs(model, limbs, driven_joints(full), proportions["control"], notes)
     _looks(full, model, trunk, notes)
     _kept_upright(model, trunk, notes)
-
-    key = keyframe(model)
     if written := len(full.keys) - model.nkey:
         why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
-        why = why if base is None else "they begin at the file's own root"
-        notes.append(Note("ignored", f"{written} keyframes", why))
-    section = section_of(path, model, limbs, held, springs) | ({"base": base} if base else {})
-    standing = of_keyframe(model, trunk, limbs, key) if key is not None else None
-    stance = checked(section, standing) if standing is not None else None
-    if stance is not None:
-        notes.append(Note("taken", f"stance of keyframe {model.key(key).name!r}", "the feet stand where it puts them"))
-    else:
-        if key is not None:
-            why = "no stance: feet above the base, or with them level limbs singular or joints at their limits"
-            notes.append(Note("ignored", f"keyframe {model.key(key).name!r}", why))
-        stance = searched(path, section, reach_of)
-        notes.append(
-            Note("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
-        )
+        notes.ignored(f"{written} keyframes", why if base is None else "they begin at the file's own root")
+
+    section = _section(path, model, limbs, {"locked": held, "springs": springs, "base": base})
+    stance = _stance(model, trunk, limbs, section, hips, notes)
     section["height"] = stance.height
-    for name, foothold in zip(limbs, stance.footholds, strict=True):
-        section["limbs"][name]["foothold"] = [float(v) for v in foothold]
+    for limb, foothold in zip(section["limbs"].values(), stance.footholds, strict=True):
+        limb["foothold"] = [float(v) for v in foothold]
 
     gait = _gait(section, stance, limbs, reach, notes)
     stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
-    why = f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}"
-    notes.append(Note("changed", "contact and control", why))
+    notes.changed("contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
     if len(limbs) <= STANDING:
         _hold_turns(section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2, notes)
     _drives(model, limbs, notes)
-    notes.append(Note("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another"))
+    notes.taken(f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another")
     walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"]}
-    sections = {"robot": section, **walk, **proportions}
-    return Proposal(sections, tuple(notes))
+    return Proposal({"robot": section, **walk, **proportions}, tuple(notes))
+
+
+def _section(path: str, model: mujoco.MjModel, limbs: dict[str, Chain], others: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section of a robot without its footholds and height, of other keys those with a value."""
+    section: dict[str, Any] = {"file": path, "height": 1.0, "limbs": {}}
+    for name, chain in limbs.items():
+        section["limbs"][name] = {"joints": [model.joint(j).name for j in chain.joints], "foot": chain.foot}
+        section["limbs"][name] |= {"at": list(chain.at)} if any(chain.at) else {}
+    return section | {key: value for key, value in others.items() if value}
+
+
+def _stance(
+    model: mujoco.MjModel, base: int, limbs: dict[str, Chain], section: dict[str, Any], hips: list[Hip], notes: Notes
+) -> Stance:
+    """Return how the robot stands: as its keyframe has it, where that is a stance, else the best that is found."""
+    if (key := keyframe(model)) is not None:
+        what = f"keyframe {model.key(key).name!r}"
+        standing = of_keyframe(model, base, limbs, key)
+        if standing is not None and (stance := checked(section, standing)) is not None:
+            notes.taken(f"stance of {what}", "the feet stand where it puts them")
+            return stance
+        why = "no stance: feet above the base, or with them level limbs singular or joints at their limits"
+        notes.ignored(what, why)
+    notes.changed("stance", "searched: joints off their limits, limbs as far from singular as they get")
+    return searched(section, hips)
 
 
 # ------------------------------------------------------------------------------------------------------------
 # What became of the rest of the file
 
 
-def _held(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], notes: list[Note]) -> dict[str, float]:
+def _held(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], notes: Notes) -> dict[str, float]:
     """Return the joints of no limb and where they are held: at the keyframe's value, or as near to zero as they go."""
     ours = {joint for chain in limbs.values() for joint in chain.joints}
     key, held = keyframe(model), {}
@@ -141,7 +130,7 @@ def _held(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], notes: list
         if model.jnt_limited[joint]:
             value = float(np.clip(value, *model.jnt_range[joint]))
         held[model.joint(joint).name] = round(value, 6)
-        notes.append(Note("changed", f"joint {model.joint(joint).name!r}", f"of no limb: held at {value:.3g}"))
+        notes.changed(f"joint {model.joint(joint).name!r}", f"of no limb: held at {value:.3g}")
     return held
 
 
@@ -150,7 +139,7 @@ def _springs(
     limbs: dict[str, Chain],
     driven: set[str],
     control: dict[str, float],
-    notes: list[Note],
+    notes: Notes,
 ) -> dict[str, dict[str, float]]:
     """Return the joints of limbs that nothing drives, where something drives others, each with a spring.
 
@@ -167,47 +156,47 @@ def _springs(
         own = {"stiffness": stiffness} if stiffness else {"stiffness": control["kp"], "damping": control["kd"]}
         springs[name] = own | {"rest": round(rest, 6)}
         why = "the file's" if stiffness else "as stiff as the joint loop, for the file has none"
-        notes.append(Note("changed", f"joint {name!r}", f"nothing drives it: on a spring, {why}"))
+        notes.changed(f"joint {name!r}", f"nothing drives it: on a spring, {why}")
     return springs
 
 
-def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: list[Note]) -> None:
+def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: Notes) -> None:
     """Note what the file holds and the dynamics do not need, and what was mended."""
     if meshes := len(full.meshes) - model.nmesh:
-        notes.append(Note("ignored", f"{meshes} meshes", "looks: masses and inertias are written down"))
+        notes.ignored(f"{meshes} meshes", "looks: masses and inertias are written down")
     for parts, what in (
         (full.sensors, "sensors"),
         (full.tendons, "tendons"),
         (full.equalities, "equality constraints"),
     ):
         if len(parts):
-            notes.append(Note("ignored", f"{len(parts)} {what}", "not simulated"))
+            notes.ignored(f"{len(parts)} {what}", "not simulated")
     if others := len({int(root) for root in model.body_rootid[1:]} - {int(model.body_rootid[base])}):
-        notes.append(Note("ignored", f"{others} other bodies", "not the robot"))
+        notes.ignored(f"{others} other bodies", "not the robot")
     if len(full.actuators):
-        notes.append(Note("changed", f"{len(full.actuators)} actuators", "the joint loop's torques take their place"))
+        notes.changed(f"{len(full.actuators)} actuators", "the joint loop's torques take their place")
     for body in np.flatnonzero(model.body_jntnum > 0):
         if model.body_mass[body] <= SPECK:
-            notes.append(Note("changed", f"link {model.body(body).name!r}", "has no mass: it gets a speck of one"))
+            notes.changed(f"link {model.body(body).name!r}", "has no mass: it gets a speck of one")
         elif model.body_inertia[body].max() <= SPECK_MOMENT:
-            notes.append(Note("taken", f"link {model.body(body).name!r}", "as a point: the file gives it a mass alone"))
+            notes.taken(f"link {model.body(body).name!r}", "as a point: the file gives it a mass alone")
     if model.body_gravcomp.any():
-        notes.append(Note("ignored", "gravity compensation", "all links weigh what they weigh"))
+        notes.ignored("gravity compensation", "all links weigh what they weigh")
     if names := [repr(body.name) for body in full.bodies if impossible(body)]:
         which = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
-        notes.append(Note("changed", "moments of inertia", f"no body can have those of {which}: made equal"))
+        notes.changed("moments of inertia", f"no body can have those of {which}: made equal")
 
 
-def _kept_upright(model: mujoco.MjModel, base: int, notes: list[Note]) -> None:
+def _kept_upright(model: mujoco.MjModel, base: int, notes: Notes) -> None:
     """Note a base that the file stands on another of its axes than z."""
     up = np.empty(3)
     mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.body_quat[base])
     if up[2] < _UPRIGHT:
         why = "is taken as up, although the file stands it otherwise"
-        notes.append(Note("changed", f"z axis of {model.body(base).name!r}", why))
+        notes.changed(f"z axis of {model.body(base).name!r}", why)
 
 
-def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: list[Note]) -> None:
+def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: Notes) -> None:
     """Note what is taken with the joints, and what they lack."""
     joints = [joint for chain in limbs.values() for joint in chain.joints]
     dofs = model.jnt_dofadr[joints]
@@ -219,13 +208,13 @@ def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: list[Note]) -
     ):  # fmt: skip
         if values.any():
             of = "" if what != "torque limits" or len(limited) == len(joints) else f", of {len(limited)} joints"
-            notes.append(Note("taken", what, f"{values.min():.3g} to {values.max():.3g}{of}"))
+            notes.taken(what, f"{values.min():.3g} to {values.max():.3g}{of}")
     if model.dof_dampingpoly[dofs].any() or model.jnt_stiffnesspoly[joints].any():
-        notes.append(Note("ignored", "damping and stiffness", "beyond the part that is linear"))
+        notes.ignored("damping and stiffness", "beyond the part that is linear")
     free = [joint for joint in joints if not model.jnt_limited[joint]]
     if free:
         how = f"half a turn either way, or {REACH:g} m where they slide"
-        notes.append(Note("changed", f"limits of {len(free)} joints", f"the file has none: {how}"))
+        notes.changed(f"limits of {len(free)} joints", f"the file has none: {how}")
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -233,28 +222,28 @@ def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: list[Note]) -
 
 
 def _gait(
-    section: dict[str, Any], stance: Stance, limbs: dict[str, Chain], reach: float, notes: list[Note]
+    section: dict[str, Any], stance: Stance, limbs: dict[str, Chain], reach: float, notes: Notes
 ) -> dict[str, Any]:
     """Return a crawl: up one side from behind, then up the other, strides and steps that all limbs can reach."""
     footholds, height = stance.footholds, stance.height
     order = sorted(range(len(limbs)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
     stride, step = _STRIDE * reach / _REACH, _STEP_HEIGHT * reach / _REACH
-    margin = judge(section, footholds, _MISSED * reach)
+    worth = worth_of(section, footholds, _MISSED * reach)
     for _ in range(_HALVINGS):
         moves = [np.array([x, 0.0]) for x in (-stride, stride)]
         stances = [Stance(height, footholds + move) for move in moves] + [Stance(height - step, footholds)]
-        if all(margin(stance) > 0 for stance in stances):
+        if all(worth(stance) > 0 for stance in stances):
             break
         stride, step = stride / 2, step / 2
     else:
         why = "limbs do not reach footholds even so near to those where they stand: look at the stance"
-        notes.append(Note("changed", f"stride {_two_digits(stride):g} m", why))
+        notes.changed(f"stride {_two_digits(stride):g} m", why)
     share = 1 - 1 / len(limbs)
     duty = max(0.75, -(-share * 100 // 1) / 100)
     names = list(limbs)
     shorter = round(_STRIDE * reach / _REACH / stride)
     within = f", the stride 1/{shorter} of that for joint limits" if shorter > 1 else ""
-    notes.append(Note("changed", "gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}"))
+    notes.changed("gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}")
     load = max(1.0, (_CRAWLING - 1) / (len(limbs) - 1))  # of each foot on the ground, in that of a robot of four
     return {
         "cycle": len(limbs) * load,
@@ -266,7 +255,7 @@ def _gait(
 
 
 def _hold_turns(
-    section: dict[str, Any], proportions: dict[str, Any], gait: dict[str, Any], size: float, notes: list[Note]
+    section: dict[str, Any], proportions: dict[str, Any], gait: dict[str, Any], size: float, notes: Notes
 ) -> None:
     """Give a robot that stands on one or two feet grips that transmit moments; `size` is its mass times reach squared.
 
@@ -281,13 +270,13 @@ def _hold_turns(
     if driven >= _ATTITUDE:
         for part in (contact, control):
             part |= {key: value * part[key] for key, value in _FIRM.items() if key in part}
-        notes.append(Note("changed", "grip", why + "; it and the joint loop are firm enough for one foot"))
+        notes.changed("grip", why + "; it and the joint loop are firm enough for one foot")
     else:
         gait["stride"] = _two_digits(gait["stride"] / _SHORT_STRIDE)
         why += (
             f"; it resists limbs of under {_ATTITUDE} joints, which turn their feet: short strides, and it may let go"
         )
-        notes.append(Note("changed", "grip", why))
+        notes.changed("grip", why)
     for part in (contact, control):
         part |= {key: _two_digits(part[key]) for key in (*_HOLDS_TURNS, "kp", "kd") if key in part}
 

@@ -37,15 +37,18 @@ def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
     while todo:
         body, before, parent, origin, axes = todo.pop()
         place, turn = data.xpos[body], data.xmat[body].reshape(3, 3)
-        made = parent.add_body(name=model.body(body).name, pos=axes.T @ (place - origin), quat=_quat(axes.T @ turn))
+        made = parent.add_body(
+            name=model.body(body).name, pos=axes.T @ (place - origin), quat=quaternion(axes.T @ turn)
+        )
         made.explicitinertial = True
         made.mass, made.ipos, made.iquat = model.body_mass[body], model.body_ipos[body], model.body_iquat[body]
         made.inertia = model.body_inertia[body]
         outwards = model.body_parentid[body] == before
         between = () if body == first else _joints(model, body) if outwards else _joints(model, before)[::-1]
         for joint in between:
-            _add_joint(made, model, joint, turn.T @ (data.xanchor[joint] - place),
-                       (1.0 if outwards else -1.0) * (turn.T @ data.xaxis[joint]))  # fmt: skip
+            moved = add_joint(made, model, joint, model.joint(joint).name)
+            moved.pos = turn.T @ (data.xanchor[joint] - place)
+            moved.axis = (1.0 if outwards else -1.0) * (turn.T @ data.xaxis[joint])
         for site in np.flatnonzero(model.site_bodyid == body):
             if model.site(site).name:
                 made.add_site(name=model.site(site).name, pos=model.site_pos[site], quat=model.site_quat[site])
@@ -58,13 +61,12 @@ def _joints(model: mujoco.MjModel, body: int) -> list[int]:
     return [int(model.body_jntadr[body]) + n for n in range(model.body_jntnum[body])]
 
 
-def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int, place: np.ndarray, axis: np.ndarray) -> None:
+def add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int, name: str) -> mujoco.MjsJoint:
+    """Add to a body a joint with the drive, spring and limits of one of a model, and return it."""
     dof = model.jnt_dofadr[joint]
     made = body.add_joint(
-        name=model.joint(joint).name,
+        name=name,
         type=mujoco.mjtJoint(model.jnt_type[joint]),
-        pos=place,
-        axis=axis,
         armature=model.dof_armature[dof],
         damping=[model.dof_damping[dof], 0, 0],
         frictionloss=model.dof_frictionloss[dof],
@@ -76,9 +78,11 @@ def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int, place: n
     if model.jnt_actfrclimited[joint]:
         most = one_limit(*model.jnt_actfrcrange[joint])
         made.actfrcrange, made.actfrclimited = [-most, most], mujoco.mjtLimited.mjLIMITED_TRUE
+    return made
 
 
-def _quat(rotation: np.ndarray) -> np.ndarray:
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
-    return quaternion
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Return the unit quaternion (4,) wxyz of a rotation matrix (3, 3)."""
+    found = np.empty(4)
+    mujoco.mju_mat2Quat(found, rotation.ravel())
+    return found

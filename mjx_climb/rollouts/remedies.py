@@ -7,9 +7,9 @@ import numpy as np
 
 from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.control import Law
-from mjx_climb.quantities.parameters import own_numbers
+from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.rollouts.rollout import rollout, rollout_metrics
+from mjx_climb.rollouts.functions import rollout, rollout_metrics
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 
@@ -25,13 +25,13 @@ def slow_enough(scenario: Scenario) -> tuple[Scenario, bool, str]:
         The scenario, two cycles long, whether it walks, and in words how it went: where none does, what fails although
         the slowest one has grips that never let go.
     """
-    own, cycle, robot = own_numbers(scenario), scenario.gait.cycle, load_robot(scenario.robot)
+    own, cycle, robot = own_parameters(scenario), scenario.gait.cycle, load_robot(scenario.robot)
     for times in SLOWER:
         cycles, endless = cycle * np.array(times), np.arange(len(times)) == 2
         walks = dataclasses.replace(own, cycle=cycles, holding_limit=np.where(endless, math.inf, own.holding_limit))
         span = 2 * float(cycles[0])
-        walked = rollout_metrics(scenario.with_overrides({"duration": span}), numbers=walks, dtype=np.float64)
-        upright = ~walked["diverged"] & (walked["base_deviation"] < robot.stance_position[2, 0] / 2)
+        walked = rollout_metrics(scenario.with_overrides({"duration": span}), parameters=walks, dtype=np.float64)
+        upright = ~walked["diverged"] & (walked["base_deviation"] < robot.stance_position[2] / 2)
         held = upright & (walked["detached_limb"] < 0) & ~endless
         if held.any():
             found = float(cycles[np.argmax(held)])
@@ -54,15 +54,15 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
     """Return in one line what pulls on the grips of a walk in which one let go, and with which changes less does.
 
     Walked again with grips that never let go: as it is, with twice the cycle (where the grip let go in the first half
-    of the walk), half the stride, joints half and twice as stiff. These are numbers of the compiled walk, so that each
-    costs no more than the walk.
+    of the walk), half the stride, joints half and twice as stiff. These are parameters of the compiled walk, so
+    that each costs no more than the walk.
 
     Arguments:
         scenario: what walked; its law where `law` is None.
         detached_at: when the first gripper let go, s.
         law: the control law that walked.
     """
-    own, gait, control = own_numbers(scenario), scenario.gait, scenario.control
+    own, gait, control = own_parameters(scenario), scenario.gait, scenario.control
     changes = {
         "": {},
         f"with gait.cycle={2 * gait.cycle:g}": {"cycle": 2.0},
@@ -75,12 +75,12 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
     pulls = []
     for change, factors in changes.items():
         changed = {name: getattr(own, name) * by for name, by in factors.items()}
-        numbers = dataclasses.replace(own, holding_limit=np.array(math.inf), **changed)
+        parameters = dataclasses.replace(own, holding_limit=np.array(math.inf), **changed)
         try:
-            check_time_step(scenario, numbers=numbers)
+            check_time_step(scenario, parameters=parameters)
         except ConfigError:
             continue
-        walk = rollout(scenario, numbers=numbers, law=law)
+        walk = rollout(scenario, parameters=parameters, law=law)
         with np.errstate(over="ignore"):  # where it diverges
             force = np.linalg.norm(walk.foot_force, axis=-1)
         pull = force[walk.support & (walk.foot_force[..., 2] < 0)].max(initial=0.0)

@@ -1,16 +1,15 @@
 """The full time histories of one robot's walk."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jax import Array
 from jaxtyping import Bool, Float
 
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.sample import Sample
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,7 +21,7 @@ class Trajectory:
 
     scenario: Scenario  # as it walked
     gains: Gains | Mapping[str, np.ndarray]  # by name, where the law has others than the paper's
-    numbers: Parameters  # the scenario's, or what was given in their place
+    parameters: Parameters  # the scenario's, or what was given in their place
     limbs: tuple[str, ...]  # their names, in order
     time: Float[np.ndarray, " time"]  # s
     base_position: Float[np.ndarray, "time 3"]  # m, of the base's centre of mass
@@ -59,36 +58,9 @@ class Trajectory:
     law: str = ""  # name of the control law, where it is not the scenario's
 
 
-def from_samples(
-    samples: Sample,
-    scenario: Scenario,
-    gains: Gains | Mapping[str, np.ndarray],
-    numbers: Parameters,
-    limbs: tuple[str, ...],
-    law: str = "",
-) -> Trajectory:
-    """Return the trajectory of samples stacked over time, (T, ..., 1) in the layout of the hot path."""
-
-    def public(stacked: Array) -> np.ndarray:
-        value = np.asarray(stacked)
-        if value.ndim == 1:
-            return value
-        return np.swapaxes(value[..., 0], 1, 2) if value.ndim == 4 else value[..., 0]
-
-    histories = {name: public(value) for name, value in samples._asdict().items()}
-    return Trajectory(scenario, gains, numbers, limbs, **histories, law=law)
-
-
-def to_samples(trajectory: Trajectory) -> Sample:
-    """Return the samples of a trajectory, stacked over time in the layout of the hot path: (T, ..., 1)."""
-
-    def hot(name: str) -> Any:
-        value = getattr(trajectory, name)
-        if name == "time":
-            return value
-        return (np.swapaxes(value, 1, 2) if value.ndim == 3 else value)[..., None]
-
-    samples = {name: hot(name) for name in Sample._fields}
-    for name in ("support", "contact", "detached", "torn_off", "missed", "reachable"):
-        samples[name] = np.asarray(getattr(trajectory, name))[..., None]
-    return Sample(**samples)
+def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
+    """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
+    result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
+    if "detached_limb" in values:
+        result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None
+    return result

@@ -7,8 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from mjx_climb.scenario.messages import failure
-from mjx_climb.scenario.section import Section
-from mjx_climb.scenario.values import NonNegative, Number, PositiveOrNull, Seed
+from mjx_climb.scenario.values import NonNegative, Number, PositiveOrNull, Section, Seed
 
 MAX_DELAY = 500  # time steps: each is a sample of a buffer, which a step reads whole
 

@@ -10,36 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from mjx_climb.scenario import values as v
 from mjx_climb.scenario.hardware import MAX_DELAY, Hardware
 from mjx_climb.scenario.messages import failure, refusal
-from mjx_climb.scenario.overrides import override
-from mjx_climb.scenario.section import Section
-from mjx_climb.scenario.values import (
-    Angle,
-    Bound,
-    Duty,
-    FileName,
-    Gain,
-    Gravity,
-    Height,
-    Heights,
-    JointNames,
-    Limit,
-    Name,
-    NonNegative,
-    Number,
-    Numbers,
-    OwnName,
-    Pair,
-    Positive,
-    Share,
-    Swings,
-    Threshold,
-    Vector,
-    Way,
-    Word,
-)
-from mjx_climb.scenario.yaml_text import dump, parse
+from mjx_climb.scenario.yaml_text import dump, override, parse
 
 MAX_STEPS = 10_000_000
 MIN_LIMBS, MAX_LIMBS = 2, 8
@@ -50,7 +24,7 @@ _ROUNDING = 1e-9
 AnySection = TypeVar("AnySection", bound=BaseModel)
 
 
-class _ByName(Section):
+class _ByName(v.Section):
     """A section whose keys are names of the user's, each with a value of one kind."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -66,17 +40,17 @@ class _ByName(Section):
 class Phases(_ByName):
     """When each limb lifts off, by its name."""
 
-    __pydantic_extra__: dict[str, Share]
+    __pydantic_extra__: dict[str, v.Share]
 
 
-class Gait(Section):
+class Gait(v.Section):
     """Periodic gait: which limbs swing when, how far and how high."""
 
-    cycle: Positive = Field(default=4.0, description="period of the gait, s; a whole number of time steps")
-    duty: Duty = Field(default=0.75, description="share of the cycle that each limb is gripped, 1")
-    stride: Way = Field(default=0.05, description="way of the base per cycle, m")
-    step_height: Height = Field(default=0.03, description="height of a swing foot's arc over the ground, m")
-    sequence: Swings = Field(
+    cycle: v.Positive = Field(default=4.0, description="period of the gait, s; a whole number of time steps")
+    duty: v.Duty = Field(default=0.75, description="share of the cycle that each limb is gripped, 1")
+    stride: v.Way = Field(default=0.05, description="way of the base per cycle, m")
+    step_height: v.Height = Field(default=0.03, description="height of a swing foot's arc over the ground, m")
+    sequence: v.Swings = Field(
         default=("LH", "LF", "RH", "RF"),
         description="order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",
     )
@@ -91,7 +65,7 @@ class Gait(Section):
         default="nominal",
         description="where each cycle's base reference starts: where planned, or where the base is",
     )
-    heading: Angle = Field(default=0.0, description="direction of walking and initial yaw about world z, rad")
+    heading: v.Angle = Field(default=0.0, description="direction of walking and initial yaw about world z, rad")
 
     @property
     def lift_off(self) -> dict[str, float]:
@@ -108,19 +82,19 @@ class Footholds(_ByName):
     By the limb's name; a limb that is not named has all of them at zero.
     """
 
-    __pydantic_extra__: dict[str, Heights]
+    __pydantic_extra__: dict[str, v.Heights]
 
 
-class HeightMap(Section):
+class HeightMap(v.Section):
     """Heights on a grid: rows along y, columns along x; a PNG's top row is its far side, the largest y."""
 
-    file: FileName = Field(description="grid, .csv, .npy or .png (grey, 0 to 1); beside the config, if relative")
-    resolution: Positive = Field(description="distance between neighbouring samples, m")
-    origin: Pair = Field(default=(-0.5, -0.5), description="x and y of the sample with the smallest x and y, m")
-    scale: Number = Field(default=1.0, description="height of one unit of the file, m")
+    file: v.FileName = Field(description="grid, .csv, .npy or .png (grey, 0 to 1); beside the config, if relative")
+    resolution: v.Positive = Field(description="distance between neighbouring samples, m")
+    origin: v.Pair = Field(default=(-0.5, -0.5), description="x and y of the sample with the smallest x and y, m")
+    scale: v.Number = Field(default=1.0, description="height of one unit of the file, m")
 
 
-class Ground(Section):
+class Ground(v.Section):
     """Uneven ground; flat at height zero unless one of these is given."""
 
     footholds: Footholds | None = Field(default=None, description="a height for each foothold")
@@ -133,27 +107,27 @@ class Ground(Section):
         return self
 
 
-class Contact(Section):
+class Contact(v.Section):
     """Spring-damper between a gripped foot and its grip point."""
 
-    stiffness: Positive = Field(default=1.0e4, description="contact stiffness per axis, N/m")
-    damping: NonNegative = Field(default=20.0, description="contact damping per axis, N s/m")
-    rotational_stiffness: NonNegative = Field(
+    stiffness: v.Positive = Field(default=1.0e4, description="contact stiffness per axis, N/m")
+    damping: v.NonNegative = Field(default=20.0, description="contact damping per axis, N s/m")
+    rotational_stiffness: v.NonNegative = Field(
         default=0.0, description="stiffness of a grip against turning, N m/rad; 0: a foot is held as a point"
     )
-    rotational_damping: NonNegative = Field(
+    rotational_damping: v.NonNegative = Field(
         default=0.0, description="damping of a grip against turning, N m s/rad; felt with a rotational_stiffness"
     )
-    holding_limit: Limit = Field(
+    holding_limit: v.Limit = Field(
         default=15.0, description="force above which a pulled gripper lets go, N; null: grippers never let go"
     )
-    capture_distance: Limit = Field(
+    capture_distance: v.Limit = Field(
         default=None,
         description="how far off the ground a foot may be for its shutting gripper to hold, m; null: any distance",
     )
 
 
-class Control(Section):
+class Control(v.Section):
     """Joint loop and an admittance law around it. Six values: translations x, y, z, then rotations."""
 
     controller: Literal["pd", "base_admittance", "end_effector_admittance"] = Field(
@@ -164,22 +138,22 @@ class Control(Section):
         default="virtual_model",
         description="form of Eq. 3 in discrete time: own state, or measured base motion",
     )
-    inertia: Gain = Field(default=1.0, description="virtual inertia M, kg (translations), kg m^2 (rotations)")
-    damping: Gain = Field(default=5.0e3, description="virtual damping D, N s/m (translations), N m s/rad (rotations)")
-    stiffness: Gain = Field(default=5.0e4, description="virtual stiffness K, N/m (translations), N m/rad (rotations)")
-    kp: Positive = Field(default=50.0, description="proportional gain of the joint loop, N m/rad")
-    kd: NonNegative = Field(default=0.2, description="derivative gain of the joint loop, N m s/rad")
+    inertia: v.Gain = Field(default=1.0, description="virtual inertia M, kg (translations), kg m^2 (rotations)")
+    damping: v.Gain = Field(default=5.0e3, description="virtual damping D, N s/m (translations), N m s/rad (rotations)")
+    stiffness: v.Gain = Field(default=5.0e4, description="virtual stiffness K, N/m (translations), N m/rad (rotations)")
+    kp: v.Positive = Field(default=50.0, description="proportional gain of the joint loop, N m/rad")
+    kd: v.NonNegative = Field(default=0.2, description="derivative gain of the joint loop, N m s/rad")
     integration: Literal["exact", "semi_implicit"] = Field(
         default="exact",
         description="of the virtual mass: exact, or semi-implicit Euler in substeps of at most 2 ms, as on the robot",
     )
-    deadband: Threshold = Field(
+    deadband: v.Threshold = Field(
         default=0.0, description="forces and moments below it count as zero, N, N m; a number, or one of each"
     )
-    max_offset: Bound = Field(
+    max_offset: v.Bound = Field(
         default=None, description="largest shift by the virtual mass, m, rad; a number, one of each, or null: any"
     )
-    max_velocity: Bound = Field(
+    max_velocity: v.Bound = Field(
         default=None, description="largest rate of the virtual mass, m/s, rad/s; a number, one of each, or null: any"
     )
 
@@ -196,7 +170,7 @@ class Control(Section):
         return self
 
 
-class _Window(Section):
+class _Window(v.Section):
     """A span of time, start <= t < stop."""
 
     if TYPE_CHECKING:  # each kind of window has them in its own order
@@ -214,34 +188,34 @@ class _Window(Section):
 class Cargo(_Window):
     """Point mass that sits at the base's centre of mass for a while."""
 
-    mass: NonNegative = Field(default=0.0, description="mass, kg; 0: no cargo")
-    start: NonNegative = Field(default=2.0, description="time of loading, s")
-    stop: Limit = Field(default=None, description="time of unloading, s; null: stays until the end")
+    mass: v.NonNegative = Field(default=0.0, description="mass, kg; 0: no cargo")
+    start: v.NonNegative = Field(default=2.0, description="time of loading, s")
+    stop: v.Limit = Field(default=None, description="time of unloading, s; null: stays until the end")
 
 
 class Push(_Window):
     """Constant wrench on the base for a while."""
 
-    force: Vector = Field(description="force on the base, world axes, N")
-    moment: Vector = Field(default=(0.0, 0.0, 0.0), description="moment on the base, world axes, N m")
-    start: NonNegative = Field(description="first instant, s")
-    stop: Limit = Field(default=None, description="last instant, s; null: until the end")
+    force: v.Vector = Field(description="force on the base, world axes, N")
+    moment: v.Vector = Field(default=(0.0, 0.0, 0.0), description="moment on the base, world axes, N m")
+    start: v.NonNegative = Field(description="first instant, s")
+    stop: v.Limit = Field(default=None, description="last instant, s; null: until the end")
 
 
-class Disturbance(Section):
+class Disturbance(v.Section):
     """What happens to the robot on its way."""
 
     cargo: Cargo = Field(default=Cargo(), description="cargo on the base")
     pushes: tuple[Push, ...] = Field(default=(), description="pushes on the base; they add up where they overlap")
 
 
-class Limb(Section):
+class Limb(v.Section):
     """One limb of a robot from a file."""
 
-    joints: JointNames = Field(description="names of its joints, two to seven, from the base outwards")
-    foot: Word = Field(description="name of the site, body or link that is the foot")
-    at: Vector = Field(default=(0.0, 0.0, 0.0), description="where on it the foot is, in its own frame, m")
-    foothold: Pair = Field(
+    joints: v.JointNames = Field(description="names of its joints, two to seven, from the base outwards")
+    foot: v.Word = Field(description="name of the site, body or link that is the foot")
+    at: v.Vector = Field(default=(0.0, 0.0, 0.0), description="where on it the foot is, in its own frame, m")
+    foothold: v.Pair = Field(
         description="where the foot stands in the rest stance: x ahead, y left, base link's frame, m"
     )
 
@@ -262,15 +236,15 @@ class Limbs(_ByName):
 class Locked(_ByName):
     """Joints of a robot's file that are held for good: their names and values, rad or m."""
 
-    __pydantic_extra__: dict[str, Number]
+    __pydantic_extra__: dict[str, v.Number]
 
 
-class Spring(Section):
+class Spring(v.Section):
     """A joint that nothing drives."""
 
-    stiffness: NonNegative = Field(description="stiffness, N m/rad, or N/m of a sliding joint")
-    damping: NonNegative = Field(default=0.0, description="damping beside the file's, N m s/rad, or N s/m")
-    rest: Number = Field(default=0.0, description="where the spring is slack, rad, or m")
+    stiffness: v.NonNegative = Field(description="stiffness, N m/rad, or N/m of a sliding joint")
+    damping: v.NonNegative = Field(default=0.0, description="damping beside the file's, N m s/rad, or N s/m")
+    rest: v.Number = Field(default=0.0, description="where the spring is slack, rad, or m")
 
 
 class Springs(_ByName):
@@ -279,12 +253,12 @@ class Springs(_ByName):
     __pydantic_extra__: dict[str, Spring]
 
 
-class RobotFile(Section):
+class RobotFile(v.Section):
     """A robot of one's own; its base link's axes are x ahead, y left, z up."""
 
-    file: FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
-    height: Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
-    base: Word | None = Field(
+    file: v.FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
+    height: v.Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
+    base: v.Word | None = Field(
         default=None, description="body that the limbs begin at, where the file's root is a foot; null: as in the file"
     )
     limbs: Limbs = Field(description="joints and feet")
@@ -297,25 +271,27 @@ def _kind_of_robot(value: Any) -> str:
 
 
 AnyRobot = Annotated[
-    Annotated[Name, Tag("name")] | Annotated[RobotFile, Tag("file")],
+    Annotated[v.Name, Tag("name")] | Annotated[RobotFile, Tag("file")],
     Discriminator(_kind_of_robot),
 ]
 
 
-class OwnObject(Section):
+class OwnObject(v.Section):
     """What a file of the user's defines, and the options that name it as FILE.py:NAME."""
 
-    file: FileName | None = Field(
+    file: v.FileName | None = Field(
         default=None, description="file of Python, beside the config, if relative; null: it was defined in a session"
     )
-    name: OwnName = Field(description="its name in the file")
-    digest: OwnName | None = Field(default=None, description="SHA-256 of file and imports beside it; null: any will do")
+    name: v.OwnName = Field(description="its name in the file")
+    digest: v.OwnName | None = Field(
+        default=None, description="SHA-256 of file and imports beside it; null: any will do"
+    )
 
 
 class OwnGains(_ByName):
     """Gains by the names that a law of one's own gives them."""
 
-    __pydantic_extra__: dict[str, Numbers]
+    __pydantic_extra__: dict[str, v.Numbers]
 
 
 class OwnLaw(OwnObject):
@@ -324,7 +300,7 @@ class OwnLaw(OwnObject):
     gains: OwnGains = Field(default=OwnGains(), description="in place of its own, SI units")
 
 
-class Own(Section):
+class Own(v.Section):
     """What walked, or judged the walks, beside what comes with the program."""
 
     law: OwnLaw | None = Field(default=None, description="control law in place of the control section's")
@@ -332,13 +308,13 @@ class Own(Section):
     objective: OwnObject | None = Field(default=None, description="objective of a search from Python")
 
 
-class Scenario(Section):
+class Scenario(v.Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
     robot: AnyRobot = Field(default="hubrobo_v3_2", description="name of the robot, or one's own from a file")
-    gravity: Gravity = Field(default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it")
-    duration: Positive = Field(default=8.0, description="length of the walk, s; a whole number of time steps")
-    time_step: Positive = Field(default=0.001, description="time step of the simulation, s")
+    gravity: v.Gravity = Field(default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it")
+    duration: v.Positive = Field(default=8.0, description="length of the walk, s; a whole number of time steps")
+    time_step: v.Positive = Field(default=0.001, description="time step of the simulation, s")
     gait: Gait = Field(default=Gait(), description="how the limbs move")
     ground: Ground = Field(default=Ground(), description="heights of the footholds")
     contact: Contact = Field(default=Contact(), description="how the grippers hold the ground")
@@ -349,30 +325,25 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _whole_steps(self) -> Scenario:
-        for key, span in (("duration", self.duration), ("gait.cycle", self.gait.cycle)):
+        hardware, step = self.hardware, f"time steps of {self.time_step:g} s"
+        for key, span, none in (
+            ("duration", self.duration, ""),
+            ("gait.cycle", self.gait.cycle, ""),
+            ("hardware.control_period", hardware.control_period, ", or 0"),
+        ):
             steps = span / self.time_step
             if steps > MAX_STEPS:
-                raise failure(f"at most {MAX_STEPS} time steps of {self.time_step:g} s", key=key, got=span)
-            if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
-                raise failure(f"a whole number of time steps of {self.time_step:g} s", key=key, got=span)
-        period = self.hardware.control_period / self.time_step
-        if period > MAX_STEPS:
-            expected = f"at most {MAX_STEPS} time steps of {self.time_step:g} s"
-            raise failure(expected, key="hardware.control_period", got=self.hardware.control_period)
-        if not math.isclose(period, round(period), rel_tol=1e-9, abs_tol=1e-9):
-            expected = f"a whole number of time steps of {self.time_step:g} s, or 0"
-            raise failure(expected, key="hardware.control_period", got=self.hardware.control_period)
-        hardware = self.hardware
+                raise failure(f"at most {MAX_STEPS} {step}", key=key, got=span)
+            if (not none and round(steps) < 1) or not math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9):
+                raise failure(f"a whole number of {step}{none}", key=key, got=span)
         for key, delay in (
             ("command_delay", hardware.command_delay), ("force_sensor.delay", hardware.force_sensor.delay),
             ("base_estimate.delay", hardware.base_estimate.delay), ("servo.delay", hardware.servo.delay),
         ):  # fmt: skip
             if delay / self.time_step > MAX_DELAY:
-                expected = f"at most {MAX_DELAY} time steps of {self.time_step:g} s"
-                raise failure(expected, key=f"hardware.{key}", got=delay)
+                raise failure(f"at most {MAX_DELAY} {step}", key=f"hardware.{key}", got=delay)
         if int((1 - self.gait.duty) * self.gait.cycle / self.time_step + 1e-6) < 2:
-            expected = f"a swing, (1 - duty) cycle, of two time steps of {self.time_step:g} s or more"
-            raise failure(expected, key="gait.duty", got=self.gait.duty)
+            raise failure(f"a swing, (1 - duty) cycle, of two {step} or more", key="gait.duty", got=self.gait.duty)
         return self
 
     @model_validator(mode="after")
@@ -398,11 +369,8 @@ class Scenario(Section):
         if gait.phases is None:
             least = 1 - 1 / len(gait.sequence)
             if gait.duty < least - _ROUNDING:
-                key, expected = (
-                    "gait.duty",
-                    f"a number from {least:g} to below 1, so that one swing ends as the next begins",
-                )
-                raise failure(expected, key=key, got=gait.duty)
+                expected = f"a number from {least:g} to below 1, so that one swing ends as the next begins"
+                raise failure(expected, key="gait.duty", got=gait.duty)
             return self
         for limb, phase in gait.lift_off.items():
             if phase + swing > 1 + _ROUNDING:

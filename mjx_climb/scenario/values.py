@@ -1,12 +1,33 @@
-"""The types of a scenario's values. Each says in words what it expects, whatever the way in which a value fails."""
+"""The sections of a scenario and the types of their values, each of which says in words what it expects."""
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from pydantic import AfterValidator, Field, Strict, ValidationError, WrapValidator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator
 
-from mjx_climb.scenario.messages import failure
+from mjx_climb.scenario.messages import failure, refusal
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as _ModelMetaclass
+else:
+    _ModelMetaclass = type(BaseModel)
+
+
+class _OneLine(_ModelMetaclass):
+    """Makes a section that is built in Python refuse bad values as one from YAML does."""
+
+    def __call__(cls, *args: Any, **values: Any) -> Any:
+        try:
+            return super().__call__(*args, **values)
+        except ValidationError as invalid:
+            raise refusal(invalid, cast(type[BaseModel], cls), cls.__name__) from None
+
+
+class Section(BaseModel, metaclass=_OneLine):
+    """A section of a scenario."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 def _expects(text: str) -> WrapValidator:

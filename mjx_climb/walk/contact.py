@@ -1,6 +1,6 @@
 """Grip: a spring-damper between a foot and the point where it gripped, and its letting go."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -10,54 +10,49 @@ from mjx_climb.dynamics.spatial import norm
 from mjx_climb.quantities.parameters import Parameters
 
 
-class Contact(NamedTuple):
-    """What the contacts remember between steps."""
-
-    grip_point: Array  # (3, L, B) m, world
-    touching: Array  # (L, B) bool: the ground acted on the foot at the last step
-    detached: Array  # (L, B) bool: the gripper was torn off, for good
-    reach: Any = ()  # `Reach` where grippers hold only what is within reach
-    attitude: Any = ()  # `Attitude` where grips transmit moments
-
-
 class Reach(NamedTuple):
-    """What grippers with a reach remember."""
+    """What grippers with a capture distance remember."""
 
-    shut: Array  # (L, B) bool: commanded shut at the last step
-    missed: Array  # (L, B) bool: shut out of reach, and open since
+    shut: Array  # (limb,) bool: commanded shut at the last step
+    missed: Array  # (limb,) bool: shut out of reach, and open since
 
 
 class Attitude(NamedTuple):
     """What grips that transmit moments remember."""
 
-    rotation: Array  # (3, 3, L, B), of the foot when its gripper last shut
-    held: Array  # (L, B) bool: the gripper held at the last step
+    rotation: Array  # (limb, 3, 3), of the foot when its gripper last shut
+    held: Array  # (limb,) bool: the gripper held at the last step
+
+
+class Contact(NamedTuple):
+    """What the contacts remember from step to step."""
+
+    grip_point: Array  # (limb, 3) m, world
+    touching: Array  # (limb,) bool: the ground acted on the foot at the last step
+    detached: Array  # (limb,) bool: the gripper was torn off, for good
+    reach: Reach | tuple[()] = ()  # where grippers have a capture distance
+    attitude: Attitude | tuple[()] = ()  # where grips transmit moments
 
 
 class Grip(NamedTuple):
     """Contacts of one step."""
 
-    force: Array  # (3, L, B) N, of the ground on the foot, world axes
-    support: Array  # (L, B) bool: the gripper holds
-    torn_off: Array  # (L, B) bool: the holding limit was passed in this step
-    missed: Any  # (L, B) bool: it shut out of reach in this step; () without a `Reach`
-    moment: Any  # (3, L, B) N m, of the ground on the foot, world axes; () without an `Attitude`
+    force: Array  # (limb, 3) N, of the ground on the foot, world axes
+    moment: Array  # (limb, 3) N m, of the ground on the foot, world axes; zero unless grips transmit moments
+    support: Array  # (limb,) bool: the gripper holds
+    torn_off: Array  # (limb,) bool: the holding limit was passed in this step
+    missed: Array  # (limb,) bool: it shut out of reach in this step
 
 
 def grip(
-    contact: Contact,
-    feet: Feet,
-    closed: Array,
-    ground: Array,
-    numbers: Parameters,
-    turning: Turning | None = None,
+    contact: Contact, feet: Feet, closed: Array, ground: Array, parameters: Parameters, turning: Turning | None = None
 ) -> tuple[Contact, Grip]:
     """Return the contacts after this step and the forces in it.
 
-    `ground` is the height of the ground below each foot, (L, B) m. A shut gripper holds its foot to the grip point both
-    ways. An open one, or one torn off, feels the ground while its foot is at or below it. The grip point is below the
-    foot, at the ground's height, where the gripper shuts or the foot first touches. A supporting limb lets go, from the
-    next step on, when the ground pulls its foot down with more than the holding limit in all (ClimbLab's rule).
+    A shut gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while its
+    foot is at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or the
+    foot first touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down and the
+    whole force is larger than the holding limit (ClimbLab's rule).
 
     With a `Reach` and a finite capture distance a gripper that shuts further off the ground than the capture
     distance holds nothing and stays open until its next swing, and the ground only pushes a foot whose gripper is
@@ -65,43 +60,47 @@ def grip(
 
     With an `Attitude` a gripper that holds also keeps its foot from turning, by the sine of the angle from the attitude
     in which it shut (the gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
+
+    Arguments:
+        contact: what the last step left.
+        feet: positions and velocities.
+        closed: (limb,) which grippers are commanded shut.
+        ground: (limb,) m, height of the ground below each foot.
+        parameters: of contacts and grippers.
+        turning: attitudes and angular velocities of the feet, where grips transmit moments.
     """
-    ground = jnp.broadcast_to(ground, feet.position[2].shape)
-    support, reach = closed & ~contact.detached, contact.reach
-    missed: Any = ()
+    height = feet.position[:, 2]
+    support, missed, caught = closed & ~contact.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
+    reach = contact.reach
     if reach:
-        anywhere = jnp.isinf(numbers.capture_distance)
-        shuts = support & ~reach.shut & ~anywhere
-        missed = shuts & (feet.position[2] - ground > numbers.capture_distance)
+        limited = jnp.isfinite(parameters.capture_distance)
+        caught = support & ~reach.shut & limited
+        missed = caught & (height - ground > parameters.capture_distance)
         reach = Reach(closed, closed & (reach.missed | missed))
         support = support & ~reach.missed
-    touching = support | (feet.position[2] <= ground)
-    fresh = touching & ~contact.touching
+    touching = support | (height <= ground)
+    # a gripper with a capture distance anchors anew when it shuts, though its foot touched before
+    fresh = (touching & ~contact.touching) | caught
+    below = jnp.concatenate([feet.position[:, :2], ground[:, None]], axis=1)
+    grip_point = jnp.where(fresh[:, None], below, contact.grip_point)
+    stretched = feet.position - grip_point
+    force = -parameters.contact_stiffness * stretched - parameters.contact_damping * feet.velocity
+    force = jnp.where(touching[:, None], force, 0.0)
     if reach:
-        fresh = fresh | shuts
-    below = jnp.stack([feet.position[0], feet.position[1], ground])
-    grip_point = jnp.where(fresh, below, contact.grip_point)
-    spring_damper = -numbers.contact_stiffness * (feet.position - grip_point) - numbers.contact_damping * feet.velocity
-    force = jnp.where(touching, spring_damper, 0.0)
-    if reach:
-        force = jnp.where(support | anywhere, force, _push(force))
-    torn_off = support & (force[2] < 0) & (norm(force) > numbers.holding_limit)
-    attitude: Any = contact.attitude
-    moment: Any = ()
-    if turning is not None:
-        attitude, moment = _resisted(attitude, turning, support, numbers)
+        push = jnp.concatenate([jnp.zeros_like(force[:, :2]), jnp.maximum(force[:, 2:], 0.0)], axis=1)
+        force = jnp.where((support | ~limited)[:, None], force, push)
+    torn_off = support & (force[:, 2] < 0) & (norm(force) > parameters.holding_limit)
+    attitude, moment = contact.attitude, jnp.zeros_like(force)
+    if attitude and turning is not None:
+        attitude, moment = _resisted(attitude, turning, support, parameters)
     after = Contact(grip_point, touching, contact.detached | torn_off, reach, attitude)
-    return after, Grip(force, support, torn_off, missed, moment)
+    return after, Grip(force, moment, support, torn_off, missed)
 
 
-def _resisted(attitude: Attitude, turning: Turning, support: Array, numbers: Parameters) -> tuple[Attitude, Array]:
-    """Return the attitudes that grips hold on to, and the moments by which they do, (3, L, B) N m."""
-    rotation = jnp.where(support & attitude.held, attitude.rotation, turning.rotation)
-    moment = numbers.rotational_stiffness * turn_between(turning.rotation, rotation)
-    moment = moment - numbers.rotational_damping * turning.velocity
-    return Attitude(rotation, support), jnp.where(support, moment, 0.0)
-
-
-def _push(force: Array) -> Array:
-    """Return what of a force (3, L, B) pushes along the ground's normal."""
-    return jnp.stack([jnp.zeros_like(force[0]), jnp.zeros_like(force[1]), jnp.maximum(force[2], 0.0)])
+def _resisted(attitude: Attitude, turning: Turning, support: Array, parameters: Parameters) -> tuple[Attitude, Array]:
+    """Return the attitudes that grips hold on to, and the moments by which they do, (limb, 3) N m."""
+    holds_on = (support & attitude.held)[:, None, None]
+    rotation = jnp.where(holds_on, attitude.rotation, turning.rotation)
+    moment = parameters.rotational_stiffness * turn_between(turning.rotation, rotation)
+    moment = moment - parameters.rotational_damping * turning.velocity
+    return Attitude(rotation, support), jnp.where(support[:, None], moment, 0.0)

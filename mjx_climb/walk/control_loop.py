@@ -1,66 +1,80 @@
 """One pass of the robot's own loop: sensors, law, inverse kinematics, bus, joint loop, servos."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control import Command, Measurement, Reference, running
-from mjx_climb.control.base_shift import shifted_by
-from mjx_climb.control.joint_loop import joint_torque
+from mjx_climb.control import Command, Law, Measurement, Reference, Start, shifted
+from mjx_climb.control import begin as begin_law
+from mjx_climb.dynamics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
-from mjx_climb.dynamics.spatial import quaternion_to_matrix, rotate_back
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
-from mjx_climb.hardware import base_estimate, control_period, delay, force_sensor, servo
-from mjx_climb.hardware.pace import Pace
-from mjx_climb.hardware.stages import Stages
-from mjx_climb.quantities.parameters import Parameters
-from mjx_climb.walk.action import Action, JointTargets, displacement_of
-from mjx_climb.walk.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
+from mjx_climb.hardware import sensors, servo, signals
+from mjx_climb.hardware.stages import Hardware
 
 
-class Controller(NamedTuple):
+class JointTargets(NamedTuple):
+    """An action: where the joint loop should take the joints; no inverse kinematics, no law."""
+
+    angles: Array  # (limb, joint) rad
+
+
+class BaseShift(NamedTuple):
+    """An action: how far the base should be from its reference, along the reference's axes; the feet as planned."""
+
+    displacement: Array  # (6,) m, rad: a translation and a rotation vector
+
+
+Action = JointTargets | BaseShift | None  # None: what the law commands
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Controller:
     """What stays the same from step to step."""
 
-    law: running.Running
+    law: Law
     geometry: LimbGeometry | Chain
-    numbers: Parameters
-    stages: Stages
-    pace: Pace
-    time_step: float
+    hardware: Hardware
 
 
-class Said(NamedTuple):
-    """What the law said when it was worked out last, and where the joint targets were before."""
+class Held(NamedTuple):
+    """What the law commanded when it was evaluated last, and where the joint targets were before."""
 
     command: Command
     joints: JointSolution
-    before: Any  # (N, L, B) rad, () where targets are held
+    before: Any  # (limb, joint) rad, () where targets are held
 
 
 class Memory(NamedTuple):
-    """What the stages of hardware remember; empty where a walk has no such stage."""
+    """What goes from one pass to the next; empty where a walk has no such stage of hardware."""
 
-    force_sensor: force_sensor.ForceSensor
-    filtered: Any  # (3, L, B) N and (6, B) N, N m, of what the law samples; () where it filters nothing
+    law: Any  # its state
+    force_sensor: sensors.ForceSensor
+    filtered: Any  # foot forces (limb, 3) N and wrench (6,) N, N m that the law samples; () where it filters nothing
     base_estimate: Any
-    said: Any  # `Said`
-    targets: Any  # buffer of joint targets (N, L, B) rad
+    held: Any  # `Held`
+    targets: signals.Buffer  # of joint targets (limb, joint) rad
     servo: servo.Servo
-    posture: Any  # (N, L, B) rad, the joint angles last solved for, () where there is a closed form
+    posture: Any  # (limb, joint) rad, the joint angles last solved for, () where there is a closed form
 
 
-class Contacts(NamedTuple):
-    """What acts on the feet, and the wrench that it amounts to."""
+class Actual(NamedTuple):
+    """What is true in a step, whatever the sensors measure of it."""
 
-    lever: Array  # (3, L, B) m, from the base to the feet
-    force: Array  # (3, L, B) N
-    support: Array  # (L, B) bool
-    wrench: Array  # (6, B) N, N m
-    moment: Any = ()  # (6, B) N, N m, what of it are moments of the grips; () where they transmit none
+    state: State
+    lever: Array  # (limb, 3) m, from the base to the feet
+    foot_force: Array  # (limb, 3) N
+    support: Array  # (limb,) bool
+    wrench: Array  # (6,) N, N m, of all that the feet transmit
+    grip_moment: Array | None = None  # (3,) N m, what of the wrench are moments of grips; None where they bear none
 
 
-class Driven(NamedTuple):
+class Output(NamedTuple):
     """What a pass ends in."""
 
     command: Command
@@ -68,98 +82,107 @@ class Driven(NamedTuple):
     drive: servo.Drive
 
 
-def start(state: State, feet: Array, controller: Controller) -> Memory:
-    """Return the memory of a robot that has always rested in a state, with `feet` (3, L, B) m in the world."""
-    angles, stages = state.joint_angles, controller.stages
-    said: Any = ()
-    no_force, no_shift = jnp.zeros_like(feet), jnp.zeros_like(jnp.concatenate([state.base_position] * 2))
+def begin(controller: Controller, state: State, reference: Reference) -> Memory:
+    """Return the memory of a robot that has always rested in a state, with its feet where the reference has them.
+
+    Raises:
+        ValueError: the law's `step` does not keep what its `init` returns.
+    """
+    hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
+    stages, no_force = hardware.stages, jnp.zeros_like(feet)
+    no_wrench = jnp.zeros_like(state.base_position, shape=6)
+    held: Any = ()
     if stages.control_period:
-        command = Command(state.base_position, state.base_orientation, feet, no_shift)
-        joints = JointSolution(angles, jnp.ones(angles.shape[1:], bool))
-        said = Said(command, joints, angles if stages.linear else ())
+        command = Command(state.base_position, state.base_orientation, feet, no_wrench)
+        joints = JointSolution(angles, jnp.ones(len(angles), bool))
+        held = Held(command, joints, angles if stages.linear else ())
     return Memory(
-        force_sensor=force_sensor.start(no_force, stages),
-        filtered=(no_force, no_shift) if stages.sampled_filter else (),
-        base_estimate=base_estimate.start(base_estimate.true_base(state), stages),
-        said=said,
-        targets=delay.start(angles, stages.command_delay),
-        servo=servo.start(jnp.zeros_like(angles), stages),
+        law=begin_law(controller.law, Start(hardware.law_period, reference)),
+        force_sensor=sensors.resting_force_sensor(no_force, stages),
+        filtered=(no_force, no_wrench) if stages.sampled_filter else (),
+        base_estimate=sensors.resting_estimate(sensors.true_base(state), stages),
+        held=held,
+        targets=signals.filled(angles, stages.command_delay),
+        servo=servo.resting_servo(angles, stages),
         posture=angles if isinstance(controller.geometry, Chain) else (),
     )
 
 
-def _transposed_times(rotation: Array, other: Array) -> Array:
-    """Return `R^T S` (3, 3, B)."""
-    return jnp.stack([rotate_back(rotation, other[:, column]) for column in range(3)], axis=1)
+def control(
+    controller: Controller, memory: Memory, actual: Actual, reference: Reference, step: Array, action: Action = None
+) -> tuple[Memory, Output]:
+    """Return the memory after a step, and what the joints do in it; `step` counts them, ().
 
-
-def run(
-    controller: Controller,
-    memory: Memory,
-    law_state: Any,
-    state: State,
-    contacts: Contacts,
-    reference: Reference,
-    step: Array,
-    action: Action = None,
-) -> tuple[Memory, Any, Driven]:
-    """Return the memory and the law's state after a step, and what the joints do in it.
-
-    An action takes the place of the law, which then stays as it is; its way to the joints is the same.
+    An action takes the place of the law, whose state then stays as it is; its way to the joints is the same.
     """
-    numbers, stages, pace = controller.numbers, controller.stages, controller.pace
-    sensor, force, wrench = memory.force_sensor, contacts.force, contacts.wrench
-    if stages.force:
-        sensor, force = force_sensor.measured(sensor, force, step, numbers, stages, pace.force, pace.filter_share)
-        wrench = base_wrench_of_foot_force(contacts.lever, force)
-        wrench = wrench + contacts.moment if stages.rotational else wrench
-    if stages.control_period:
-        into = control_period.steps_into(step, pace.period)
-        now = into == 0
-    filtered = memory.filtered
-    if stages.sampled_filter:
-        pairs = zip(filtered, (force, wrench), strict=True)
-        force, wrench = (force_sensor.low_passed(before, new, pace.filter_share) for before, new in pairs)
-        if stages.control_period:
-            force, wrench = control_period.held(now, (force, wrench), filtered)
-        filtered = force, wrench
-    buffers, base = base_estimate.estimated(
-        memory.base_estimate, base_estimate.true_base(state), step, numbers, stages, pace.base
-    )
+    hardware = controller.hardware
+    stages, pace, state = hardware.stages, hardware.pace, actual.state
+    into = signals.steps_into(step, pace.period) if stages.control_period else jnp.zeros(())
+    memory, measured = _measure(hardware, memory, actual, step, into)
 
-    measurement = Measurement(*base, force, wrench, contacts.support)
-    after, command = controller.law.command(law_state, measurement, reference)
+    law_state, command = controller.law.step(memory.law, measured, reference)
     if action is not None:
-        after, command = law_state, shifted_by(reference, displacement_of(action, wrench))
-    rotation = quaternion_to_matrix(command.base_orientation)
-    target = rotate_back(rotation[:, :, None], command.foot_position - command.base_position[:, None])
-    posture: Any = ()
-    if isinstance(controller.geometry, Chain):
-        turn = _transposed_times(rotation, quaternion_to_matrix(reference.base_orientation))
-        joints = inverse_kinematics(controller.geometry, target, memory.posture, turn)
-        posture = joints.joint_angles
-    else:
-        joints = inverse_kinematics(controller.geometry, target)
+        displacement = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(actual.wrench)
+        law_state, command = memory.law, shifted(reference, displacement)
+    memory, joints = _solve(controller.geometry, memory, command, reference)
     if isinstance(action, JointTargets):
         joints = joints._replace(joint_angles=action.angles)
 
-    said = memory.said
+    held, targets = memory.held, memory.targets
     if stages.control_period:
-        after = control_period.held(now, after, law_state)
-        before: Any = control_period.held(now, said.joints.joint_angles, said.before) if stages.linear else ()
-        said = Said(*control_period.held(now, (command, joints), (said.command, said.joints)), before)
-        command, joints = said.command, said.joints
+        now = into == 0
+        law_state = signals.held(now, law_state, memory.law)
+        before: Any = signals.held(now, held.joints.joint_angles, held.before) if stages.linear else ()
+        command, joints = signals.held(now, (command, joints), (held.command, held.joints))
+        held = Held(command, joints, before)
         if stages.linear:
-            line = control_period.interpolated(before, joints.joint_angles, into, pace.period)
+            line = signals.interpolated(before, joints.joint_angles, into, pace.period)
             joints = joints._replace(joint_angles=line)
-    targets = memory.targets
     if stages.command_delay:
-        targets, late = delay.delayed(targets, joints.joint_angles, pace.command)
+        targets, late = signals.delayed(targets, joints.joint_angles, pace.command)
         joints = joints._replace(joint_angles=late)
 
-    felt = servo.target_across_play(joints.joint_angles, state.joint_angles, numbers, stages)
-    asked = joint_torque(numbers, felt, state.joint_angles, state.joint_rates)
-    servos, drive = servo.driven(
-        memory.servo, asked, state.joint_rates, numbers, stages, pace.servo, controller.time_step
-    )
-    return Memory(sensor, filtered, buffers, said, targets, servos, posture), after, Driven(command, joints, drive)
+    # joint loop: tau = kp (phi_des - phi) - kd phidot, the desired rate is zero
+    felt = servo.felt_target(joints.joint_angles, state.joint_angles, hardware)
+    gains = hardware.parameters
+    torque = jnp.asarray(gains.kp * (felt - state.joint_angles) - gains.kd * state.joint_rates)
+    servos, drive = servo.driven(memory.servo, torque, state.joint_rates, hardware)
+    memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos)
+    return memory, Output(command, joints, drive)
+
+
+def _measure(
+    hardware: Hardware, memory: Memory, actual: Actual, step: Array, into: Array
+) -> tuple[Memory, Measurement]:
+    """Return the memory with what the sensors remember, and what they measure."""
+    stages, share = hardware.stages, hardware.pace.filter_share
+    sensor, force, wrench = memory.force_sensor, actual.foot_force, actual.wrench
+    if stages.force:
+        sensor, force = sensors.measured_force(sensor, force, step, hardware)
+        wrench = base_wrench_of_foot_force(actual.lever, force)
+        if actual.grip_moment is not None:
+            wrench = wrench + jnp.concatenate([jnp.zeros_like(actual.grip_moment), actual.grip_moment])
+    filtered = memory.filtered
+    if stages.sampled_filter:
+        force, wrench = (
+            signals.low_passed(before, new, share) for before, new in zip(filtered, (force, wrench), strict=True)
+        )
+        if stages.control_period:
+            force, wrench = signals.held(into == 0, (force, wrench), filtered)
+        filtered = force, wrench
+    buffers, base = sensors.estimated_base(memory.base_estimate, sensors.true_base(actual.state), step, hardware)
+    memory = memory._replace(force_sensor=sensor, filtered=filtered, base_estimate=buffers)
+    return memory, Measurement(*base, force, wrench, actual.support)
+
+
+def _solve(
+    geometry: LimbGeometry | Chain, memory: Memory, command: Command, reference: Reference
+) -> tuple[Memory, JointSolution]:
+    """Return the memory with the posture that was solved for, and the joint angles that put base and feet in place."""
+    rotation = quaternion_to_matrix(command.base_orientation)
+    target = (command.foot_position - command.base_position) @ rotation  # in the base's axes: each row times R is R^T p
+    if not isinstance(geometry, Chain):
+        return memory, inverse_kinematics(geometry, target)
+    turn = rotation.T @ quaternion_to_matrix(reference.base_orientation)
+    joints = inverse_kinematics(geometry, target, memory.posture, turn)
+    return memory._replace(posture=joints.joint_angles), joints

@@ -1,5 +1,6 @@
 """Every engine of the dynamics: against ClimbLab's reference vectors, MuJoCo's own C code, and a changed MJCF."""
 
+import dataclasses
 import functools
 import json
 from pathlib import Path
@@ -11,11 +12,13 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.dynamics.kinematics import foot_kinematics, limb_frames
+from mjx_climb.dynamics.kinematics import center_of_mass, foot_kinematics, limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
-from mjx_climb.dynamics.state import State, batch_last
+from mjx_climb.dynamics.state import State
 from mjx_climb.robot import constants
-from mjx_climb.robot.constants import load_model, load_robot, model_path, robot_from_model
+from mjx_climb.robot.constants import load_model, load_robot, model_path
+from mjx_climb.walk.metrics import FAILURES
+from tests.dynamics.mujoco_dynamics import apply, base_rotation, mujoco_acceleration, relative_error, set_state, stacked
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "dynamics_vectors.json").read_text())
 CASES = REFERENCE["cases"]
@@ -49,12 +52,6 @@ def forces():
     return of_cases("inputs", "tau"), of_cases("inputs", "foot_force_world"), jnp.pad(push, ((0, 0), (0, 3)))
 
 
-def relative_error(ours, theirs):
-    """Return the largest error of a vector over the batch, relative to the vector's length."""
-    ours, theirs = np.asarray(ours), np.asarray(theirs)
-    return (np.linalg.norm(ours - theirs, axis=-1) / np.linalg.norm(theirs, axis=-1)).max()
-
-
 def test_accelerations_are_those_of_climblab(engine, states, forces):
     """The equations of motion, foot forces and base force included, hold for robots in any state."""
     ours = dynamics(states, *forces, 0.0, engine)
@@ -63,14 +60,25 @@ def test_accelerations_are_those_of_climblab(engine, states, forces):
     assert relative_error(ours.joints, of_cases("dynamics", "qdd")) < 1e-8
 
 
+def by_limb(states, robot):
+    """Return states with joints by limb, (limb, joint)."""
+    flat = {"joint_angles": states.joint_angles, "joint_rates": states.joint_rates}
+    limbs = {name: value.reshape(-1, len(robot.limbs), robot.joints) for name, value in flat.items()}
+    return dataclasses.replace(states, **limbs)
+
+
+def in_the_world(robot, state, cargo=0.0):
+    """Return the feet and the centre of mass of one robot."""
+    frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
+    return foot_kinematics(robot, frames, state), center_of_mass(robot, frames, state.base_position, cargo)
+
+
 def test_feet_are_where_climblab_has_them(states):
     """Forward kinematics and the true foot velocity (not ClimbLab's) of robots in any state."""
-    hot, robot = batch_last(states, 4), load_robot("hubrobo_v3_2")
-    frames = limb_frames(robot, quaternion_to_matrix(hot.base_orientation), hot.joint_angles)
-    feet = foot_kinematics(robot, frames, hot)
-    theirs = of_cases("kinematics", "foot_pos_world"), of_cases("kinematics", "foot_linvel_world_true")
-    np.testing.assert_allclose(feet.position.T, theirs[0], atol=1e-12)
-    np.testing.assert_allclose(feet.velocity.T, theirs[1], atol=1e-12)
+    robot = load_robot("hubrobo_v3_2")
+    feet, _ = jax.jit(jax.vmap(functools.partial(in_the_world, robot)))(by_limb(states, robot))
+    np.testing.assert_allclose(feet.position, of_cases("kinematics", "foot_pos_world"), atol=1e-12)
+    np.testing.assert_allclose(feet.velocity, of_cases("kinematics", "foot_linvel_world_true"), atol=1e-12)
 
 
 @ONE_OF_BOTH
@@ -82,37 +90,6 @@ def test_one_state_without_batch_axes(engine, states, forces):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[3], rtol=1e-12), alone, batch)
 
 
-def mujoco_acceleration(model, states, forces):
-    """Return linear, angular (world axes) and joint accelerations by MuJoCo's C code under Earth gravity."""
-    data, rows = mujoco.MjData(model), []
-    arrays = jax.tree.map(np.asarray, (*vars(states).values(), *forces))
-    for position, orientation, linear, angular, angles, rates, torque, foot_force, push in zip(*arrays, strict=True):
-        set_state(data, position, orientation, linear, angular, angles, rates)
-        apply(model, data, torque, foot_force, push)
-        mujoco.mj_forward(model, data)
-        rows.append(np.concatenate([data.qacc[:3], data.xmat[1].reshape(3, 3) @ data.qacc[3:6], data.qacc[6:]]))
-    return np.array(rows)
-
-
-def set_state(data, position, orientation, linear, angular, angles, rates):
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, orientation)
-    data.qpos[:] = np.concatenate([position, orientation, angles])
-    data.qvel[:] = np.concatenate([linear, rotation.reshape(3, 3).T @ angular, rates])
-
-
-def apply(model, data, torque, foot_force, push):
-    """Put joint torques, foot forces (4, 3) and the base wrench into the data of MuJoCo."""
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    data.xfrc_applied[1] = push
-    data.qfrc_applied[:] = 0
-    for site, force in enumerate(foot_force):
-        body = model.site_bodyid[site]
-        mujoco.mj_applyFT(model, data, force, np.zeros(3), data.site_xpos[site], body, data.qfrc_applied)
-    data.qfrc_applied[6:] += torque
-
-
 HEAVIER = (  # base and the first tibia, LF's
     model_path("hubrobo_v3_2")
     .read_text()
@@ -121,38 +98,39 @@ HEAVIER = (  # base and the first tibia, LF's
 )
 
 
-def stacked(acceleration):
-    return np.concatenate([acceleration.base_linear, acceleration.base_angular, acceleration.joints], axis=-1)
-
-
 @ONE_OF_BOTH
 def test_a_mass_changed_in_the_mjcf_changes_everywhere(engine, states, forces, monkeypatch, tmp_path):
     """A robot file with a heavier base and tibia: total mass and accelerations are those of MuJoCo on that file."""
     (tmp_path / "heavier.xml").write_text(HEAVIER)
     monkeypatch.setattr(constants, "model_path", lambda name: tmp_path / f"{name}.xml")
     robot = load_robot("heavier")
-    assert robot.total_mass[0] == pytest.approx(MASS + 0.9 - 0.4417225774 + 0.4 - 0.220163242967499, rel=1e-12)
+    assert robot.total_mass == pytest.approx(MASS + 0.9 - 0.4417225774 + 0.4 - 0.220163242967499, rel=1e-12)
     ours = dynamics(states, *forces, 0.0, engine, "heavier")
     theirs = mujoco_acceleration(load_model("heavier"), states, forces)
     assert relative_error(stacked(ours), theirs) < 1e-9
 
 
-@ONE_OF_BOTH
-@pytest.mark.slow
-def test_dynamics_of_a_robot_given_as_constants(engine, states, forces):
-    """Constants read off any MuJoCo model are enough: the engine obeys them, not the file of the same name."""
-    model = mujoco.MjModel.from_xml_string(HEAVIER)
-    robot = robot_from_model(model, "hubrobo_v3_2")
-    ours = jax.jit(lambda *given: mc.forward_dynamics(*given, 0.0, robot=robot, engine=engine))(states, *forces)
-    assert relative_error(stacked(ours), mujoco_acceleration(model, states, forces)) < 1e-9
-
-
-def test_cargo_is_mass_at_the_base(engine, states, forces):
-    """Cargo changes inertia and weight as a point mass at the base's centre of mass does in the MJCF."""
+@pytest.fixture
+def loaded():
+    """Return the model of a robot with 1 kg of cargo at its base's centre of mass."""
     model = load_model("hubrobo_v3_2").__copy__()
     model.body_mass[1] += 1.0
+    return model
+
+
+def test_cargo_is_mass_at_the_base(engine, states, forces, loaded):
+    """Cargo changes inertia and weight as a point mass at the base's centre of mass does in the MJCF."""
     ours = dynamics(states, *forces, 1.0, engine)
-    assert relative_error(stacked(ours), mujoco_acceleration(model, states, forces)) < 1e-9
+    assert relative_error(stacked(ours), mujoco_acceleration(loaded, states, forces)) < 1e-9
+
+
+def test_center_of_mass_with_cargo(states, loaded):
+    robot, data = load_robot("hubrobo_v3_2"), mujoco.MjData(loaded)
+    _, ours = jax.jit(jax.vmap(lambda state: in_the_world(robot, state, 1.0)))(by_limb(states, robot))
+    for state, mine in zip(zip(*vars(states).values(), strict=True), ours, strict=True):
+        set_state(data, *state)
+        mujoco.mj_kinematics(loaded, data)
+        np.testing.assert_allclose(mine, loaded.body_mass @ data.xipos / loaded.body_mass.sum(), atol=1e-12)
 
 
 def test_a_second_of_motion_is_that_of_mujoco(engine, open_loop):
@@ -161,39 +139,60 @@ def test_a_second_of_motion_is_that_of_mujoco(engine, open_loop):
     robot = load_robot("hubrobo_v3_2")
 
     def held(scale, *shape):
-        """Random values, each held for 50 steps."""
-        return np.repeat(rng.normal(scale=scale, size=(STEPS // 50, *shape)), 50, axis=0)
+        """Random values (motion, step, ...), each held for 50 steps."""
+        return np.repeat(rng.normal(scale=scale, size=(MOTIONS, STEPS // 50, *shape)), 50, axis=1)
 
-    torque, foot_force, push = held(0.02, 3, 4, MOTIONS), held(0.2, 3, 4, MOTIONS), held(0.2, 6, MOTIONS)
-    push[:, 3:] *= 0.05
-    cargo = np.zeros((STEPS, MOTIONS))
-    cargo[300:700] = np.linspace(0, 1, MOTIONS)
-    gravity = rng.normal(scale=3.0, size=(3, MOTIONS))
-    orientation = rng.normal(size=(4, MOTIONS))
+    torque, foot_force, push = held(0.02, 4, 3), held(0.2, 4, 3), held(0.2, 6)
+    push[..., 3:] *= 0.05
+    cargo = np.zeros((MOTIONS, STEPS))
+    cargo[:, 300:700] = np.linspace(0, 1, MOTIONS)[:, None]
+    gravity = rng.normal(scale=3.0, size=(MOTIONS, 3))
+    orientation = rng.normal(size=(MOTIONS, 4))
     start = State(
-        base_position=rng.normal(size=(3, MOTIONS)),
-        base_orientation=orientation / np.linalg.norm(orientation, axis=0),
-        base_linear_velocity=rng.normal(scale=0.1, size=(3, MOTIONS)),
-        base_angular_velocity=rng.normal(scale=0.3, size=(3, MOTIONS)),
-        joint_angles=robot.stance_joints + rng.normal(scale=0.2, size=(3, 4, MOTIONS)),
-        joint_rates=rng.normal(scale=0.3, size=(3, 4, MOTIONS)),
+        base_position=rng.normal(size=(MOTIONS, 3)),
+        base_orientation=orientation / np.linalg.norm(orientation, axis=1, keepdims=True),
+        base_linear_velocity=rng.normal(scale=0.1, size=(MOTIONS, 3)),
+        base_angular_velocity=rng.normal(scale=0.3, size=(MOTIONS, 3)),
+        joint_angles=robot.stance_joints + rng.normal(scale=0.2, size=(MOTIONS, 4, 3)),
+        joint_rates=rng.normal(scale=0.3, size=(MOTIONS, 4, 3)),
     )
-    ours = open_loop(engine)(start, torque, foot_force, push, cargo, gravity, np.full(MOTIONS, 1e-3))
+    ours = jax.tree.map(
+        np.asarray, open_loop(engine)(start, torque, foot_force, push, cargo, gravity, np.full(MOTIONS, 1e-3))
+    )
     for motion in range(MOTIONS):
         model = load_model("hubrobo_v3_2").__copy__()
-        model.opt.gravity[:] = gravity[:, motion]
+        model.opt.gravity[:] = gravity[motion]
         mass, data = model.body_mass[1], mujoco.MjData(model)
-        flat = lambda a: a.T.ravel() if a.ndim == 2 else a  # noqa: E731
-        set_state(data, *(flat(value[..., motion]) for value in vars(start).values()))
+        set_state(data, *(value[motion] for value in vars(start).values()))
         for step in range(STEPS):
-            model.body_mass[1] = mass + cargo[step, motion]
-            forces = torque[step, ..., motion], foot_force[step, ..., motion], push[step, ..., motion]
-            apply(model, data, flat(forces[0]), forces[1].T, forces[2])
+            model.body_mass[1] = mass + cargo[motion, step]
+            apply(model, data, torque[motion, step].ravel(), foot_force[motion, step], push[motion, step])
             mujoco.mj_step(model, data)
-            rotation = np.empty(9)
-            mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
-            angular = rotation.reshape(3, 3) @ data.qvel[3:6]
+            angular = base_rotation(data.qpos[3:7]) @ data.qvel[3:6]
             theirs = data.qpos[:3], data.qpos[3:7], data.qvel[:3], angular, data.qpos[7:], data.qvel[6:]
             for (name, value), expected in zip(vars(ours).items(), theirs, strict=True):
-                error = np.abs(flat(np.asarray(value[step, ..., motion])) - expected).max()
-                assert error < 1e-9, (name, step, error)
+                assert np.abs(value[motion, step].ravel() - expected).max() < 1e-9, (name, step)
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["case_1_1", "case_2"])
+def test_engines_agree_over_a_walk(case, name):
+    """Eight seconds of walking are the same under every engine to 1e-9, in value and in derivative."""
+    scenario = case(name, "virtual_model")
+    at = jnp.log(jnp.array([scenario.control.damping, scenario.control.stiffness]))
+
+    def values_and_tangents(engine):
+        def metrics(logarithms):
+            damping, stiffness = jnp.exp(logarithms)
+            gains = mc.Gains(jnp.ones(6), damping * jnp.ones(6), stiffness * jnp.ones(6))
+            return mc.simulator(scenario, engine=engine)(gains)
+
+        push = lambda direction: jax.jvp(metrics, (at,), (direction,))  # noqa: E731
+        return jax.jit(jax.vmap(push, out_axes=(None, 0)))(jnp.eye(2))
+
+    first, *others = (values_and_tangents(engine) for engine in mc.ENGINES)
+    for metric in (metric for metric in mc.METRICS.names if metric not in FAILURES):
+        for values, tangents in others:
+            np.testing.assert_allclose(values[metric], first[0][metric], rtol=1e-9, err_msg=metric)
+            np.testing.assert_allclose(tangents[metric], first[1][metric], rtol=1e-9, atol=1e-12, err_msg=metric)

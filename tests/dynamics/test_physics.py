@@ -1,5 +1,6 @@
 """What must hold whatever the numbers: momentum, energy, static equilibrium, and no preferred direction."""
 
+import dataclasses
 import math
 
 import jax
@@ -12,6 +13,7 @@ from mjx_climb.dynamics.kinematics import center_of_mass, foot_kinematics, limb_
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot.constants import load_model, load_robot
+from tests.dynamics.mujoco_dynamics import set_state
 
 MODEL = load_model("hubrobo_v3_2")
 # all four grip from 0.4 s to 10 s, standing on the spot
@@ -21,12 +23,10 @@ STANDING = (
 )  # fmt: skip
 
 
-def mujoco_data(position, orientation, linear, angular, angles, rates):
+def mujoco_data(*state):
     """Return MuJoCo's data of one state, for momentum and energy by other code than ours."""
-    data, rotation = mujoco.MjData(MODEL), np.empty(9)
-    mujoco.mju_quat2Mat(rotation, orientation)
-    data.qpos[:] = np.concatenate([position, orientation, angles])
-    data.qvel[:] = np.concatenate([linear, rotation.reshape(3, 3).T @ angular, rates])
+    data = mujoco.MjData(MODEL)
+    set_state(data, *state)
     mujoco.mj_fwdPosition(MODEL, data)
     return data
 
@@ -43,30 +43,27 @@ def test_momentum_in_free_flight(engine, open_loop):
     """Without gravity and contact, joint torques change no momentum but for Euler's error, which halves with dt."""
     rng, steps, flights = np.random.default_rng(0), 1000, 4
     robot = load_robot("hubrobo_v3_2")
-    same = lambda value: np.repeat(value[..., None], flights, axis=-1)  # noqa: E731
+    same = lambda *shape: np.zeros((flights, *shape)) + rng.normal(size=shape)  # noqa: E731
     start = State(
-        base_position=same(np.zeros(3)),
-        base_orientation=same(np.array([1.0, 0, 0, 0])),
-        base_linear_velocity=same(rng.normal(scale=0.1, size=3)),
-        base_angular_velocity=same(rng.normal(scale=0.5, size=3)),
-        joint_angles=same(robot.stance_joints[..., 0]),
-        joint_rates=same(rng.normal(scale=0.5, size=(3, 4))),
+        base_position=np.zeros((flights, 3)),
+        base_orientation=np.tile([1.0, 0, 0, 0], (flights, 1)),
+        base_linear_velocity=0.1 * same(3),
+        base_angular_velocity=0.5 * same(3),
+        joint_angles=np.tile(robot.stance_joints, (flights, 1, 1)),
+        joint_rates=0.5 * same(4, 3),
     )
-    torque = np.repeat(same(rng.normal(scale=0.005, size=(3, 4)))[None], steps, axis=0)
-    none = [np.zeros((steps, *shape, flights)) for shape in ((3, 4), (6,), ())]
+    torque = 0.005 * np.repeat(same(4, 3)[:, None], steps, axis=1)
+    none = [np.zeros((flights, steps, *shape)) for shape in ((4, 3), (6,), ())]
     time_step = 1e-3 / 2 ** np.arange(flights)
-    states = open_loop(engine)(start, torque, *none, np.zeros((3, flights)), time_step)
+    states = jax.tree.map(np.asarray, open_loop(engine)(start, torque, *none, np.zeros((flights, 3)), time_step))
+    begin = momentum(*(value[0] for value in vars(start).values()))
 
-    def state(step, flight):
-        flat = lambda a: a.T.ravel() if a.ndim == 2 else a  # noqa: E731
-        return [flat(np.asarray(value[step, ..., flight])) for value in vars(states).values()]
-
-    begin = [a[..., 0].T.ravel() if a.ndim == 3 else a[..., 0] for a in vars(start).values()]
     # the same 0.125 s with ever smaller steps
-    drift = [np.abs(momentum(*state(125 * 2**n - 1, n)) - momentum(*begin)) for n in range(flights)]
+    ends = [[value[n, 125 * 2**n - 1] for value in vars(states).values()] for n in range(flights)]
+    drift = [np.abs(momentum(*end) - begin) for end in ends]
     linear, angular = np.array(drift)[:, :3].max(1), np.array(drift)[:, 3:].max(1)
-    assert linear[0] < 5e-3 * np.linalg.norm(momentum(*begin)[:3])
-    assert angular[0] < 5e-2 * np.linalg.norm(momentum(*begin)[3:])
+    assert linear[0] < 5e-3 * np.linalg.norm(begin[:3])
+    assert angular[0] < 5e-2 * np.linalg.norm(begin[3:])
     for error in (linear, angular):
         np.testing.assert_allclose(error[:-1] / error[1:], 2.0, rtol=0.1)
 
@@ -74,10 +71,7 @@ def test_momentum_in_free_flight(engine, open_loop):
 def energy(trajectory, step):
     """Return kinetic energy plus that of the joint and contact springs, J, without gravity."""
     tr, sc = trajectory, trajectory.scenario
-    names = ("base_position", "base_orientation", "base_linear_velocity", "base_angular_velocity")
-    data = mujoco_data(
-        *(getattr(tr, n)[step] for n in names), tr.joint_angles[step].ravel(), tr.joint_rates[step].ravel()
-    )
+    data = mujoco_data(*(getattr(tr, field.name)[step] for field in dataclasses.fields(State)))
     mujoco.mj_energyVel(MODEL, data)
     joints = sc.control.kp / 2 * np.sum((tr.joint_targets - tr.joint_angles)[step] ** 2)
     return data.energy[1] + joints + sc.contact.stiffness / 2 * np.sum((tr.foot_position - tr.grip_point)[step] ** 2)
@@ -118,16 +112,14 @@ def static_shift(gravity, stiffness=None):
     weight of the limbs bends their joints too. An admittance law with `stiffness` yields to the wrench -w / K on top.
     """
     robot, kp, k_s = load_robot("hubrobo_v3_2"), 50.0, 1e4
-    still = np.zeros((3, 1))
+    still = np.zeros(3)
     state = State(
         robot.stance_position, robot.stance_orientation, still, still, robot.stance_joints, 0 * robot.stance_joints
     )
     frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
     feet = jax.tree.map(np.asarray, foot_kinematics(robot, frames, state))
-    mass = robot.total_mass[0]
-    lever = (
-        np.asarray(center_of_mass(robot, frames, state.base_position, np.zeros(1)))[:, 0] - state.base_position[:, 0]
-    )
+    mass = robot.total_mass
+    lever = np.asarray(center_of_mass(robot, frames, state.base_position, 0.0)) - state.base_position
     weight = np.concatenate([mass * gravity, np.cross(lever, mass * gravity)])
     # MuJoCo's bias at rest is minus the generalised force of gravity
     model = MODEL.__copy__()
@@ -138,10 +130,9 @@ def static_shift(gravity, stiffness=None):
     joint_weight = -data.qfrc_bias[6:].reshape(4, 3)
     matrix, load = np.zeros((6, 6)), weight.copy()
     for limb in range(4):
-        jacobian = np.array([column[:, limb, 0] for column in feet.jacobian]).T
+        jacobian, r = feet.jacobian[limb], feet.lever[limb]
         grip_stiffness = np.linalg.inv(jacobian @ jacobian.T / kp + np.eye(3) / k_s)
-        r = feet.lever[:, limb, 0]
-        rigid = np.hstack([np.eye(3), -np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])])
+        rigid = np.hstack([np.eye(3), np.cross(r, np.eye(3))])
         matrix += rigid.T @ grip_stiffness @ rigid
         load -= rigid.T @ grip_stiffness @ jacobian @ joint_weight[limb] / kp
     shift = np.linalg.solve(matrix, load)

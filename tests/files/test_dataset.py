@@ -15,7 +15,6 @@ from mjx_climb.control import law_of
 from mjx_climb.files import dataset as ds
 from mjx_climb.scenario.hardware import BaseEstimate, ForceSensor, Hardware, Servo
 from mjx_climb.scenario.model import Cargo, Contact, Control, Gait
-from tuning.gains import gains_tables
 
 SCENARIO = mc.Scenario().with_overrides(
     {
@@ -54,7 +53,7 @@ def assert_equal_walks(one, other):
 
 
 def test_every_array_of_a_walk_is_a_variable(trajectory):
-    arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "numbers", "limbs", "law"}
+    arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "parameters", "limbs", "law"}
     assert arrays == {"time", *ds.VARIABLES}
 
 
@@ -206,12 +205,9 @@ def test_units_are_those_of_the_law_the_config_and_the_metrics():
     keys = {f"{prefix}{name}": field for section, prefix in SECTIONS for name, field in section.model_fields.items()}
     gains = {name: field.unit for name, field in law_of(SCENARIO).GAINS.items()}
     assert gains == {name: unit for name, (unit, _) in ds.COORDINATES.items() if name in gains}
-    assert gains == {name: ", ".join(units) for name, units in gains_tables.UNITS.items()}
     for name, (unit, _) in ds.COORDINATES.items():
         if name not in gains and name != "mass_scale":
             assert re.search(rf", {re.escape(unit)}(;|$)", keys[name].description), name
-    for name, unit in gains_tables.JOINT_UNITS.items():
-        assert unit == ds.COORDINATES[name][0]
     for variable, metric in (
         ("foot_force", "peak_foot_force"), ("joint_torque", "peak_joint_torque"),
         ("joint_angles", "joint_limit_margin"),

@@ -16,10 +16,9 @@ pytestmark = pytest.mark.slow
 REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "hardware_walks.json").read_text())
 SEEDS = 10
 METRICS = ("force_variation", "peak_foot_force", "cost_of_transport", "base_deviation")
-PUSHES = 3
 
-# what the reference names, and the numbers that it is here; there the base's pose is as late as the wrench
-NUMBERS = {
+# what the reference names, and the parameters that it is here; there the base's pose is as late as the wrench
+PARAMETERS = {
     "force_sensor.delay": ("force_delay", "base_delay"),
     "force_sensor.filter": ("force_filter",),
     "force_sensor.noise": ("force_noise",),
@@ -36,32 +35,19 @@ LAWS = {
     "virtual_model": ("paper", "soft", "damped", "six_axes"),
     "measured_pose": ("measured_pose_paper",),
 }
-
-
-def entries():
-    """Yield case, entry and gains of everything that the reference has."""
-    for case, walks in REFERENCE["cases"].items():
-        for entry, results in walks.items():
-            for gains in results:
-                yield case, entry, gains
+ENTRIES = [
+    (case, entry, gains)
+    for case, walks in REFERENCE["cases"].items()
+    for entry, results in walks.items()
+    for gains in results
+]
 
 
 def changes(entry):
     if entry == "ideal":
         return {}
     pairs = [part.split("=") for part in entry.split()]
-    return {name: np.asarray(float(value)) for key, value in pairs for name in NUMBERS[key]}
-
-
-def numbers_of(scenario):
-    with jax.enable_x64(True):
-        numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
-    missing = PUSHES - len(numbers.push_start)
-    pushes = {}
-    for name in ("push_force", "push_moment", "push_start", "push_stop"):
-        value = getattr(numbers, name)
-        pushes[name] = np.concatenate([value, np.zeros((missing, *value.shape[1:]))])
-    return dataclasses.replace(numbers, **pushes)
+    return {name: np.asarray(float(value)) for key, value in pairs for name in PARAMETERS[key]}
 
 
 def gains_of(scenario, name):
@@ -70,26 +56,26 @@ def gains_of(scenario, name):
 
 
 @pytest.fixture(scope="module")
-def walked():
+def walked(numbers):
     """Walk all entries, a batch for each law: metrics by case, entry and gains, with one value for each seed."""
     scenarios = {case: mc.load_scenario(case) for case in REFERENCE["cases"]}
     found = {}
     for law, names in LAWS.items():
         control = {"control.controller": "pd"} if law == "pd" else {"control.reading": law}
         rows = []
-        for case, entry, gains in entries():
+        for case, entry, gains in ENTRIES:
             if gains in names:
-                own = numbers_of(scenarios[case])
+                own = numbers(scenarios[case], **changes(entry))
                 for seed in range(SEEDS if "noise" in entry else 1):
-                    numbers = dataclasses.replace(own, **changes(entry), seed=np.asarray(float(seed)))
-                    rows.append(((case, entry, gains), gains_of(scenarios[case], gains), numbers))
+                    seeded = dataclasses.replace(own, seed=np.asarray(float(seed)))
+                    rows.append(((case, entry, gains), gains_of(scenarios[case], gains), seeded))
         batch = mc.Gains(*(np.stack([row[1][i] for row in rows]) for i in range(3)))
-        numbers = jax.tree.map(lambda *values: np.stack(values), *(row[2] for row in rows))
+        of_rows = jax.tree.map(lambda *values: np.stack(values), *(row[2] for row in rows))
         scenario = scenarios["case_1_2"].with_overrides(control)
         own = law_of(scenario)
         if law == "measured_pose":
             own = dataclasses.replace(own, horizon=1e-3)
-        result = mc.rollout_metrics(scenario, batch, numbers, law=own, dtype=np.float64)
+        result = mc.rollout_metrics(scenario, batch, of_rows, law=own, dtype=np.float64)
         for index, (key, *_) in enumerate(rows):
             for name, values in result.items():
                 found.setdefault(key, {}).setdefault(name, []).append(values[index])
@@ -122,7 +108,7 @@ def deviations(key, walked):
 BEYOND = ("case_2", "servo.torque_limit=0.2", "measured_pose_paper")
 
 
-@pytest.mark.parametrize("key", list(entries()), ids=" ".join)
+@pytest.mark.parametrize("key", ENTRIES, ids=" ".join)
 def test_a_walk_is_the_independent_programs(key, walked):
     case, entry, gains = key
     expected, ours = REFERENCE["cases"][case][entry][gains], walked[key]

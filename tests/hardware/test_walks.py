@@ -1,7 +1,6 @@
-"""Short walks with all hardware at once: batches, derivatives, engines, the GPU kernel."""
+"""Short walks with all hardware at once: batches, derivatives, engines."""
 
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -9,11 +8,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.compilation.gpu_kernel import over_robots
-from mjx_climb.quantities.batches import varying
-from mjx_climb.rollouts.rollout import given_in, metrics_of
-from mjx_climb.scenario.profiles import load_hardware, with_hardware
-from mjx_climb.walk.step import structure
+from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.scenario.load import load_hardware, with_hardware
 
 PUSH = {"start": 0.01, "stop": 0.1, "force": [3.0, 1.0, 1.0], "moment": [0.0, 0.5, 0.0]}
 EVERYTHING = {
@@ -52,7 +48,6 @@ VARIED = (
     "command_delay", "force_delay", "force_noise", "force_bias", "force_filter", "torque_limit", "no_load_speed",
     "armature", "coulomb_friction", "viscous_friction", "load_friction", "backlash", "servo_delay", "capture_distance",
 )  # fmt: skip
-WHOLE = {"xla_disable_hlo_passes": "fusion"}  # compiles sooner
 
 
 @pytest.fixture(scope="module")
@@ -60,10 +55,9 @@ def scenario():
     return mc.load_scenario("case_1_2", EVERYTHING)
 
 
-def numbers_of(scenario, robots, seed=3):
+def parameters_of(scenario, robots, seed=3):
     """Parameters of robots whose hardware differs in everything."""
-    with jax.enable_x64(True):
-        own = jax.tree.map(np.asarray, mc.parameters(scenario))
+    own = own_parameters(scenario)
     rng = np.random.default_rng(seed)
     changes = {name: getattr(own, name) * rng.uniform(0.5, 1.0, robots) for name in VARIED}
     changes["control_period"] = rng.choice([0.002, 0.005, 0.007], robots)
@@ -74,9 +68,9 @@ def numbers_of(scenario, robots, seed=3):
 @pytest.mark.slow
 def test_each_robot_of_a_batch_walks_as_it_does_alone(scenario):
     """To rounding: its noise is the same, whatever its neighbours."""
-    numbers = numbers_of(scenario, 8)
-    together = mc.rollout_metrics(scenario, numbers=numbers, dtype=np.float64)
-    alone = mc.rollout_metrics(scenario, numbers=numbers, dtype=np.float64, batch_size=1)
+    parameters = parameters_of(scenario, 8)
+    together = mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64)
+    alone = mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64, batch_size=1)
     for name, values in together.items():
         np.testing.assert_allclose(alone[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
     assert len(np.unique(together["peak_foot_force"])) == 8
@@ -87,8 +81,8 @@ def test_a_walk_does_not_depend_on_the_longest_delay_of_its_batch():
     short = mc.load_scenario("case_1_2", {"duration": 0.05, "control.damping": 150.0, "control.stiffness": 3e3})
 
     def varied(force, command):
-        numbers = dataclasses.replace(mc.parameters(short), force_delay=force * 1e-3, command_delay=command * 1e-3)
-        return mc.rollout_metrics(short, numbers=numbers, dtype=np.float64)["force_variation"]
+        changed = dataclasses.replace(mc.parameters(short), force_delay=force * 1e-3, command_delay=command * 1e-3)
+        return mc.rollout_metrics(short, parameters=changed, dtype=np.float64)["force_variation"]
 
     force, command = np.array([6.5, 6.9, 0.0, 0.0, 9.0]), np.array([0.0, 0.0, 6.5, 6.9, 9.0])
     together = varied(force, command)
@@ -102,23 +96,15 @@ def test_an_ideal_profile_is_no_hardware():
 
 
 @pytest.mark.slow
-def test_neutral_numbers_change_nothing(scenario):
-    """A stage that is there for a neighbour leaves a robot with neutral numbers as it is, to rounding."""
+def test_neutral_parameters_change_nothing(scenario):
+    """A stage that is there for a neighbour leaves a robot with neutral parameters as it is, to rounding."""
     plain = mc.load_scenario("case_1_2", {"duration": 0.15, "disturbance.pushes": [PUSH]})
-    with jax.enable_x64(True):
-        own = jax.tree.map(np.asarray, mc.parameters(plain))
-    there = numbers_of(scenario, 2)
-    names = [
-        f.name
-        for f in dataclasses.fields(own)
-        if np.ndim(getattr(there, f.name)) == 1 and np.ndim(getattr(own, f.name)) == 0
-    ]
+    own = own_parameters(plain)
+    there = parameters_of(scenario, 2)
+    names = [name for name, value in vars(own).items() if np.ndim(value) == 0 and np.ndim(getattr(there, name)) == 1]
     mixed = {name: np.stack([getattr(own, name), getattr(there, name)[1]]) for name in names}
     mixed = dataclasses.replace(own, **mixed)
-    ideal, found = (
-        mc.rollout_metrics(plain, dtype=np.float64),
-        mc.rollout_metrics(plain, numbers=mixed, dtype=np.float64),
-    )
+    ideal, found = (mc.rollout_metrics(plain, parameters=of, dtype=np.float64) for of in (own, mixed))
     for name in ("force_variation", "peak_foot_force", "travel", "base_deviation", "peak_joint_torque"):
         np.testing.assert_allclose(found[name][0], ideal[name], rtol=1e-9, err_msg=name)
         assert found[name][1] != ideal[name]
@@ -126,70 +112,45 @@ def test_neutral_numbers_change_nothing(scenario):
 
 @pytest.mark.slow
 def test_engines_agree_on_hardware(scenario):
-    numbers = numbers_of(scenario, 2)
-    limb, mjx = (mc.rollout_metrics(scenario, numbers=numbers, dtype=np.float64, engine=e) for e in ("limb", "mjx"))
+    parameters = parameters_of(scenario, 2)
+    limb, mjx = (
+        mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64, engine=e) for e in ("limb", "mjx")
+    )
     for name, values in limb.items():
         np.testing.assert_allclose(mjx[name], values, rtol=1e-8, atol=1e-12, err_msg=name)
 
 
-SLOPES = (
+DIFFERENTIATED = (
     "force_delay", "servo_delay", "force_filter", "force_noise", "force_bias", "armature",
     "coulomb_friction", "viscous_friction", "load_friction", "backlash",
 )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def slopes(scenario):
-    """Slopes of the peak joint torque by each number: forward, and by central differences; a robot for each."""
+def tangents(scenario):
+    """Tangents of the peak joint torque by each parameter: forward, and by central differences; a robot for each."""
     gentle = scenario.with_overrides({"contact.capture_distance": None, "hardware.force_sensor.resolution": 0.0})
-    simulate = mc.simulator(gentle, in_pieces=True)
-    own, count = mc.parameters(gentle), len(SLOPES)
-    gains = mc.Gains(jnp.ones((count, 6)), jnp.full((count, 6), 150.0), jnp.full((count, 6), 3000.0))
+    own, simulate = mc.parameters(gentle), mc.simulator(gentle)
+    at = {name: jnp.full(len(DIFFERENTIATED), float(getattr(own, name))) for name in DIFFERENTIATED}
+    along = {name: jnp.asarray(np.array(DIFFERENTIATED) == name, float) for name in DIFFERENTIATED}
 
     def torque(varied):
-        return simulate(gains, dataclasses.replace(own, **varied))["peak_joint_torque"]
+        return simulate(parameters=dataclasses.replace(own, **varied))["peak_joint_torque"]
 
-    at = {name: jnp.full(count, float(getattr(own, name))) for name in SLOPES}
-    along = {name: jnp.asarray(np.arange(count) == place, float) for place, name in enumerate(SLOPES)}
     _, forward = jax.jit(lambda: jax.jvp(torque, (at,), (along,)))()
     sides = []
     for sign in (1, -1):
-        moved = {name: at[name] * (1 + sign * 1e-6 * along[name]) for name in SLOPES}
-        numbers = jax.tree.map(np.asarray, dataclasses.replace(own, **moved))
-        sides.append(mc.rollout_metrics(gentle, gains, numbers, dtype=np.float64)["peak_joint_torque"])
-    widths = np.array([2e-6 * float(getattr(own, name)) for name in SLOPES])
-    return dict(zip(SLOPES, zip(np.asarray(forward), (sides[0] - sides[1]) / widths, strict=True), strict=True))
+        moved = {name: np.asarray(at[name] * (1 + sign * 1e-6 * along[name])) for name in DIFFERENTIATED}
+        changed = dataclasses.replace(own_parameters(gentle), **moved)
+        sides.append(mc.rollout_metrics(gentle, parameters=changed, dtype=np.float64)["peak_joint_torque"])
+    widths = np.array([2e-6 * float(getattr(own, name)) for name in DIFFERENTIATED])
+    central = (sides[0] - sides[1]) / widths
+    return dict(zip(DIFFERENTIATED, zip(np.asarray(forward), central, strict=True), strict=True))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SLOPES)
-def test_derivative_of_a_walk_by_its_hardware(slopes, name):
-    exact, differences = slopes[name]
+@pytest.mark.parametrize("name", DIFFERENTIATED)
+def test_derivative_of_a_walk_by_its_hardware(tangents, name):
+    exact, differences = tangents[name]
     assert abs(exact) > 0
     np.testing.assert_allclose(exact, differences, rtol=1e-4)
-
-
-def kernel_walk(scenario, robots, dtype, steps):
-    arguments = given_in(scenario, None, None, numbers_of(scenario, robots), dtype)[:2]
-    arguments = (arguments[0], dataclasses.replace(arguments[1], kp=np.full(robots, 50.0, dtype)))
-    shape = structure(scenario, "limb", arguments[1])._replace(steps=steps)
-    return functools.partial(metrics_of, shape), arguments, [varying(tree) for tree in arguments]
-
-
-@pytest.mark.slow
-def test_the_gpu_kernel_walks_with_hardware_as_xla_does(scenario):
-    walk, arguments, axes = kernel_walk(scenario, 3, np.float64, 40)
-    found = jax.jit(over_robots(walk, axes, limbs=4, interpret=True), compiler_options=WHOLE)(*arguments)
-    expected = jax.jit(walk, compiler_options=WHOLE)(*arguments)
-    for name, values in expected.items():
-        np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
-
-
-@pytest.mark.slow
-def test_the_gpu_kernel_is_written_with_hardware(scenario, without_nvrtc):
-    with jax.enable_x64(False):
-        walk, arguments, axes = kernel_walk(scenario, 3, np.float32, 8000)
-        mapped = over_robots(walk, axes, limbs=4)
-        lowered = jax.jit(mapped).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
-    assert lowered.count("__gpu$xla.gpu.ptx") == 1
-    assert "stablehlo.while" not in lowered

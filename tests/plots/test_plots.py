@@ -46,27 +46,25 @@ def diverged(trajectory):
     return dataclasses.replace(trajectory, **changes)
 
 
-def grid():
+def grid(**more):
     """Metrics over 4 stiffnesses and 3 dampings: one walk lost a gripper, one diverged."""
     values = np.geomspace(1.0, 2.0, 12).reshape(4, 3)
     values[3, 0] = np.nan
     limb = np.full((4, 3), -1)
     limb[2, 0] = 1
-    dims = ("stiffness", "damping")
-    return xr.Dataset(
-        {
-            "peak_foot_force": (dims, values, {"units": "N", "long_name": "peak foot force"}),
-            "min_gia_margin": (dims, values, {"units": "m/s^2", "long_name": "smallest GIA margin"}),
-            "cost_of_transport": (dims, values**8, {"units": "1", "long_name": "cost of transport"}),
-            "detached_limb": (
-                dims,
-                limb,
-                {"flag_values": [-1, 0, 1, 2, 3], "flag_meanings": "none LF LH RH RF", "units": "1"},
-            ),
-            "diverged": (dims, np.isnan(values)),
-        },
-        {"stiffness": [1e2, 1e3, 1e4, 1e5], "damping": [1e0, 1e2, 1e4]},
-    )
+    names = {"flag_values": [-1, 0, 1, 2, 3], "flag_meanings": "none LF LH RH RF", "units": "1"}
+    data = {
+        "peak_foot_force": (values, {"units": "N", "long_name": "peak foot force"}),
+        "min_gia_margin": (values, {"units": "m/s^2", "long_name": "smallest GIA margin"}),
+        "cost_of_transport": (values**8, {"units": "1", "long_name": "cost of transport"}),
+        "detached_limb": (limb, names),
+        "diverged": (np.isnan(values), {}),
+    }
+    variables = {name: (("stiffness", "damping"), *rest) for name, rest in data.items()}
+    made = xr.Dataset(variables, {"stiffness": [1e2, 1e3, 1e4, 1e5], "damping": [1e0, 1e2, 1e4]})
+    for name, numbers in more.items():
+        made[name][:] = numbers
+    return made
 
 
 def find(figure, gid):
@@ -81,6 +79,12 @@ def y_labels(figure):
     return [" ".join(axes.get_ylabel().split()) for axes in figure.axes]
 
 
+def cells(figure):
+    """Return the values that the first map of a figure shows (y, x), and their scale."""
+    mesh = figure.axes[0].collections[0]
+    return mesh.get_array(), mesh.norm
+
+
 def test_thin_keeps_the_extremes_and_the_ends():
     time = np.arange(8000) * 1e-3
     values = np.sin(time)
@@ -91,169 +95,77 @@ def test_thin_keeps_the_extremes_and_the_ends():
     assert thin_time[0] == time[0] and thin_time[-1] == time[-1]
 
 
-def test_walk_shows_every_quantity_with_its_unit(walk):
-    figure = plots.plot_walk(walk)
-    assert y_labels(figure) == [
-        "largest foot force [N]",
-        "coxa $\\tau$ [N m]",
-        "femur $\\tau$ [N m]",
-        "tibia $\\tau$ [N m]",
-        "base [mm]",
-        "base off ref. [mm]",
-        "shift $\\Delta x$ [mm]",
-        "turn $\\Delta x$ [mrad]",
-        "TSM [m]",
-        "GIA margin [m/s$^2$]",
-        "support",
-    ]
-    assert figure.axes[-1].get_xlabel() == "time [s]"
-
-
 def series(panel):
     """Return the lines over time that a panel shows, without its marks."""
-    return [line.get_ydata() for line in panel.lines if len(line.get_xdata()) > 2]
+    return [line for line in panel.lines if len(line.get_xdata()) > 2]
 
 
 def assert_drawn(panel, walk, expected):
     found = series(panel)
     assert len(found) == len(expected), panel.get_ylabel()
-    for mine, values in zip(found, expected, strict=True):
-        np.testing.assert_allclose(mine, plots.thin(walk.time, values)[1], err_msg=panel.get_ylabel())
+    for line, values in zip(found, expected, strict=True):
+        time, values = plots.thin(walk.time, values)
+        np.testing.assert_allclose(line.get_xdata(), time)
+        np.testing.assert_allclose(line.get_ydata(), values, err_msg=panel.get_ylabel())
+
+
+def shown(walk):
+    """Return the lines of every panel: millimetres and milliradians where the axis says so."""
+    error, shift = 1e3 * (walk.base_position - walk.base_reference).T, 1e3 * walk.base_displacement.T
+    torques = walk.joint_torque.transpose(2, 1, 0)
+    return {
+        "largest foot force [N]": [np.linalg.norm(walk.foot_force, axis=2).max(1)],
+        **{f"{name} $\\tau$ [N m]": torques[i] for i, name in enumerate(("coxa", "femur", "tibia"))},
+        "base [mm]": 1e3 * (walk.base_position - walk.base_reference[0]).T,
+        "base off ref. [mm]": error,
+        "shift $\\Delta x$ [mm]": shift[:3],
+        "turn $\\Delta x$ [mrad]": shift[3:],
+        "TSM [m]": [walk.tsm],
+        "GIA margin [m/s$^2$]": [walk.gia_margin],
+        "support": [],
+    }
 
 
 def test_every_panel_of_a_walk_shows_its_series(walk):
-    """Millimetres and milliradians where the axis says so; the base and, dashed, where it should be, axis by axis."""
-    start, off = walk.base_reference[0], 1e3 * (walk.base_position - walk.base_reference)
-    base = [1e3 * (path - start)[:, axis] for axis in range(3) for path in (walk.base_position, walk.base_reference)]
-    torques = [[walk.joint_torque[:, limb, joint] for limb in range(4)] for joint in range(3)]
-    shift = 1e3 * walk.base_displacement
-    expected = [[plots.largest_foot_force(walk)], *torques, base, [*off.T], [*shift[:, :3].T], [*shift[:, 3:].T],
-                [walk.tsm], [walk.gia_margin]]  # fmt: skip
-    for panel, values in zip(plots.plot_walk(walk).axes, expected, strict=False):
+    """The base beside, dashed, where it should be; for how long each limb's gripper holds."""
+    figure, expected = plots.plot_walk(walk), shown(walk)
+    assert y_labels(figure) == list(expected) and figure.axes[-1].get_xlabel() == "time [s]"
+    reference = 1e3 * (walk.base_reference - walk.base_reference[0]).T
+    expected["base [mm]"] = [*expected["base [mm]"], *reference]
+    for panel, values in zip(figure.axes, expected.values(), strict=True):
         assert_drawn(panel, walk, values)
+    for bars, limb in zip(find(figure.axes[-1], "support"), walk.support.T, strict=True):
+        times = [path.vertices[:-1, 0] for path in bars.get_paths()]
+        assert sum(np.ptp(time) for time in times) == pytest.approx(limb.sum() * walk.scenario.time_step)
+        assert min(time.min() for time in times) == walk.time[limb.argmax()]
 
 
 def test_a_mark_is_on_its_line(torn):
-    """The red cross: on the largest foot force, and on what is furthest from zero of several lines."""
+    """The red cross: in every panel, on the line of several that is furthest from zero."""
     (instant, limb), *_ = plots.detachments(torn)
     row = int(np.searchsorted(torn.time, instant))
     figure = plots.plot_walk(torn)
-    crosses = [find(panel, "detachment")[0].get_ydata()[0] for panel in figure.axes[:-1]]
-    largest = lambda values: values.ravel()[np.abs(values).argmax()]  # noqa: E731
-    off, shift = 1e3 * (torn.base_position - torn.base_reference)[row], 1e3 * torn.base_displacement[row]
-    base = 1e3 * (torn.base_position[row, 0] - torn.base_reference[0, 0])
-    torques = [largest(torn.joint_torque[row, :, joint]) for joint in range(3)]
-    margins = [torn.tsm[row], torn.gia_margin[row]]
-    force = np.linalg.norm(torn.foot_force[row], axis=-1).max()
-    expected = [force, *torques, base, largest(off), largest(shift[:3]), largest(shift[3:]), *margins]
-    np.testing.assert_allclose(crosses, expected, rtol=1e-12)
-    assert find(figure.axes[-1], "detachment")[0].get_ydata()[0] == torn.limbs.index(limb)
+    crosses = [find(panel, "detachment")[0] for panel in figure.axes]
+    assert {cross.get_color() for cross in crosses} == {plots.RED}
+    assert {cross.get_xdata()[0] for cross in crosses} == {instant}
+    expected = [max((line[row] for line in lines), key=abs) for lines in list(shown(torn).values())[:-1]]
+    places = [cross.get_ydata()[0] for cross in crosses]
+    np.testing.assert_allclose(places, [*expected, torn.limbs.index(limb)], rtol=1e-12)
+    (label,) = find(figure, "failure")
+    assert label.get_text().startswith(f"{limb} torn off, {instant:.2f} s")
+    assert instant == pytest.approx(mc.metrics(torn)["detached_at"])
 
 
 def test_every_panel_of_a_comparison_shows_its_series(walk, torn):
-    panels = plots.plot_comparison({"pd": walk, "proposed": torn}, per_limb=True).axes
-
     def lines(trajectory):
         torque = np.abs(trajectory.joint_torque).max(2)
-        off = np.linalg.norm(trajectory.base_position - trajectory.base_reference, axis=1)
+        error = np.linalg.norm(trajectory.base_position - trajectory.base_reference, axis=1)
         force = np.linalg.norm(trajectory.foot_force, axis=2).max(1)
-        return [force, torque.max(1), *torque.T, trajectory.tsm, trajectory.gia_margin, 1e3 * off]
+        return [force, torque.max(1), *torque.T, trajectory.tsm, trajectory.gia_margin, 1e3 * error]
 
-    for panel, expected in zip(panels, zip(lines(walk), lines(torn), strict=True), strict=True):
-        assert_drawn(panel, walk, expected)
-
-
-def test_feet_go_where_they_went(walk):
-    """From the side and from above, in mm from where the base starts: four feet, then the base."""
-    paths = 1e3 * np.concatenate([walk.foot_position, walk.base_position[:, None]], axis=1)
-    paths[..., :2] -= 1e3 * walk.base_reference[0, :2]
-    for panel, axis in zip(plots.plot_feet(walk).axes, (2, 1), strict=True):
-        drawn = [line for line in panel.lines if len(line.get_xdata()) > 10]
-        for line, path in zip(drawn, paths.swapaxes(0, 1), strict=True):
-            np.testing.assert_allclose(line.get_xdata(), path[:, 0], atol=1e-9)
-            np.testing.assert_allclose(line.get_ydata(), path[:, axis], atol=1e-9)
-
-
-def test_walk_marks_grip_changes_and_disturbances(walk):
-    figure = plots.plot_walk(walk)
-    labels = [text.get_text() for text in find(figure, "disturbance label")]
-    assert labels == ["cargo 0.5 kg", "\N{MINUS SIGN}5 N x"]
-    assert len(find(figure, "disturbance")) == 2 * len(figure.axes)
-    changes = {line.get_xdata()[0] for line in find(figure.axes[0], "grip change")}
-    assert min(abs(change - 1.0) for change in changes) < 0.01
-    assert len(find(figure.axes[-1], "support")) == 4
-    assert not find(figure, "detachment") and not find(figure, "failure")
-
-
-def test_torn_gripper_is_marked_in_red(torn):
-    (instant, limb), *_ = plots.detachments(torn)
-    figure = plots.plot_walk(torn)
-    crosses = find(figure, "detachment")
-    assert {cross.get_color() for cross in crosses} == {plots.RED}
-    for panel in figure.axes:
-        assert any(cross.get_xdata()[0] == instant for cross in find(panel, "detachment"))
-    (label,) = find(figure, "failure")
-    assert label.get_text().startswith(f"{limb} torn off, {instant:.2f} s")
-    assert instant == pytest.approx(mc.metrics(torn)["detached_at"] or instant)
-
-
-def test_diverged_walk_is_drawn_to_its_end(walk, tmp_path):
-    figure = plots.plot_walk(diverged(walk))
-    (label,) = find(figure, "failure")
-    assert label.get_text() == "diverged, 0.90 s"
-    assert figure.axes[0].get_ylim()[1] < 100
-    plots.save_figure(figure, tmp_path / "diverged", dpi=50)
-
-
-def test_walk_without_gravity_has_no_tsm(walk, tmp_path):
-    figure = plots.plot_walk(dataclasses.replace(walk, tsm=np.full_like(walk.tsm, np.nan)))
-    (panel,) = (axes for axes in figure.axes if axes.get_ylabel() == "TSM [m]")
-    assert series(panel) == []
-    plots.save_figure(figure, tmp_path / "walk", dpi=50)
-
-
-def test_pd_walk_has_no_shift_panels(walk):
-    walk = dataclasses.replace(walk, base_displacement=np.zeros_like(walk.base_displacement))
-    assert not any("Delta" in label for label in y_labels(plots.plot_walk(walk)))
-
-
-def test_feet_are_drawn_on_the_ground_that_the_scenario_has(walk, tmp_path):
-    ground = {"LF": [0.0, 0.01], "LH": [0.0], "RH": [-0.02], "RF": [0.0]}
-    uneven = dataclasses.replace(walk, scenario=walk.scenario.with_overrides({"ground.footholds": ground}))
-    side, above = plots.plot_feet(uneven).axes
-    heights = {round(float(bar.get_ydata()[0]), 6) for bar in find(side, "foothold")}
-    assert heights == {0.0, 10.0, -20.0}
-    assert side.get_ylim()[0] < -20
-    np.testing.assert_allclose(find(above, "foothold")[0].get_xdata()[0], 1e3 * walk.foot_position[0, 0, 0], atol=1)
-    assert (side.get_ylabel(), above.get_xlabel()) == ("height [mm]", "ahead [mm]")
-    assert side.get_aspect() == above.get_aspect() == 1
-    flat = plots.plot_feet(walk)
-    assert {bar.get_ydata()[0] for bar in find(flat.axes[0], "foothold")} == {0.0}
-
-
-def test_a_height_map_is_drawn_where_it_lies(walk, tmp_path):
-    np.save(tmp_path / "map.npy", [[0.0, 0.001], [0.002, 0.003]])
-    ground = {"file": str(tmp_path / "map.npy"), "resolution": 1.0, "origin": [-0.5, -0.5]}
-    changes = {"ground.map": ground, "gait.heading": np.pi / 2}
-    figure = plots.plot_feet(dataclasses.replace(walk, scenario=walk.scenario.with_overrides(changes)))
-    (mesh,) = find(figure, "relief")
-    start = 1e3 * walk.base_reference[0, :2]
-    corners = mesh.get_coordinates()[..., :2].reshape(-1, 2)
-    # walking along y: ahead is y, to the left is -x
-    np.testing.assert_allclose(corners[0], [-500 - start[1], 500 + start[0]])
-    np.testing.assert_allclose(sorted(np.ravel(mesh.get_array())), [0, 1, 2, 3])
-    assert "ground [mm]" in y_labels(figure)
-
-
-def test_feet_of_a_torn_walk_end_with_it(torn):
-    figure = plots.plot_feet(torn)
-    assert len(find(figure, "detachment")) >= 2
-    (label,) = find(figure, "failure")
-    assert "torn off" in label.get_text()
-
-
-def test_comparison_draws_all_walks_on_the_same_axes(walk, torn):
     figure = plots.plot_comparison({"pd": walk, "proposed": torn}, "Case 2", per_limb=True)
+    for panel, expected in zip(figure.axes, zip(lines(walk), lines(torn), strict=True), strict=True):
+        assert_drawn(panel, walk, expected)
     assert y_labels(figure) == [
         "largest foot force [N]",
         "largest joint torque [N m]",
@@ -269,18 +181,88 @@ def test_comparison_draws_all_walks_on_the_same_axes(walk, torn):
         plots.plot_comparison({})
 
 
-def test_map_is_logarithmic_with_units_marks_and_baseline():
-    marks = {"paper": (5e4, 5e3), "best": (3e3, 1e2)}
+def test_walk_marks_grip_changes_and_disturbances(walk):
+    figure = plots.plot_walk(walk)
+    labels = [text.get_text() for text in find(figure, "disturbance label")]
+    assert labels == ["cargo 0.5 kg", "\N{MINUS SIGN}5 N x"]
+    assert len(find(figure, "disturbance")) == 2 * len(figure.axes)
+    changes = {line.get_xdata()[0] for line in find(figure.axes[0], "grip change")}
+    assert min(abs(change - 1.0) for change in changes) < 0.01
+    assert not find(figure, "detachment") and not find(figure, "failure")
+
+
+def test_diverged_walk_is_drawn_to_its_end(walk, tmp_path):
+    figure = plots.plot_walk(diverged(walk))
+    (label,) = find(figure, "failure")
+    assert label.get_text() == "diverged, 0.90 s"
+    assert figure.axes[0].get_ylim()[1] < 100
+    plots.save_figure(figure, tmp_path / "diverged", dpi=50)
+
+
+def test_a_walk_without_gravity_has_no_tsm_and_one_without_a_law_no_shift(walk):
+    nothing = {"tsm": np.full_like(walk.tsm, np.nan), "base_displacement": np.zeros_like(walk.base_displacement)}
+    figure = plots.plot_walk(dataclasses.replace(walk, **nothing))
+    assert series(figure.axes[y_labels(figure).index("TSM [m]")]) == []
+    assert not any("Delta" in label for label in y_labels(figure))
+
+
+def test_feet_go_where_they_went(walk):
+    """From the side and from above, in mm from where the base starts: four feet, then the base."""
+    paths = 1e3 * np.concatenate([walk.foot_position, walk.base_position[:, None]], axis=1)
+    paths[..., :2] -= 1e3 * walk.base_reference[0, :2]
+    for panel, axis in zip(plots.plot_feet(walk).axes, (2, 1), strict=True):
+        drawn = [line for line in panel.lines if len(line.get_xdata()) > 10]
+        for line, path in zip(drawn, paths.swapaxes(0, 1), strict=True):
+            np.testing.assert_allclose(np.transpose(line.get_data()), path[:, [0, axis]], atol=1e-9)
+
+
+def test_feet_are_drawn_on_the_ground_that_the_scenario_has(walk):
+    ground = {"LF": [0.0, 0.01], "LH": [0.0], "RH": [-0.02], "RF": [0.0]}
+    uneven = dataclasses.replace(walk, scenario=walk.scenario.with_overrides({"ground.footholds": ground}))
+    side, above = plots.plot_feet(uneven).axes
+    assert {round(float(bar.get_ydata()[0]), 6) for bar in find(side, "foothold")} == {0.0, 10.0, -20.0}
+    assert side.get_ylim()[0] < -20
+    np.testing.assert_allclose(find(above, "foothold")[0].get_xdata()[0], 1e3 * walk.foot_position[0, 0, 0], atol=1)
+    assert (side.get_ylabel(), above.get_xlabel()) == ("height [mm]", "ahead [mm]")
+    assert side.get_aspect() == above.get_aspect() == 1
+    assert {bar.get_ydata()[0] for bar in find(plots.plot_feet(walk).axes[0], "foothold")} == {0.0}
+
+
+def test_a_height_map_is_drawn_where_it_lies(walk, tmp_path):
+    np.save(tmp_path / "map.npy", [[0.0, 0.001], [0.002, 0.003]])
+    ground = {"file": str(tmp_path / "map.npy"), "resolution": 1.0, "origin": [-0.5, -0.5]}
+    changes = {"ground.map": ground, "gait.heading": np.pi / 2}
+    figure = plots.plot_feet(dataclasses.replace(walk, scenario=walk.scenario.with_overrides(changes)))
+    (mesh,) = find(figure, "relief")
+    start = 1e3 * walk.base_reference[0, :2]
+    corners = mesh.get_coordinates()[..., :2].reshape(-1, 2)
+    # walking along y: ahead is y, to the left is -x
+    np.testing.assert_allclose(corners[0], [-500 - start[1], 500 + start[0]])
+    np.testing.assert_allclose(np.ravel(mesh.get_array()), [0, 1, 2, 3])
+    assert "ground [mm]" in y_labels(figure)
+
+
+def test_feet_of_a_torn_walk_end_with_it(torn):
+    figure = plots.plot_feet(torn)
+    assert len(find(figure, "detachment")) >= 2
+    (label,) = find(figure, "failure")
+    assert "torn off" in label.get_text()
+
+
+def test_map_shows_each_value_at_its_gains_with_units_marks_and_baseline():
+    marks = {"paper": (5e4, 5e3), "best": (3e3, 1e2), "beside the grid": (4e7, 1e4)}
     figure = plots.plot_map(grid(), "peak_foot_force", marks, baseline=1.5)
     panel, bar = figure.axes
+    np.testing.assert_array_equal(cells(figure)[0], np.ma.masked_invalid(grid()["peak_foot_force"].values.T))
+    np.testing.assert_allclose(panel.collections[0].get_coordinates()[1, 2], [10**3.5, 1e1])
     assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
     assert panel.get_xlabel() == "stiffness" and panel.get_ylabel() == "damping"
     assert bar.get_ylabel() == "peak foot force [N]"
     assert [line.get_ydata()[0] for line in find(bar, "baseline")] == [1.5]
     drawn = {line.get_label(): line for line in panel.lines}
     assert {name: (line.get_xdata()[0], line.get_ydata()[0]) for name, line in drawn.items()} == marks
-    assert len({line.get_marker() for line in drawn.values()}) == 2
-    assert {"paper", "best", "gripper torn off", "diverged", "no value", "pd"} <= set(texts(figure))
+    assert len({line.get_marker() for line in drawn.values()}) == 3 and panel.get_xlim()[1] > 4e7
+    assert {*marks, "gripper torn off", "diverged", "no value", "pd"} <= set(texts(figure))
 
 
 def test_map_hatches_failed_walks_and_scales_by_the_others():
@@ -288,48 +270,40 @@ def test_map_hatches_failed_walks_and_scales_by_the_others():
     dataset["peak_foot_force"][2, 0] = 1e6
     figure = plots.plot_map(dataset, "peak_foot_force")
     for name, hatch, corner in (("gripper torn off", "/", (10**3.5, 0.1)), ("diverged", "x", (10**4.5, 0.1))):
-        (cells,) = find(figure, name)
-        assert isinstance(cells, PathPatch) and set(cells.get_hatch()) == {hatch}
-        ((polygon),) = cells.get_path().to_polygons()
+        (hatched,) = find(figure, name)
+        assert isinstance(hatched, PathPatch) and set(hatched.get_hatch()) == {hatch}
+        ((polygon),) = hatched.get_path().to_polygons()
         np.testing.assert_allclose(polygon.min(0), corner)
-    assert figure.axes[0].collections[0].norm.vmax < 3
+    assert cells(figure)[1].vmax < 3
 
 
 def test_the_colours_of_a_map_are_for_what_is_near_the_baseline_or_better():
-    dataset = grid()
-    dataset["peak_foot_force"][:] = np.linspace(1.0, 40.0, 12).reshape(4, 3)
-    dataset = dataset.drop_vars(["detached_limb", "diverged"])
-    smaller = plots.plot_map(dataset, "peak_foot_force", baseline=4.0).axes[0].collections[0].norm
+    dataset = grid(peak_foot_force=np.linspace(1.0, 40.0, 12).reshape(4, 3)).drop_vars(["detached_limb", "diverged"])
+    smaller = cells(plots.plot_map(dataset, "peak_foot_force", baseline=4.0))[1]
     assert smaller.vmin < 4.0 and smaller.vmax == pytest.approx(4.0 + 3 * (4.0 - smaller.vmin))
-    larger = plots.plot_map(
-        dataset.rename(peak_foot_force="min_tsm", min_gia_margin="other"), "min_tsm", baseline=37.0
-    ).axes[0].collections[0].norm  # fmt: skip
+    dataset = dataset.rename(peak_foot_force="min_tsm", min_gia_margin="other")
+    larger = cells(plots.plot_map(dataset, "min_tsm", baseline=37.0))[1]
     assert larger.vmax > 37.0 and larger.vmin == pytest.approx(37.0 - 3 * (larger.vmax - 37.0))
 
 
-def test_map_shows_a_mark_beside_the_grid():
-    panel = plots.plot_map(grid(), "peak_foot_force", {"paper": (4e7, 1e4)}).axes[0]
-    assert panel.get_xlim()[1] > 4e7
-
-
-def test_map_of_walks_without_values(tmp_path):
-    dataset = grid()
-    dataset["peak_foot_force"][:] = np.nan
-    dataset["diverged"][:] = True
-    figure = plots.plot_map(dataset, "peak_foot_force", baseline=2.0)
+def test_map_of_walks_without_values():
+    figure = plots.plot_map(grid(peak_foot_force=np.nan, diverged=True), "peak_foot_force", baseline=2.0)
     corners = np.concatenate(find(figure, "diverged")[0].get_path().to_polygons())
     np.testing.assert_allclose([corners.min(0), corners.max(0)], [[10**1.5, 0.1], [10**5.5, 1e5]])
-    assert not np.isfinite(np.ma.filled(figure.axes[0].collections[0].get_array(), np.nan)).any()
-    plots.save_figure(figure, tmp_path / "map", dpi=50)
+    assert not np.isfinite(np.ma.filled(cells(figure)[0], np.nan)).any()
 
 
-def test_map_rejects_what_it_cannot_draw():
-    with pytest.raises(ValueError, match="speed: expected one of peak_foot_force"):
-        plots.plot_map(grid(), "speed")
-    with pytest.raises(ValueError, match="peak_foot_force: expected dimensions stiffness and inertia"):
-        plots.plot_map(grid(), "peak_foot_force", y="inertia")
-    with pytest.raises(ValueError, match="above 0"):
-        plots.plot_map(grid().assign_coords(damping=[0.0, 1.0, 2.0]), "peak_foot_force")
+@pytest.mark.parametrize(
+    ("metric", "y", "lowest", "message"),
+    [
+        ("speed", "damping", 1.0, "speed: expected one of peak_foot_force"),
+        ("peak_foot_force", "inertia", 1.0, "peak_foot_force: expected dimensions stiffness and inertia"),
+        ("peak_foot_force", "damping", 0.0, "above 0"),
+    ],
+)
+def test_map_rejects_what_it_cannot_draw(metric, y, lowest, message):
+    with pytest.raises(ValueError, match=message):
+        plots.plot_map(grid().assign_coords(damping=[lowest, 2.0, 3.0]), metric, y=y)
 
 
 def test_sheet_of_maps(tmp_path):
@@ -338,6 +312,9 @@ def test_sheet_of_maps(tmp_path):
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
     assert titles[:3] == ["peak foot force [N]", "smallest GIA margin [m/s$^2$]", "cost of transport"]
     assert {"none", "LF", "LH", "RH", "RF", "pd \N{UPWARDS ARROW}"} <= set(texts(figure))
+    for panel, name in zip(figure.axes, metrics[:3], strict=False):
+        shown = np.ma.filled(panel.collections[0].get_array(), np.nan)
+        np.testing.assert_array_equal(shown, grid()[name].values.T, err_msg=name)
     paths = plots.save_figure(figure, tmp_path / "out" / "sheet.v1", dpi=50)
     assert [path.name for path in paths] == ["sheet.v1.png"]
 
@@ -346,8 +323,7 @@ def test_a_map_without_a_difference_says_so_in_no_colour():
     same = grid().assign(missed=(("stiffness", "damping"), np.zeros((4, 3)), {"units": "1"}))
     figure = plots.plot_map(same, "missed", baseline=0.0)
     assert "all cells: 0" in texts(figure) and not find(figure, "baseline")
-    shades = figure.axes[0].collections[0].to_rgba([0.0])[0, :3]
-    assert np.ptp(shades) == 0
+    assert np.ptp(figure.axes[0].collections[0].to_rgba([0.0])[0, :3]) == 0
 
 
 def test_the_limit_of_stability_runs_between_the_cells_on_both_sides_of_it():

@@ -123,7 +123,7 @@ def test_installed_code_finds_its_own_files(programs, tmp_path):
         "assert all(home in Path(place).parents for place in places), places\n"
         "assert 'case_1_1' in shipped.names() and 'lemur_like_cliff' in shipped.names()\n"
         "load_robot(mjx_climb.load_scenario(shipped.config_path('lemur_like_cliff.yaml')).robot)\n"
-        "ensemble.load(shipped.found(Path('ensemble')))\n"
+        "ensemble.Ensemble.load(shipped.found(Path('ensemble')))\n"
         "[load_robot(name) for name in ('hubrobo_v3_2', 'hubrobo_v2_2')]\n"
         "assert self_check.load()['walk']\n"
         "page._ENVIRONMENT.get_template('page.html.jinja')\n"

@@ -18,16 +18,15 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.control import LAWS, Measurement, Reference, Start
-from mjx_climb.control.virtual_model import VirtualState, advance, discretize
+from mjx_climb.control.virtual_mass import VirtualMass, advance, discretize
+from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import Feet, limb_frames
-from mjx_climb.dynamics.spatial import rotate_back
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.scenario.yaml_text import Dumper
 from mjx_climb.walk.contact import Contact, grip
-from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 
 # ------------------------------------------------------------------------------------------------------------
 # Scenarios
@@ -147,12 +146,12 @@ def test_an_option_says_what_the_file_would(data, scenario):
 
 ROBOT = load_robot("hubrobo_v3_2")
 GEOMETRY = limb_geometry(ROBOT)
-shares = arrays(float, (3, 4, 1), elements=st.floats(0, 1))
+shares = arrays(float, (4, 3), elements=st.floats(0, 1))
 
 
 @jax.jit
 def feet_of(joint_angles):
-    return limb_frames(ROBOT, jnp.eye(3)[:, :, None], joint_angles).foot
+    return limb_frames(ROBOT, jnp.eye(3), joint_angles).foot
 
 
 @jax.jit
@@ -167,34 +166,34 @@ def test_inverse_kinematics_undoes_the_forward_one(share):
     """Within the limits, the foot ahead of the coxa's axis: to 1e-9 m, and to 1e-9 rad where the knee bends."""
     angles = ROBOT.joint_lower + share * (ROBOT.joint_upper - ROBOT.joint_lower)
     feet = np.asarray(feet_of(angles))
-    local = np.asarray(rotate_back(GEOMETRY.hip_rotation, feet - GEOMETRY.hip_position))
-    ahead = (np.cos(angles[0]) * local[0] + np.sin(angles[0]) * local[1])[None] > 0.01
+    local = np.vecmat(feet - GEOMETRY.hip_position, GEOMETRY.hip_rotation)
+    coxa, tibia = angles[:, 0], angles[:, 2]
+    ahead = np.cos(coxa) * local[:, 0] + np.sin(coxa) * local[:, 1] > 0.01
     again, met, _ = solved(feet, np.zeros_like(feet))
-    assert (np.asarray(met) | ~ahead[0]).all()
-    assert (np.abs(feet_of(again) - feet) < 1e-9)[np.broadcast_to(ahead, feet.shape)].all()
-    bent = np.broadcast_to(ahead & (angles[2] < -0.1), feet.shape)
-    assert (np.abs(np.asarray(again) - angles) < 1e-9)[bent].all()
+    assert (np.asarray(met) | ~ahead).all()
+    assert (np.abs(feet_of(again) - feet) < 1e-9)[ahead].all()
+    assert (np.abs(np.asarray(again) - angles) < 1e-9)[ahead & (tibia < -0.1)].all()
 
 
 coordinate = st.floats(-0.4, 0.4) | st.floats(-1e6, 1e6) | st.sampled_from([0.0, 1e-300, 1e-12])
 
 
-@given(arrays(float, (3, 4, 1), elements=coordinate), arrays(float, (3, 4, 1), elements=st.floats(-1, 1)))
+@given(arrays(float, (4, 3), elements=coordinate), arrays(float, (4, 3), elements=st.floats(-1, 1)))
 def test_any_target_has_an_answer(target, direction):
     """Angles within a turn and their derivative are finite; a target counts as met where, and only where, it is."""
     angles, met, rates = map(np.asarray, solved(target, direction))
     assert np.isfinite(angles).all() and np.isfinite(rates).all()
     assert (np.abs(angles) <= np.pi).all()
-    missed = np.linalg.norm(feet_of(angles) - target, axis=0)
+    missed = np.linalg.norm(feet_of(angles) - target, axis=1)
     assert (missed[met] < 1e-9).all()
 
 
 # ------------------------------------------------------------------------------------------------------------
 # Contact
 
-NUMBERS = jax.tree.map(np.asarray, mc.parameters(Scenario()))
-place = arrays(float, (3, 4, 1), elements=st.floats(-0.1, 0.1, allow_subnormal=False))
-flags = arrays(bool, (4, 1))
+PARAMETERS = jax.tree.map(np.asarray, mc.parameters(Scenario()))
+place = arrays(float, (4, 3), elements=st.floats(-0.1, 0.1, allow_subnormal=False))
+flags = arrays(bool, 4)
 contacts = st.builds(Contact, grip_point=place, touching=flags, detached=flags, reach=st.just(()), attitude=st.just(()))
 gripped = jax.jit(grip)
 
@@ -204,32 +203,32 @@ gripped = jax.jit(grip)
     place,
     place,
     flags,
-    arrays(float, (4, 1), elements=st.floats(-0.05, 0.05, allow_subnormal=False)),
+    arrays(float, 4, elements=st.floats(-0.05, 0.05, allow_subnormal=False)),
     st.floats(0, 1e3),
 )
 def test_contact(contact, position, velocity, closed, ground, limit):
     """Who is held, who is pushed, and that the damper takes energy out, whatever a foot does."""
-    feet = Feet(position, velocity, position, ())
-    numbers = dataclasses.replace(NUMBERS, holding_limit=np.asarray(limit))
-    after, held = jax.tree.map(np.asarray, gripped(contact, feet, closed, ground, numbers))
-    at_ground = position[2] <= ground
+    feet = Feet(position, velocity, position, np.zeros((4, 3, 3)))
+    parameters = dataclasses.replace(PARAMETERS, holding_limit=np.asarray(limit))
+    after, held = jax.tree.map(np.asarray, gripped(contact, feet, closed, ground, parameters))
+    at_ground = position[:, 2] <= ground
     np.testing.assert_array_equal(held.support, closed & ~contact.detached)
     np.testing.assert_array_equal(after.touching, held.support | at_ground)
-    assert (held.force[:, ~after.touching] == 0).all()
+    assert (held.force[~after.touching] == 0).all()
     # grips: where the foot came to the ground, and there for as long as it touches
     fresh = after.touching & ~contact.touching
-    np.testing.assert_array_equal(after.grip_point[:, ~fresh], contact.grip_point[:, ~fresh])
-    np.testing.assert_array_equal(after.grip_point[:2, fresh], position[:2, fresh])
-    np.testing.assert_array_equal(after.grip_point[2, fresh], ground[fresh])
+    np.testing.assert_array_equal(after.grip_point[~fresh], contact.grip_point[~fresh])
+    np.testing.assert_array_equal(after.grip_point[fresh, :2], position[fresh, :2])
+    np.testing.assert_array_equal(after.grip_point[fresh, 2], ground[fresh])
     # power: what the spring stores comes back, what is left goes into the damper
-    spring = -float(NUMBERS.contact_stiffness) * (position - after.grip_point)
-    damped = np.sum((held.force - spring) * velocity, axis=0)[after.touching]
+    spring = -float(PARAMETERS.contact_stiffness) * (position - after.grip_point)
+    damped = np.sum((held.force - spring) * velocity, axis=1)[after.touching]
     assert (damped <= 1e-9).all()
     np.testing.assert_allclose(
-        damped, -float(NUMBERS.contact_damping) * np.sum(velocity**2, axis=0)[after.touching], atol=1e-9
+        damped, -float(PARAMETERS.contact_damping) * np.sum(velocity**2, axis=1)[after.touching], atol=1e-9
     )
     # grippers: torn off by a pull beyond the limit alone, and for good
-    torn = held.support & (held.force[2] < 0) & (np.linalg.norm(held.force, axis=0) > limit)
+    torn = held.support & (held.force[:, 2] < 0) & (np.linalg.norm(held.force, axis=1) > limit)
     np.testing.assert_array_equal(held.torn_off, torn)
     np.testing.assert_array_equal(after.detached, contact.detached | torn)
 
@@ -270,9 +269,9 @@ def test_the_zero_order_hold_is_exact(inertia, damping, stiffness):
 
 
 @jax.jit
-def halves_and_whole(gains, state, force):
-    half, whole = discretize(gains, STEP / 2), discretize(gains, STEP)
-    return advance(half, advance(half, state, force), force), advance(whole, state, force)
+def halves_and_whole(gains, displacement, rate, force):
+    half, whole = (VirtualMass(displacement, rate, discretize(gains, period)) for period in (STEP / 2, STEP))
+    return advance(advance(half, force), force), advance(whole, force)
 
 
 def rounded(largest):
@@ -282,7 +281,7 @@ def rounded(largest):
 
 @given(inertias, dampings, stiffnesses, rounded(1), rounded(1), rounded(100))
 def test_two_half_steps_are_one(inertia, damping, stiffness, displacement, rate, force):
-    halves, whole = halves_and_whole(Gains(inertia, damping, stiffness), VirtualState(displacement, rate), force)
+    halves, whole = halves_and_whole(Gains(inertia, damping, stiffness), displacement, rate, force)
     energy = abs(displacement) * np.sqrt(stiffness) + abs(rate) * np.sqrt(inertia) + abs(force) / np.sqrt(stiffness)
     assert abs(halves.displacement - whole.displacement) * np.sqrt(stiffness) <= 1e-10 * energy
     assert abs(halves.rate - whole.rate) * np.sqrt(inertia) <= 1e-10 * energy
@@ -323,14 +322,19 @@ def test_measured_pose_is_one_step_of_eq_3(inertia, damping, stiffness, measured
     position, velocity, omega, force = measured
     aim, turned, axis, moment = planned
     reference, base = Rotation.from_rotvec(turned), Rotation.from_rotvec(turned) * Rotation.from_rotvec(axis)
-    column = lambda rotation: rotation.as_quat(scalar_first=True)[:, None]  # noqa: E731
-    six = np.full((6, 1), 1.0)
     command = measured_pose(
-        Gains(inertia * six, damping * six, stiffness * six),
-        Measurement(position[:, None], column(base), velocity[:, None], omega[:, None], np.zeros((3, 4, 1)),
-                    np.concatenate([force, moment])[:, None], np.ones((4, 1), bool)),
-        Reference(aim[:, None], column(reference), np.zeros((3, 4, 1))),
-    )  # fmt: skip
+        Gains(*(value * np.ones(6) for value in (inertia, damping, stiffness))),
+        Measurement(
+            base_position=position,
+            base_orientation=base.as_quat(scalar_first=True),
+            base_linear_velocity=velocity,
+            base_angular_velocity=omega,
+            foot_force=np.zeros((4, 3)),
+            wrench=np.concatenate([force, moment]),
+            support=np.ones(4, bool),
+        ),
+        Reference(aim, reference.as_quat(scalar_first=True), np.zeros((4, 3))),
+    )
 
     def own(value):
         return reference.inv().apply(value)
@@ -339,11 +343,11 @@ def test_measured_pose_is_one_step_of_eq_3(inertia, damping, stiffness, measured
     rate = np.concatenate([own(velocity), own(omega)])
     acceleration = (np.concatenate([own(force), own(moment)]) - damping * rate - stiffness * offset) / inertia
     shift = offset + STEP * rate + STEP**2 * acceleration
-    np.testing.assert_allclose(command.base_displacement[:, 0], shift, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(command.base_position[:, 0], aim + reference.apply(shift[:3]), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(command.base_displacement, shift, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(command.base_position, aim + reference.apply(shift[:3]), rtol=1e-9, atol=1e-12)
     assert float(np.linalg.norm(command.base_orientation)) == pytest.approx(1, abs=1e-12)
     if np.linalg.norm(shift[3:]) < 1.9:
         half = shift[3:] / 2
         turn = Rotation.from_quat([*half, np.sqrt(1 - half @ half)])
-        difference = (reference * turn).inv() * Rotation.from_quat(command.base_orientation[:, 0], scalar_first=True)
+        difference = (reference * turn).inv() * Rotation.from_quat(command.base_orientation, scalar_first=True)
         assert difference.magnitude() < 1e-7

@@ -86,9 +86,9 @@ def test_heights_can_be_a_batch():
     numbers = jax.tree.map(np.asarray, mc.parameters(base))
     table = numbers.foothold_height
     batch = mc.Parameters(**{**vars(numbers), "foothold_height": np.stack([table, 0.5 * table])})
-    both = mc.rollout_metrics(base, numbers=batch, dtype=np.float64)
+    both = mc.rollout_metrics(base, parameters=batch, dtype=np.float64)
     half = mc.Parameters(**{**vars(numbers), "foothold_height": 0.5 * table[None]})
-    alone = mc.rollout_metrics(base, numbers=half, dtype=np.float64)
+    alone = mc.rollout_metrics(base, parameters=half, dtype=np.float64)
     np.testing.assert_allclose(both["peak_foot_force"][1], alone["peak_foot_force"][0], rtol=1e-9)
     assert both["peak_foot_force"][0] != both["peak_foot_force"][1]
 

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +12,12 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 import mjx_climb as mc
+from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.quantities.low_reaction import swing_path
 from mjx_climb.quantities.swing_reaction import heights, swing_reaction
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.walk import gait
-from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 from tests.robot import climbers
 
 LOW = {"gait.swing": "low_reaction"}
@@ -116,37 +117,37 @@ def test_the_joints_keep_their_limits_and_the_feet_their_ways(robots, name):
     scenario = robots[name]
     robot, path = load_robot(scenario.robot), swing_path(scenario)
     walked, cubic = (swing_reaction(scenario, one) for one in (path, np.zeros_like(path)))
-    lower = np.minimum(robot.joint_lower[..., 0].T, cubic.joints.min(0))
-    upper = np.maximum(robot.joint_upper[..., 0].T, cubic.joints.max(0))
+    lower = np.minimum(robot.joint_lower, cubic.joints.min(0))
+    upper = np.maximum(robot.joint_upper, cubic.joints.max(0))
     assert (walked.joints > lower - 1e-8).all() and (walked.joints < upper + 1e-8).all()
     assert (walked.missed.max(0) <= cubic.missed.max(0) + 1e-8).all()
     assert (heights(np.linspace(0, 1, 1001), path) > -1e-6).all()
     np.testing.assert_allclose(heights(np.array([0.0, 0.5, 1.0]), path).T, [[0, 1, 0]] * len(robot.limbs), atol=1e-12)
 
 
-@pytest.mark.slow
 def test_the_nominal_posture_is_the_one_a_walk_settles_at(robots):
     """Five joints, two of them spare: the walk's own inverse kinematics stay where the nominal swing is."""
     scenario = robots["three limbs of five"]
     robot = load_robot(scenario.robot)
     walked = swing_reaction(scenario, swing_path(scenario))
-    joints = jnp.asarray(np.moveaxis(walked.joints, 0, -1)).swapaxes(0, 1)
-    feet = limb_frames(robot, None, joints).foot
-    chain = limb_geometry(robot)
-    follow = jax.jit(lambda last: inverse_kinematics(chain, feet, last).joint_angles)
-    np.testing.assert_allclose(follow(joints), joints, atol=1e-9)
-    pulled = follow(joints + 0.01)
-    assert np.abs(pulled - joints).max() > 1e-4  # another posture with the feet there does not stay
+    feet = limb_frames(robot, None, walked.joints).foot
+    follow = functools.partial(inverse_kinematics, limb_geometry(robot), feet)
+    np.testing.assert_allclose(follow(walked.joints).joint_angles, walked.joints, atol=1e-9)
+    pulled = follow(walked.joints + 0.01).joint_angles
+    assert np.abs(pulled - walked.joints).max() > 1e-4  # another posture with the feet there does not stay
 
 
-def targets(scenario, numbers, steps):
-    """Return where the gait asks for the feet (steps, 3, L) m, of robots with numbers of one environment each."""
+def targets(scenario, parameters, steps):
+    """Return where the gait asks for the feet (steps, 3, limb) m."""
     robot = load_robot(scenario.robot)
-    last = jax.tree.map(lambda value: jnp.asarray(value)[..., None], numbers)
-    feet = limb_frames(robot, None, jnp.asarray(robot.stance_joints)).foot + robot.stance_position[:, None]
-    plan = gait.plan(robot, feet, last, tuple(scenario.gait.lift_off.items()), scenario.time_step)
-    now = gait.schedule(plan, jnp.asarray(steps))
-    return np.moveaxis(np.asarray(gait.foot_targets(plan, now, gait.first_footholds(plan))), -1, 0)
+    feet = limb_frames(robot, None, robot.stance_joints).foot + robot.stance_position
+    parameters = jax.tree.map(jnp.asarray, parameters)
+    plan = gait.plan(robot, feet, parameters, tuple(scenario.gait.lift_off.items()), scenario.time_step)
+
+    def at(step):
+        return gait.foot_targets(plan, gait.schedule(plan, step), gait.first_footholds(plan))
+
+    return np.asarray(jax.jit(jax.vmap(at))(jnp.asarray(steps))).swapaxes(1, 2)
 
 
 def test_swings_begin_and_end_at_rest_at_their_footholds(robots):
@@ -211,7 +212,7 @@ def test_slopes_through_low_reaction_swings(robots):
     scenario = robots["hubrobo"].with_overrides(
         {"duration": 0.3, "gait.cycle": 0.8, "gait.stride": 0.01, "gait.step_height": 0.01, "gravity": [0, 0, -1.6]}
     )
-    walk = mc.simulator(scenario, smooth=True, in_pieces=mc.pieces_pay("limb"))
+    walk = mc.simulator(scenario, smooth=True)
     numbers = jax.tree.map(jnp.asarray, mc.parameters(scenario))
     gains = mc.Gains(jnp.ones(6), jnp.full(6, 1e2), jnp.full(6, 3e3))
 

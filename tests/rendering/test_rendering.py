@@ -23,15 +23,13 @@ from mjx_climb.rendering import (
     canvas,
     captions,
     film,
-    force_trace,
     marks,
-    replay,
     surroundings,
     viewer,
 )
 from mjx_climb.robot.constants import load_model
-from mjx_climb.rollouts.trajectory import Trajectory
 from tests.robot import climbers
+from tests.trajectories import still
 from tuning.command_line import main
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case_1_2.yaml"
@@ -40,42 +38,16 @@ FEET = np.array([[0.14, 0.14, 0], [-0.14, 0.14, 0], [-0.14, -0.14, 0], [0.14, -0
 PRESSED, PULLED, UNLOADED = (0.0, 0.0, 4.0), (0.0, 0.0, -14.9), (0.0, 0.0, 0.0)
 
 
-NUMBERS = mc.parameters(mc.Scenario())
-
-
 def walk_of(force=UNLOADED, push=UNLOADED, duration=0.4, shift=(0.0, 0.0, 0.0), **overrides):
     """Return a robot that stands, is shifted at an even rate, and has the same force on all feet."""
     scenario = mc.load_scenario(CONFIG, {"duration": duration, "time_step": 0.01, "gait.cycle": 0.4, **overrides})
-    time = np.arange(scenario.steps) * scenario.time_step
     stance = load_model(scenario.robot).key_qpos[0]
-
-    def always(value):
-        return np.broadcast_to(np.asarray(value, float), (time.size, *np.shape(value))).copy()
-
-    way = np.linspace(0, 1, time.size)[:, None] * np.asarray(shift)
-    given = {
-        "time": time,
-        "base_position": always(stance[:3]) + way,
-        "base_orientation": always(stance[3:7]),
-        "joint_angles": always(stance[7:].reshape(4, 3)),
-        "joint_rates": always(np.zeros((4, 3))),
-        "foot_position": always(FEET) + way[:, None],
-        "foot_force": always([force] * 4),
-        "grip_point": always(FEET),
-        "base_reference": always([0, 0, 0.11]),
-        "push": always([*push, 0, 0, 0]),
-        "cargo_mass": always(0.0),
-        **{name: np.full((time.size, 4), True) for name in ("support", "contact", "reachable")},
-        **{name: np.full((time.size, 4), False) for name in ("detached", "torn_off", "missed")},
-    }
-    fixed = {"scenario": scenario, "gains": {}, "numbers": NUMBERS, "limbs": ("LF", "LH", "RH", "RF")}
-    sizes = {"time": time.size, "limb": 4, "joint": 3}
-    others = {
-        f.name: np.zeros([sizes.get(size) or int(size) for size in f.type.dim_str.split()])
-        for f in dataclasses.fields(Trajectory)
-        if f.name not in {**fixed, **given} and hasattr(f.type, "dim_str")
-    }
-    return Trajectory(**others, **fixed, **given)
+    way = np.linspace(0, 1, scenario.steps)[:, None] * np.asarray(shift)
+    return still(
+        scenario, base_position=stance[:3] + way, base_orientation=stance[3:7], joint_angles=stance[7:].reshape(4, 3),
+        foot_position=FEET + way[:, None], foot_force=force, grip_point=FEET, base_reference=[0, 0, 0.11],
+        push=[*push, 0, 0, 0],
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -102,15 +74,10 @@ def amount(image, rgb):
 # What is on the pictures
 
 
-def test_frames_have_the_size_and_number_asked_for(gl):
+def test_frames_have_the_size_and_number_asked_for_and_walks_keep_their_order(gl):
     frames = list(rendering.frames(walk_of(), fps=10, size=SMALL))
-    assert [frame.shape for frame in frames] == [(240, 320, 3)] * 4
-    assert frames[0].dtype == np.uint8
-
-
-def test_two_walks_are_twice_as_wide_and_keep_their_order(gl):
-    still, pushed = walk_of(), walk_of(push=(0, 0, 8.0))
-    both = picture(still, pushed)
+    assert [(frame.shape, frame.dtype) for frame in frames] == [((240, 320, 3), np.uint8)] * 4
+    both = picture(walk_of(), walk_of(push=(0, 0, 8.0)))
     assert both.shape == (240, 640, 3)
     assert amount(both[:, 320:], marks.PUSH) > amount(both[:, :320], marks.PUSH) + 50
 
@@ -150,7 +117,7 @@ def test_an_arrow_is_as_long_as_its_force(gl):
     with canvas.Canvas(model, 480, 480) as made:
         shown, bare = (
             made.draw(data, view, lambda scene: None, draw).astype(int)
-            for draw in (lambda scene: marks._arrow(scene, start, end, marks.PUSH), lambda scene: None)
+            for draw in (lambda scene: marks.arrow(scene, start, end, marks.PUSH), lambda scene: None)
         )
     rows = np.flatnonzero((np.abs(shown - bare).max(-1) > 40).any(1))
     _, up, forward = view.axes()
@@ -168,7 +135,7 @@ def test_the_ground_has_no_specks_of_its_own_shadow(gl):
         for height, shadow in ((0.11, 1), (0.11, 0), (9.0, 1), (9.0, 0)):  # at 9 m the robot is above the sun
             data.qpos[2] = height
             mujoco.mj_forward(model, data)
-            made._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadow
+            made.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadow
             pictures.append(made.draw(data, view, lambda scene: None, lambda scene: None).astype(int))
     with_robot, alone = ((unshaded - shaded).min(-1) > 5 for shaded, unshaded in (pictures[:2], pictures[2:]))
     assert with_robot.sum() > 500
@@ -184,7 +151,7 @@ def test_a_torn_limb_and_a_walk_that_diverged_are_shown(gl):
     walk = walk_of(PRESSED)
     walk.torn_off[10, 1], walk.detached[11:, 1] = True, True
     walk.base_position[30:] = np.nan
-    assert replay.whole(walk) == 30
+    assert camera.whole(walk) == 30
     before, after = picture(walk, time=0.05), picture(walk, time=0.2)
     assert amount(after, np.array([0.82, 0, 0])) > amount(before, np.array([0.82, 0, 0]))
     np.testing.assert_array_equal(picture(walk, time=0.29), picture(walk, time=0.39))
@@ -194,10 +161,10 @@ def test_the_trace_of_forces_peaks_where_the_walk_does_and_a_line_runs_with_the_
     walk = walk_of()
     forces = np.zeros_like(walk.foot_force)
     forces[30, 2, 0], forces[:, 0, 2] = 8.0, 1.0
-    trace = force_trace.ForceTrace([dataclasses.replace(walk, foot_force=forces)], 0, (320, 60))
-    line = np.all(trace.at(0.0) == force_trace.NOW, axis=2).sum(0).argmax()
+    trace = captions.ForceTrace([dataclasses.replace(walk, foot_force=forces)], 0, (320, 60))
+    line = np.all(trace.at(0.0) == captions.WHITE, axis=2).sum(0).argmax()
     for time in (0.1, 0.15):
-        now = np.all(trace.at(time) == force_trace.NOW, axis=2).sum(0).argmax()
+        now = np.all(trace.at(time) == captions.WHITE, axis=2).sum(0).argmax()
         assert now == pytest.approx(line + (320 - 1.3 * line) * time / walk.time[-1], abs=1.5)
     blue = (trace.at(0.0).astype(int)[..., 2] - trace.at(0.0)[..., 0])[:, line + 5 :]
     peak = np.flatnonzero(blue.max(1) > 60).min()
@@ -237,7 +204,7 @@ def test_decoration_leaves_the_robot_as_it_was():
 
 def test_the_ground_passes_just_below_every_grip():
     grips = np.concatenate([FEET[:, :2], [[0.0], [0.03], [-0.02], [0.01]]], axis=1)
-    relief = surroundings._relief(np.random.default_rng(0), 0.16, grips)
+    relief = surroundings.relief_of(np.random.default_rng(0), 0.16, grips)
     axis = np.linspace(-surroundings.REACH, surroundings.REACH, surroundings.CELLS)
     for grip in grips:
         row, column = np.abs(axis - grip[1]).argmin(), np.abs(axis - grip[0]).argmin()
@@ -332,35 +299,45 @@ def test_a_robot_from_a_file_is_shown_with_its_feet(gl, tmp_path):
         assert (short < 0.9 * long) == (number == 0)
 
 
-@pytest.mark.parametrize("option", ["--video", "--snapshots"])
-def test_without_opengl_the_packages_to_install_are_named(option, refused, monkeypatch):
-    monkeypatch.setattr(backend, "works", lambda name: False)
+NO_DISPLAY = {"DISPLAY": None, "WAYLAND_DISPLAY": None}
+INSTALL = "tried egl, osmesa); on Debian and Ubuntu install libegl1 and libgl1, or libosmesa6"
+
+
+@pytest.mark.parametrize(
+    ("options", "environment", "works", "expected"),
+    [
+        ("--video", NO_DISPLAY | {"MUJOCO_GL": None}, False, INSTALL),
+        ("--snapshots", NO_DISPLAY | {"MUJOCO_GL": None}, False, INSTALL),
+        ("--video", {"MUJOCO_GL": "off"}, None, "MUJOCO_GL=off"),
+        # tried for real: GLFW without a display, which would end the process
+        ("--video", NO_DISPLAY | {"MUJOCO_GL": "glfw"}, None, "(tried glfw); MUJOCO_GL=egl needs no display"),
+        ("--view", NO_DISPLAY, None, "neither DISPLAY nor WAYLAND_DISPLAY"),
+        ("--view", {"WAYLAND_DISPLAY": None, "DISPLAY": ":nowhere"}, None, "got :nowhere, which does not"),
+        *(
+            (f"--snapshots --at={at}", {}, True, "--at: expected up to 12 times from 0 to 8 s")
+            for at in ("-1", "0.1,9", "nan")
+        ),
+        ("--snapshots --at=soon", {}, True, "--at: expected a number, got 'soon'"),
+        ("--snapshots --at=", {}, True, "--at: expected a number, got ''"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_before_the_walk(options, environment, works, expected, refused, monkeypatch):
     monkeypatch.setattr("platform.system", lambda: "Linux")
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    err = refused(option)
-    assert "tried egl, osmesa" in err
-    assert "libegl1 and libgl1, or libosmesa6" in err
-
-
-def test_rendering_that_is_switched_off_is_named(refused, monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    assert "MUJOCO_GL=off" in refused("--video")
-
-
-def test_the_viewer_without_a_display_says_so(refused, monkeypatch):
-    monkeypatch.setattr("platform.system", lambda: "Linux")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+    for name, value in environment.items():
         monkeypatch.delenv(name, raising=False)
-    assert "neither DISPLAY nor WAYLAND_DISPLAY" in refused("--view")
+        if value is not None:
+            monkeypatch.setenv(name, value)
+    if works is not None:
+        monkeypatch.setattr(backend, "works", lambda name: works)
+    assert expected in refused(*options.split())
 
 
-def test_a_window_that_cannot_be_opened_does_not_end_the_process(refused, monkeypatch):
-    """Tried for real: GLFW without a display."""
-    monkeypatch.setattr("platform.system", lambda: "Linux")
-    monkeypatch.setenv("MUJOCO_GL", "glfw")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    assert "got none that works (tried glfw); MUJOCO_GL=egl needs no display" in refused("--video")
+def beside(*command, **environment):
+    """Run a command in a process of its own, in which this file is a module."""
+    folders = os.pathsep.join([str(Path(__file__).parent), str(CONFIG.parents[1])])
+    inherited = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"}  # this process's own
+    environment = {**inherited, "PYTHONPATH": folders, **environment}
+    return subprocess.run(command, env=environment, cwd=CONFIG.parents[1], capture_output=True, text=True, timeout=120)
 
 
 WITHOUT = """
@@ -386,14 +363,7 @@ main(sys.argv[1:])
 def test_a_library_that_is_not_installed_is_named(wanted, expected, tmp_path):
     """In a process of its own, because MuJoCo's import fails where the OpenGL of MUJOCO_GL is missing."""
     arguments = ["run", str(CONFIG), "--video", "--out", str(tmp_path / "out")]
-    run = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *arguments],
-        env={**os.environ, "MUJOCO_GL": wanted},
-        cwd=CONFIG.parents[1],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    run = beside(sys.executable, "-c", WITHOUT, *arguments, MUJOCO_GL=wanted)
     assert (run.returncode, run.stdout) == (2, "")
     assert expected in run.stderr
     assert len(run.stderr.splitlines()) == 1
@@ -417,26 +387,11 @@ def test_every_way_to_opengl_draws_the_same_picture(name, library, tmp_path):
     if platform.system() != "Linux" or ctypes.util.find_library(library) is None:
         pytest.skip(f"lib{library} is not installed")
     drawn = tmp_path / "drawn.png"
-    folders = os.pathsep.join([str(Path(__file__).parent), str(CONFIG.parents[1])])
-    environment = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"}  # this process's own
-    run = subprocess.run(
-        [sys.executable, "-c", DRAW, drawn, name],
-        env={**environment, "MUJOCO_GL": name, "PYTHONPATH": folders},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    run = beside(sys.executable, "-c", DRAW, drawn, name, MUJOCO_GL=name)
     assert run.returncode == 0, run.stderr
     here = picture(walk_of(PRESSED)).astype(int)
     with Image.open(drawn) as there:
         assert np.abs(np.asarray(there) - here).mean() < 2
-
-
-def test_a_display_that_opens_no_window_is_named(refused, monkeypatch):
-    monkeypatch.setattr("platform.system", lambda: "Linux")
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setenv("DISPLAY", ":nowhere")
-    assert "got :nowhere, which does not" in refused("--view")
 
 
 WATCH = """
@@ -469,14 +424,7 @@ def test_the_viewer_plays_walks_in_turn_in_real_time_shows_their_forces_and_ends
     """On a display of its own, without a graphics card; a process that ends before the viewer's thread would crash."""
     if shutil.which("xvfb-run") is None:
         pytest.skip("xvfb is not installed")
-    folders = os.pathsep.join([str(Path(__file__).parent), str(CONFIG.parents[1])])
-    run = subprocess.run(
-        ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", sys.executable, "-c", WATCH],
-        env={**os.environ, "PYTHONPATH": folders},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    run = beside("xvfb-run", "-a", "-s", "-screen 0 640x480x24", sys.executable, "-c", WATCH)
     assert run.returncode == 0, run.stderr
     for line, expected in zip(run.stdout.splitlines(), (4, 0), strict=True):
         pictures, speed, arrows = map(float, line.split())
@@ -500,20 +448,14 @@ def test_view_and_compare_show_both_walks(monkeypatch, tmp_path):
 
 
 def test_the_viewer_says_whose_walk_it_shows():
-    names, values = viewer._words(walk_of(PRESSED), 0)
+    names, values = viewer.words(walk_of(PRESSED), 0)
     assert dict(zip(names.splitlines(), values.splitlines(), strict=True))["controller"] == "base admittance"
-
-
-@pytest.mark.parametrize("at", ["-1", "0.1,9", "soon", "", "nan"])
-def test_instants_outside_the_walk_are_refused(at, refused, monkeypatch):
-    monkeypatch.setattr(backend, "works", lambda name: True)
-    assert "--at: expected up to 12 times from 0 to 8 s" in refused("--snapshots", "--at", at)
 
 
 def test_a_context_that_does_not_exist_or_hangs_does_not_work(monkeypatch):
     assert not backend.works("no_such_context")
-    monkeypatch.setattr(backend, "_TRIAL", "while True: pass")
-    monkeypatch.setattr(backend, "_TRIAL_SECONDS", 0.1)
+    monkeypatch.setattr(backend, "TRIAL", "while True: pass")
+    monkeypatch.setattr(backend, "TRIAL_SECONDS", 0.1)
     assert not backend.works("egl")
 
 
@@ -542,7 +484,7 @@ def test_run_writes_video_and_snapshots_of_two_controllers(gl, tmp_path, capsys)
 def test_marks_stop_where_the_scene_is_full():
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     scene = mujoco.MjvScene(model, maxgeom=3)
-    marks.around(scene, walk_of(), 5, 1)
+    marks.around(scene, walk_of(), 5)
     assert scene.ngeom == 3
 
 

@@ -6,7 +6,6 @@ import pytest
 
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
-from tuning.command_line import main
 
 MJCF = climbers.mjcf(4, 3).replace("><", ">\n<")
 URDF = urdf(1)[0].replace("><", ">\n<")
@@ -64,17 +63,6 @@ BROKEN = {
 }
 
 
-def refused(file, capsys):
-    """Return the one line in which the command refuses a file."""
-    with pytest.raises(SystemExit) as ended:
-        main(["robot", str(file)])
-    said = capsys.readouterr()
-    assert ended.value.code == 2, said
-    lines = said.err.strip().splitlines()
-    assert len(lines) == 1 and not said.out, said
-    return lines[0]
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -82,15 +70,15 @@ def refused(file, capsys):
         for name, (_, _, element, _) in BROKEN.items()
     ],
 )
-def test_a_broken_file_is_refused_in_one_line(tmp_path, capsys, name):
+def test_a_broken_file_is_refused_in_one_line(saved, ended, name):
     """The line is that of the element or the one after, or names it."""
     suffix, text, element, change = BROKEN[name]
     lines = text.split("\n")
     at = next(n for n, line in enumerate(lines) if f'joint name="{element}"' in line)
     change(lines, at)
-    file = tmp_path / f"robot.{suffix}"
-    file.write_text("\n".join(lines))
-    line = refused(file, capsys)
+    file = saved("\n".join(lines), f"robot.{suffix}")
+    code, out, line = ended(file)
+    assert code == 2 and line.count("\n") == 1 and not out, (out, line)
     place = re.search(rf"{re.escape(str(file))}:(\d+)", line)
     assert place, line
     assert element in line or at <= int(place[1]) - 1 <= at + 8, line

@@ -10,27 +10,25 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import growth
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import bare, compiled, described, driven_joints
-from mjx_climb.robot.found_limbs import base_of, limbs_of, stood_on
+from mjx_climb.robot.found_limbs import Notes, base_of, limbs_of, stood_on
 from mjx_climb.robot.proposal import propose
 from mjx_climb.robot.rerooted import rerooted
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
-from tuning.command_line import main
 
 PLAIN = climbers.mjcf(4, 3).replace("><", ">\n<")
 FEET = re.compile(r'<site name="foot\d" pos="0.15 0 0"/>')
 
 
-def written(tmp_path, text, name="robot.xml"):
-    file = tmp_path / name
-    file.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return str(file)
+def model_of(file):
+    return compiled(str(file), bare(str(file)))
 
 
 def found(file):
     """Return the limbs of a file by name, and what was noted."""
-    model, notes = compiled(file, bare(file)), []
-    return limbs_of(file, described(file), model, base_of(file, model), notes), " ".join(map(" ".join, notes))
+    model, notes = model_of(file), Notes()
+    limbs = limbs_of(str(file), described(str(file)), model, base_of(str(file), model), notes)
+    return limbs, " ".join(map(" ".join, notes))
 
 
 @pytest.mark.parametrize(
@@ -41,9 +39,9 @@ def found(file):
         ('<body pos="0.1 0 0"><geom type="box" size="0.02 0.03 0.01" pos="0.03 0 0"/></body>', [0.15, 0, 0]),
     ],
 )  # fmt: skip
-def test_a_limb_ends_where_its_shape_does(tmp_path, shape, at):
+def test_a_limb_ends_where_its_shape_does(saved, shape, at):
     """In a frame, turned by angles, in a part welded on: the place is the one that MuJoCo gives the shape."""
-    limbs, told = found(written(tmp_path, FEET.sub(shape, PLAIN)))
+    limbs, told = found(saved(FEET.sub(shape, PLAIN)))
     for limb in limbs.values():
         np.testing.assert_allclose(limb.at, at, atol=1e-5)
     assert "ends" not in told
@@ -61,16 +59,14 @@ PRONGS = np.array([[0, 0, 0.01], [0, 0.01, 0], [0.15, 0, 0.02], [0.15, 0, -0.02]
 
 @pytest.mark.parametrize("kind", ["collision", "visual"])
 @pytest.mark.parametrize("folder", ["meshes", "any_description/meshes", "urdf/gone"])
-def test_a_limb_of_a_urdf_ends_where_its_mesh_does(tmp_path, kind, folder):
+def test_a_limb_of_a_urdf_ends_where_its_mesh_does(saved, kind, folder):
     """Between the two prongs that reach farthest, scaled and turned; without the file a guess, as it says."""
-    (tmp_path / "urdf").mkdir()
-    (tmp_path / folder).mkdir(parents=True)
-    written(tmp_path, stl(PRONGS * [1, 1, 0.1]), f"{folder}/shin.stl")
+    saved(stl(PRONGS * [1, 1, 0.1]), f"{folder}/shin.stl")
     mesh = '<mesh filename="package://any_description/meshes/shin.stl" scale="1 1 10"/>'
     shape = f'<{kind}><origin xyz="0 0 0.01" rpy="0 0 1.2"/><geometry>{mesh}</geometry></{kind}></link>'
     text = re.sub(r'<link name="\w+_toe"/>|<joint name="\w+_ankle".*?</joint>', "", urdf(1)[0])
     text = re.sub(r'(<link name="\w+_shank">.*?)</link>', rf"\1{shape}", text)
-    limbs, told = found(written(tmp_path, text, "urdf/robot.urdf"))
+    limbs, told = found(saved(text, "urdf/robot.urdf"))
     there = folder != "urdf/gone"
     for limb in limbs.values():
         end = [0.15 * np.cos(1.2), 0.15 * np.sin(1.2), 0.01]
@@ -78,26 +74,24 @@ def test_a_limb_of_a_urdf_ends_where_its_mesh_does(tmp_path, kind, folder):
     assert (f"{kind} mesh 'shin' of 'LF_shank'" in told) == there and ("guessed" in told) != there
 
 
-def test_a_mesh_of_an_mjcf_and_one_that_is_none(tmp_path):
+def test_a_mesh_of_an_mjcf_and_one_that_is_none(saved):
     """A wheel's rim counts for its middle; a file that is no mesh is passed over, and said."""
     shape = '<geom type="mesh" mesh="shin" pos="0.01 0 0"/><geom type="cylinder" size="0.02 0.01" pos="0.1 0 0"/>'
     text = FEET.sub(shape, PLAIN).replace("<worldbody>", '<asset><mesh file="shin.stl"/></asset>\n<worldbody>')
     text = text.replace("<compiler", '<compiler meshdir="looks"')
     for mesh, at in ((stl(PRONGS), [0.16, 0, 0]), (b"solid nothing", [0.1, 0, 0])):
-        folder = tmp_path / str(len(mesh)) / "looks"
-        folder.mkdir(parents=True)
-        written(folder, mesh, "shin.stl")
-        limbs, told = found(written(folder.parent, text))
+        saved(mesh, f"{len(mesh)}/looks/shin.stl")
+        limbs, told = found(saved(text, f"{len(mesh)}/robot.xml"))
         np.testing.assert_allclose(limbs["L0"].at, at, atol=1e-5)
         assert ("ignored meshes of the last links" in told) == (at[0] == 0.1)
 
 
-def test_an_end_that_is_guessed_is_told(tmp_path):
-    limbs, told = found(written(tmp_path, FEET.sub("", PLAIN)))
+def test_an_end_that_is_guessed_is_told(saved):
+    limbs, told = found(saved(FEET.sub("", PLAIN)))
     assert limbs["L0"].at == (0.15, 0.004, 0.0) and "ends of last links not in the file" in told
 
 
-def test_joints_driven_in_any_way(tmp_path):
+def test_joints_driven_in_any_way(saved):
     """By a motor, one in the parent's frame, and a tendon; the fourth limb's last joint has none."""
     tendons = "".join(f'<fixed name="t{n}"><joint joint="L{n}_2" coef="2"/></fixed>' for n in range(3))
     motors = "".join(
@@ -106,7 +100,7 @@ def test_joints_driven_in_any_way(tmp_path):
     )
     text = PLAIN.replace("</worldbody>", f"</worldbody><tendon>{tendons}</tendon><actuator>{motors}</actuator>")
     joints = {f"L{n}_{k}" for n in range(4) for k in range(3)}
-    assert driven_joints(described(written(tmp_path, text))) == joints - {"L3_2"}
+    assert driven_joints(described(str(saved(text)))) == joints - {"L3_2"}
 
 
 LIMITS = {
@@ -119,45 +113,45 @@ LIMITS = {
 }
 
 
-def test_torque_limits_of_actuators(tmp_path):
+def test_torque_limits_of_actuators(saved):
     """Those in force, of all actuators of a joint together."""
     motors = "".join(motor.format(f"L{n // 3}_{n % 3}") for n, motor in enumerate(LIMITS))
-    file = written(tmp_path, PLAIN.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>"))
-    model = compiled(file, bare(file))
+    file = saved(PLAIN.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>"))
+    model = model_of(file)
     for n, limit in enumerate(LIMITS.values()):
         joint = model.joint(f"L{n // 3}_{n % 3}").id
         assert bool(model.jnt_actfrclimited[joint]) == (limit is not None)
         assert limit is None or model.jnt_actfrcrange[joint, 1] == limit
 
 
-def test_motors_of_a_ball_joint_drive_its_hinges(tmp_path):
+def test_motors_of_a_ball_joint_drive_its_hinges(saved):
     ball = re.sub(r'<joint name="L0_1"[^>]*>', '<joint name="L0_1" type="ball"/>', PLAIN)
     motors = '<motor joint="L0_1" gear="0 1 0"/><motor joint="L0_1" gear="0 0 2"/>'
     text = ball.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
-    assert driven_joints(described(written(tmp_path, text))) == {"L0_1_y", "L0_1_z"}
+    assert driven_joints(described(str(saved(text)))) == {"L0_1_y", "L0_1_z"}
 
 
-def test_small_and_bounded_weights_are_mujocos(tmp_path):
+def test_small_and_bounded_weights_are_mujocos(saved):
     """Inertias of an insect, and least ones that the file asks for, are what MuJoCo makes of the file."""
     insect, bounded = ("", "1e-6", "4e-12 4e-12 5e-12"), ('boundmass="0.2" boundinertia="1e-3"', "0.15", "0 0 0")
     for compiler, mass, inertia in (insect, bounded):
         weighed = re.sub(r'mass="[^"]*" diaginertia="[^"]*"', f'mass="{mass}" diaginertia="{inertia}"', PLAIN)
-        file = written(tmp_path, weighed.replace("<compiler", f"<compiler {compiler}"))
-        ours, theirs = compiled(file, bare(file)), mujoco.MjModel.from_xml_path(file)
+        file = saved(weighed.replace("<compiler", f"<compiler {compiler}"))
+        ours, theirs = model_of(file), mujoco.MjModel.from_xml_path(str(file))
         np.testing.assert_array_equal(ours.body_mass, theirs.body_mass)
         np.testing.assert_allclose(ours.body_inertia, theirs.body_inertia, rtol=1e-12)
 
 
-def test_a_file_is_what_is_in_it_whatever_its_name(tmp_path):
+def test_a_file_is_what_is_in_it_whatever_its_name(saved):
     """A URDF called .xml needs no meshes, and an MJCF called .urdf has the weights of its shapes."""
-    file = written(tmp_path, urdf(0)[0])
-    assert compiled(file, bare(file)).nmesh == 0
+    file = saved(urdf(0)[0])
+    assert model_of(file).nmesh == 0
     shapes = re.sub(r'<inertial pos="0.075[^>]*>', '<geom type="capsule" size="0.01" fromto="0 0 0 0.1 0 0"/>', PLAIN)
-    file = written(tmp_path, shapes, "robot.urdf")
-    assert compiled(file, bare(file)).body("L0_2").mass[0] > 0.01
+    file = saved(shapes, "robot.urdf")
+    assert model_of(file).body("L0_2").mass[0] > 0.01
 
 
-def test_a_hand_ends_a_limb(tmp_path):
+def test_a_hand_ends_a_limb(saved):
     """Of two fingers beyond three joints; beyond two it is a fork in a limb, whose longest branch counts."""
     finger = (
         '<body name="{0}{1}" pos="0.15 0 0"><joint name="{0}{1}"/><geom size="0.01" pos="0.03 0 0"/>'
@@ -167,7 +161,7 @@ def test_a_hand_ends_a_limb(tmp_path):
     hands = lambda _: "".join(map(finger.format, [next(ends)] * 2, (0, 1)))  # noqa: E731
     for joints, expected in ((3, 3), (2, 3)):
         text = re.sub(r'<site name="foot\d" pos="[\d.]+ 0 0"/>', hands, climbers.mjcf(4, joints))
-        limbs, _ = found(written(tmp_path, text))
+        limbs, _ = found(saved(text))
         assert [len(limb.joints) for limb in limbs.values()] == [expected] * 4
 
 
@@ -175,19 +169,19 @@ PEBBLE = '<body name="pebble"><freejoint/><geom size="0.1"/></body>'
 SLIDES = '<joint name="rx" type="slide" axis="1 0 0"/>'
 
 
-def test_a_base_that_slides_beside_a_pebble_that_floats(tmp_path):
-    file = written(tmp_path, PLAIN.replace("<freejoint/>", SLIDES).replace("<worldbody>", f"<worldbody>{PEBBLE}"))
-    model = compiled(file, bare(file))
-    assert model.body(base_of(file, model)).name == "trunk"
+def test_a_base_that_slides_beside_a_pebble_that_floats(saved):
+    file = saved(PLAIN.replace("<freejoint/>", SLIDES).replace("<worldbody>", f"<worldbody>{PEBBLE}"))
+    model = model_of(file)
+    assert model.body(base_of(str(file), model)).name == "trunk"
 
 
-def test_a_file_that_begins_at_a_foot(tmp_path):
+def test_a_file_that_begins_at_a_foot(saved):
     """Turned round it moves as before, and with its base named it is the robot whose file begins there."""
-    whole = written(tmp_path, climbers.mjcf(4, 3))
-    model = compiled(whole, bare(whole))
+    whole = saved(climbers.mjcf(4, 3))
+    model = model_of(whole)
     spec = rerooted(model, "L1_2")
     other = spec.compile()
-    turned = written(tmp_path, spec.to_xml(), "turned.xml")  # in six digits
+    turned = saved(spec.to_xml(), "turned.xml")  # in six digits
     assert other.body(1).name == "L1_2"
     placed = []
     angles = np.random.default_rng(0).uniform(-0.5, 0.5, 12)
@@ -213,11 +207,11 @@ def test_a_file_that_begins_at_a_foot(tmp_path):
         propose(turned, base="torso")
 
 
-def test_one_row_of_joints_begins_at_a_foot(tmp_path):
+def test_one_row_of_joints_begins_at_a_foot(saved):
     """Its base is in the middle, and what hangs on it either way are the limbs."""
-    whole = written(tmp_path, climbers.mjcf(2, 7))
-    text = rerooted(compiled(whole, bare(whole)), "L0_6").to_xml()
-    proposal = propose(written(tmp_path, text, "worm.xml"))
+    whole = saved(climbers.mjcf(2, 7))
+    text = rerooted(model_of(whole), "L0_6").to_xml()
+    proposal = propose(saved(text, "worm.xml"))
     robot = proposal.sections["robot"]
     assert robot["base"] == "trunk" and "from foot to foot" in " ".join(map(" ".join, proposal.notes))
     assert sorted(limb["joints"] for limb in robot["limbs"].values()) == [
@@ -225,23 +219,22 @@ def test_one_row_of_joints_begins_at_a_foot(tmp_path):
     ]
 
 
-def test_arms_above_legs_are_asked_for(tmp_path, capsys):
+def test_arms_above_legs_are_asked_for(saved, ended):
     """Two limbs start and end a way above two others: one line names them and the option, by which they are held."""
     legs, arms = (re.findall(r'<body name="L\d_0".*?</body></body></body>', climbers.mjcf(2, 3)) for _ in range(2))
     arms = [re.sub(r'"(L|foot)(\d)', r'"arm_\1\2', arm).replace('0.0 0"', '0.0 0.8"') for arm in arms]
     arms = [re.sub(r'(pos="\S+ \S+) 0"', r'\1 0.8"', arm, count=1) for arm in arms]
     trunk = climbers.mjcf(2, 3).split('<body name="L0_0"')[0]
-    file = written(tmp_path, trunk + "".join(legs + arms) + "</body></worldbody></mujoco>")
+    file = saved(trunk + "".join(legs + arms) + "</body></worldbody></mujoco>")
     with pytest.raises(mc.RobotError, match="got arm_L0, arm_L1 above L0, L1: choose with --limbs L0,L1, or"):
         propose(file)
-    limbs, model = found(file)[0], compiled(file, bare(file))
-    assert list(stood_on(file, model, limbs, 1, ["L1", "L0"])) == ["L0", "L1"]
-    with pytest.raises(SystemExit) as ended:
-        main(["robot", file, "--limbs", "L0,leg"])
-    assert ended.value.code == 2 and "--limbs: expected two or more of L0, L1, arm_L0" in capsys.readouterr().err
+    limbs, model = found(file)[0], model_of(file)
+    assert list(stood_on(str(file), model, limbs, 1, ["L1", "L0"])) == ["L0", "L1"]
+    code, _, error = ended(file, "--limbs", "L0,leg")
+    assert code == 2 and "--limbs: expected two or more of L0, L1, arm_L0" in error
 
 
-def test_what_is_told_of_a_robot_with_little_in_its_file(tmp_path):
+def test_what_is_told_of_a_robot_with_little_in_its_file(saved):
     """On a waist, without limits, with a short keyframe, a switched off constraint, and more that is passed over."""
     text = re.sub(r' range="[^"]*"', "", PLAIN)
     text = text.replace('<body name="trunk">\n<freejoint/>', '<body name="pelvis"><freejoint/><inertial pos="0 0 0" '
@@ -249,7 +242,7 @@ def test_what_is_told_of_a_robot_with_little_in_its_file(tmp_path):
     text = text.replace("</worldbody>", '</body></worldbody><keyframe><key name="home" qpos="0 0 1"/></keyframe>'
         '<equality><joint joint1="L0_1" joint2="L1_1" active="false"/></equality>')  # fmt: skip
     text = text.replace('joint name="L0_1"', 'joint name="L0_1" damping="0.1 0.2"')
-    proposal = propose(written(tmp_path, text))
+    proposal = propose(saved(text))
     told = "\n".join(" ".join(note) for note in proposal.notes)
     for line in (
         "taken base 'pelvis'",
@@ -261,7 +254,7 @@ def test_what_is_told_of_a_robot_with_little_in_its_file(tmp_path):
     ):
         assert line in told
     robot = mc.Scenario.model_validate(proposal.sections | {"time_step": 1e-4}).robot
-    assert load_robot(robot).base_mass[0] == pytest.approx(2.2)
+    assert load_robot(robot).base_mass == pytest.approx(2.2)
 
 
 LIMB = '<mujoco>\n<body name="x">\n<joint name="bad" axis="0 0 z"/>\n</body>\n</mujoco>'
@@ -305,26 +298,25 @@ WRONG = {  # name of the file, its text, of part.xml, where it is and what is sa
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_told_where_it_stands(tmp_path, name):
+def test_what_is_wrong_is_told_where_it_stands(saved, tmp_path, name):
     named, text, part, expected = WRONG[name]
     if part:
-        written(tmp_path, part, "part.xml")
-    file = written(tmp_path, text, named)
+        saved(part, "part.xml")
+    file = saved(text, named)
     with pytest.raises(mc.RobotError) as refused:
-        compiled(file, bare(file))
+        model_of(file)
     assert "\n" not in str(refused.value) and str(refused.value).startswith(str(tmp_path))
     assert re.search(expected, str(refused.value)), refused.value
 
 
-def test_the_robots_own_file_is_not_written_over(tmp_path, capsys):
-    file = written(tmp_path, PLAIN)
-    with pytest.raises(SystemExit) as ended:
-        main(["robot", file, "--write", str(tmp_path / "." / "robot.xml")])
-    assert ended.value.code == 2 and "another file than the robot's own" in capsys.readouterr().err
-    assert (tmp_path / "robot.xml").read_text() == PLAIN
+def test_the_robots_own_file_is_not_written_over(saved, ended):
+    file = saved(PLAIN)
+    code, _, error = ended(file, "--write", f"{file.parent}/./robot.xml")
+    assert code == 2 and "another file than the robot's own" in error
+    assert file.read_text() == PLAIN
 
 
-def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
+def test_the_time_step_is_short_enough_where_a_swing_ends(saved):
     """A foot that comes near its yaw axis leaves the joint little inertia: explicit damping holds for h kd < 2 I."""
     limbs = "".join(
         f'<body name="B{n}" pos="{0.15 * x} {0.15 * y} 0" euler="0 0 {turn}"><joint name="B{n}_slide" type="slide" '
@@ -335,8 +327,7 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
         "</body></body></body>"
         for n, (x, y, turn) in enumerate(((1, 0, 0), (0, 1, 90), (-1, 0, 180), (0, -1, 270)))
     )
-    file = written(
-        tmp_path,
+    file = saved(
         '<mujoco><worldbody><body name="hub"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="0.02 0.02 0.03"/>'
         f"{limbs}</body></worldbody></mujoco>",
     )
@@ -344,7 +335,7 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
     far = 0.19 + out
     feet = {"B0": [far, 0], "B1": [0, far], "B2": [-far, 0], "B3": [0, -far]}
     sections = {
-        "robot": {"file": file, "height": 0.17, "limbs": {
+        "robot": {"file": str(file), "height": 0.17, "limbs": {
             limb: {"joints": [f"{limb}_{joint}" for joint in ("slide", "yaw", "pitch")], "foot": f"foot{limb[1]}",
                    "foothold": foot} for limb, foot in feet.items()}},
         "gait": {"sequence": list(feet), "stride": stride}, "control": {"kp": 1600.0, "kd": kd}, "time_step": 1e-5,
@@ -361,15 +352,18 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(tmp_path):
     assert growth(scenario, 2.2 * inertia / kd) > 1
 
 
-def test_a_held_joint_is_a_body_turned(tmp_path):
+def test_a_held_joint_is_a_body_turned(saved):
     """Mass matrix and bias of a robot with a joint held are those of one whose body is written turned, without it."""
     arm = '<body pos="0 0 0.03"{}>{}<inertial pos="0.02 0 0.1" mass="0.4" diaginertia="1e-3 2e-3 1.5e-3"/></body>'
     held = climbers.mjcf(2, 3, on_base=arm.format("", '<joint name="mast" axis="0 1 0"/>'))
     turned = climbers.mjcf(2, 3, on_base=arm.format(f' euler="0 {np.degrees(0.7)} 0"', ""))
     rng, found = np.random.default_rng(0), []
     position, rate = rng.uniform(-0.5, 0.5, 6), rng.normal(size=12)
+    scenario = mc.Scenario.model_validate(climbers.config(saved(held, "free.xml"), 2, 3))
+    with pytest.raises(mc.RobotError, match=r"robot.limbs: expected no joints but those named .*robot.locked.mast: 0"):
+        load_robot(scenario.robot)
     for name, text, locked in (("held.xml", held, {"mast": 0.7}), ("turned.xml", turned, {})):
-        sections = climbers.config(written(tmp_path, text, name), 2, 3)
+        sections = climbers.config(saved(text, name), 2, 3)
         sections["robot"]["locked"] = locked
         model = load_model(mc.Scenario.model_validate(sections).robot)
         data, mass = mujoco.MjData(model), np.empty((12, 12))

@@ -13,9 +13,9 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step, growth, largest_time_step
+from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.robot.constants import load_model, load_robot
-from mjx_climb.walk.inverse_kinematics import inverse_kinematics, limb_geometry
 
 LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
 IMU = 'name="imu_mount" type="fixed"><parent link="trunk"/><child link="imu"/><origin xyz="0.02 0 0.03"/>'
@@ -78,7 +78,7 @@ def keys(path, reach, height=0.1):
 
 
 @pytest.fixture
-def written(tmp_path):
+def written(saved):
     """Return the keys of a robot file, with text of the URDF and keys replaced."""
 
     def write(seed=0, replace=(), change=lambda data: None, **how):
@@ -86,13 +86,17 @@ def written(tmp_path):
         for old, new in replace:
             assert old in text
             text = text.replace(old, new)
-        path = tmp_path / f"robot_{seed}.urdf"
-        path.write_text(text)
-        data = keys(path, reach)
+        data = keys(saved(text, f"robot_{seed}.urdf"), reach)
         change(data["robot"])
         return data
 
     return write
+
+
+@pytest.fixture
+def loaded(written):
+    """Return the robot of a file, by the arguments of `written`."""
+    return lambda *given, **how: load_robot(mc.Scenario.model_validate(written(*given, **how)).robot)
 
 
 def theirs(path, joint_names, offset, angles, rates, spin, tau):
@@ -121,13 +125,13 @@ def test_a_urdf_moves_as_in_mujoco(written, engine, seed):
     scenario = mc.Scenario.model_validate(written(seed))
     robot = load_robot(scenario.robot)
     rng = np.random.default_rng(seed)
-    angles = rng.uniform(robot.joint_lower, robot.joint_upper)[..., 0].T.ravel()
+    angles = rng.uniform(robot.joint_lower.T, robot.joint_upper.T).T.ravel()
     rates, spin, tau = rng.normal(size=12), rng.normal(size=3), 0.1 * rng.normal(size=12)
     names = [f"{limb}_{joint}" for limb in robot.limbs for joint in ("yaw", "lift", "knee")]
     feet = jnp.zeros((4, 3))
     # no offset in velocity: the file's origin is at rest, so its centre of mass moves with spin x offset
     height = scenario.robot.height
-    offset = robot.stance_position[:, 0] - [0, 0, height]
+    offset = robot.stance_position - [0, 0, height]
     state = mc.State(
         jnp.zeros(3),
         jnp.array([1.0, 0, 0, 0]),
@@ -151,21 +155,20 @@ def test_the_closed_form_reaches_what_the_joints_reach(written, seed):
     geometry = limb_geometry(robot)
     rng = np.random.default_rng(seed)
     lower, upper = robot.joint_lower + 0.15, robot.joint_upper - 0.15  # off the stretched limb
-    angles = np.concatenate([robot.stance_joints, rng.uniform(lower, upper, (3, 4, 400))], axis=-1)
-    level = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, angles.shape[-1]))
-    feet = np.asarray(limb_frames(robot, level, jnp.asarray(angles)).foot)
-    solved = jax.jit(inverse_kinematics)(geometry, feet)
-    toward = np.stack([np.cos(angles[0]), np.sin(angles[0])])
-    local = np.einsum("ijlb,ilb->jlb", geometry.hip_rotation, feet - geometry.hip_position)
-    ahead = (local[:2] * toward).sum(0) > 0.01
-    assert ahead[:, 0].all() and ahead.mean() > 0.3
+    angles = np.concatenate([robot.stance_joints[None], rng.uniform(lower, upper, (400, 4, 3))])
+    feet = limb_frames(robot, None, angles).foot
+    solved = inverse_kinematics(geometry, feet)
+    toward = np.stack([np.cos(angles[..., 0]), np.sin(angles[..., 0])], axis=-1)
+    local = np.vecmat(feet - geometry.hip_position, geometry.hip_rotation)
+    ahead = (local[..., :2] * toward).sum(-1) > 0.01
+    assert ahead[0].all() and ahead.mean() > 0.3
     assert solved.reachable[ahead].all()
-    assert np.abs(solved.joint_angles - angles)[:, ahead].max() < 1e-6
-    again = np.asarray(limb_frames(robot, level, solved.joint_angles).foot)
-    assert np.abs(again - feet)[:, ahead].max() < 1e-9
-    standing = feet[..., 0] + robot.stance_position
+    assert np.abs(solved.joint_angles - angles)[ahead].max() < 1e-6
+    again = limb_frames(robot, None, solved.joint_angles).foot
+    assert np.abs(again - feet)[ahead].max() < 1e-9
+    standing = feet[0] + robot.stance_position
     wanted = [(*getattr(source.limbs, limb).foothold, 0.0) for limb in robot.limbs]
-    np.testing.assert_allclose(standing.T, wanted, atol=1e-9)
+    np.testing.assert_allclose(standing, wanted, atol=1e-9)
 
 
 def test_axes_along_each_other_are_exactly_so():
@@ -178,18 +181,15 @@ def test_axes_along_each_other_are_exactly_so():
         np.testing.assert_array_equal(value[near], whole[near])
 
 
-def test_axes_written_with_few_digits_are_meant_square(written):
+def test_axes_written_with_few_digits_are_meant_square(loaded):
     """A URDF with 1.5708 for a right angle gives the robot of the exact one, to the digits written."""
-    rough, exact = (
-        load_robot(mc.Scenario.model_validate(written(seed=1, quarter=q)).robot)
-        for q in ("1.5708", "1.5707963267948966")
-    )
+    rough, exact = (loaded(seed=1, quarter=quarter) for quarter in ("1.5708", "1.5707963267948966"))
     limb_geometry(rough)
     np.testing.assert_allclose(rough.frame_position, exact.frame_position, atol=1e-5)
     np.testing.assert_allclose(rough.stance_joints, exact.stance_joints, atol=1e-3)
 
 
-def test_a_foot_off_a_frame_that_is_turned(written):
+def test_a_foot_off_a_frame_that_is_turned(loaded):
     """`at` is along the axes of the site, body or link that is named, not along the last link's or the world's."""
     turned = ('<origin xyz="', '" rpy="0 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="0"')
     at, rpy = np.array([0.01, -0.02, 0.015]), (0.3, -0.5, 1.1)
@@ -203,35 +203,28 @@ def test_a_foot_off_a_frame_that_is_turned(written):
     for angles, offset in (("0 0 0", axes @ at), (" ".join(map(str, rpy)), at)):
         tilt = (turned[1], turned[1].replace("0 0 0", angles, 1))
         put_at = lambda robot, offset=offset: [limb.update(at=offset.tolist()) for limb in robot["limbs"].values()]  # noqa: E731
-        feet.append(load_robot(mc.Scenario.model_validate(written(0, [tilt], put_at)).robot).foot_center)
+        feet.append(loaded(0, [tilt], put_at).foot_center)
     np.testing.assert_allclose(feet[0], feet[1], atol=1e-12)
 
 
-def test_a_spring_damps_beside_the_file(written):
-    dynamics = '<dynamics damping="0.1"/>'
-    plain = load_robot(mc.Scenario.model_validate(written(0)).robot)
-    slack = float(plain.stance_joints[2, plain.limbs.index("LF"), 0])
+def test_a_spring_damps_beside_the_file(loaded):
+    plain = loaded(0)
+    slack = float(plain.stance_joints[plain.limbs.index("LF"), 2])
     springs = put({"LF_knee": {"stiffness": 2.0, "damping": 0.03, "rest": slack}}, "springs")
-    robot = load_robot(mc.Scenario.model_validate(written(0, [("</joint>", f"{dynamics}</joint>")], springs)).robot)
-    damping = robot.damping[..., 0]
-    assert damping[2, robot.limbs.index("LF")] == pytest.approx(0.13)
-    assert np.sort(damping.ravel())[:-1] == pytest.approx(0.1)
-
-
-def drop(*path):
-    def change(robot):
-        for key in path[:-1]:
-            robot = robot[key]
-        del robot[path[-1]]
-
-    return change
+    robot = loaded(0, [("</joint>", '<dynamics damping="0.1"/></joint>')], springs)
+    assert robot.damping[robot.limbs.index("LF"), 2] == pytest.approx(0.13)
+    assert np.sort(robot.damping.ravel())[:-1] == pytest.approx(0.1)
 
 
 def put(value, *path):
+    """Return a change of one key of a robot; None: without it."""
+
     def change(robot):
         for key in path[:-1]:
             robot = robot[key]
         robot[path[-1]] = value
+        if value is None:
+            del robot[path[-1]]
 
     return change
 
@@ -255,27 +248,25 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_cannot_be_walked_is_refused_with_its_key(written, name):
+def test_what_cannot_be_walked_is_refused_with_its_key(loaded, name):
     replace, change, expected = BAD[name]
-    source = mc.Scenario.model_validate(written(0, replace, change)).robot
     with pytest.raises(mc.RobotError) as refused:
-        load_robot(source)
+        loaded(0, replace, change)
     assert expected in str(refused.value)
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_friction_and_damping_of_the_file_are_taken(written):
-    dynamics = '<dynamics damping="0.1" friction="0.02"/>'
-    robot = load_robot(mc.Scenario.model_validate(written(0, [("</joint>", f"{dynamics}</joint>")])).robot)
-    np.testing.assert_array_equal(robot.damping, np.full((3, 4, 1), 0.1))
-    np.testing.assert_array_equal(robot.friction, np.full((3, 4, 1), 0.02))
+def test_friction_and_damping_of_the_file_are_taken(loaded):
+    robot = loaded(0, [("</joint>", '<dynamics damping="0.1" friction="0.02"/></joint>')])
+    np.testing.assert_array_equal(robot.damping, np.full((4, 3), 0.1))
+    np.testing.assert_array_equal(robot.friction, np.full((4, 3), 0.02))
 
 
 @pytest.mark.parametrize(
     ("change", "key"),
     [
-        (drop("height"), "robot.height: expected a value"),
-        (drop("limbs", "LF"), "gait.sequence: expected the three limbs LH, RH, RF, each once"),
+        (put(None, "height"), "robot.height: expected a value"),
+        (put(None, "limbs", "LF"), "gait.sequence: expected the three limbs LH, RH, RF, each once"),
         (put(["a"], "limbs", "LF", "joints"), "robot.limbs.LF.joints: expected a list of two to seven joint names"),
         (put([1, 2, 3], "limbs", "LF", "foothold"), "robot.limbs.LF.foothold: expected a list of two"),
         (put(1, "limbs", "LF", "toe"), "robot.limbs.LF.toe: expected a known key"),
@@ -310,7 +301,7 @@ def test_a_relative_path_starts_at_the_config(written, tmp_path, monkeypatch):
         (("hip{}", "knee{}", "ankle{}"), ("joint1", "joint2", "joint3")),  # one word each, of every limb another
     ],
 )
-def test_joints_are_called_what_the_file_calls_them(written, theirs, expected):
+def test_joints_are_called_what_the_file_calls_them(loaded, theirs, expected):
     """In pictures and netCDF files, where the limb stands beside: without what tells the limbs apart."""
     own = {f"{limb}_{link}": theirs[n].format(limb) for limb in LIMBS for n, link in enumerate(("yaw", "lift", "knee"))}
 
@@ -318,8 +309,7 @@ def test_joints_are_called_what_the_file_calls_them(written, theirs, expected):
         for limb in robot["limbs"].values():
             limb["joints"] = [own[name] for name in limb["joints"]]
 
-    data = written(0, [(f'joint name="{name}"', f'joint name="{other}"') for name, other in own.items()], renamed)
-    robot = load_robot(mc.Scenario.model_validate(data).robot)
+    robot = loaded(0, [(f'joint name="{name}"', f'joint name="{other}"') for name, other in own.items()], renamed)
     assert robot.joint_names == expected
     assert robot.limbs == tuple(LIMBS)
 
@@ -395,12 +385,12 @@ def test_joint_gains_that_are_given_count_for_the_time_step(given):
     scenario = mc.Scenario(robot="hubrobo_v3_2")
     stiff = {"kp": 2e3, "kd": 30.0}
     numbers = mc.parameters(scenario)
-    check_time_step(scenario, numbers=numbers)
+    check_time_step(scenario, parameters=numbers)
     with pytest.raises(mc.ConfigError, match=r"control.kp 2000 and control.kd 30, got 0\.001"):
         if given == "gains":
             mc.rollout(scenario, stiff)
         else:
-            mc.rollout(scenario, numbers=dataclasses.replace(numbers, **jax.tree.map(np.asarray, stiff)))
+            mc.rollout(scenario, parameters=dataclasses.replace(numbers, **jax.tree.map(np.asarray, stiff)))
 
 
 @pytest.mark.slow
@@ -411,7 +401,7 @@ def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     too_long = walks.with_overrides({"time_step": 2e-4})
     with pytest.raises(mc.ConfigError, match=r"0\.0001 would do"):
         mc.rollout(too_long)
-    monkeypatch.setattr(importlib.import_module("mjx_climb.rollouts.rollout"), "check_time_step", lambda *_, **__: None)
+    monkeypatch.setattr(importlib.import_module("mjx_climb.simulation"), "check_time_step", lambda *_, **__: None)
     bad = mc.metrics(mc.rollout(too_long))
     assert not good["diverged"]
     assert good["peak_foot_force"] < 2 * 1.705 * 9.81

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.quantities.parameters import own_parameters
 
 COUNT = 64
 LOST, BLOWN_UP = 10, 40  # environments made to detach and to diverge
@@ -23,14 +24,14 @@ def batch(scenario):
     rng = np.random.default_rng(0)
     scale = lambda *shape: 10.0 ** rng.uniform(-1, 1, shape)  # noqa: E731
     gains = mc.Gains(scale(COUNT, 6), 1e3 * scale(COUNT, 6), 1e4 * scale(COUNT, 6))
-    numbers = dataclasses.replace(
-        jax.tree.map(np.asarray, mc.parameters(scenario)),
+    parameters = dataclasses.replace(
+        own_parameters(scenario),
         gravity=np.array([0, 0, -1.0]) * scale(COUNT, 1),
         contact_stiffness=1e4 * rng.uniform(0.5, 1.5, COUNT),
         holding_limit=np.full(COUNT, 100.0),
         cargo_mass=rng.uniform(0, 1, COUNT),
     )
-    return gains, numbers
+    return gains, parameters
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +52,10 @@ def test_a_batch_of_64_gives_each_what_it_has_alone(scenario, batch, together):
 @pytest.mark.slow
 def test_bad_neighbours_change_nothing(scenario, batch, together):
     """One environment tears off and one diverges: both say so, and the other 62 stay the same to the last bit."""
-    gains, numbers = batch
-    limit, stiffness = numbers.holding_limit.copy(), numbers.contact_stiffness.copy()
+    gains, parameters = batch
+    limit, stiffness = parameters.holding_limit.copy(), parameters.contact_stiffness.copy()
     limit[LOST], stiffness[BLOWN_UP] = 1e-3, 1e9
-    worse = dataclasses.replace(numbers, holding_limit=limit, contact_stiffness=stiffness)
+    worse = dataclasses.replace(parameters, holding_limit=limit, contact_stiffness=stiffness)
     result = mc.rollout_metrics(scenario, gains, worse, dtype=np.float64)
     others = np.delete(np.arange(COUNT), [LOST, BLOWN_UP])
     for name, values in together.items():
@@ -80,3 +81,19 @@ def test_parts_of_a_batch_have_its_shape(scenario, batch, together):
     for name, values in result.items():
         assert values.shape == (2, 35)
         np.testing.assert_allclose(values.ravel(), together[name][rows], rtol=1e-11, err_msg=name)  # other shares
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("varies", ["push_force", "push_moment"])
+def test_what_varies_may_stand_beside_what_does_not(case, varies):
+    """Forces with a batch axis beside moments without one, and the reverse: each walk is the one that it is alone."""
+    push = {"force": [1.0, 0.0, 0.0], "moment": [0.1, 0.1, 0.1], "start": 0.01, "stop": 0.05}
+    scenario = case("case_1_2", "pd", (("duration", 0.1), ("gait.cycle", 0.5), ("disturbance.pushes", [push])))
+    some, own = {varies: np.arange(24.0).reshape(8, 1, 3) / 10}, own_parameters(scenario)
+    whole = {name: np.broadcast_to(getattr(own, name), (8, 1, 3)) for name in ("push_force", "push_moment")} | some
+    found, expected = (
+        mc.rollout_metrics(scenario, None, dataclasses.replace(own, **changes), dtype=np.float64)["peak_foot_force"]
+        for changes in (some, whole)
+    )
+    assert len(np.unique(found)) == 8
+    np.testing.assert_allclose(found, expected, rtol=1e-12)

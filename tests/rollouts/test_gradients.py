@@ -1,7 +1,5 @@
 """Forward-mode derivatives through whole walks, of every smooth metric by every gain, against central differences."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,34 +23,32 @@ ROUNDING = 1e-12  # what is uncertain of a metric by the rounding of 8000 steps,
 class Walks:
     """All smooth metrics of a batch of walks, (metric, B), as a function of relative changes of the gains (B, 3, 6)."""
 
-    def __init__(self, scenarios, gains, numbers, nominal=None):
-        in_pieces = mc.pieces_pay("limb")
-        compiled = functools.partial(jax.jit, compiler_options=mc.compiler_options(64, in_pieces=in_pieces))
-        self.simulate = mc.simulator(scenarios[0], in_pieces=in_pieces)
+    def __init__(self, scenarios, gains, parameters, nominal=None):
+        self.simulate = mc.simulator(scenarios[0])
         self.nominal = np.array([[getattr(gains(s), name) for name in GAINS] for s in scenarios])
         if nominal is not None:
             self.nominal = np.broadcast_to(np.array(nominal)[:, None], self.nominal.shape)
-        self.numbers = jax.tree.map(lambda *values: np.stack(values), *map(numbers, scenarios))
-        self.values = compiled(self._values)
-        self.slopes = compiled(
+        self.parameters = jax.tree.map(lambda *values: np.stack(values), *map(parameters, scenarios))
+        self.values = jax.jit(self._values)
+        self.tangents = jax.jit(
             lambda change, *rest: jax.jvp(lambda c: self._values(c, *rest[1:]), (change,), rest[:1])[1]
         )
 
-    def _values(self, change, nominal, numbers):
+    def _values(self, change, nominal, parameters):
         gains = nominal * (1 + change)
-        metrics = self.simulate(mc.Gains(*(gains[:, i] for i in range(3))), numbers)
+        metrics = self.simulate(mc.Gains(*(gains[:, i] for i in range(3))), parameters)
         return jnp.stack([metrics[name] for name in SMOOTH])
 
     def rows(self, count):
         """Return the nominal gains and the parameters, `count` rows for each scenario."""
         repeat = lambda value: np.repeat(value, count, axis=0)  # noqa: E731
-        return repeat(self.nominal), jax.tree.map(repeat, self.numbers)
+        return repeat(self.nominal), jax.tree.map(repeat, self.parameters)
 
     def forward(self, directions):
         """Return derivatives (metric, scenario, direction) by forward mode: a row of the batch for each direction."""
         change = np.tile(directions, (len(self.nominal), 1, 1))
-        slopes = self.slopes(np.zeros_like(change), change, *self.rows(len(directions)))
-        return np.asarray(slopes).reshape(len(SMOOTH), -1, len(directions))
+        tangents = self.tangents(np.zeros_like(change), change, *self.rows(len(directions)))
+        return np.asarray(tangents).reshape(len(SMOOTH), -1, len(directions))
 
     def differences(self, directions):
         """Return central differences (step, metric, scenario, direction) and metrics (metric, scenario, 1)."""

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.quantities.parameters import KEYS, own_numbers
+from mjx_climb.control import law_of
+from mjx_climb.quantities.parameters import KEYS, own_parameters
 from mjx_climb.quantities.ranges import check_ranges
-from mjx_climb.rollouts.rollout import given_in
-from tuning.searches import grid
+from mjx_climb.rollouts.resolve import resolve_in
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def scenario(case):
 
 @pytest.fixture(scope="module")
 def numbers(scenario):
-    return own_numbers(scenario)
+    return own_parameters(scenario)
 
 
 WRONG = {
@@ -54,9 +54,9 @@ def test_every_entry_checks(scenario, numbers):
     for walk in (
         lambda: mc.rollout(scenario, None, bad),
         lambda: mc.rollout_histories(scenario, None, bad),
-        lambda: mc.rollout_slopes(scenario, {"damping": 1e2}, {"damping": 1.0}, bad),
+        lambda: mc.rollout_jvp(scenario, {"damping": 1e2}, {"damping": 1.0}, bad),
         lambda: mc.simulator(scenario)(None, bad),
-        lambda: mc.Environment(scenario).reset(bad),
+        lambda: mc.Environment(scenario).reset(None, bad),
     ):
         with pytest.raises(ValueError, match=r"parameters\.torque_limit"):
             walk()
@@ -101,7 +101,5 @@ def test_so_they_have_elsewhere(scenario):
         mc.Environment(scenario).reset(batch=(0,))
     with pytest.raises(ValueError, match=r"^dtype: "):
         mc.simulator(scenario)({"damping": jnp.full(6, 1e2, jnp.bfloat16)})
-    with pytest.raises(ValueError, match=r"^batch_size: "):
-        grid.of(scenario, np.ones(2), np.ones(2), batch_size=0)
     with pytest.raises(ValueError, match=r"^dtype: "):
-        given_in(scenario, None, None, None, np.int32)
+        resolve_in(scenario, law_of(scenario), None, None, np.int32)

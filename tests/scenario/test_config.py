@@ -46,11 +46,8 @@ def message(call, *arguments) -> str:
 def test_configs_hold_the_papers_cases(name, gravity, damping, stiffness, cargo, pushes):
     scenario = load_scenario(CONFIGS / f"{name}.yaml")
     assert scenario.gravity == pytest.approx((0, 0, gravity))
-    assert (scenario.control.inertia, scenario.control.damping, scenario.control.stiffness) == (
-        1,
-        damping,
-        stiffness,
-    )
+    control = scenario.control
+    assert (control.inertia, control.damping, control.stiffness) == (1, damping, stiffness)
     assert scenario.disturbance.cargo == Cargo(mass=cargo, start=2.0, stop=None)
     assert len(scenario.disturbance.pushes) == pushes
     assert scenario.steps == 8000
@@ -160,69 +157,38 @@ BAD_FILES = [
     ("gait: {heading: 90}", "gait.heading: expected an angle in rad"),
     ("gait: {swing: calm}", "gait.swing: expected 'cubic' or 'low_reaction', got \"calm\""),
     ("gait: {base_reference: sagged}", "gait.base_reference: expected 'nominal' or 'actual', got \"sagged\""),
-    (
-        "contact: {holding_limit: -1}",
-        "contact.holding_limit: expected a finite number, 0 or above, or null, got -1",
-    ),
-    (
-        "control: {controller: lqr}",
-        "control.controller: expected 'pd', 'base_admittance' or 'end_effector_admittance'",
-    ),
+    ("contact: {holding_limit: -1}", "contact.holding_limit: expected a finite number, 0 or above, or null, got -1"),
+    ("control: {controller: lqr}", "control.controller: expected 'pd', 'base_admittance' or 'end_effector_admittance'"),
     ("control: {damping: 0}", "control.damping: expected a finite number above 0, or a list of six, got 0"),
-    (
-        "control: {damping: [1, 2, 3, 4, 5]}",
-        "control.damping: expected a finite number above 0, or a list of six",
-    ),
+    ("control: {damping: [1, 2, 3, 4, 5]}", "control.damping: expected a finite number above 0, or a list of six"),
     ("control: {stiffness: [1, 1, 1, 1, 1, -1]}", "control.stiffness: expected"),
-    (
-        "control: {controller: end_effector_admittance, reading: measured_pose}",
-        "control.reading: expected virtual_model with end_effector_admittance (measured_pose reads "
-        'base_admittance only), got "measured_pose"',
-    ),
-    (
-        "disturbance: {cargo: {start: 2, stop: 2}}",
-        "disturbance.cargo.stop: expected a time after start = 2 s, or null",
-    ),
-    (
-        "disturbance: {cargo: null}",
-        "disturbance.cargo: expected a mapping with keys mass, start, stop, got null",
-    ),
+    ("control: {controller: end_effector_admittance, reading: measured_pose}",
+     "control.reading: expected virtual_model with end_effector_admittance (measured_pose reads "
+     'base_admittance only), got "measured_pose"'),
+    ("disturbance: {cargo: {start: 2, stop: 2}}", "disturbance.cargo.stop: expected a time after start = 2 s, or null"),
+    ("disturbance: {cargo: null}", "disturbance.cargo: expected a mapping with keys mass, start, stop, got null"),
     ("disturbance: {pushes: 5}", "disturbance.pushes: expected a list, got 5"),
-    (
-        "disturbance: {pushes: [5]}",
-        "disturbance.pushes.0: expected a mapping with keys force, moment, start, stop",
-    ),
+    ("disturbance: {pushes: [5]}", "disturbance.pushes.0: expected a mapping with keys force, moment, start, stop"),
     ("disturbance: {pushes: [{start: 1}]}", "disturbance.pushes.0.force: expected a value, got none"),
-    (
-        "disturbance: {pushes: [{force: [0, 0, 1], start: 2, stop: 1}]}",
-        "disturbance.pushes.0.stop: expected a time after start = 2 s, or null, got 1.0",
-    ),
-    (
-        "disturbance: {pushes: [{force: [0, 0, 1], start: 2, strt: 1}]}",
-        "disturbance.pushes.0.strt: expected a known",
-    ),
+    ("disturbance: {pushes: [{force: [0, 0, 1], start: 2, stop: 1}]}",
+     "disturbance.pushes.0.stop: expected a time after start = 2 s, or null, got 1.0"),
+    ("disturbance: {pushes: [{force: [0, 0, 1], start: 2, strt: 1}]}", "disturbance.pushes.0.strt: expected a known"),
     ("duration: -1\ntime_step: 0\nrobot: 3", "robot: expected the name of a robot, got 3 (and 2 more)"),
     ("duration: 8\ngait: {cycle: 4\nduty", "expected valid YAML, got line 3:"),
     ("duration: 8\nduration: 9", "expected valid YAML, got line 2: key 'duration' comes twice"),
     ("1: 2", "expected valid YAML, got line 1: a key is not a word"),
     ("? [a, b]\n: 2", "expected valid YAML, got line 1: a key is not a word"),
-    (
-        "gait: &a {cycle: 2}\ncontact: *a",
-        "expected valid YAML, got line 1: tags, anchors and aliases are not used",
-    ),
+    ("gait: &a {cycle: 2}\ncontact: *a", "expected valid YAML, got line 1: tags, anchors and aliases are not used"),
     ("duration: *a", "expected valid YAML, got line 1: tags, anchors and aliases are not used"),
     ("duration: !!int ''", "expected valid YAML, got line 1: tags, anchors and aliases are not used"),
-    (
-        "duration: !!python/name:os.system",
-        "expected valid YAML, got line 1: tags, anchors and aliases are not used",
-    ),
+    ("duration: !!python/name:os.system", "expected valid YAML, got line 1: tags, anchors and aliases are not used"),
     ("duration: 1\n---\nduration: 2", "expected valid YAML, got line 2"),
     ("gait: " + "[" * 100_000, "expected valid YAML, got line 1: nested deeper than 20"),
     ("robot: " + "a" * 1_000_000, "expected at most 1000000 bytes"),
     ("robot: \x00", "expected valid YAML, got"),
     (b"robot: \xff", "expected UTF-8 text, got byte 0xff at offset 7"),
     ("robot: 8\n".encode("utf-16"), "expected UTF-8 text"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("content", "fragment"), BAD_FILES, ids=[str(content)[:40] for content, _ in BAD_FILES])

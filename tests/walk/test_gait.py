@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.hardware.pace import pace
-from mjx_climb.hardware.stages import stages_of
-from mjx_climb.quantities.batches import batch_last
-from mjx_climb.quantities.parameters import own_numbers
+from mjx_climb.control import law_of
+from mjx_climb.hardware.stages import hardware_of, stages_of
+from mjx_climb.quantities.batches import over_batch, own_axes
+from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.rollouts.given import given
-from mjx_climb.rollouts.rollout import given_in
+from mjx_climb.rollouts.resolve import resolve, resolve_in
 from mjx_climb.walk import disturbance, gait
 
 STEP = 1e-3
@@ -22,20 +21,23 @@ LIMBS = load_robot("hubrobo_v3_2").limbs
 PUSH = {"start": 0.1, "stop": 0.2, "force": [1.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]}
 
 
-def plan_of(scenario, numbers, shape=()):
-    """The plan of a walk of parameters, in the layout of the hot path."""
-    last = batch_last(numbers, shape, numbers.kp.dtype)
-    return gait.plan(
-        load_robot(scenario.robot), jnp.zeros((3, 4, 1)), last, tuple(scenario.gait.lift_off.items()), STEP
-    )
+def plan_of(scenario, parameters):
+    robot = load_robot(scenario.robot)
+    return gait.plan(robot, jnp.zeros((4, 3)), parameters, tuple(scenario.gait.lift_off.items()), STEP)
+
+
+def of_batch(function, parameters, count):
+    """A function of one robot's parameters, under vmap."""
+    return jax.jit(lambda many: over_batch(function, [many], [own_axes(many)], (count,)))(parameters)
 
 
 def counted(scenario, changes, dtype, count):
     """Cycle, swing and lift-offs in steps of parameters with changes, as a walk in a precision has them."""
-    walker = given_in(scenario, None, None, dataclasses.replace(own_numbers(scenario), **changes), dtype)
-    plan = jax.jit(lambda numbers: plan_of(scenario, numbers, (count,)))(walker.numbers)
+    changed = dataclasses.replace(own_parameters(scenario), **changes)
+    parameters = resolve_in(scenario, law_of(scenario), None, changed, dtype).parameters
+    plan = of_batch(lambda one: plan_of(scenario, one), parameters, count)
     assert plan.cycle_steps.dtype == dtype
-    return np.vstack([plan.cycle_steps, plan.swing_steps, plan.swing_offset])
+    return np.vstack([plan.cycle_steps, plan.swing_steps, plan.swing_offset.T])
 
 
 def test_cycles_have_the_same_steps_in_both_precisions():
@@ -64,22 +66,23 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
     times = half_steps * STEP / 2
     windows = dict.fromkeys(("push_start", "push_stop"), times[:, None])
     spans = dict.fromkeys(("cycle", "cargo_start", "cargo_stop", "control_period"), times)
-    numbers = dataclasses.replace(own_numbers(scenario), **windows, **spans)
+    parameters = dataclasses.replace(own_parameters(scenario), **windows, **spans)
+    stages = stages_of(scenario, own_parameters(scenario))._replace(control_period=True)
 
-    def resolved(numbers):
-        return given(scenario, None, None, numbers, lambda value: jnp.asarray(value, numbers.kp.dtype)).numbers
+    def resolved(parameters):
+        array = lambda value: jnp.asarray(value, parameters.kp.dtype)  # noqa: E731
+        return resolve(scenario, law_of(scenario), None, parameters, array).parameters
+
+    def steps_of_one(one):
+        windows, period = disturbance.windows(one, STEP), hardware_of(one, stages, STEP).pace.period
+        return [*windows.cargo, *(w[0] for w in windows.pushes), period, plan_of(scenario, one).cycle_steps]
 
     @jax.jit
-    def steps(numbers):
-        numbers = resolved(numbers) if traced else numbers
-        last = batch_last(numbers, times.shape, numbers.kp.dtype)
-        windows = disturbance.windows(last, STEP)
-        hardware = stages_of(scenario, own_numbers(scenario))._replace(control_period=True)
-        plan = plan_of(scenario, numbers, times.shape)
-        return [*windows.cargo, *(w[0] for w in windows.pushes), pace(last, hardware, STEP).period, plan.cycle_steps]
+    def steps(parameters):
+        return of_batch(steps_of_one, resolved(parameters) if traced else parameters, times.size)
 
     for dtype in (np.float32, np.float64):
-        own = jax.tree.map(lambda value: np.asarray(value, dtype), numbers)  # noqa: B023
+        own = jax.tree.map(lambda value: np.asarray(value, dtype), parameters)  # noqa: B023
         for found in steps(own if traced else resolved(own)):
             assert found.dtype == dtype
             np.testing.assert_array_equal(found, (half_steps + 1) // 2)
@@ -89,13 +92,13 @@ def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
     """Towards longer delays: their derivative moves weight from the sample to the next older one."""
     scenario, number = mc.Scenario(), np.arange(1, 200)
     for dtype in (np.float32, np.float64):
-        numbers = dataclasses.replace(own_numbers(scenario), command_delay=dtype(number * STEP))
+        own = dataclasses.replace(own_parameters(scenario), command_delay=dtype(number * STEP))
+        stages = stages_of(scenario, own)
 
-        def weights(delay, numbers=numbers):
-            changed = dataclasses.replace(numbers, command_delay=delay)
-            return jnp.stack(pace(changed, stages_of(scenario, numbers), STEP).command)
+        def weights(delay, own=own, stages=stages):
+            return jnp.stack(hardware_of(dataclasses.replace(own, command_delay=delay), stages, STEP).pace.command)
 
-        found, rate = jax.jvp(weights, (numbers.command_delay,), (jnp.ones(len(number), dtype),))
+        found, rate = jax.jvp(weights, (own.command_delay,), (jnp.ones(len(number), dtype),))
         np.testing.assert_allclose(found, np.arange(len(found))[:, None] == number, atol=5e-5)
         np.testing.assert_array_equal(np.argmin(rate, axis=0), number)
         np.testing.assert_array_equal(np.argmax(rate, axis=0), number + 1)
@@ -107,14 +110,15 @@ def test_supports_step_by_step():
     scenario = mc.Scenario().with_overrides({"gait.sequence": groups, "gait.duty": 0.7005, "gait.cycle": cycle})
     steps, swing = np.arange(2000), 299  # of 299.5
     lift_off = {limb: (2 * 1000 * place + 3) // 6 for place, group in enumerate(groups) for limb in group}
-    now = jax.jit(lambda numbers: gait.schedule(plan_of(scenario, numbers), steps))(mc.parameters(scenario))
+    plan = plan_of(scenario, mc.parameters(scenario))
+    now = jax.jit(jax.vmap(lambda step: gait.schedule(plan, step)))(steps)
     assert sorted(lift_off.values()) == [0, 333, 333, 667]
     for row, limb in enumerate(LIMBS):
         since = (steps - lift_off[limb]) % 1000
-        np.testing.assert_array_equal(now.closed[row], since >= swing, err_msg=limb)
-        np.testing.assert_allclose(now.swing_phase[row], since / swing, rtol=1e-12)
+        np.testing.assert_array_equal(now.closed[:, row], since >= swing, err_msg=limb)
+        np.testing.assert_allclose(now.swing_phase[:, row], since / swing, rtol=1e-12)
         past_middle = steps % 1000 >= lift_off[limb] + swing / 2
-        np.testing.assert_array_equal(now.foothold[row], steps // 1000 + past_middle, err_msg=limb)
+        np.testing.assert_array_equal(now.foothold[:, row], steps // 1000 + past_middle, err_msg=limb)
     np.testing.assert_array_equal(now.cycle, steps // 1000)
     np.testing.assert_allclose(now.cycle_phase, steps % 1000 / 1000, rtol=1e-12)
 

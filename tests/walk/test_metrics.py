@@ -1,4 +1,4 @@
-"""Metrics as objects: the shipped ones and a user's own, in every kind of walk, up to where the state is finite."""
+"""Metrics as objects: the shipped ones and a user's own, of made-up samples by numpy and in every kind of walk."""
 
 import copy
 import dataclasses
@@ -12,145 +12,191 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.dynamics.spatial import norm
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.walk.metrics import Metric, largest, peak, smallest, total
+from mjx_climb.walk.metrics import FAILURES, Context, Metric, accumulation, largest, peak, smallest, total
+from mjx_climb.walk.sample import Sample
 
 SPEED = peak("peak_base_speed", "m/s", "largest speed of the base", lambda s, _: norm(s.base_linear_velocity))
 ALONG = largest("largest_forward_speed", "m/s", "largest speed forward", lambda s, _: s.base_linear_velocity[0])
+SLOWEST = smallest("least_forward_speed", "m/s", "least speed forward", lambda s, _: s.base_linear_velocity[0])
 LOWEST = smallest("lowest_base", "m", "lowest base", lambda s, _: s.base_position[2])
-IMPULSE = total("impulse", "N s", "impulse of all feet", lambda s, _: norm(s.foot_force).sum(0))
-MEAN_MASS = Metric(
+IMPULSE = total("impulse", "N s", "impulse of all feet", lambda s, _: norm(s.foot_force).sum())
+WEIGHT = Metric(
     "weight", "N", "largest weight", larger_is_better=False,
     init=lambda zero: zero,
     update=lambda running, s, context: jnp.maximum(running, s.cargo_mass + context.robot.total_mass),
     finish=lambda running, context: running * norm(context.gravity),
 )  # fmt: skip
-OWN = mc.METRICS + (SPEED, ALONG, LOWEST, IMPULSE, MEAN_MASS)  # noqa: RUF005
+OWN = mc.METRICS + (SPEED, ALONG, SLOWEST, LOWEST, IMPULSE, WEIGHT)  # noqa: RUF005
+EVERY = OWN.with_companions
 STIFFNESS = np.array([[1e3], [1e5]])
 
-
-@pytest.fixture(scope="module")
-def scenario(case):
-    changes = {"duration": 0.3, "gait.cycle": 0.4, "disturbance.cargo.start": 0.1, "contact.holding_limit": None}
-    return case("case_1_2", "virtual_model", tuple(changes.items()))
-
-
-@pytest.fixture(scope="module")
-def alone(scenario):
-    return mc.rollout(scenario, mc.Gains(1.0, 100.0, STIFFNESS[0]))
-
-
-@pytest.fixture(scope="module")
-def batch(scenario):
-    return mc.rollout_metrics(scenario, mc.Gains(1.0, 100.0, STIFFNESS), metrics=OWN, dtype=np.float64, smooth=True)
+STEP, STEPS, GRAVITY, HEADING = 1e-3, 60, np.array([0.3, -0.2, -1.6]), 0.4
+ROBOT = load_robot("hubrobo_v3_2")
+MASKS = ("support", "contact", "detached", "torn_off", "missed", "reachable")
+SHAPES = dict.fromkeys(MASKS, (4,)) | {
+    "base_orientation": (4,),
+    "time": (),
+    "cargo_mass": (),
+    "tsm": (),
+    "gia_margin": (),
+}
+SHAPES |= dict.fromkeys(("base_displacement", "base_wrench", "push"), (6,))
 
 
-def expected(walk):
-    """Return the own metrics of a walk from its histories, by numpy."""
-    forces = np.linalg.norm(walk.foot_force, axis=-1)
-    mass = walk.cargo_mass.max() + 2.2539
-    return {
-        "peak_base_speed": np.linalg.norm(walk.base_linear_velocity, axis=-1).max(),
-        "largest_forward_speed": walk.base_linear_velocity[:, 0].max(),
-        "lowest_base": walk.base_position[:, 2].min(),
-        "impulse": forces.sum() * walk.scenario.time_step,
-        "weight": mass * np.linalg.norm(walk.scenario.gravity),
+def samples_of(seed):
+    """Return made-up samples over time: a foot that is pulled while open, and three grippers torn off in two steps."""
+    rng, made = np.random.default_rng(seed), {}
+    for name in Sample._fields:
+        feet = name.startswith(("joint", "foot", "grip"))
+        made[name] = rng.normal(size=(STEPS, *SHAPES.get(name, (4, 3) if feet else (3,))))
+    made |= {name: rng.random((STEPS, 4)) < 0.5 for name in MASKS}
+    made |= {"time": STEP * np.arange(STEPS), "cargo_mass": np.where(np.arange(STEPS) < 30, 1.0 + seed, 0.0)}
+    made["torn_off"] = np.zeros((STEPS, 4), bool)
+    made["torn_off"][[20, 20, 40], [1, 3, 0]] = True
+    made["foot_force"][10, 1], made["support"][10, 1] = [0.0, 0.0, -50.0], False
+    return Sample(**made)
+
+
+@jax.jit
+def evaluated(samples, table=EVERY):
+    """Return the metrics of samples over time."""
+    context = Context(ROBOT, jnp.asarray(GRAVITY), jnp.asarray(HEADING), STEP)
+    dtype = jnp.result_type(samples.time)
+
+    def one(running, sample):
+        return accumulation.accumulate(table, running, sample, context), None
+
+    return accumulation.finish(table, jax.lax.scan(one, accumulation.start(table, dtype), samples)[0], context)
+
+
+def expected_of(s):
+    """Return the metrics of samples, and the values of each instant that extremes are taken of, by numpy."""
+    force, torque = np.linalg.norm(s.foot_force, axis=-1), np.abs(s.joint_torque)
+    way = s.base_position[-1] - s.base_position[0]
+    travel = np.cos(HEADING) * way[0] + np.sin(HEADING) * way[1]
+    mass, weight = ROBOT.total_mass + s.cargo_mass.max(), np.linalg.norm(GRAVITY)
+    peaks = {
+        "peak_foot_force": force,
+        "peak_pull_force": force * (s.support & (s.foot_force[..., 2] < 0)),
+        "peak_joint_torque": torque,
+        "base_deviation": np.linalg.norm(s.base_position - s.base_reference, axis=-1),
+        "peak_base_speed": np.linalg.norm(s.base_linear_velocity, axis=-1),
     }
+    least = {
+        "min_tsm": s.tsm,
+        "min_gia_margin": s.gia_margin,
+        "joint_limit_margin": np.minimum(s.joint_angles - ROBOT.joint_lower, ROBOT.joint_upper - s.joint_angles),
+        "least_forward_speed": s.base_linear_velocity[:, 0],
+        "lowest_base": s.base_position[:, 2],
+    }
+    values = {
+        "force_variation": np.abs(np.diff(force.max(-1))).sum(),
+        "cost_of_transport": STEP * (torque * np.abs(s.joint_rates)).sum() / (mass * weight * abs(travel)),
+        "travel": travel,
+        "detached_at": 20 * STEP,
+        "detached_limb": 1,
+        "missed_grips": s.missed.sum(),
+        "diverged": False,
+        "largest_forward_speed": s.base_linear_velocity[:, 0].max(),
+        "impulse": STEP * force.sum(),
+        "weight": mass * weight,
+    }
+    extremes = {name: v.max() for name, v in peaks.items()} | {name: v.min() for name, v in least.items()}
+    return values | extremes, peaks, least
 
 
-def test_own_metrics_of_one_walk(alone):
-    found = mc.metrics(alone, OWN)
-    assert list(found) == list(OWN.names)
-    assert {name: found[name] for name in mc.METRICS.names} == mc.metrics(alone)
-    for name, value in expected(alone).items():
-        assert found[name] == pytest.approx(value, rel=1e-4 if name == "weight" else 1e-12), name
+def test_metrics_are_what_numpy_makes_of_the_samples():
+    """The largest cargo counts and not the last, supporting feet are pulled, the first of two limbs is named."""
+    samples = samples_of(0)
+    found, (expected, _, _) = evaluated(samples), expected_of(samples)
+    assert set(expected) == set(OWN.names)
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=1e-12), name
+    assert found["least_forward_speed"] < 0 < found["largest_forward_speed"]
 
 
-def test_own_metrics_of_a_batch_are_those_of_each_walk(alone, batch):
-    for name, value in expected(alone).items():
-        assert batch[name][0] == pytest.approx(value, rel=1e-4 if name == "weight" else 1e-9), name
-
-
-def test_companions_are_near_their_extremes_and_inside(alone, batch):
-    """The companion of an extreme averages over all instants, so it lies within it, and not far from it."""
-    torques = np.abs(alone.joint_torque)  # of every instant, limb and joint
-    assert batch["smooth_peak_joint_torque"][0] == pytest.approx((torques**32).mean() ** (1 / 32), rel=1e-9)
-    heights = alone.base_position[:, 2]
-    unit = heights[0] / 100
-    softest = heights.min() - unit * np.log(np.exp((heights.min() - heights) / unit).mean())
-    assert batch["smooth_lowest_base"][0] == pytest.approx(softest, rel=1e-9)
-    for name, inside in (("peak_base_speed", 1), ("largest_forward_speed", 1), ("lowest_base", -1)):
-        gap = inside * (batch[name] - batch[f"smooth_{name}"])
-        assert (gap >= 0).all(), name
-        assert (gap <= 0.25 * abs(batch[name])).all(), name
-    assert "smooth_impulse" not in batch
-
-
-def test_companions_are_means_over_instants_and_feet_or_joints(alone, batch):
+def test_companions_are_means_over_instants_and_feet_or_joints():
     """The power mean of order 32; of what may be negative a log-sum-exp in hundredths of the first value."""
-    force = np.linalg.norm(alone.foot_force, axis=-1)
-    power_mean = force.max() * ((force / force.max()) ** 32).mean() ** (1 / 32)
-    assert batch["smooth_peak_foot_force"][0] == pytest.approx(power_mean, rel=1e-9)
-    robot = load_robot("hubrobo_v3_2")
-    lower, upper = robot.joint_lower[..., 0].T, robot.joint_upper[..., 0].T
-    margin = np.minimum(alone.joint_angles - lower, upper - alone.joint_angles)
-    unit = abs(margin[0].min()) / 100
-    soft = margin.min() - unit * np.log(np.exp((margin.min() - margin) / unit).mean())
-    assert batch["smooth_joint_limit_margin"][0] == pytest.approx(soft, rel=1e-9)
+    samples = samples_of(0)
+    found, (_, peaks, least) = evaluated(samples), expected_of(samples)
+    least["largest_forward_speed"] = -least["least_forward_speed"]
+    for name, values in peaks.items():
+        power_mean = values.max() * ((values / values.max()) ** 32).mean() ** (1 / 32)
+        assert found[f"smooth_{name}"] == pytest.approx(power_mean, rel=1e-9), name
+    for name, values in least.items():
+        unit, sign = np.abs(values[0].min()) / 100, -1 if name.startswith("largest") else 1
+        soft = values.min() - unit * np.log(np.exp((values.min() - values) / unit).mean())
+        assert found[f"smooth_{name}"] == pytest.approx(sign * soft, rel=1e-9), name
+    assert {f"smooth_{name}" for name in peaks | least} == set(EVERY.names) - set(OWN.names)
 
 
-@pytest.mark.slow
-def test_slopes_of_own_metrics_are_those_of_finite_differences(scenario):
-    gains = mc.Gains(*(np.full((1, 6), value) for value in (1.0, 100.0, 3e3)))
-    along = mc.Gains(np.zeros((1, 6)), np.full((1, 6), 100.0), np.zeros((1, 6)))
-    how = {"metrics": OWN, "dtype": np.float64, "smooth": True}
-    _, slopes = mc.rollout_slopes(scenario, gains, along, **how)
-    step = 1e-4
-    sides = mc.Gains(gains.inertia, 100.0 * (1 + step * np.array([[1.0], [-1.0]])) * np.ones(6), gains.stiffness)
-    above, below = (mc.rollout_metrics(scenario, sides, **how)[n] for n in ("impulse", "smooth_peak_base_speed"))
-    for name, values in (("impulse", above), ("smooth_peak_base_speed", below)):
-        assert slopes[name][0, 0] == pytest.approx((values[0] - values[1]) / (2 * step), rel=1e-4), name
+def test_under_vmap_each_robot_has_its_own_metrics():
+    several = [samples_of(seed) for seed in range(3)]
+    batch = jax.jit(jax.vmap(evaluated))(jax.tree.map(lambda *values: np.stack(values), *several))
+    for row, samples in enumerate(several):
+        for name, value in evaluated(samples).items():
+            np.testing.assert_allclose(batch[name][row], value, rtol=1e-12, err_msg=name)
 
 
-def test_another_metric_of_the_same_name_is_another_program(alone, scenario):
-    """What is compiled knows a metric by what it is, not by its name."""
-    twice = total("impulse", "N s", "twice the impulse", lambda s, _: 2 * norm(s.foot_force).sum(0))
-    once, double = (mc.metrics(alone, (metric,))["impulse"] for metric in (IMPULSE, twice))
-    assert double == pytest.approx(2 * once, rel=1e-12)
+def test_tangents_are_those_of_finite_differences():
+    """The first sample stays: the unit of a companion's exponentials is taken from it, and counts as a constant."""
+    samples, along = samples_of(1), jax.tree.map(lambda value: np.append(0 * value[:1], value[1:], 0), samples_of(2))
+    real = [name for name in Sample._fields if name not in (*MASKS, "time", "cargo_mass")]
+
+    def moved(share):
+        changes = {name: getattr(samples, name) + share * getattr(along, name) for name in real}
+        return {n: v for n, v in evaluated(samples._replace(**changes)).items() if n not in FAILURES}
+
+    tangents, width = jax.jvp(moved, (0.0,), (1.0,))[1], 1e-6
+    above, below = moved(width), moved(-width)
+    for name, value in tangents.items():
+        central = (above[name] - below[name]) / (2 * width)
+        np.testing.assert_allclose(value, central, rtol=1e-5, atol=1e-7, err_msg=name)
 
 
 OF_THE_STATE = ("base_position", "base_linear_velocity", "base_angular_velocity", "joint_angles", "joint_rates")
 
 
 @pytest.mark.parametrize("name", [*OF_THE_STATE, "joint_torque", "foot_force"])
-def test_a_diverged_walk_has_the_metrics_of_its_finite_part(alone, name):
-    """From the first sample on that is not finite nothing counts, be they again; a gripper lost before is told."""
-    cut, lost = 200, 150
-    histories = {
-        field.name: getattr(alone, field.name).copy()
-        for field in dataclasses.fields(alone)
-        if isinstance(getattr(alone, field.name), np.ndarray)
-    }
-    histories["torn_off"][lost, 2] = True
-    before = {name: value[:cut] for name, value in histories.items()}
-    histories[name][cut : cut + 10, -1] = np.nan
-    histories["foot_force"][cut + 10 :] *= 100
-    diverged = mc.metrics(dataclasses.replace(alone, **histories), OWN)
-    finite = mc.metrics(dataclasses.replace(alone, **before), OWN)
+def test_a_diverged_walk_has_the_metrics_of_its_finite_part(name):
+    """From the first sample on that is not finite nothing counts, be they finite again; a gripper lost before does."""
+    samples, cut = samples_of(0), 45
+    broken = {name: value.copy() for name, value in samples._asdict().items()}
+    broken[name][cut : cut + 5, -1] = np.nan
+    broken["foot_force"][cut + 5 :] *= 100
+    diverged = evaluated(Sample(**broken))
+    finite = evaluated(jax.tree.map(lambda value: value[:cut], samples))
     assert (diverged.pop("diverged"), finite.pop("diverged")) == (True, False)
-    assert diverged == finite
-    assert (diverged["detached_at"], diverged["detached_limb"]) == (pytest.approx(lost * 1e-3), "RH")
+    for name, value in finite.items():
+        np.testing.assert_allclose(diverged[name], value, rtol=1e-12, err_msg=name)
+    assert (diverged["detached_at"], diverged["detached_limb"]) == (pytest.approx(20 * STEP), 1)
 
 
-def test_a_walk_without_a_finite_sample_has_no_metrics(alone):
-    lost = dataclasses.replace(alone, base_position=np.full_like(alone.base_position, np.nan))
-    found = mc.metrics(lost)
-    assert (found.pop("diverged"), found.pop("missed_grips")) == (True, 0)
-    assert set(found.values()) == {None}
+def test_without_a_finite_sample_there_are_no_metrics():
+    samples = samples_of(0)
+    found = evaluated(samples._replace(base_position=np.full_like(samples.base_position, np.nan)))
+    assert (found.pop("diverged"), found.pop("missed_grips"), found.pop("detached_limb")) == (True, 0, -1)
+    assert np.isnan(list(found.values())).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"update": lambda running, s, _: (running, running)}, "`update` to return a value structured as `init` does"),
+        ({"update": lambda running, s, _: s.base_position}, r"`update` to keep float64 \(\), got float64 \(3,\)"),
+        ({"update": lambda running, s, _: running + s.foot_force.sum(0)}, r"`update` to keep float64 \(\), got"),
+        ({"finish": lambda running, _: running * jnp.ones(2)}, r"`finish` to return one number, got shape \(2,\)"),
+    ],
+)
+def test_a_metric_that_does_not_keep_its_shapes_is_refused(change, message):
+    table = mc.MetricTable((dataclasses.replace(IMPULSE, **change),))
+    with pytest.raises(ValueError, match=f"^metric impulse: expected {message}"):
+        jax.eval_shape(lambda samples: evaluated.__wrapped__(samples, table), samples_of(0))
 
 
 def test_a_table_is_immutable_and_known_by_names():
     assert mc.METRICS["travel"] is mc.METRICS[5] and mc.METRICS["travel"].unit == "m"
-    assert OWN[-2:].names == ("impulse", "weight") and OWN != mc.METRICS and len(OWN) == len(mc.METRICS) + 5
+    assert OWN[-2:].names == ("impulse", "weight") and OWN != mc.METRICS and len(OWN) == len(mc.METRICS) + 6
     assert hash(mc.METRICS + (SPEED,)) == hash(mc.METRICS + [SPEED])  # noqa: RUF005
     again = pickle.loads(pickle.dumps(mc.METRICS.with_companions))
     assert all(one is other for one, other in zip(again, mc.METRICS.with_companions, strict=True))
@@ -172,17 +218,53 @@ def test_a_table_refuses_what_it_cannot_tell_apart(metrics, message):
         mc.METRICS + metrics
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"update": lambda running, s, _: (running, running)}, "`update` to return a value structured as `init` does"),
-        ({"update": lambda running, s, _: s.base_position}, "`update` to keep float32 .1,., got float32 .3, 1."),
-        ({"update": lambda running, s, _: running + s.foot_force.sum(0)}, "`update` to keep float32 .1,., got"),
-        ({"finish": lambda running, _: running.sum()}, "`finish` to return shape .1,., got .."),
-    ],
-)
-def test_a_metric_that_does_not_keep_its_shapes_is_refused(scenario, change, message):
-    simulate = mc.simulator(scenario, metrics=(dataclasses.replace(IMPULSE, **change),))
-    gains = mc.Gains(*(np.ones((1, 6), np.float32) for _ in range(3)))
-    with jax.enable_x64(False), pytest.raises(ValueError, match=f"metric impulse: expected {message}"):
-        jax.eval_shape(simulate, gains)
+# ------------------------------------------------------------------------------------------------------------
+# In walks
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    changes = {"duration": 0.3, "gait.cycle": 0.4, "disturbance.cargo.start": 0.1, "contact.holding_limit": None}
+    return case("case_1_2", "virtual_model", tuple(changes.items()))
+
+
+def test_own_metrics_of_a_walk_and_of_a_batch(scenario):
+    walk = mc.rollout(scenario, mc.Gains(1.0, 100.0, STIFFNESS[0]))
+    batch = mc.rollout_metrics(scenario, mc.Gains(1.0, 100.0, STIFFNESS), metrics=OWN, dtype=np.float64, smooth=True)
+    found = mc.metrics(walk, OWN)
+    assert list(found) == list(OWN.names)
+    assert {name: found[name] for name in mc.METRICS.names} == mc.metrics(walk)
+    force = np.linalg.norm(walk.foot_force, axis=-1)
+    expected = {
+        "peak_base_speed": np.linalg.norm(walk.base_linear_velocity, axis=-1).max(),
+        "lowest_base": walk.base_position[:, 2].min(),
+        "impulse": force.sum() * scenario.time_step,
+        "weight": (walk.cargo_mass.max() + ROBOT.total_mass) * np.linalg.norm(scenario.gravity),
+        "smooth_peak_foot_force": force.max() * ((force / force.max()) ** 32).mean() ** (1 / 32),
+    }
+    for name, value in expected.items():
+        assert name.startswith("smooth") or found[name] == pytest.approx(value, rel=1e-9), name
+        assert batch[name][0] == pytest.approx(value, rel=1e-9), name
+    assert "smooth_impulse" not in batch
+
+
+@pytest.mark.slow
+def test_tangents_of_own_metrics_of_a_walk_are_those_of_finite_differences(scenario):
+    gains = mc.Gains(*(np.full((1, 6), value) for value in (1.0, 100.0, 3e3)))
+    along = mc.Gains(np.zeros((1, 6)), np.full((1, 6), 100.0), np.zeros((1, 6)))
+    how = {"metrics": OWN, "dtype": np.float64, "smooth": True}
+    _, tangents = mc.rollout_jvp(scenario, gains, along, **how)
+    step = 1e-4
+    sides = mc.Gains(gains.inertia, 100.0 * (1 + step * np.array([[1.0], [-1.0]])) * np.ones(6), gains.stiffness)
+    values = mc.rollout_metrics(scenario, sides, **how)
+    for name in ("impulse", "smooth_peak_base_speed"):
+        above, below = values[name]
+        assert tangents[name][0, 0] == pytest.approx((above - below) / (2 * step), rel=1e-4), name
+
+
+def test_another_metric_of_the_same_name_is_another_program(scenario):
+    """What is compiled knows a metric by what it is, not by its name."""
+    walk = mc.rollout(scenario, mc.Gains(1.0, 100.0, STIFFNESS[0]))
+    twice = total("impulse", "N s", "twice the impulse", lambda s, _: 2 * norm(s.foot_force).sum())
+    once, double = (mc.metrics(walk, (metric,))["impulse"] for metric in (IMPULSE, twice))
+    assert double == pytest.approx(2 * once, rel=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.quantities.parameters import own_numbers
+from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.rollouts.histories import histories
 from tests import oracle
 from tests.conftest import six_gains
@@ -90,7 +90,7 @@ def walk(request, tmp_path_factory):
     if request.param == "measured pose":
         added["swing_path"] = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 3, 6))
     scenario = scenario.with_overrides(changes)
-    made = mc.rollout(scenario, six_gains(scenario), dataclasses.replace(own_numbers(scenario), **added))
+    made = mc.rollout(scenario, six_gains(scenario), dataclasses.replace(own_parameters(scenario), **added))
     assert happens(made)
     return made
 

@@ -12,8 +12,6 @@ import pytest
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
 
-jax.config.update("jax_enable_x64", True)
-
 REFERENCE = Path(__file__).parents[1] / "reference"
 WALKS = {"climblab_1G_no_load": 9.81, "climblab_microgravity_impacts": 9.81e-6}  # gravity, m/s^2
 PUSHES = {  # s, N
@@ -31,13 +29,13 @@ PATTERNS = np.array(list(itertools.product([False, True], repeat=4)))
 @jax.jit
 def both_margins(foot_position, support, com, force, moment, mass, gravity, holding_force):
     """TSM and GIA margin, (T,) each, of arrays with the batch first."""
-    feet, com, force, moment = (jnp.moveaxis(jnp.asarray(a), 0, -1) for a in (foot_position, com, force, moment))
-    feet, support = feet.swapaxes(0, 1), jnp.asarray(support).T
-    mass, gravity, holding_force = (jnp.broadcast_to(a, com.shape[1:]) for a in (mass, gravity, holding_force))
-    return (
-        tumble_stability_margin(feet, support, force, moment, mass, gravity, holding_force),
-        gia_margin(feet, support, com, force, mass, holding_force),
-    )
+
+    def alone(feet, support, com, force, moment, mass, gravity, holding_force):
+        tsm = tumble_stability_margin(feet, support, force, moment, mass, gravity, holding_force)
+        return tsm, gia_margin(feet, support, com, force, mass, holding_force)
+
+    scalars = (jnp.broadcast_to(value, len(com)) for value in (mass, gravity, holding_force))
+    return jax.vmap(alone)(foot_position, support, com, force, moment, *scalars)
 
 
 def standing_still(com, mass, gravity):
@@ -134,57 +132,58 @@ def test_margins_of_recorded_accelerations_are_those_of_climblab(name):
 def test_margins_of_foot_forces_and_push_are_those_of_climblab(name):
     """The cheap way to the same wrench, as in a rollout: foot forces and push instead of accelerations."""
     walk, gravity = load_walk(name), WALKS[name]
-    push = np.zeros((6, len(walk["time"])))
+    push = np.zeros((len(walk["time"]), 6))
     for start, stop, pushed in PUSHES[name]:
-        push[:3, (walk["time"] > start - 1e-6) & (walk["time"] < stop + 1e-6)] = np.reshape(pushed, (3, 1))
-    position, foot_force, base = (jnp.asarray(walk[key].T) for key in ("foot_pos", "foot_force", "base_pos"))
-    wrench = base_wrench_of_foot_force(position - base[:, None], foot_force) + push
-    force, moment = net_external_wrench(wrench, base)
+        push[(walk["time"] > start - 1e-6) & (walk["time"] < stop + 1e-6), :3] = pushed
+    lever = walk["foot_pos"] - walk["base_pos"][:, None]
+    wrench = jax.vmap(base_wrench_of_foot_force)(lever, walk["foot_force"]) + push
+    force, moment = jax.vmap(net_external_wrench)(wrench, walk["base_pos"])
     feet, support, com = walk["foot_pos"], walk["support_for_margins"], walk["com"]
-    tsm, margin = both_margins(feet, support, com, force.T, moment.T, MASS, gravity, HOLDING_FORCE)
+    tsm, margin = both_margins(feet, support, com, force, moment, MASS, gravity, HOLDING_FORCE)
     assert_close_to_climblab(walk, tsm, margin)
 
 
 # --- by hand ---
 
 
-def one(feet, support, com, force, moment, mass, gravity, holding_force):
-    batch_of_one = (np.asarray(a)[None] for a in (feet, support, com, force, moment))
-    tsm, margin = both_margins(*batch_of_one, mass, gravity, holding_force)
-    return float(tsm[0]), float(margin[0])
+def one(feet, support, com, wrench, mass=2.0, gravity=9.81, holding=0.0):
+    batch_of_one = (np.asarray(a)[None] for a in (feet, support, com, *wrench))
+    return tuple(float(margin[0]) for margin in both_margins(*batch_of_one, mass, gravity, holding))
 
 
-def test_standing_on_a_square_without_holding():
-    """TSM: horizontal distance of the centre of mass to the nearest edge. GIA: g times the sine to it."""
-    com, mass, gravity = np.array([0.03, -0.05, 0.1]), 2.0, 9.81
-    tsm, margin = one(SQUARE, [True] * 4, com, *standing_still(com, mass, gravity), mass, gravity, 0.0)
-    assert tsm == pytest.approx(0.14 - 0.05, rel=1e-12)
-    assert margin == pytest.approx(gravity * 0.09 / np.hypot(0.09, 0.1), rel=1e-12)
+def standing(com, support=(True,) * 4, gravity=9.81, holding=0.0, feet=SQUARE):
+    """TSM and GIA margin of 2 kg at rest."""
+    return one(feet, support, com, standing_still(com, 2.0, gravity), 2.0, gravity, holding)
 
 
-def test_three_feet_support_a_triangle():
-    com, mass, gravity = np.array([0.03, 0.01, 0.1]), 2.0, 1.635
-    support, wrench = [True, True, False, True], standing_still(com, mass, gravity)
-    tsm, margin = one(SQUARE, support, com, *wrench, mass, gravity, 0.0)
-    to_diagonal = (0.03 + 0.01) / np.sqrt(2)  # LH to RF, through the origin
-    assert tsm == pytest.approx(to_diagonal, rel=1e-12)
-    assert margin == pytest.approx(gravity * to_diagonal / np.hypot(to_diagonal, 0.1), rel=1e-12)
+TO_DIAGONAL = (0.03 + 0.01) / np.sqrt(2)  # LH to RF, through the origin
+HAND = {  # TSM without holding: distance of the centre of mass to the nearest edge. GIA: g times the sine to it.
+    "square": ({"com": [0.03, -0.05, 0.1]}, 0.09, 9.81 * 0.09 / np.hypot(0.09, 0.1)),
+    "triangle": (
+        {"com": [0.03, 0.01, 0.1], "support": [True, True, False, True], "gravity": 1.635},
+        TO_DIAGONAL, 1.635 * TO_DIAGONAL / np.hypot(TO_DIAGONAL, 0.1),
+    ),
+    # TSM: one gripper at the far edge (the longest arm). GIA margin: both of them.
+    "holding": (
+        {"com": [0.0, 0.0, 0.1], "holding": 15.0}, 0.14 + 15.0 * 0.28 / (2.0 * 9.81),
+        (9.81 * 0.14 + 2 * 15.0 * 0.28 / 2.0) / np.hypot(0.14, 0.1),
+    ),
+    "outside of the polygon": ({"com": [0.2, 0.0, 0.1]}, 0.0, 0.0),
+    **{f"no polygon {n}": ({"com": [0, 0, 0.1], "support": two, "holding": 15.0}, 0.0, 0.0)
+       for n, two in enumerate(PATTERNS[PATTERNS.sum(1) < 3])},
+}  # fmt: skip
 
 
-def test_holding_force_adds_its_moments():
-    """TSM: one gripper at the far edge (the longest arm). GIA margin: both of them."""
-    com, mass, gravity, holding = np.array([0.0, 0.0, 0.1]), 2.0, 9.81, 15.0
-    tsm, margin = one(SQUARE, [True] * 4, com, *standing_still(com, mass, gravity), mass, gravity, holding)
-    assert tsm == pytest.approx(0.14 + holding * 0.28 / (mass * gravity), rel=1e-12)
-    height = np.hypot(0.14, 0.1)
-    assert margin == pytest.approx(gravity * 0.14 / height + 2 * holding * 0.28 / (mass * height), rel=1e-12)
+@pytest.mark.parametrize("name", HAND)
+def test_margins_by_hand(name):
+    scene, tsm, margin = HAND[name]
+    assert standing(**scene) == pytest.approx((tsm, margin), rel=1e-12)
 
 
 def test_a_gripper_across_an_axis_does_not_hold():
     """A polygon with a notch at RH: RF and LH lie beyond the axes that RH ends, and could only tip the robot there."""
     feet = np.array([[0.05, 0.05, 0], [-0.1, 0.1, 0], [0.02, 0.02, 0], [0.1, -0.1, 0]])
     com, mass, gravity, holding = np.array([0.035, 0.035, 0.1]), 2.0, 9.81, 15.0
-    wrench = standing_still(com, mass, gravity)
     tumbling, inside = [], []
     for a, b, others in ((0, 1, (2, 3)), (1, 2, (3, 0)), (2, 3, (0, 1)), (3, 0, (1, 2))):
         along = (feet[b] - feet[a])[:2] / np.linalg.norm(feet[b] - feet[a])
@@ -193,29 +192,18 @@ def test_a_gripper_across_an_axis_does_not_hold():
         tumbling.append(side(com) + holding * max(0, *(side(feet[j]) for j in others)) / (mass * gravity))
         held = holding * sum(side(feet[j]) for j in others) / mass
         inside.append((gravity * side(com) + held) / np.hypot(side(com), com[2]))
-    tsm, margin = one(feet, [True] * 4, com, *wrench, mass, gravity, holding)
-    assert (tsm, margin) == pytest.approx((min(tumbling), min(inside)), rel=1e-12)
+    assert standing(com, holding=holding, feet=feet) == pytest.approx((min(tumbling), min(inside)), rel=1e-12)
 
 
-def test_center_of_mass_outside_of_the_polygon_tumbles_unless_held():
-    com, mass, gravity = np.array([0.2, 0.0, 0.1]), 2.0, 9.81
-    wrench = standing_still(com, mass, gravity)
-    assert one(SQUARE, [True] * 4, com, *wrench, mass, gravity, 0.0) == (0.0, 0.0)
-    assert min(one(SQUARE, [True] * 4, com, *wrench, mass, gravity, 15.0)) > 0.0
-
-
-def test_no_polygon_no_margin():
-    com, mass, gravity = np.array([0.0, 0.0, 0.1]), 2.0, 9.81
-    wrench = standing_still(com, mass, gravity)
-    for support in PATTERNS[PATTERNS.sum(1) < 3]:
-        assert one(SQUARE, support, com, *wrench, mass, gravity, 15.0) == (0.0, 0.0)
+def test_grippers_hold_a_center_of_mass_outside_of_the_polygon():
+    assert min(standing([0.2, 0.0, 0.1], holding=15.0)) > 0.0
 
 
 def test_without_gravity_the_tsm_has_no_length():
-    com = np.array([0.0, 0.0, 0.1])
-    at_rest = one(SQUARE, [True] * 4, com, np.zeros(3), np.zeros(3), 2.0, 0.0, 15.0)
+    weightless = {"com": [0.0, 0.0, 0.1], "gravity": 0.0, "holding": 15.0}
+    at_rest = one(SQUARE, [True] * 4, wrench=(np.zeros(3), np.zeros(3)), **weightless)
     assert at_rest[0] == np.inf and np.isfinite(at_rest[1])
-    torn_off = one(SQUARE, [True] * 4, com, np.array([0, 0, -100.0]), np.zeros(3), 2.0, 0.0, 15.0)
+    torn_off = one(SQUARE, [True] * 4, wrench=(np.array([0, 0, -100.0]), np.zeros(3)), **weightless)
     assert torn_off == (0.0, 0.0)
 
 

@@ -31,19 +31,11 @@ def measure(what: str, batch: int, steps: int, engine: str, cache: str) -> dict[
 
 def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a terminal interrupts its whole family: the parent says it
-    import jax
-
-    from mjx_climb.compilation.cache import enable_cache
     from tuning.benchmarks import programs
 
     what, batch, steps, engine = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
-    enable_cache()
     begin = time.perf_counter()
-    if what == "value":
-        run = programs.walk(batch, steps, engine)
-    else:
-        function, shift = programs.gradient(2, batch, steps, engine)
-        run = lambda: jax.block_until_ready(function(shift))  # noqa: E731
+    run = programs.walk(batch, steps, engine) if what == "value" else programs.gradient(2, batch, steps, engine)
     seconds: list[float] = []
     for _ in range(2):
         run()

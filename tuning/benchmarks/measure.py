@@ -118,32 +118,18 @@ def _work(
     engine: str, batch: int, plan: Plan
 ) -> tuple[dict[str, Timed], dict[str, Timed], dict[str, Timed], Callable[[], object]]:
     """Return what this program runs in turns, with a batch and with one robot; the former's peers; what ends them."""
-    import jax
-
-    from mjx_climb.compilation import devices
     from tuning.benchmarks import mujoco_batch, mujoco_rollout, mujoco_warp, programs
 
-    steps, share = plan.steps, devices.share_size(batch, None, in_pieces=False)  # as slopes walk
-
-    def in_shares(function: Callable[[jax.Array], object], shift: jax.Array) -> Callable[[], object]:
-        """Return what walks a batch as rollouts do: on a CPU in small shares on all cores."""
-
-        def walk(rows: np.ndarray, sharding: jax.sharding.Sharding) -> dict[str, np.ndarray]:
-            jax.block_until_ready(function(jax.device_put(shift, sharding)))
-            return {"rows": rows}
-
-        return lambda: devices.spread(walk, batch, share, None)
-
+    steps = plan.steps
     few, fewer = steps // 2, steps // 4  # a gradient's cost per step does not depend on their number
     ours: dict[str, Timed] = {
         "closed_loop": (batch * steps, programs.walk(batch, steps, engine)),
         "mjx": (batch * few, programs.walk(batch, few, "mjx")),
-        "value": (batch * few, in_shares(*programs.value(share, few, engine))),
+        "value": (batch * few, programs.walk(batch, few, engine)),
     }
     for tangents in plan.tangents:
         length = few if tangents == 2 else fewer
-        work = in_shares(*programs.gradient(tangents, share, length, engine))
-        ours[f"gradient_{tangents}"] = (batch * length, work)
+        ours[f"gradient_{tangents}"] = (batch * length, programs.gradient(tangents, batch, length, engine))
     whole = round(8.0 / programs.TIME_STEP)  # one robot is walked for its whole walk
     single: dict[str, Timed] = {"single": (whole, programs.walk(1, whole, engine))}
     case, gains = programs.scenario(steps), programs.gains(batch)
@@ -200,8 +186,7 @@ def _operations(engine: str, batch: int, steps: int) -> dict[str, float]:
     """Return the operations of a step by XLA's count of the compiled program, which takes a loop's body once."""
     from tuning.benchmarks import programs
 
-    function, shift = programs.value(batch, steps // 2, engine)
-    compiled = function.lower(shift).compile()
+    compiled = programs.compiled(batch, steps // 2, engine)
     cost: dict[str, float] = compiled.cost_analysis() or {}
     memory: Any = compiled.memory_analysis()
     return {
@@ -242,7 +227,7 @@ def _processor() -> str:
 @contextlib.contextmanager
 def _cache() -> Iterator[str]:
     """Use a new folder as XLA's cache, in this process and for its children, so that every run compiles alike."""
-    from mjx_climb.compilation import cache
+    from mjx_climb.execution import cache
 
     with tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True) as folder:
         with cache.cache_in(folder):

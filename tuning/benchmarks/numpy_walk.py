@@ -189,27 +189,20 @@ def _turned_back(rotation_vector: np.ndarray, vectors: np.ndarray) -> np.ndarray
 
 def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.ndarray:
     """Return rows of the exact step of `M xdd + D xd + K x = f` over (x, xd, f), (2, 3, 6, N)."""
-    inertia, damping, stiffness = (np.asarray(gains[k], float) for k in ("inertia", "damping", "stiffness"))
-    unique, back = np.unique(np.stack([inertia, damping, stiffness], -1).reshape(-1, 3), axis=0, return_inverse=True)
-    m, d, k = unique.T
-    system = np.zeros((len(unique), 3, 3))
-    system[:, 0, 1] = 1.0
-    system[:, 1] = np.stack([-k / m, -d / m, 1 / m], axis=-1)
-    rows = _exponential(system * time_step)[back.ravel(), :2].reshape(*stiffness.shape, 2, 3)
-    return np.ascontiguousarray(np.moveaxis(rows, (0, 1, 2, 3), (3, 2, 0, 1)))
+    m, d, k = (np.asarray(gains[name], float) for name in ("inertia", "damping", "stiffness"))
+    system = np.zeros((*k.shape, 3, 3))
+    system[..., 0, 1] = 1.0
+    system[..., 1, :] = np.stack([-k / m, -d / m, 1 / m], axis=-1)
+    return np.ascontiguousarray(_exponential(system * time_step)[..., :2, :].transpose(2, 3, 1, 0))
 
 
 def _exponential(matrices: np.ndarray) -> np.ndarray:
-    """Return the exponential of each matrix (n, 3, 3): the Taylor series of a halved one, squared as often."""
-    halvings = np.maximum(np.ceil(np.log2(np.abs(matrices).sum(-1).max(-1))) + 1, 0).astype(int)
-    scaled = matrices / 2.0 ** halvings[:, None, None]
-    result = np.tile(np.eye(3), (len(matrices), 1, 1))
+    """Return the exponential of each matrix (..., 3, 3): the Taylor series of a halved one, squared as often."""
+    halvings = max(math.ceil(math.log2(np.abs(matrices).sum(-1).max())) + 1, 0)
+    result = np.eye(3)
     for order in range(15, 0, -1):  # Horner; what is left out is below 0.5^16 / 16!
-        result = np.eye(3) + scaled @ result / order
-    for done in range(halvings.max()):
-        left = halvings > done
-        result[left] = result[left] @ result[left]
-    return result
+        result = np.eye(3) + matrices / 2**halvings @ result / order
+    return np.linalg.matrix_power(result, 2**halvings)
 
 
 def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndarray]:

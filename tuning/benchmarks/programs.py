@@ -1,7 +1,6 @@
 """What the benchmark runs of this program: closed loops, metrics included, and their forward gradients."""
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +8,6 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 import mjx_climb as mc
-from mjx_climb.rollouts.rollout import Metrics
 
 TIME_STEP = 0.001  # s
 
@@ -34,36 +32,19 @@ def walk(batch: int, steps: int, engine: str, dtype: DTypeLike = np.float32) -> 
     return lambda: mc.rollout_metrics(case, values, dtype=dtype, engine=engine)
 
 
-def value(batch: int, steps: int, engine: str) -> tuple[jax.stages.Wrapped, jax.Array]:
-    """Return metrics as a function of shifts (12, batch) of log damping and log stiffness, and shifts of zero."""
-    return _jit(_shifted(batch, steps, engine), batch, engine), jnp.zeros((12, batch), jnp.float32)
+def gradient(tangents: int, batch: int, steps: int, engine: str) -> Callable[[], object]:
+    """Return the same with `tangents` of every metric, by log damping and log stiffness: 2 (of all axes), or 12."""
+    simulation, values = mc.Simulation(scenario(steps), engine=engine), gains(batch)
+    shifts = np.kron(np.eye(2), np.ones((1, 6))) if tangents == 2 else np.eye(12)
+    along = {
+        "damping": shifts[:, None, :6] * values["damping"],
+        "stiffness": shifts[:, None, 6:] * values["stiffness"],
+    }
+    return lambda: simulation.jvp(mc.Gains(**values), along)
 
 
-def gradient(tangents: int, batch: int, steps: int, engine: str) -> tuple[jax.stages.Wrapped, jax.Array]:
-    """Return the same with `tangents` forward derivatives of every metric: 2 (both gains, all axes alike) or 12."""
-    function = _shifted(batch, steps, engine)
-    directions = np.kron(np.eye(2), np.ones((1, 6))) if tangents == 2 else np.eye(12)
-
-    def pushed(shift: jax.Array) -> tuple[Metrics, Metrics]:
-        def push(direction: jax.Array) -> tuple[Metrics, Metrics]:
-            return jax.jvp(function, (shift,), (direction[:, None] + jnp.zeros_like(shift),))
-
-        return jax.vmap(push, out_axes=(None, 0))(jnp.asarray(directions, shift.dtype))
-
-    return _jit(pushed, batch, engine), jnp.zeros((12, batch), jnp.float32)
-
-
-def _shifted(batch: int, steps: int, engine: str) -> Callable[[jax.Array], Metrics]:
-    metrics = mc.simulator(scenario(steps), engine=engine, in_pieces=mc.pieces_pay(engine))
-    given = {name: np.asarray(values, np.float32) for name, values in gains(batch).items()}
-
-    def shifted(shift: jax.Array) -> Metrics:
-        factor = jnp.exp(shift).T
-        damping, stiffness = given["damping"] * factor[:, :6], given["stiffness"] * factor[:, 6:]
-        return metrics(mc.Gains(given["inertia"], damping, stiffness))
-
-    return shifted
-
-
-def _jit(function: Callable[..., Any], batch: int, engine: str) -> jax.stages.Wrapped:
-    return jax.jit(function, compiler_options=mc.compiler_options(batch, in_pieces=mc.pieces_pay(engine)))
+def compiled(batch: int, steps: int, engine: str) -> jax.stages.Compiled:
+    """Return one executable of a batch's metrics, to count its operations."""
+    simulate, values = mc.simulator(scenario(steps), engine=engine), gains(batch)
+    single = {name: jnp.asarray(value, jnp.float32) for name, value in values.items()}
+    return jax.jit(simulate).lower(single).compile()

@@ -1,13 +1,14 @@
 """`mjx-climb bench`: how fast, against what."""
 
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from tuning.benchmarks import commands
-from tuning.command_line import options
 from tuning.command_line.ending import InputError
+from tuning.command_line.from_models import command
+from tuning.command_line.options import ENGINE, EngineName, Output
+from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,19 +48,16 @@ WAITS = (
 QUICK = (commands.IMPORT, commands.HELP, commands.RUN)
 
 
-def bench(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A first look, not to be quoted: fewer rounds, some figures left out.")
-    ] = False,
-    batch: Annotated[
-        int, typer.Option(min=SMALLEST_BATCH, metavar="N", help="Robots that walk at a time, a multiple of 4.")
-    ] = BATCH,
-    with_tune: Annotated[
-        bool, typer.Option("--with-tune", help="Time a search of twelve gains as well, which takes minutes.")
-    ] = False,
-    json: options.Json = False,
-    engine: options.Engine = None,
-) -> None:
+class Bench(Options):
+    """What is measured."""
+
+    quick: bool = setting(False, "a first look, not to be quoted: fewer rounds, some figures left out")
+    batch: int = setting(BATCH, "robots that walk at a time, a multiple of 4", ge=SMALLEST_BATCH)
+    with_tune: bool = setting(False, "time a search of twelve gains as well, which takes minutes")
+    engine: EngineName = ENGINE
+
+
+def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
     """Measure speed on this machine, beside MuJoCo and MJX in the same run.
 
     A batch of robots walks under base admittance in single precision, all metrics worked out. Its peers on the same
@@ -74,50 +72,47 @@ def bench(
       mjx-climb bench
       mjx-climb bench --quick --json
     """
-    with options.reserved_stdout() as stdout:
-        import time
-
-        engine = options.engine_from(engine)
-        if batch % 4:
-            raise InputError(f"--batch: expected a multiple of 4, got {batch}")
+    with output.session() as shell:
+        if asked.batch % 4:
+            raise InputError(f"--batch: expected a multiple of 4, got {asked.batch}")
         from tuning.benchmarks import measure
-        from tuning.command_line import interruption, progress, report
+        from tuning.command_line import interruption, progress
+        from tuning.report import numbers
 
-        console = report.console(stderr=True)
+        engine, batch = asked.engine, asked.batch
         begin = time.perf_counter()
 
         def say(text: str) -> None:
             interruption.check()
-            console.print(f"{progress.duration(time.perf_counter() - begin)}: {text}", highlight=False)
+            shell.say(f"{progress.duration(time.perf_counter() - begin)}: {text}")
 
-        result = measure.measure(engine, batch, measure.Plan.quick(batch) if quick else measure.Plan.full(batch), say)
-        names = QUICK if quick else tuple(name for name, *_ in WAITS if name != commands.TUNE)
-        waited = commands.measure((*names, commands.TUNE) if with_tune else names, say)
+        result = measure.measure(
+            engine, batch, measure.Plan.quick(batch) if asked.quick else measure.Plan.full(batch), say
+        )
+        names = QUICK if asked.quick else tuple(name for name, *_ in WAITS if name != commands.TUNE)
+        waited = commands.measure((*names, commands.TUNE) if asked.with_tune else names, say)
         result["waits"] = {name: seconds._asdict() for name, seconds in waited.items()}
         say("done")
-        tables = console if json else report.console(file=stdout)
-        tables.print(_table(result))
-        tables.print(_waits(waited))
-        tables.print(
+        shell.show(
+            _table(result),
+            _waits(waited),
             f"batch {batch}, engine {engine}, {result['threads']} threads of {result['processor']}, "
             f"JAX on {', '.join(sorted(set(result['devices'])))}; load average at the end {result['load_average']:.1f}",
-            soft_wrap=True,
         )
-        if json:
-            print(report.to_json(result), file=stdout)
+        shell.print_json(numbers.to_json(result))
 
 
 def _table(result: Mapping[str, Any]) -> "Table":
     from rich import box
     from rich.table import Table
 
-    from tuning.command_line import report
+    from tuning.report import numbers
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
     for name in ("measure", "value", "unit", "goal on two cores"):
         table.add_column(name, justify="right" if name == "value" else "left", no_wrap=True)
     for key, label, unit, goal in ROWS:
-        table.add_row(label, report.number(result[key]), unit, goal)
+        table.add_row(label, numbers.number(result[key]), unit, goal)
     return table
 
 
@@ -125,12 +120,15 @@ def _waits(waited: Mapping[str, commands.Waited]) -> "Table":
     from rich import box
     from rich.table import Table
 
-    from tuning.command_line import report
+    from tuning.report import numbers
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
     for name in ("command", "cold s", "warm s", "CPU s, cold", "CPU s, warm", "goal, cold", "goal, warm"):
         table.add_column(name, justify="left" if name == "command" else "right", no_wrap=True)
     for name, *goals in WAITS:
         if name in waited:
-            table.add_row(name, *(report.number(seconds) for seconds in waited[name]), *goals)
+            table.add_row(name, *(numbers.number(seconds) for seconds in waited[name]), *goals)
     return table
+
+
+COMMAND = command(bench)

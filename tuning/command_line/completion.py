@@ -1,11 +1,10 @@
 """What a shell completes. A key press waits for it, so nothing heavy is imported; what that holds stands here again."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from mjx_climb.scenario import shipped
 
-ENGINES = ("limb", "mjx")
 METRICS = (
     "peak_foot_force", "force_variation", "peak_pull_force", "peak_joint_torque", "cost_of_transport", "travel",
     "base_deviation", "min_tsm", "min_gia_margin", "joint_limit_margin",
@@ -27,11 +26,6 @@ def hardware(incomplete: str) -> list[str]:
     return [*_beginning(incomplete, shipped.profiles()), *_files(incomplete)]
 
 
-def engine(incomplete: str) -> list[str]:
-    """Return the engines that a word may become."""
-    return _beginning(incomplete, ENGINES)
-
-
 def metric(incomplete: str) -> list[str]:
     """Return the metrics that a word may become."""
     return _beginning(incomplete, METRICS)
@@ -43,6 +37,15 @@ def key(incomplete: str) -> list[str]:
     from mjx_climb.scenario.model import Scenario
 
     return _beginning(incomplete, (f"{name}=" for name in keys(Scenario)))
+
+
+def one_of(words: Sequence[str]) -> Callable[[str], list[str]]:
+    """Return what completes one of some words."""
+
+    def complete(incomplete: str) -> list[str]:
+        return _beginning(incomplete, words)
+
+    return complete
 
 
 def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:

@@ -68,7 +68,7 @@ def devices() -> Part:
     """Return what the simulations run on."""
     import jax
 
-    from mjx_climb.compilation.devices import usable_cores
+    from mjx_climb.execution.devices import usable_cores
 
     found = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()]
     facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
@@ -95,12 +95,13 @@ def _version(package: str) -> str | None:
 
 def cache() -> Part:
     """Return the state of XLA's compilation cache."""
-    from mjx_climb.compilation.cache import VARIABLE, cache_in_use, doubt
+    from mjx_climb.execution.cache import VARIABLE, asked_folder, cache_in_use, doubt
 
     folder = cache_in_use()
     if folder is None:
         text = f"off ({VARIABLE}): every start compiles again"
-        why = doubt()
+        asked = asked_folder()
+        why = None if asked is None else doubt(asked)
         return Part("cache", text, {"on": False, "folder": None}, () if why is None else (why,))
     sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
     facts = {"on": True, "folder": folder, "programs": len(sizes), "bytes": sum(sizes), "writable": True}
@@ -119,9 +120,9 @@ def cache() -> Part:
 
 def path() -> Part:
     """Return by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
-    from mjx_climb.compilation import options, probe
+    from mjx_climb.execution import paths, probe
 
-    fast = options.fast_path()
+    fast = paths.fast_path()
     if fast is None:
         return Part("path", "XLA's own: none faster is made for this device", {"path": None})
     found = probe.verdict(fast)

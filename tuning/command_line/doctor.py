@@ -2,13 +2,15 @@
 
 import time
 from json import dumps
+from typing import Annotated
 
 import typer
 
-from tuning.command_line import options
+from tuning.command_line.from_models import command
+from tuning.command_line.options import Output, reserved_stdout
 
 
-def doctor(json: options.Json = False) -> None:
+def doctor(output: Annotated[Output, "json_only"]) -> None:
     """Examine this installation: does it compute what it should?
 
     Prints versions, devices, the state of the compilation cache and which OpenGL renders. Then walks half a second and
@@ -23,14 +25,14 @@ def doctor(json: options.Json = False) -> None:
       mjx-climb doctor
       mjx-climb doctor --json
     """
-    with options.reserved_stdout() as stdout:
+    with reserved_stdout() as stdout:
         from tuning.command_line import diagnosis
 
         begin = time.perf_counter()
         parts = diagnosis.examine()
         said = diagnosis.verdict(parts)
         sound = not any(part.findings for part in parts)
-        if json:
+        if output.json_only:
             found = {part.name: {**part.facts, "findings": list(part.findings)} for part in parts}
             print(dumps({"sound": sound, "verdict": said, "parts": found}, indent=2, allow_nan=False), file=stdout)
         else:
@@ -40,3 +42,6 @@ def doctor(json: options.Json = False) -> None:
                     print(f"{'':9} ! {finding}", file=stdout)
             print(f"\n{said} ({time.perf_counter() - begin:.0f} s)", file=stdout)
     raise typer.Exit(0 if sound else 1)
+
+
+COMMAND = command(doctor)

@@ -2,13 +2,17 @@
 
 import contextlib
 import errno
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tuning.command_line import interruption
+
+if TYPE_CHECKING:
+    from tuning.searches.rounds import Progress
 
 
 class InputError(ValueError):
@@ -25,8 +29,8 @@ class Kept:
     def __init__(self, done: int = 0):
         self.done = done
 
-    def told(self, show: Callable[..., None]) -> Callable[..., None]:
-        """Return a function that counts what `show` is told, its first argument."""
+    def counting(self, show: Callable[..., None]) -> Callable[..., None]:
+        """Return a function that counts what `show` is called with, its first argument."""
 
         def counted(done: int, *rest: object) -> None:
             self.done = done
@@ -34,10 +38,17 @@ class Kept:
 
         return counted
 
-    def phases(self, show: Callable[..., None]) -> Callable[[int, int, str], None]:
-        """Return the same for what is told its phase as well, as "descent 1 of 3"."""
-        counted = self.told(show)
-        return lambda done, total, phase: counted(done, total, f"{phase} {done}/{total}")
+    def rounds(self, show: Callable[..., None]) -> "Callable[[Progress], None]":
+        """Return the same for the rounds of a search, which are shown with what is best so far."""
+
+        def counted(now: "Progress") -> None:
+            self.done = now.rounds
+            slope = f", gradient {now.gradient_norm:.2g}" if math.isfinite(now.gradient_norm) else ""
+            best = f"{now.best:.4f}" if math.isfinite(now.best) else "none feasible yet"
+            text = f"{now.phase} {now.rounds}/{now.rounds_in_all}: best {best}{slope}, {now.alive} of {now.batch} alive"
+            show(now.rounds, now.rounds_in_all, f"{text}, {now.env_steps / 1e6:.2f} M env-steps")
+
+        return counted
 
 
 @contextlib.contextmanager
@@ -60,6 +71,7 @@ def kept_in(out: Path, what: str, done: int = 0) -> Iterator[Kept]:
 
 
 _LONGEST = 1000  # characters
+_OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}
 _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
 
 
@@ -97,21 +109,8 @@ def _message(error: Exception) -> str | None:
         if context is not None and hasattr(error, "option_name") and hasattr(error, "possibilities"):
             return f"No such option: {error.option_name}{_nearest(error.option_name, context.command)}{hint}"
         return f"{error.format_message()}{hint}"
-    kinds: list[type[Exception]] = [InputError]
-    if "mjx_climb" in sys.modules:
-        from mjx_climb import ConfigError, RobotError
-        from mjx_climb.files.writing import OutputError
-
-        kinds += [ConfigError, RobotError, OutputError]
-    if "mjx_climb.compilation.devices" in sys.modules:
-        from mjx_climb.compilation.devices import LostProcess
-
-        kinds.append(LostProcess)
-    if "mjx_climb.rendering" in sys.modules:
-        from mjx_climb.rendering import RenderingError
-
-        kinds.append(RenderingError)
-    return str(error) if isinstance(error, tuple(kinds)) else None
+    ours = {kind.__name__ for kind in type(error).__mro__ if kind.__module__.split(".")[0] in ("mjx_climb", "tuning")}
+    return str(error) if ours & _OF_THE_USER else None
 
 
 def _nearest(option: str, command: Any) -> str:

@@ -4,10 +4,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from pydantic import AfterValidator
 
-from tuning.command_line import completion, options
 from tuning.command_line.ending import InputError
+from tuning.command_line.from_models import command
+from tuning.command_line.options import ENGINE, HARDWARE, EngineName, reserved_stdout, scenario_from
+from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     import mjx_climb as mc
@@ -15,45 +17,70 @@ if TYPE_CHECKING:
 _BESIDE = "config.yaml"  # what a search leaves beside its gains
 
 
-def export(
-    gains: Annotated[Path, typer.Argument(metavar="GAINS", help="Gains file, as tune writes it.")],
-    form: Annotated[
-        Literal["ros2_control", "admittance_control", "json", "csv"],
-        typer.Option(
-            "--format",
-            help="What to write: parameters of ros2_control's admittance_controller or of the C++ library "
-            "admittance_control, or a table.",
-        ),
-    ] = "ros2_control",
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CONFIG",
-            help="Scenario in which the gains must hold.",
-            show_default=f"{_BESIDE} beside GAINS",
-            autocompletion=completion.config,
-        ),
-    ] = None,
-    hardware: options.Hardware = None,
-    rate: Annotated[
-        int | None,
-        typer.Option(
-            "--update-rate",
-            min=1,
-            max=1_000_000,
-            metavar="HZ",
-            help="Update rate of the controller, Hz.",
-            show_default="the config's, 1000 without one",
-        ),
-    ] = None,
-    name: Annotated[
-        str, typer.Option(metavar="NAME", help="Name of the controller in the parameter file.")
-    ] = "admittance_controller",
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
-    ] = None,
-    engine: options.Engine = None,
-) -> None:
+def _identifier(name: str) -> str:
+    if not (name.isascii() and name.isidentifier()):
+        raise ValueError(f"expected ASCII letters, digits and underscores, got {name!r}")
+    return name
+
+
+class Export(Options):
+    """What is written, and in which scenario it must hold."""
+
+    gains: Path = setting(..., "gains file, as tune writes it", metavar="GAINS", argument=True)
+    form: Literal["ros2_control", "admittance_control", "json", "csv"] = setting(
+        "ros2_control",
+        "what to write: parameters of ros2_control's admittance_controller or of the C++ library admittance_control, "
+        "or a table",
+        flag="--format",
+    )
+    config: Path | None = setting(
+        None,
+        f"scenario in which the gains must hold; null: {_BESIDE} beside GAINS",
+        metavar="CONFIG",
+        complete="config",
+    )
+    rate: int | None = setting(
+        None,
+        "update rate of the controller, Hz; null: the config's, 1000 without one",
+        flag="--update-rate",
+        metavar="HZ",
+        ge=1,
+        le=1_000_000,
+    )
+    name: Annotated[str, AfterValidator(_identifier)] = setting(
+        "admittance_controller", "name of the controller in the parameter file", metavar="NAME"
+    )
+    out: Path | None = setting(None, "file to write; null: standard output", metavar="FILE")
+    hardware: str | None = HARDWARE
+    engine: EngineName = ENGINE
+
+    def scenario(self) -> "mc.Scenario | None":
+        """Return the scenario in which the gains must hold, at the update rate, None without one.
+
+        Raises:
+            ConfigError: a law that is not the one that is written.
+            InputError: an update rate that it cannot have, or hardware without a scenario.
+        """
+        from mjx_climb.scenario.messages import config_error
+
+        beside = self.gains.parent / _BESIDE
+        config = beside if self.config is None and beside.is_file() else self.config
+        if config is None:
+            if self.hardware is not None:
+                raise InputError("--hardware: expected --config with it")
+            return None
+        scenario = _at_rate(scenario_from(config, hardware=self.hardware), self.rate)
+        control = scenario.control
+        if control.controller == "pd":
+            raise config_error(str(config), "control.controller", "an admittance law, whose gains these are", "pd")
+        if control.reading != "virtual_model" and self.form in ("ros2_control", "admittance_control"):
+            expected = "virtual_model, which is what the controller integrates"
+            raise config_error(str(config), "control.reading", expected, control.reading)
+        exact = self.form != "admittance_control"
+        return scenario if exact else scenario.with_overrides({"control.integration": "semi_implicit"})
+
+
+def export(asked: Export) -> None:
     """Write gains for the robot's own controller.
 
     First they walk in the config, on its hardware and at the update rate: gains that are unstable there, or tear a
@@ -71,76 +98,61 @@ def export(
       mjx-climb export gains.yaml --config case_1_2 --format admittance_control --update-rate 200
       mjx-climb export gains.yaml --format csv --out gains.csv
     """
-    with options.reserved_stdout() as stdout:
-        from mjx_climb.control import law_of
-        from mjx_climb.control.motion import Motion
+    with reserved_stdout() as stdout:
         from mjx_climb.files import dataset
-        from tuning.gains import admittance_control, gains_file, gains_tables, ros2_control
-        from tuning.judged import deployment
+        from tuning.evaluation import deployment
+        from tuning.gains import gains_file
 
-        loaded, source = gains_file.load(gains), str(gains)
-        if not (name.isascii() and name.isidentifier()):
-            raise InputError(f"--name: expected ASCII letters, digits and underscores, got {name!r}")
-        if config is None and (gains.parent / _BESIDE).is_file():
-            config = gains.parent / _BESIDE
-        if hardware is not None and config is None:
-            raise InputError("--hardware: expected --config with it")
-        scenario = None if config is None else _at_rate(options.scenario_from(config, None, None, hardware), rate)
-        if scenario is not None and config is not None:
-            _check_law(scenario, form, config)
-            rate = round(1 / (scenario.hardware.control_period or scenario.time_step))
-            if form == "admittance_control":
-                scenario = scenario.with_overrides({"control.integration": "semi_implicit"})
-        rate, notes = rate or 1000, []
-        cutoff = None if scenario is None else scenario.hardware.force_sensor.filter
-
-        if form == "ros2_control":
-            ros2_control.check(loaded, rate, source)
-            if scenario is not None and cutoff is not None and scenario.hardware.force_sensor.filtered_by == "sensor":
-                notes.append(
-                    f"the config's sensors filter their forces at {cutoff:g} Hz: filter_coefficient 1, so that they "
-                    "are not filtered twice; where admittance_controller is to filter in their place, walk and search "
-                    "with hardware.force_sensor.filtered_by=law"
-                )
-                cutoff = None
-            text = ros2_control.write(loaded, rate, name, cutoff)
-        elif form == "admittance_control":
-            admittance_control.check(loaded, 1 / rate, source)
-            law = None if scenario is None else law_of(scenario)
-            motion = getattr(law, "motion", Motion())
-            forces = scenario is not None and scenario.control.controller == "end_effector_admittance"
-            text = admittance_control.write(loaded, 1 / rate, motion, forces_only=forces)
-            if cutoff is not None:
-                notes.append(f"admittance_control filters nothing: give it forces behind a low pass of {cutoff:g} Hz")
-        else:
-            text = {"json": gains_tables.write_json, "csv": gains_tables.write_csv}[form](loaded)
+        gains, source = gains_file.load(asked.gains), str(asked.gains)
+        scenario = asked.scenario()
+        text, notes = _written(asked, gains, scenario)
         if scenario is None:
-            said = [f"note: no {_BESIDE} beside {gains.name} and no --config: these gains were not walked"]
+            said = [f"note: no {_BESIDE} beside {asked.gains.name} and no --config: these gains were not walked"]
         else:
-            said = deployment.check(scenario, loaded, source, engine=options.engine_from(engine))
-            said = [f"note: {line}" for line in notes] + [f"warning: {line}" for line in said]
+            said = [f"note: {line}" for line in notes]
+            said += [f"warning: {line}" for line in deployment.check(scenario, gains, source, engine=asked.engine)]
         for line in said:
             print(f"mjx-climb: {line}", file=sys.stderr)
-        if out is None:
+        if asked.out is None:
             print(text, end="", file=stdout)
         else:
-            dataset.write_text_atomically(out, text)
+            dataset.write_text_atomically(asked.out, text)
 
 
-def _check_law(scenario: "mc.Scenario", form: str, config: Path) -> None:
-    """Refuse a config whose law is not the one that is written.
+def _written(asked: Export, gains: "mc.Gains", scenario: "mc.Scenario | None") -> tuple[str, list[str]]:
+    """Return the gains in the form that was asked for, and notes on it.
 
     Raises:
-        ConfigError: in one line, the key.
+        ConfigError: gains that this form cannot have, or that its controller makes unstable.
     """
-    from mjx_climb.scenario.messages import config_error
+    from mjx_climb.control import law_of
+    from mjx_climb.control.virtual_mass import Motion
+    from tuning.gains import admittance_control, gains_tables, ros2_control
 
-    control = scenario.control
-    if control.controller == "pd":
-        raise config_error(str(config), "control.controller", "an admittance law, whose gains these are", "pd")
-    if control.reading != "virtual_model" and form in ("ros2_control", "admittance_control"):
-        expected = "virtual_model, which is what the controller integrates"
-        raise config_error(str(config), "control.reading", expected, control.reading)
+    source, rate, cutoff = str(asked.gains), asked.rate or 1000, None
+    if scenario is not None:
+        rate = round(1 / (scenario.hardware.control_period or scenario.time_step))
+        cutoff = scenario.hardware.force_sensor.filter
+    if asked.form == "ros2_control":
+        ros2_control.check(gains, rate, source)
+        if scenario is None or cutoff is None or scenario.hardware.force_sensor.filtered_by == "law":
+            return ros2_control.write(gains, rate, asked.name, cutoff), []
+        note = (
+            f"the config's sensors filter their forces at {cutoff:g} Hz: filter_coefficient 1, so that they are not "
+            "filtered twice; where admittance_controller is to filter in their place, walk and search with "
+            "hardware.force_sensor.filtered_by=law"
+        )
+        return ros2_control.write(gains, rate, asked.name, None), [note]
+    if asked.form == "admittance_control":
+        admittance_control.check(gains, 1 / rate, source)
+        motion = getattr(None if scenario is None else law_of(scenario), "motion", Motion())
+        forces = scenario is not None and scenario.control.controller == "end_effector_admittance"
+        text = admittance_control.write(gains, 1 / rate, motion, forces_only=forces)
+        note = (
+            f"admittance_control filters nothing: give it forces behind a low pass of {cutoff:g} Hz" if cutoff else ""
+        )
+        return text, [note] if note else []
+    return (gains_tables.write_json if asked.form == "json" else gains_tables.write_csv)(gains), []
 
 
 def _at_rate(scenario: "mc.Scenario", rate: int | None) -> "mc.Scenario":
@@ -157,3 +169,6 @@ def _at_rate(scenario: "mc.Scenario", rate: int | None) -> "mc.Scenario":
             f"--update-rate: expected one whose period is a whole number of the config's time steps of {step:g} s, "
             f"got {rate}"
         ) from None
+
+
+COMMAND = command(export)

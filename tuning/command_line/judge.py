@@ -1,53 +1,52 @@
 """`mjx-climb judge`: gains on many walks that no search has seen."""
 
-import shlex
-import time
-from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Annotated
 
 from mjx_climb.scenario import shipped
-from tuning.command_line import completion, launcher, options, processes
+from tuning.command_line import launcher, processes
 from tuning.command_line.ending import InputError, kept_in
+from tuning.command_line.from_models import command
+from tuning.command_line.options import ENSEMBLE, SHARD, Output, Walk
+from tuning.command_line.rows import Rows
+from tuning.command_line.typed import origin
+from tuning.problem.search import Judge
+from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    import mjx_climb as mc
-    from tuning.output.judged import Judged, Verdict
+    from tuning.searches.judge import Draw
 
 
-def judge(
-    config: options.Config,
-    gains: Annotated[
-        list[Path],
-        typer.Option("--gains", metavar="FILE", help="Gains file to judge; may be given several times."),
-    ],
-    ensemble: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE",
-            help="What the walks may meet: a YAML file, or ensemble, which comes with the program.",
-            autocompletion=completion.ensemble,
-        ),
-    ] = Path("ensemble"),
-    members: Annotated[int, typer.Option(min=1, max=100_000, metavar="N", help="Walks of each set of gains.")] = 128,
-    controller: options.Controller = None,
-    hardware: options.Hardware = None,
-    changes: options.Set = None,
-    law: options.LawFile = None,
-    metric: options.Metrics = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-judge"),
-    ] = None,
-    shard: options.Shard = None,
-    figures: options.Figures = "png",
-    json: options.Json = False,
-    engine: options.Engine = None,
-) -> None:
+class Rivals(Options):
+    """Which gains are judged, on what."""
+
+    gains: tuple[Path, ...] = setting(..., "gains file to judge", metavar="FILE")
+    ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
+    shard: str | None = SHARD
+
+    def draw(self, walk: Walk, members: int) -> "Draw":
+        """Return the walks of the gains.
+
+        Raises:
+            ConfigError, InputError: options that cannot be used.
+        """
+        from tuning.gains import gains_file
+        from tuning.problem.ensemble import Ensemble
+        from tuning.problem.evaluation import Problem
+        from tuning.searches.judge import draw_of
+
+        loaded = walk.load()
+        if loaded.law is None and loaded.scenario.control.controller == "pd":
+            raise InputError("--controller: expected a law whose gains are judged, got pd, which walks beside them")
+        named = {file.stem: gains_file.load(file, loaded.law) for file in self.gains}
+        if len(named) < len(self.gains) or named.keys() & {"config", "pd"}:
+            got = ", ".join(file.stem for file in self.gains)
+            raise InputError(f"--gains: expected files of different names, none config or pd, got {got}")
+        ensemble = Ensemble.load(shipped.found(self.ensemble))
+        return draw_of(Problem(loaded.scenario, **loaded.how), named, ensemble, members)
+
+
+def judge(rivals: Rivals, fresh: Judge, walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Judge gains on walks that no search over the ensemble has seen, beside the config's own and pd.
 
     As tune --ensemble judges its result: pushes, cargo, slope, grips, masses and hardware are drawn with another seed,
@@ -63,77 +62,26 @@ def judge(
       mjx-climb judge case_1_2 --gains results/case_1_2-tune/gains.yaml --members 512
       mjx-climb judge case_2 --gains a.yaml --gains b.yaml --ensemble mine.yaml --members 100000 --shard 3/16
     """
-    with processes.joined(apart=shard is not None) as team, options.reserved_stdout() as stdout:
-        part, which = launcher.shard_from(shard)
-        from tuning.command_line import progress, report
-        from tuning.output import judged
+    with processes.joined(apart=rivals.shard is not None) as team, output.session() as shell:
+        part, which = launcher.shard_from(rivals.shard)
         from tuning.output.folder import check_own
-        from tuning.problem import ensemble as ensembles
-        from tuning.searches import finished_parts, shards
 
-        begin = time.perf_counter()
-        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
-        if user_law is None and scenario.control.controller == "pd":
-            raise InputError("--controller: expected a law whose gains are judged, got pd, which walks beside them")
-        rivals = judged.rivals(scenario, _named(gains, user_law), user_law)
-        drawn = ensembles.load(shipped.found(ensemble), members=members)
-        formats = options.figures_from(figures)
-        draw = judged.draw_of(scenario, rivals, drawn, user_law, table, options.engine_from(engine))
-        out = team.folder(out or Path("results") / f"{config.stem}-judge")
+        draw = rivals.draw(walk, fresh.members)
+        out = team.folder(output.folder(walk.config.stem, "judge"))
         check_own(out, "judged.nc")
-        one = None if part is None else shards.made(*part)
-        if one is None:
-            parts, rows = finished_parts.Parts(out, draw.identity()), range(members)
-        else:
-            parts, rows = shards.claim(draw, out, one), one.rows(members)
-            told = {"again": options.typed_but("--shard", shards.SHARD), "name": config.stem}
-            judged.keep_beside(one, out, draw, drawn, told)
-        there = shards.there(draw, parts, rows)
-        console = report.console(stderr=True)
-        text = f"{len(rows)} members, {len(rivals) + 1} walks of {scenario.steps} steps each"
-        said = [which, team.said, f"{there} are there already" if there else ""]
-        console.print("; ".join([text, *filter(None, said)]), soft_wrap=True)
-        progress.opening(console, scenario)
-        meter = progress.Meter(console)
-        place = out if one is None else one.folder(out)
-        team.begin(place, scenario)
-        with kept_in(place, f"of {len(rows)} members", there) as kept:
-            with meter.stage("fresh draw", unit="members") as show:
-                arrays = shards.walk(draw, parts, kept.told(show), one)
-            if one is not None:
-                text = f"{place} is whole; once all {one.count} are: mjx-climb merge {shlex.quote(str(out))}"
-                console.print(text, soft_wrap=True)
-                if json:
-                    print(dumps({"shard": one.number, "of": one.count, "members": len(rows)}), file=stdout)
+        scenario = draw.problem.scenario
+        rows = Rows(draw, out, part, walk.config.stem)
+        text = f"{rows.here} members, {len(draw.gains) + 1} walks of {scenario.steps} steps each"
+        shell.say("; ".join(filter(None, [text, which, team.said, rows.kept_already])))
+        shell.opening(scenario)
+        team.begin(rows.folder, scenario)
+        with kept_in(rows.folder, f"of {rows.here} members", rows.there) as kept:
+            arrays = rows.walk(shell, kept, "fresh draw", "members")
+            if arrays is None:
                 return
-            found = judged.Judged(draw.dataset(arrays), scenario, drawn, table, user_law)
-            again = "the same command, with config.yaml and --ensemble ensemble.yaml"
-            verdict = found.write(out, origin=options.origin(config.stem, again), figures=formats, stage=meter.stage)
-        print_verdict(found, verdict, console if json else report.console(file=stdout))
-        seconds = progress.duration(time.perf_counter() - begin)
-        console.print(f"written to {out} in {seconds}: {judged.FILES}", soft_wrap=True)
-        if json:
-            print(verdict.summary, file=stdout)
+            made = origin(walk.config.stem, "the same command, with config.yaml and --ensemble ensemble.yaml")
+            written = draw.result(arrays).write(out, origin=made, figures=output.figures, stage=shell.stage)
+        shell.result(out, draw.problem, written)
 
 
-def print_verdict(found: "Judged", verdict: "Verdict", console: "Console") -> None:
-    """Print the table of what was judged, and the sentence."""
-    from tuning.command_line import report
-    from tuning.report.robust import judged_table
-
-    console.print(report.from_page(judged_table(verdict.summed, found.metrics)))
-    console.print(verdict.sentence, soft_wrap=True)
-
-
-def _named(files: list[Path], law: "mc.Law | None") -> dict[str, Any]:
-    """Return the gains of some files by the files' names.
-
-    Raises:
-        InputError: two of one name, or one that is taken.
-    """
-    named: dict[str, Any] = {}
-    for file in files:
-        if file.stem in named or file.stem in ("config", "pd"):
-            raise InputError(f"--gains: expected files of different names, none config or pd, got {file.stem!r} again")
-        named[file.stem] = options.gains_from(file, law)
-    return named
+COMMAND = command(judge, "results/<config>-judge")

@@ -2,7 +2,6 @@
 
 import os
 import re
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from tuning.command_line.ending import InputError
@@ -55,9 +54,9 @@ def _found_by_jax() -> bool:
     return "OMPI_MCA_orte_hnp_uri" in os.environ or all(name in os.environ for name in slurm)
 
 
-def _number(name: str) -> int:
-    text = os.environ.get(name, "")
-    if not re.fullmatch("[0-9]{1,6}", text):
+def _number(name: str, default: str = "") -> int:
+    text = os.environ.get(name, default)
+    if not re.fullmatch("[0-9]{1,9}", text):
         raise InputError(f"{name}: expected a whole number, got {text!r}")
     return int(text)
 
@@ -75,7 +74,7 @@ def shard_from(text: str | None) -> tuple[tuple[int, int] | None, str]:
         return (None, "all shards") if shard == (1, 1) else (shard, f"shard {text}")
     if f"{_ARRAY}ID" not in os.environ:
         return None, ""
-    number, count = _of_array(os.environ)
+    number, count = _of_array()
     return (number, count), f"shard {number}/{count}, this task of a Slurm array"
 
 
@@ -86,19 +85,14 @@ def _typed(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _of_array(environment: Mapping[str, str]) -> tuple[int, int]:
+def _of_array() -> tuple[int, int]:
     """Return number and count of this task among those of its array."""
-    values = {}
-    for name in ("ID", "MIN", "MAX", "COUNT", "STEP"):
-        text = environment.get(_ARRAY + name, "1" if name == "STEP" else "")
-        if not re.fullmatch("[0-9]{1,9}", text):
-            raise InputError(f"{_ARRAY}{name}: expected a whole number beside {_ARRAY}ID, got {text!r}")
-        values[name] = int(text)
-    steps, rest = divmod(values["ID"] - values["MIN"], max(values["STEP"], 1))
-    last = values["MIN"] + (values["COUNT"] - 1) * values["STEP"]
-    if rest or last != values["MAX"] or not 0 <= steps < values["COUNT"] or values["COUNT"] == 1:
+    task, first, last, count = (_number(f"{_ARRAY}{name}") for name in ("ID", "MIN", "MAX", "COUNT"))
+    step = _number(f"{_ARRAY}STEP", "1")
+    steps, rest = divmod(task - first, max(step, 1))
+    if rest or first + (count - 1) * step != last or not 0 <= steps < count or count == 1:
         raise InputError(
-            f"{_ARRAY}ID: expected several tasks without gaps, got {values['COUNT']} from {values['MIN']} to "
-            f"{values['MAX']}: which shard this one walks, as 3/16, or 1/1 for all, is for --shard to say"
+            f"{_ARRAY}ID: expected several tasks without gaps, got {count} from {first} to {last}: which shard this "
+            "one walks, as 3/16, or 1/1 for all, is for --shard to say"
         )
-    return steps + 1, values["COUNT"]
+    return steps + 1, count

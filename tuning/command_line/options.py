@@ -1,210 +1,248 @@
-"""Arguments and options that several commands share, and what becomes of them."""
+"""Options that several commands share, each a model, and what is loaded for them."""
 
 import contextlib
-import re
-import shlex
 import sys
 from collections.abc import Iterator, Mapping
-from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import typer
+from pydantic import BeforeValidator
 
 from mjx_climb.scenario import shipped
-from tuning.command_line import completion
 from tuning.command_line.ending import InputError
+from tuning.command_line.from_models import in_options
+from tuning.problem.search import Search, check_metrics
+from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     import mjx_climb as mc
-    from mjx_climb.scenario.messages import ConfigError
-    from tuning.problem.search import Search
-    from tuning.report.page import Origin
+    from mjx_climb.rollouts.resolve import AnyGains
+    from tuning.command_line.progress import Session
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
-
-Config = Annotated[
-    Path,
-    typer.Argument(
-        metavar="CONFIG",
-        help=f"Scenario: a YAML file, or one that comes with the program ({', '.join(shipped.names())}).",
-        autocompletion=completion.config,
-    ),
-]
-Controller = Annotated[
-    ControllerName | None,
-    typer.Option(help="Control law in place of the config's.", show_default="the config's"),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a key of the config, SI units; may be given several times. Example: control.damping=2e3",
-        autocompletion=completion.key,
-    ),
-]
-Hardware = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help=f"Hardware in place of the config's: a YAML file, or one of {', '.join(shipped.profiles())}.",
-        show_default="the config's",
-        autocompletion=completion.hardware,
-    ),
-]
-GainsFile = Annotated[
-    Path | None,
-    typer.Option("--gains", metavar="FILE", help="Gains file in place of the config's gains."),
-]
-LawFile = Annotated[
-    str | None,
-    typer.Option(
-        "--law", metavar="FILE.py:NAME", help="Control law of one's own in place of the config's; the file is run."
-    ),
-]
-Metrics = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--metric",
-        metavar="FILE.py:NAME",
-        help="Metric of one's own beside the shipped ones; the file is run. May be given several times.",
-        show_default=False,
-    ),
-]
-Engine = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Dynamics: limb (fast) or mjx (MJX's own stages).",
-        show_default="limb",
-        autocompletion=completion.engine,
-    ),
-]
+EngineName = Literal["limb", "mjx"]
 FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.plots`, which the command line does not wait for
-Figures = Annotated[
-    str,
-    typer.Option(metavar="LIST", help=f"Formats of the pictures, with commas: some of {', '.join(FORMATS)}."),
-]
-Shard = Annotated[
-    str | None,
-    typer.Option(
-        metavar="I/N",
-        help="Walk this shard alone, as 3/16, for merge; 1/1: all.",
-        show_default="a Slurm array's task",
-    ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, all else on standard error.")]
 
 
-ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
+class Loaded(NamedTuple):
+    """What the options of `Walk` name."""
+
+    scenario: "mc.Scenario"
+    law: "mc.Law | None"  # of the user's own; None: the scenario's
+    metrics: "mc.MetricTable"
+    engine: EngineName
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """All but the scenario, as what walks takes it."""
+        return {"law": self.law, "metrics": self.metrics, "engine": self.engine}
 
 
-def typed() -> str:
-    """Return the command as it was typed, for others to read."""
-    return shlex.join(["mjx-climb", *map(_without_folder, ARGUMENTS.get())])
+HARDWARE = setting(
+    None,
+    f"hardware in place of the config's: a YAML file, or one of {', '.join(shipped.profiles())}; null: the config's",
+    metavar="NAME",
+    complete="hardware",
+)
+LAW = setting(None, "control law of one's own in place of the config's; the file is run", metavar="FILE.py:NAME")
+METRICS = setting(
+    (), "metric of one's own beside the shipped ones; the file is run", flag="--metric", metavar="FILE.py:NAME"
+)
+ENSEMBLE = "an ensemble of walks: a YAML file, or ensemble, which comes with the program"
+SHARD = setting(None, "walk this shard alone, as 3/16, for merge; 1/1: all; null: a Slurm array's task", metavar="I/N")
+ENGINE = setting("limb", "dynamics: limb (fast) or mjx (MJX's own stages)")
 
 
-def typed_but(option: str, value: str) -> str:
-    """Return the command as it was typed, to be run again from the same folder, with this value of an option."""
-    kept: list[str] = []
-    words = iter(ARGUMENTS.get())
-    for word in words:
-        if word == option:
-            next(words, None)
-        elif not word.startswith(f"{option}="):
-            kept.append(word)
-    return f"{shlex.join(['mjx-climb', *kept])} {option} {value}"
+class Walk(Options):
+    """What is simulated: a scenario, and what options put in its place."""
+
+    config: Path = setting(
+        ...,
+        f"scenario: a YAML file, or one that comes with the program ({', '.join(shipped.names())})",
+        metavar="CONFIG",
+        complete="config",
+        argument=True,
+    )
+    controller: ControllerName | None = setting(None, "control law in place of the config's; null: the config's")
+    hardware: str | None = HARDWARE
+    changes: tuple[str, ...] = setting(
+        (),
+        "change a key of the config, SI units, as control.damping=2e3",
+        flag="--set",
+        metavar="KEY=VALUE",
+        complete="key",
+    )
+    gains: Path | None = setting(None, "gains file in place of the config's gains", metavar="FILE")
+    law: str | None = LAW
+    metrics: tuple[str, ...] = METRICS
+    engine: EngineName = ENGINE
+
+    def load(self) -> Loaded:
+        """Return scenario, law and metrics, from options or the config, without the gains file.
+
+        A change of `control.NAME`, a gain of a law of one's own, is the law's.
+
+        Raises:
+            ConfigError: no such file, key, value, law or metric, or a law or metric whose file has changed.
+            InputError: a change that a law of one's own cannot take.
+        """
+        import mjx_climb as mc
+        from mjx_climb.scenario.yaml_text import pairs
+        from tuning.gains.own_section import taken, without
+
+        source, (law, metrics) = str(shipped.found(self.config)), own_objects(self.law, self.metrics)
+        changes = dict(pairs(self.changes, source))
+        if self.law is not None and self.controller is not None:
+            raise InputError(f"--controller: expected none with --law, got {self.controller}")
+        if self.controller is not None:
+            changes["own.law"] = None
+        own = mc.load_scenario(source, {key: value for key, value in changes.items() if key.split(".")[0] == "own"})
+        _, law, metrics = taken(own, law, metrics, source)
+        if law is not None:
+            changes, law = _taken_by(law, changes)
+        scenario = scenario_from(Path(source), changes, self.hardware, self.controller)
+        return Loaded(without(scenario), law, metrics, self.engine)
+
+    def load_with_gains(self) -> Loaded:
+        """Return what `load` does, with the values of the gains file in the scenario or the law.
+
+        Raises:
+            ConfigError: as `load`, the gains of another law, or joint gains too stiff for the time step.
+        """
+        from mjx_climb.checks.time_step import check_time_step
+        from tuning.gains import gains_file
+
+        loaded = self.load()
+        if (values := self.values(loaded.law)) is None:
+            return loaded
+        scenario, law = gains_file.replaced(loaded.scenario, loaded.law, values)
+        check_time_step(scenario, str(self.gains))
+        return loaded._replace(scenario=scenario, law=law)
+
+    def values(self, law: "mc.Law | None") -> "AnyGains | None":
+        """Return the values of the gains file, None without one.
+
+        Raises:
+            ConfigError: no such file, or the gains of another law.
+        """
+        from tuning.gains import gains_file
+
+        return None if self.gains is None else gains_file.load(self.gains, law)
 
 
-def _without_folder(argument: str) -> str:
-    """Return an argument, or what stands behind its "=", as a bare name where it is an absolute path."""
-    option, equals, value = argument.rpartition("=")
-    if re.match(r"[/~]|[A-Za-z]:[/\\]", value):
-        value = re.split(r"[/\\]", value.rstrip("/\\"))[-1]
-    return f"{option}{equals}{value}"
-
-
-def origin(name: str, again: str) -> "Origin":
-    """Return where a report comes from, but for the scenario: see `tuning.report.page.Origin`."""
-    from tuning.report.page import Origin
-
-    return Origin(name, typed(), again)
-
-
-def figures_from(text: str) -> tuple[str, ...]:
-    """Return the formats of `--figures`.
-
-    Raises:
-        InputError: another one.
-    """
+def _formats(text: Any) -> Any:
+    """Return the formats that a text names, with commas between them."""
     formats = tuple(dict.fromkeys(name.strip().lower() for name in text.split(",")))
     if unknown := [name for name in formats if name not in FORMATS]:
-        raise InputError(f"--figures: expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
+        raise ValueError(f"expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
     return formats
+
+
+Figures = Annotated[tuple[str, ...], BeforeValidator(_formats)]
+FIGURES = setting("png", f"formats of the pictures, with commas: some of {', '.join(FORMATS)}", metavar="LIST")
+
+
+class Output(Options):
+    """What a command writes and prints."""
+
+    out: Path | None = setting(None, "folder for the results", metavar="DIR")
+    figures: Figures = FIGURES
+    json_only: bool = setting(False, "print JSON alone on standard output, all else on standard error", flag="--json")
+
+    def folder(self, *name: str) -> Path:
+        """Return the folder that was asked for, by default the one of this name, its parts joined, below results/."""
+        return self.out or Path("results") / "-".join(name)
+
+    @contextlib.contextmanager
+    def session(self) -> Iterator["Session"]:
+        """Give what the command prints to and shows its progress on."""
+        from tuning.command_line.progress import Session
+
+        with reserved_stdout() as stdout:
+            yield Session(stdout, self.json_only)
+
+
+class SearchFile(Options):
+    """The file of a search's settings."""
+
+    search: Path | None = setting(None, "settings of the search, YAML; options change them", metavar="FILE")
+
+    def settings(self, typed: Search, loaded: Loaded, config: Path) -> Search:
+        """Return the settings of the file with those that were typed in their place, checked against the scenario.
+
+        Raises:
+            ConfigError: settings that make no sense, by themselves or for the scenario; nothing is written before.
+        """
+        from tuning.problem.spaces import space
+
+        own = Search() if self.search is None else Search.load(self.search)
+        check_metrics(own, loaded.metrics, str(self.search))
+        wanted = own.changed(typed.model_dump(exclude_unset=True), "options")
+        check_metrics(wanted, loaded.metrics, "--weight, --limit")
+        with self.naming(typed, config):
+            space(loaded.scenario, wanted, loaded.law)
+        return wanted
+
+    @contextlib.contextmanager
+    def naming(self, typed: Search, otherwise: Path | str | None = None) -> Iterator[None]:
+        """Name where a setting that is refused stands: its option, the file, or `otherwise`.
+
+        Raises:
+            ConfigError: in one line, the place, and what is wrong there.
+        """
+        from mjx_climb.scenario.messages import ConfigError
+
+        try:
+            yield
+        except ConfigError as error:
+            key = str(error).partition(":")[0].partition(".")[0]
+            file = self.search if key in Search.model_fields else None
+            place = None if key in typed.model_fields_set else file or otherwise
+            raise ConfigError(in_options(str(error), Search) if place is None else f"{place}: {error}") from None
 
 
 def scenario_from(
     config: Path,
-    controller: str | None,
-    changes: "list[str] | Mapping[str, Any] | None",
+    changes: "tuple[str, ...] | Mapping[str, Any]" = (),
     hardware: str | None = None,
+    controller: str | None = None,
 ) -> "mc.Scenario":
-    """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
+    """Return the scenario of a config with the options applied, `changes` last, before any gains file.
+
+    Raises:
+        ConfigError: no such file, key or value, or a scenario that nothing can walk through.
+    """
     import mjx_climb as mc
     from mjx_climb.checks.stance import check_stance
     from mjx_climb.checks.time_step import check_time_step
-    from mjx_climb.compilation import probe
+    from mjx_climb.execution import probe
     from mjx_climb.quantities.ground import check_reach
-    from mjx_climb.scenario import profiles
+    from mjx_climb.scenario.load import load_hardware, with_hardware
     from mjx_climb.scenario.model import overridden
 
     config = shipped.found(config)
     probe.begin()  # the walk of this scenario asks for it
-    scenario = mc.load_scenario(config, () if hardware else changes or ())
+    scenario = mc.load_scenario(config, () if hardware else changes)
     if hardware:
-        profile = profiles.load_hardware(hardware)
-        scenario = overridden(profiles.with_hardware(scenario, profile, hardware), changes or (), str(config))
+        profile = load_hardware(hardware)
+        scenario = overridden(with_hardware(scenario, profile, hardware), changes, str(config))
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
-    check_stance(scenario, str(config))
-    check_time_step(scenario, str(config))
-    check_reach(scenario, str(config))
+    for check in (check_stance, check_time_step, check_reach):
+        check(scenario, str(config))
     return scenario
 
 
-def asked(
-    config: Path,
-    controller: str | None,
-    changes: list[str] | None,
-    hardware: str | None,
-    law: str | None,
-    metrics: list[str] | None = None,
-) -> "tuple[mc.Scenario, mc.Law | None, mc.MetricTable]":
-    """Return the scenario of `scenario_from`, law (None: the scenario's) and metrics, from options or the config.
-
-    A change of `control.NAME`, a gain of a law of one's own, is the law's.
+def own_objects(law: str | None, metrics: tuple[str, ...]) -> "tuple[mc.Law | None, mc.MetricTable]":
+    """Return the law of `--law`, None without one, and the shipped metrics with those of `--metric` behind them.
 
     Raises:
-        ConfigError: no such law or metric, or one whose file is gone or has changed.
-        InputError: a change that a law of one's own cannot take.
+        ConfigError: no such law or metric.
     """
-    import mjx_climb as mc
-    from mjx_climb.scenario.overrides import pairs
-    from tuning.gains.own_section import taken, without
+    from tuning.gains import law_file
+    from tuning.problem import own_file
 
-    source, user_law, table = str(shipped.found(config)), own_law(law), metrics_from(metrics)
-    given = dict(pairs(changes or (), source))
-    if law is not None and controller is not None:
-        raise InputError(f"--controller: expected none with --law, got {controller}")
-    if controller is not None:
-        given["own.law"] = None
-    named = mc.load_scenario(source, {key: value for key, value in given.items() if key.split(".")[0] == "own"})
-    _, user_law, table = taken(named, user_law, table, source)
-    if user_law is not None:
-        given, user_law = _taken_by(user_law, given)
-    scenario = scenario_from(Path(source), controller, given, hardware)
-    return without(scenario), user_law, table
+    return None if law is None else law_file.load(law), own_file.metrics(metrics)
 
 
 def _taken_by(law: "mc.Law", changes: dict[str, Any]) -> "tuple[dict[str, Any], mc.Law]":
@@ -223,160 +261,8 @@ def _taken_by(law: "mc.Law", changes: dict[str, Any]) -> "tuple[dict[str, Any], 
         raise InputError(f"--set {', '.join(own)}: {error}") from None
 
 
-def own_law(text: str | None) -> "mc.Law | None":
-    """Return the law of `--law`, None without one.
-
-    Raises:
-        ConfigError: no such law.
-    """
-    from tuning.gains import law_file
-
-    return None if text is None else law_file.load(text)
-
-
-def metrics_from(texts: list[str] | None) -> "mc.MetricTable":
-    """Return the shipped metrics, with those of `--metric` behind them.
-
-    Raises:
-        ConfigError: no such metric.
-    """
-    from tuning.problem import own_file
-
-    return own_file.metrics(texts or ())
-
-
-def gains_from(file: Path | None, law: "mc.Law | None") -> "mc.Gains | dict[str, Any] | None":
-    """Return the values of `--gains`, None without one.
-
-    Raises:
-        ConfigError: no such file, or the gains of another law.
-    """
-    from tuning.gains import gains_file
-
-    return None if file is None else gains_file.load(file, law)
-
-
-def with_gains(
-    law: "mc.Law | None", gains: Path | None, scenario: "mc.Scenario"
-) -> "tuple[mc.Law | None, mc.Scenario]":
-    """Return a law of one's own, None without one, and the scenario, both with the values of a gains file.
-
-    Raises:
-        ConfigError: the gains of another law, or joint gains too stiff for the time step.
-    """
-    from mjx_climb.checks.time_step import check_time_step
-    from tuning.gains import gains_file
-
-    values = gains_from(gains, law)
-    if values is None:
-        return law, scenario
-    scenario, law = gains_file.replaced(scenario, law, values)
-    check_time_step(scenario, str(gains))
-    return law, scenario
-
-
-def law_name(law: "mc.Law | None", scenario: "mc.Scenario") -> str:
-    """Return the name of the law that walks, as in names of folders."""
-    return scenario.control.controller if law is None else type(law).__name__
-
-
-def search_from(
-    file: Path | None,
-    space: str | None,
-    scenario: "mc.Scenario",
-    config: Path,
-    law: "mc.Law | None",
-    metrics: "mc.MetricTable",
-) -> "Search":
-    """Return the settings of a search from its file and `--space`, checked against the scenario.
-
-    Raises:
-        ConfigError: settings that make no sense, by themselves or for the scenario.
-    """
-    from tuning.problem import search as settings
-
-    own = settings.Search() if file is None else settings.load(file)
-    settings.check_metrics(own, metrics, str(file))
-    wanted = own if space is None else settings.make({**own.model_dump(), "space": space}, "options")
-    check_space(scenario, wanted, config, file, law)
-    return wanted
-
-
-def check_space(
-    scenario: "mc.Scenario", search: "Search", config: Path, file: Path | None, law: "mc.Law | None" = None
-) -> None:
-    """Refuse a search that has nothing to move, or names gains that are not there, before anything is written.
-
-    Raises:
-        ConfigError: in one line, the config, the file of the search or the options, and what is wrong there.
-    """
-    from mjx_climb.scenario.messages import ConfigError
-    from tuning.problem.spaces import space
-
-    try:
-        space(scenario, search, law)
-    except ConfigError as error:
-        raise _placed(error, config if str(error).startswith("control.") else file) from None
-
-
 @contextlib.contextmanager
-def weighing(place: Path | str | None) -> Iterator[None]:
-    """Name where the weights stand, None for `--weight`, when one is refused.
-
-    Raises:
-        ConfigError: in one line, the place, and what is wrong there.
-    """
-    from mjx_climb.scenario.messages import ConfigError
-
-    try:
-        yield
-    except ConfigError as error:
-        raise _placed(error, place) from None
-
-
-def _placed(error: "ConfigError", place: Path | str | None) -> "ConfigError":
-    """Return an error on a setting that names its file, or the options where that is None."""
-    return type(error)(in_options(str(error)) if place is None else f"{place}: {error}")
-
-
-def in_options(message: str) -> str:
-    """Return a message on a setting of the search in the words of the command's options: pins.x becomes --pin x."""
-    return re.sub(r"^(?:(pin|bound|weight|limit)s\.?|(starts|iterations|seed)(?=:))", _option, message)
-
-
-def _option(found: re.Match[str]) -> str:
-    return f"--{found[1]} " if found[1] else f"--{found[2]}"
-
-
-def engine_from(name: str | None) -> str:
-    """Return the engine of that name, the default where None.
-
-    Raises:
-        InputError: no such engine.
-    """
-    from mjx_climb.dynamics import DEFAULT_ENGINE, ENGINES
-
-    if name is not None and name not in ENGINES:
-        raise InputError(f"--engine: expected one of {', '.join(ENGINES)}, got {name!r}")
-    return name or DEFAULT_ENGINE
-
-
-def engine_option(engine: str) -> str:
-    """Return the option that chooses an engine, with a space before it; empty for the default."""
-    from mjx_climb.dynamics import DEFAULT_ENGINE
-
-    return "" if engine == DEFAULT_ENGINE else f" --engine {engine}"
-
-
-def start_devices() -> None:
-    """Begin to start what the command will walk on, before the rest is imported."""
-    from mjx_climb.compilation import devices
-
-    devices.begin()
-
-
-@contextlib.contextmanager
-def reserved_stdout() -> Iterator[TextIO]:
+def reserved_stdout() -> Iterator[Any]:
     """Give standard output to one writer; what anything else prints goes to standard error."""
     stdout = sys.stdout
     with contextlib.redirect_stdout(sys.stderr):

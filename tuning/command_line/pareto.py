@@ -1,42 +1,17 @@
 """`mjx-climb pareto`: what one metric costs in terms of another."""
 
-import time
-from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from tuning.command_line import completion, options
-from tuning.command_line.ending import InputError, kept_in
-from tuning.command_line.tune import SpaceName
+from tuning.command_line import processes
+from tuning.command_line.ending import kept_in
+from tuning.command_line.from_models import command
+from tuning.command_line.options import Output, SearchFile, Walk
+from tuning.command_line.typed import origin, repeated
+from tuning.problem.search import Pareto, Search, check_metrics
 
 
 def pareto(
-    config: options.Config,
-    better: Annotated[
-        str, typer.Option(metavar="METRIC", help="Metric to better.", autocompletion=completion.metric)
-    ] = "force_variation",
-    against: Annotated[
-        str, typer.Option(metavar="METRIC", help="Metric that it is traded against.", autocompletion=completion.metric)
-    ] = ("base_deviation"),
-    points: Annotated[int, typer.Option(min=2, max=200, metavar="N", help="Limits along the front.")] = 12,
-    space: Annotated[
-        SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
-    ] = None,
-    search: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML: bounds, pins, limits, seed.")
-    ] = None,
-    controller: options.Controller = None,
-    hardware: options.Hardware = None,
-    changes: options.Set = None,
-    law: options.LawFile = None,
-    metric: options.Metrics = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-pareto")
-    ] = None,
-    figures: options.Figures = "png",
-    json: options.Json = False,
-    engine: options.Engine = None,
+    asked: Pareto, space: Annotated[Search, "space"], file: SearchFile, walk: Annotated[Walk, "-gains"], output: Output
 ) -> None:
     """Search the Pareto front of two metrics, by gradients under a row of limits, all in one batch.
 
@@ -52,43 +27,31 @@ def pareto(
       mjx-climb pareto case_1_2
       mjx-climb pareto case_2 --against cost_of_transport --space split
     """
-    with options.reserved_stdout() as stdout:
-        options.start_devices()
-        from tuning.command_line import progress, report
-        from tuning.output import pareto as output
+    with output.session() as shell:
+        processes.start_devices()
+        from tuning.command_line import report
         from tuning.output.folder import check_own
-        from tuning.problem import search as settings
-        from tuning.report.pareto import front_table
+        from tuning.report.pages import front_table
         from tuning.searches import pareto as fronts
 
-        begin = time.perf_counter()
-        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
-        engine, formats = options.engine_from(engine), options.figures_from(figures)
-        wanted = options.search_from(search, space, scenario, config, user_law, table)
-        for option, name in (("--better", better), ("--against", against)):
-            settings.check_metrics(settings.make({"weights": {name: 1.0}}), table, option)
-        if better == against:
-            raise InputError(f"--against: expected another metric than {better}")
-        out = out or Path("results") / f"{config.stem}-pareto"
+        loaded = walk.load()
+        wanted = file.settings(space, loaded, walk.config)
+        for option, name in (("--better", asked.better), ("--against", asked.against)):
+            check_metrics(Search(weights={name: 1.0}), loaded.metrics, option)
+        out = output.folder(walk.config.stem, "pareto")
         check_own(out, "front.nc")
-        console = report.console(stderr=True)
-        progress.opening(console, scenario)
-        meter = progress.Meter(console)
-        with meter.stage("baseline"), options.weighing("--better"):
-            asked = fronts.trade(
-                scenario, wanted, better=better, against=against, law=user_law, metrics=table, engine=engine
-            )
+        shell.opening(loaded.scenario)
+        with shell.stage("baseline"), file.naming(space, "--better"):
+            problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.how)
         with kept_in(out, "rounds") as kept:
-            with meter.stage("front", unit="rounds") as show:
-                front = output.Front(fronts.run(asked, points, out=out, progress=kept.phases(show)), asked)
-            again = f"mjx-climb pareto config.yaml --search search.yaml --better {better} --against {against} "
-            again += f"--points {points}{options.engine_option(engine)} --out again"
-            front.write(out, origin=options.origin(config.stem, again), figures=formats, stage=meter.stage)
+            with shell.stage("front", unit="rounds") as show:
+                found = fronts.run(problem, wanted, asked, out=out, progress=kept.rounds(show))
+            again = repeated(["pareto", "--search", "search.yaml"], "--better", "--against", "--points", "--engine")
+            written = found.write(
+                out, origin=origin(walk.config.stem, again), figures=output.figures, stage=shell.stage
+            )
+        shell.show(report.from_page(front_table(found.data, found.knee, loaded.metrics)), *written.outcome)
+        shell.written(out, written.files, written.summary)
 
-        tables = console if json else report.console(file=stdout)
-        tables.print(report.from_page(front_table(front.data, front.knee, table)))
-        tables.print(front.worth, soft_wrap=True)
-        seconds = progress.duration(time.perf_counter() - begin)
-        console.print(f"written to {out} in {seconds}: {output.FILES}", soft_wrap=True)
-        if json:
-            print(front.summary, file=stdout)
+
+COMMAND = command(pareto, "results/<config>-pareto")

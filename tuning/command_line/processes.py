@@ -9,14 +9,13 @@ import hashlib
 import io
 import os
 import sys
-import tarfile
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tuning.command_line import interruption, launcher, options
+from tuning.command_line import interruption, launcher
 from tuning.command_line.ending import InputError, user_error
+from tuning.command_line.typed import ARGUMENTS
 
 if TYPE_CHECKING:
     import mjx_climb as mc
@@ -25,14 +24,17 @@ _LONGEST = 1000  # bytes of a message from one process to the others
 PATIENCE = 300  # s, until all processes must have met
 
 
-class Alone:
-    """The only process."""
+class Team:
+    """The processes that walk together, as one of them sees it; `process` None is the only one."""
 
-    said = ""  # for the announcement
+    def __init__(self, process: launcher.Process | None, temporary: Path):
+        self.said = "" if process is None else f"{process.of} processes, {process.said}"  # for the announcement
+        self.heard = process is None  # what the others had to say before they walk
+        self._process, self._temporary = process, temporary
 
     def folder(self, out: Path) -> Path:
         """Return the folder to write to in place of `out`."""
-        return out
+        return self._temporary / "out" if self._process and self._process.number else out
 
     def begin(self, kept: Path, scenario: "mc.Scenario") -> None:
         """Begin to walk, all together: with the same input, and with the parts that process 0 has in `kept`.
@@ -40,25 +42,15 @@ class Alone:
         Raises:
             InputError: something is wrong in another process.
         """
-
-
-class OneOfSeveral(Alone):
-    """A process that others walk beside."""
-
-    def __init__(self, process: launcher.Process, temporary: Path):
-        self.said = f"{process.of} processes, {process.said}"
-        self.heard = False  # what the others had to say before they walk
-        self._number, self._temporary = process.number, temporary
-
-    def folder(self, out: Path) -> Path:
-        return out if self._number == 0 else self._temporary / "out"
-
-    def begin(self, kept: Path, scenario: "mc.Scenario") -> None:
+        if self._process is None:
+            return
         self.heard = True
-        asked = repr((options.ARGUMENTS.get(), scenario.to_yaml()))
+        asked = repr((ARGUMENTS.get(), scenario.to_yaml()))
         self.agree(hashlib.sha256(asked.encode()).digest())
-        archive = _from_first(_packed(kept / "parts") if self._number == 0 else b"")
-        if self._number and archive:
+        import tarfile
+
+        archive = _from_first(b"" if self._process.number else _packed(kept / "parts"))
+        if self._process.number and archive:
             with tarfile.open(fileobj=io.BytesIO(archive)) as files:
                 files.extractall(kept / "parts", filter="data")
 
@@ -71,32 +63,37 @@ class OneOfSeveral(Alone):
         import numpy as np
         from jax.experimental import multihost_utils
 
+        assert self._process is not None
         told = np.zeros(len(digest) + _LONGEST, np.uint8)
         text = digest + problem.encode()[:_LONGEST]
         told[: len(text)] = np.frombuffer(text, np.uint8)
         for number, row in enumerate(np.asarray(multihost_utils.process_allgather(told))):
             message = row[len(digest) :].tobytes().rstrip(b"\0").decode(errors="replace")
-            if message and number != self._number:
+            if message and number != self._process.number:
                 raise InputError(message if problem else f"process {number}: {message}")
             if not problem and row[: len(digest)].tobytes() != digest:
                 raise InputError(f"process {number}: expected the same command and config in all processes")
 
 
 @contextlib.contextmanager
-def joined(apart: bool = False) -> Iterator[Alone]:
+def joined(apart: bool = False) -> Iterator[Team]:
     """Join the other processes, where a launcher started several and they are not to walk apart.
 
     Raises:
         InputError: they do not meet.
     """
     process = None if apart else launcher.process()
-    if process is None:
-        options.start_devices()
-        yield Alone()
-        return
-    with tempfile.TemporaryDirectory(prefix="mjx_climb-") as temporary, _own_output():
+    with contextlib.ExitStack() as stack:
+        if process is None:
+            start_devices()
+            yield Team(None, Path())
+            return
+        import tempfile
+
+        temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mjx_climb-")))
+        stack.enter_context(_own_output())
         _meet(process)
-        team = OneOfSeveral(process, Path(temporary))
+        team = Team(process, temporary)
         if process.number:
             _be_silent()
         try:
@@ -106,6 +103,13 @@ def joined(apart: bool = False) -> Iterator[Alone]:
                 with contextlib.suppress(InputError):
                     team.agree(bytes(32), user_error(error) or f"{type(error).__name__}: {error}")
             raise
+
+
+def start_devices() -> None:
+    """Begin to start what the command will walk on, before the rest is imported."""
+    from mjx_climb.execution import devices
+
+    devices.begin()
 
 
 def several() -> bool:
@@ -165,6 +169,8 @@ def _packed(folder: Path) -> bytes:
     """Return a folder with all below it as an archive, nothing where there is none."""
     if not folder.is_dir():
         return b""
+    import tarfile
+
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as files:
         for file in sorted(folder.iterdir()):

@@ -6,6 +6,7 @@ Commands import JAX and all that is heavy when they run, so that `--help` is qui
 """
 
 import contextlib
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -13,71 +14,70 @@ from typing import Annotated
 
 import typer
 
-from tuning.command_line import (
-    bench,
-    doctor,
-    export,
-    interruption,
-    judge,
-    margins,
-    merge,
-    options,
-    pareto,
-    plot,
-    reproduce,
-    robot,
-    schedule,
-    schema,
-    sweep,
-    tune,
-)
-from tuning.command_line import run as walk
+from tuning.command_line import interruption
 from tuning.command_line.ending import InputError, Interrupted, leave_output, user_error
+from tuning.command_line.typed import ARGUMENTS
 
 NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
+PACKAGES = ("mjx-climb", "mujoco", "mujoco-mjx", "jax")  # whose versions are told
+COMMANDS = {  # what each does; the function of its name in the module of its name is it
+    "run": "Walk one robot through a scenario.",
+    "sweep": "Walk a grid of stiffness and damping, and map it.",
+    "merge": "Put shards of sweep or judge together.",
+    "tune": "Search the gains of the controller.",
+    "judge": "Judge gains on walks that no search saw.",
+    "pareto": "Search the front of two metrics.",
+    "schedule": "Tune gains for pairs of gravity and cargo.",
+    "plot": "Draw the pictures of a result again.",
+    "margins": "Find how bad hardware may be before gains fail.",
+    "reproduce": "Walk the paper's cases and judge its claims.",
+    "export": "Write gains for the robot's own controller.",
+    "robot": "Make a robot's own file ready to walk.",
+    "schema": "Print the schema of scenarios, for editors.",
+    "bench": "Measure speed beside MuJoCo and MJX.",
+    "doctor": "Examine this installation.",
+}
 
-app = typer.Typer(
-    name="mjx-climb",
-    help="Simulate a limbed climbing robot, and find the admittance gains that keep it on the wall.",
-    epilog="\b\nExamples:\n  mjx-climb doctor\n  mjx-climb run case_1_2\n  mjx-climb tune case_1_2 --space diagonal\n\n"
-    "Each command has its own help with examples: mjx-climb run --help",
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    pretty_exceptions_enable=False,
-)
-app.command("run", short_help="Walk one robot through a scenario.")(walk.run)
-app.command("sweep", short_help="Walk a grid of stiffness and damping, and map it.")(sweep.sweep)
-app.command("merge", short_help="Put shards of sweep or judge together.")(merge.merge)
-app.command("tune", short_help="Search the gains of the controller.")(tune.tune)
-app.command("judge", short_help="Judge gains on walks that no search saw.")(judge.judge)
-app.command("pareto", short_help="Search the front of two metrics.")(pareto.pareto)
-app.command("schedule", short_help="Tune gains for pairs of gravity and cargo.")(schedule.schedule)
-app.command("plot", short_help="Draw the pictures of a result again.")(plot.plot)
-app.command("margins", short_help="Find how bad hardware may be before gains fail.")(margins.margins)
-app.command("reproduce", short_help="Walk the paper's cases and judge its claims.")(reproduce.reproduce)
-app.command("export", short_help="Write gains for the robot's own controller.")(export.export)
-app.command("robot", short_help="Make a robot's own file ready to walk.")(robot.robot)
-app.command("schema", short_help="Print the schema of scenarios, for editors.")(schema.schema)
-app.command("bench", short_help="Measure speed beside MuJoCo and MJX.")(bench.bench)
-app.command("doctor", short_help="Examine this installation.")(doctor.doctor)
+
+def program(only: str | None = None) -> typer.Typer:
+    """Return the program with all commands, or with the names of all and the options of one."""
+    made = typer.Typer(
+        name="mjx-climb",
+        help="Simulate a limbed climbing robot, and find the admittance gains that keep it on the wall.",
+        epilog="\b\nExamples:\n  mjx-climb doctor\n  mjx-climb run case_1_2\n  mjx-climb tune case_1_2 --space diagonal"
+        "\n\n"
+        "Each command has its own help with examples: mjx-climb run --help",
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        pretty_exceptions_enable=False,
+        callback=_program,
+    )
+    for name, short_help in COMMANDS.items():
+        loaded = importlib.import_module(f"tuning.command_line.{name}").COMMAND if only in (None, name) else _not_loaded
+        made.command(name, short_help=short_help)(loaded)
+    return made
+
+
+def _not_loaded() -> None:
+    """Stand for a command that was not asked for: its options would be read for nothing."""
+
+
+def _asked(arguments: Sequence[str]) -> str:
+    """Return the command that is asked for, by arguments or by a shell that completes them, empty without one."""
+    completed = [os.environ.get(name, "") for name in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")]
+    return next((word for word in (*arguments, *" ".join(completed).split()) if word in COMMANDS), "")
 
 
 def _version(wanted: bool) -> None:
-    if not wanted:
-        return
-    import importlib.metadata
+    if wanted:
+        from importlib import metadata
 
-    versions = []
-    for name in ("mjx-climb", "mujoco", "mujoco-mjx", "jax"):
-        try:
-            versions.append(f"{name} {importlib.metadata.version(name)}")
-        except importlib.metadata.PackageNotFoundError:
-            versions.append(f"{name} (not installed as a package)")
-    typer.echo(", ".join(versions))
-    raise typer.Exit()
+        found = {name: next(iter(metadata.distributions(name=name)), None) for name in PACKAGES}
+        texts = [f"{name} {each.version if each else '(not installed as a package)'}" for name, each in found.items()]
+        typer.echo(", ".join(texts))
+        raise typer.Exit()
 
 
-@app.callback()
 def _program(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the versions and exit.")
@@ -88,10 +88,10 @@ def _program(
 
 def run(arguments: Sequence[str]) -> int:
     """Run the program and return its exit code; what went wrong is said on standard error."""
-    options.ARGUMENTS.set(tuple(arguments))
+    ARGUMENTS.set(tuple(arguments))
     try:
         _check_surroundings(arguments)
-        code = app(arguments or ["--help"], prog_name="mjx-climb", standalone_mode=False)
+        code = program(_asked(arguments))(arguments or ["--help"], prog_name="mjx-climb", standalone_mode=False)
         sys.stdout.flush()
     except (Interrupted, KeyboardInterrupt) as interrupt:
         _say(f"interrupted: {interrupt}" if str(interrupt) else NOTHING_KEPT)

@@ -3,15 +3,19 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from tuning.command_line import interruption
+from tuning.command_line import interruption, report
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     import mjx_climb as mc
+    from tuning.problem.evaluation import Problem
+    from tuning.searches.result import Written
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
@@ -78,11 +82,47 @@ class Estimate:
         self.since, self.base = now, self.done
 
 
-class Meter:
-    """Stages of a command, one after the other."""
+class Session:
+    """One command: where its tables and its JSON go, and its stages, one after the other, on standard error."""
 
-    def __init__(self, console: Console):
-        self.console = console
+    def __init__(self, stdout: TextIO, json_only: bool = False):
+        self.begin = time.perf_counter()
+        self.console = report.console(stderr=True)
+        self.tables = self.console if json_only else report.console(file=stdout)
+        self._json = stdout if json_only else None
+
+    def say(self, *lines: str) -> None:
+        """Print lines beside the results."""
+        for line in lines:
+            self.console.print(line, soft_wrap=True)
+
+    def show(self, *results: "str | Table") -> None:
+        """Print tables and lines of the result."""
+        for result in results:
+            self.tables.print(result, soft_wrap=isinstance(result, str))
+
+    def print_json(self, text: str) -> None:
+        """Print JSON where it was asked for."""
+        if self._json is not None:
+            print(text, file=self._json)
+
+    def opening(self, scenario: "mc.Scenario | None" = None) -> None:
+        """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
+        from tuning.report import remarks
+
+        self.say(_cache_state(), *(f"warning: {line}" for line in (remarks.ahead_of(scenario) if scenario else ())))
+
+    def written(self, out: Path, files: str, json: str, before: str = "") -> None:
+        """Say what was written in which time, and print the JSON where it was asked for."""
+        self.say(f"{before}written to {out} in {duration(time.perf_counter() - self.begin)}: {files}")
+        self.print_json(json)
+
+    def result(
+        self, out: Path, problem: "Problem", written: "Written", *, gains: bool = False, before: str = ""
+    ) -> None:
+        """Print what a result says, `gains` axis by axis with it, and what was written."""
+        self.show(*report.tables_of(written, problem, self.tables.width, gains=gains))
+        self.written(out, written.files, written.summary, before)
 
     @contextlib.contextmanager
     def stage(self, name: str, *, compiles: bool = True, unit: str = "walks") -> Iterator[Callable[..., None]]:
@@ -130,20 +170,9 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def opening(console: Console, scenario: "mc.Scenario | None" = None) -> None:
-    """Print where compiled programs are kept, and what to know of a scenario before it is walked."""
-    from tuning.report import remarks
-
-    warnings = [] if scenario is None else [f"warning: {line}" for line in remarks.ahead_of(scenario)]
-    for line in [_cache_state(), *warnings]:
-        console.print(line, soft_wrap=True)
-
-
 def _cache_state() -> str:
     """Return one line on XLA's compilation cache."""
-    from pathlib import Path
-
-    from mjx_climb.compilation import cache
+    from mjx_climb.execution import cache
 
     folder = cache.cache_in_use()
     if folder is None:

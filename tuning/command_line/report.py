@@ -8,14 +8,16 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from tuning.report.numbers import axis_values, change, gain, number, to_json, unit, words
+from tuning.report.numbers import number, to_json, unit, words
 
 if TYPE_CHECKING:
     import mjx_climb as mc
+    from tuning.problem.evaluation import Problem
     from tuning.report import page
     from tuning.report.comparison import Compared
+    from tuning.searches.result import Written
 
-__all__ = ["change", "gain", "number", "to_json", "unit", "words"]
+__all__ = ["number", "to_json", "unit", "words"]
 
 WIDTH = 100  # of tables in a file
 
@@ -84,48 +86,33 @@ def comparison_table(
         about: the metrics themselves; the shipped ones where None.
         law: the user's own, for the units of its gains.
     """
-    from tuning.report.comparison import gain_units
+    from mjx_climb import METRICS
+    from tuning.report import comparison
 
-    gains = {name: held for name, (held, _) in walks.items()}
-    metrics = {name: values for name, (_, values) in walks.items()}
-    compared = [name for name in walks if name != baseline and width >= 38 + 19 * (len(walks) - 1)]
-    table = plain_table(
-        "metric", "unit", *(t for name in walks for t in [name, f"vs {baseline} %"][: 1 + (name in compared)])
-    )
-
-    def add(key: str, text: str, values: dict[str, str], changes: dict[str, str], *, last: bool = False) -> None:
-        cells = [t for name in walks for t in [values[name], changes.get(name, "")][: 1 + (name in compared)]]
-        table.add_row(key, text, *cells, end_section=last)
-
-    units = gain_units(walks, law)
-    for key, (text, _) in units.items():
-        add(key, text, {name: gain(gains[name], key) for name in walks}, {}, last=key == list(units)[-1])
-    for key, base in metrics[baseline].items():
-        changes = {name: change(metrics[name][key], base) for name in compared}
-        add(words(key, about), unit(key, about), {name: number(metrics[name][key]) for name in walks}, changes)
-    return table
+    columns: list[tuple[str, str | None]] = []
+    for name in walks:
+        columns.append((name, None))
+        if name != baseline and width >= 38 + 19 * (len(walks) - 1):
+            columns.append((name, baseline))
+    return from_page(comparison.table(walks, "", about or METRICS, law, columns))
 
 
-def gains_table(walks: "Compared", law: "mc.Law | None" = None) -> Table:
-    """Return the gains of walks, axis by axis where the axes differ; `law` is the user's own, if any."""
-    from tuning.report.comparison import gain_units
+def tables_of(written: "Written", problem: "Problem", width: int, *, gains: bool = False) -> "list[str | Table]":
+    """Return what is printed of a result: walks side by side or what a fresh draw says, and the outcome in lines.
 
-    table = plain_table("metric", *(name for name in walks if walks[name][0] is not None))
-    table.columns[0].header = "gain"
-    held = {name: gains for name, (gains, _) in walks.items() if gains is not None}
-    for key in gain_units(walks, law):
-        six = {name: axis_values(gains.get(key)) for name, gains in held.items()}
-        if all(len(np.unique(values)) == 1 for values in six.values()):
-            table.add_row(key, *(_number(values[0]) for values in six.values()))
-            continue
-        for axis, label in enumerate(("x", "y", "z", "rx", "ry", "rz")):
-            table.add_row(f"{key} {label}", *(_number(values[axis]) for values in six.values()), end_section=axis == 5)
-    for key in ("kp", "kd"):
-        if any(key not in gains for gains in held.values()):
-            continue
-        table.add_row(key, *(_number(gains[key]) for gains in held.values()))
-    return table
+    Arguments:
+        written: what was compared, and said.
+        problem: law and metrics.
+        width: of the terminal.
+        gains: with a table of the gains, axis by axis.
+    """
+    from tuning.report import comparison
+    from tuning.report.pages import judged_table
 
-
-def _number(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.4g}"
+    metrics, law = problem.metrics, problem.law
+    if written.summed is not None:
+        return [from_page(judged_table(written.summed, metrics)), *written.outcome]
+    tables = [comparison_table(written.compared, "pd", width, metrics, law)]
+    if gains:
+        tables.append(from_page(comparison.gains_table(written.compared, law)))
+    return [*tables, *written.outcome]

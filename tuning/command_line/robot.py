@@ -1,30 +1,29 @@
 """`mjx-climb robot`: a robot's own file, made ready to walk."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import BeforeValidator
+
+from tuning.command_line.from_models import command
+from tuning.problem.settings import Options, setting
 
 
-def robot(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="MJCF (.xml) or URDF (.urdf) of the robot.")],
-    write: Annotated[
-        Path | None,
-        typer.Option(metavar="CONFIG", help="Scenario to write, ready for run.", show_default="print it"),
-    ] = None,
-    gravity: Annotated[
-        float,
-        typer.Option(min=0.0, metavar="M/S2", help="Gravity on level ground, m/s^2; on the Moon 1.62."),
-    ] = 9.81,
-    base: Annotated[
-        str | None,
-        typer.Option(metavar="BODY", help="Body that the limbs begin at.", show_default="found"),
-    ] = None,
-    limbs: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,NAME,...", help="Limbs to stand on; others are held.", show_default="all"),
-    ] = None,
-) -> None:
+class Robot(Options):
+    """What is proposed, for which robot."""
+
+    file: Path = setting(..., "MJCF (.xml) or URDF (.urdf) of the robot", metavar="FILE", argument=True)
+    write: Path | None = setting(None, "scenario to write, ready for run; null: print it", metavar="CONFIG")
+    gravity: float = setting(9.81, "gravity on level ground, m/s^2; on the Moon 1.62", metavar="M/S2", ge=0)
+    base: str | None = setting(None, "body that the limbs begin at; null: found", metavar="BODY")
+    limbs: Annotated[tuple[str, ...], BeforeValidator(lambda text: text.split(","))] = setting(
+        (), "limbs to stand on; others are held; null: all", metavar="NAME,NAME,..."
+    )
+
+
+def robot(asked: Robot) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
     Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
@@ -50,11 +49,12 @@ def robot(
     from mjx_climb.robot.proposal import propose
     from mjx_climb.rollouts.remedies import slow_enough
     from mjx_climb.scenario.model import validated
-    from tuning.command_line import progress, report
+    from tuning.command_line import progress
 
+    file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(f"{write}: expected another file than the robot's own")
-    proposal = propose(file, gravity, base, limbs.split(",") if limbs else ())
+    proposal = propose(file, asked.gravity, asked.base, asked.limbs)
     scenario = validated(mc.Scenario, {**proposal.sections, "time_step": 0.001}, str(file))
     step = min(0.001, largest_time_step(scenario, str(file)))
     scenario = scenario.with_overrides({"time_step": step})
@@ -62,7 +62,7 @@ def robot(
     what = max(len(row[1]) for row in rows)
     for row in rows:
         typer.echo(f"{row[0]:7}  {row[1]:{what}}  {row[2]}")
-    with progress.Meter(report.console(stderr=True)).stage("walking it, with slower gaits beside"):
+    with progress.Session(sys.stdout).stage("walking it, with slower gaits beside"):
         scenario, walks, how = slow_enough(scenario)
     typer.echo(f"{'taken' if walks else 'failed':7}  {'walk':{what}}  {how}")
     if write is None:
@@ -73,9 +73,10 @@ def robot(
         try:
             picture = rendering.save_image(write.with_suffix(".png"), rendering.stance(scenario.robot))
             typer.echo(f"wrote {picture}: where its feet are")
-        except mc.RobotError as error:
-            typer.echo(f"no picture: {error}")
-        except rendering.RenderingError as error:
+        except (mc.RobotError, rendering.RenderingError) as error:
             typer.echo(f"no picture: {error}")
     if not walks:
         raise typer.Exit(1)
+
+
+COMMAND = command(robot)

@@ -1,52 +1,25 @@
 """`mjx-climb schedule`: which gains to load when."""
 
-import itertools
 import math
-import time
 from collections.abc import Sequence
-from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from tuning.command_line import options
-from tuning.command_line.ending import InputError, kept_in
-from tuning.command_line.tune import SpaceName
+from tuning.command_line import processes
+from tuning.command_line.ending import kept_in
+from tuning.command_line.from_models import command
+from tuning.command_line.options import Output, SearchFile, Walk
+from tuning.problem.search import Schedule, Search
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 
 def schedule(
-    config: options.Config,
-    gravity: Annotated[
-        str | None,
-        typer.Option(
-            metavar="G,G,..", help="Gravities, ascending, 1 G = 9.81 m/s^2.", show_default="1e-6,1e-2,1/6,0.38,1"
-        ),
-    ] = None,
-    cargo: Annotated[
-        str | None, typer.Option(metavar="KG,KG,..", help="Masses of the cargo, ascending, kg.", show_default="0,0.5,1")
-    ] = None,
-    space: Annotated[
-        SpaceName | None, typer.Option(help="Which axes share their gains.", show_default="isotropic")
-    ] = None,
-    search: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Settings of the search, YAML: weights, limits, bounds, seed.")
-    ] = None,
-    controller: options.Controller = None,
-    hardware: options.Hardware = None,
-    changes: options.Set = None,
-    law: options.LawFile = None,
-    metric: options.Metrics = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for the results.", show_default="results/<config>-schedule"),
-    ] = None,
-    figures: options.Figures = "png",
-    json: options.Json = False,
-    engine: options.Engine = None,
+    asked: Schedule,
+    space: Annotated[Search, "space"],
+    file: SearchFile,
+    walk: Annotated[Walk, "-gains"],
+    output: Output,
 ) -> None:
     """Tune gains for every pair of gravity and cargo, all side by side in one batch.
 
@@ -60,42 +33,27 @@ def schedule(
       mjx-climb schedule case_1_2
       mjx-climb schedule case_2 --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
-    with options.reserved_stdout() as stdout:
-        options.start_devices()
-        from tuning.command_line import progress, report
-        from tuning.output import schedule as output
+    with output.session() as shell:
+        processes.start_devices()
         from tuning.output.folder import check_own
+        from tuning.report.numbers import to_json
         from tuning.searches import schedule as schedules
 
-        begin = time.perf_counter()
-        scenario, user_law, table = options.asked(config, controller, changes, hardware, law, metric)
-        engine, formats = options.engine_from(engine), options.figures_from(figures)
-        wanted = options.search_from(search, space, scenario, config, user_law, table)
-        levels = schedules.GRAVITIES if gravity is None else _numbers("--gravity", gravity, above=0.0)
-        loads = schedules.CARGO if cargo is None else _numbers("--cargo", cargo, least=0.0)
-        out = out or Path("results") / f"{config.stem}-schedule"
+        loaded = walk.load()
+        wanted = file.settings(space, loaded, walk.config)
+        out = output.folder(walk.config.stem, "schedule")
         check_own(out, "schedule.nc")
-        console = report.console(stderr=True)
-        progress.opening(console, scenario)
-        meter = progress.Meter(console)
-        with meter.stage("baseline"), options.weighing(search or config):
-            asked = schedules.operating_points(
-                scenario, wanted, levels, loads, law=user_law, metrics=table, engine=engine
-            )
+        shell.opening(loaded.scenario)
+        with shell.stage("baseline"), file.naming(space, walk.config):
+            points = schedules.operating_points(loaded.scenario, wanted, asked, **loaded.how)
         with kept_in(out, "rounds") as kept:
-            with meter.stage("schedule", unit="rounds") as show:
-                found = output.Scheduled(schedules.run(asked, out=out, progress=kept.phases(show)), asked)
-            found.write(out, figures=formats, stage=meter.stage)
-
+            with shell.stage("schedule", unit="rounds") as show:
+                found = schedules.run(points, out=out, progress=kept.rounds(show))
+            written = found.write(out, figures=output.figures, stage=shell.stage)
         rows = schedules.rows(found.data)
-        tables = console if json else report.console(file=stdout)
-        tables.print(schedule_table(rows, found.data.attrs["searched"].split()))
-        tables.print(schedules.worth(found.data), soft_wrap=True)
-        tables.print(_one_for_all(*schedules.one_for_all(found.data)))
-        seconds = progress.duration(time.perf_counter() - begin)
-        console.print(f"written to {out} in {seconds}: {output.FILES}", soft_wrap=True)
-        if json:
-            print(report.to_json(rows), file=stdout)
+        table = schedule_table(rows, found.data.attrs["searched"].split())
+        shell.show(table, *written.outcome, _one_for_all(*schedules.one_for_all(found.data)))
+        shell.written(out, written.files, to_json(rows))
 
 
 def _one_for_all(level: float, load: float, loss: float) -> str:
@@ -106,7 +64,8 @@ def _one_for_all(level: float, load: float, loss: float) -> str:
 
 def schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
     """Return the table of a schedule: the gains that were searched, and force variation against pd."""
-    from tuning.command_line.report import change, gain, number, plain_table
+    from tuning.command_line.report import plain_table
+    from tuning.report.numbers import change, gain, number
     from tuning.searches.retuned_pd import NAME
 
     beside = ("variation\nN", "vs\nconfig %", "vs\nretuned %", "vs\npd %")
@@ -121,14 +80,4 @@ def schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
     return table
 
 
-def _numbers(option: str, text: str, *, above: float = -math.inf, least: float = -math.inf) -> list[float]:
-    try:
-        values = [float(Fraction(part.strip())) for part in text.split(",")]
-    except (ValueError, ZeroDivisionError, OverflowError):
-        raise InputError(f"{option}: expected numbers with commas between them, got {text!r}") from None
-    if any(not low < high for low, high in itertools.pairwise(values)):
-        raise InputError(f"{option}: expected ascending numbers, got {text!r}")
-    if not (values[0] > above and values[0] >= least):
-        bound = f"{least:g} or above" if least >= above else f"above {above:g}"
-        raise InputError(f"{option}: expected numbers {bound}, got {text!r}")
-    return values
+COMMAND = command(schedule, "results/<config>-schedule")

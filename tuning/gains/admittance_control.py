@@ -1,8 +1,8 @@
 """Gains for the C++ library `admittance_control` of the paper's first author (2026, Apache-2.0).
 
 It moves a virtual mass for each three-vector, a force or a moment, `M x'' + D x' + K x = u`, by semi-implicit Euler in
-substeps of at most 2 ms, as `mjx_climb.control.motion` does with `control.integration: semi_implicit`. It knows one M,
-D and K for a force, and one of each for a moment.
+substeps of at most 2 ms, as `mjx_climb.control.virtual_mass` does with `control.integration: semi_implicit`. It knows
+one M, D and K for a force, and one of each for a moment.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.control.motion import LONGEST_PERIOD, SUBSTEP, Motion
+from mjx_climb.control.virtual_mass import LONGEST_PERIOD, SUBSTEP, Motion
 from mjx_climb.files.dataset import SIX
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains import ros2_control

@@ -13,7 +13,7 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import write_text_atomically
-from mjx_climb.rollouts.given import AnyGains, checked_gains, with_gains
+from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
 from mjx_climb.scenario.messages import ConfigError, config_error
 from mjx_climb.scenario.model import overridden
 from mjx_climb.scenario.yaml_text import parse, read

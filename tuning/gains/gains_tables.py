@@ -3,21 +3,15 @@
 import csv
 import io
 import json
-from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
-
 import mjx_climb as mc
-from mjx_climb.files.dataset import SIX
+from mjx_climb.files.dataset import COORDINATES, SIX
 from tuning.gains.ros2_control import six
 
-UNITS = {  # of translations, of rotations
-    "inertia": ("kg", "kg m^2"),
-    "damping": ("N s/m", "N m s/rad"),
-    "stiffness": ("N/m", "N m/rad"),
-}
-JOINT_UNITS = {"kp": "N m/rad", "kd": "N m s/rad"}
+# of translations and of rotations
+UNITS = {name: tuple(COORDINATES[name][0].split(", ")) for name in mc.Gains.AXES}
+JOINT_UNITS = {name: COORDINATES[name][0] for name in ("kp", "kd")}
 COLUMNS = ("gain", "axis", "value", "unit")
 
 
@@ -47,21 +41,3 @@ def write_json(gains: mc.Gains) -> str:
         entry = tree.setdefault(name, {"units": {}, "values": {}})
         entry["units"][axis], entry["values"][axis] = unit, value
     return json.dumps(tree, indent=2) + "\n"
-
-
-def read_csv(text: str) -> mc.Gains:
-    """Return the gains that `write_csv` wrote."""
-    table = list(csv.DictReader(io.StringIO(text)))
-    return _gains([(row["gain"], row["axis"], float(row["value"])) for row in table])
-
-
-def read_json(text: str) -> mc.Gains:
-    """Return the gains that `write_json` wrote."""
-    tree = json.loads(text)
-    return _gains([(name, axis, value) for name, entry in tree.items() for axis, value in entry["values"].items()])
-
-
-def _gains(table: Iterable[tuple[str, str, float]]) -> mc.Gains:
-    values = {(name, axis): value for name, axis, value in table}
-    gains: dict[str, Any] = {name: np.array([values[name, axis] for axis in SIX]) for name in UNITS}
-    return mc.Gains(**gains | {name: values[name, "joints"] for name in JOINT_UNITS if (name, "joints") in values})

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.compilation.contents import in_library
 from mjx_climb.control import LAWS
+from mjx_climb.execution.contents import in_library
 from mjx_climb.files import scenario_files
-from mjx_climb.rollouts.given import checked_gains
+from mjx_climb.rollouts.resolve import checked_gains
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnObject
 from tuning.gains import law_file

@@ -7,8 +7,8 @@ from typing import Any
 
 from mjx_climb import plots
 from mjx_climb.files import dataset
-from tuning.judged import linear_margins, margins
-from tuning.judged.linear_margins import Stable
+from tuning.evaluation import linear_margins, margins
+from tuning.evaluation.linear_margins import Stable
 from tuning.report.margin_pictures import plot_margins
 from tuning.report.numbers import to_json
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
-from tuning.output import swept
+from tuning.output import sweep
 from tuning.report import ensemble_pictures, search_pictures
 from tuning.report.comparison import Compared
 from tuning.report.explorer import axes_of
@@ -48,31 +48,23 @@ def _walk(folder: Path, _: Sequence[str]) -> Drawn:
     yield "feet", plots.plot_feet(trajectory)
 
 
-def _sweep(folder: Path, metrics: Sequence[str]) -> Drawn:
-    yield from _maps(dataset.load(folder / "sweep.nc"), _compared(folder / "comparison.json"), metrics, "maps")
-
-
-def _map(folder: Path, metrics: Sequence[str]) -> Drawn:
-    yield from _maps(dataset.load(folder / "map.nc"), _compared(folder / "summary.json"), metrics, "map")
-
-
-def _maps(data: xr.Dataset, compared: Compared, metrics: Sequence[str], sheet: str) -> Drawn:
+def _maps(folder: Path, file: str, summary: str, metrics: Sequence[str], sheet: str) -> Drawn:
     """Yield the sheet of all maps, or a map of each metric."""
+    data, compared = dataset.load(folder / file), _compared(folder / summary)
     if not metrics:
-        yield sheet, swept.sheet(data, compared)
+        yield sheet, sweep.sheet(data, compared)
     x, y = axes_of(data)
     for name in metrics:
         _check(name, data, (x, y))
         baseline = compared["pd"][1].get(name) if "pd" in compared else None
         yield (
             f"{sheet}-{name}",
-            plots.plot_map(data, name, swept.marks(data, compared), baseline=baseline, x=x, y=y),
+            plots.plot_map(data, name, sweep.marks(data, compared), baseline=baseline, x=x, y=y),
         )
 
 
 def _search(folder: Path, _: Sequence[str]) -> Drawn:
-    history = dataset.load(folder / "search.nc")
-    if "law" in history.attrs:
+    if "law" in dataset.load(folder / "search.nc").attrs:
         return  # its file is not here
     found = result.load(folder / "search.nc")
     yield "convergence", search_pictures.plot_convergence(found)
@@ -81,25 +73,26 @@ def _search(folder: Path, _: Sequence[str]) -> Drawn:
 
 
 def _judged(folder: Path, metrics: Sequence[str]) -> Drawn:
-    judged = dataset.load(folder / "judged.nc")
+    walks = dataset.load(folder / "judged.nc")
     for name in metrics:
-        _check(name, judged, ("gains", "member"))
-    drawn = ensemble_pictures.plot_judged(judged, metrics) if metrics else ensemble_pictures.plot_judged(judged)
-    yield "judged", drawn
+        _check(name, walks, ("gains", "member"))
+    yield "judged", ensemble_pictures.plot_judged(walks, *([metrics] if metrics else []))
 
 
-def _front(folder: Path, _: Sequence[str]) -> Drawn:
-    yield "front", ensemble_pictures.plot_front(dataset.load(folder / "front.nc"))
-
-
-def _schedule(folder: Path, _: Sequence[str]) -> Drawn:
-    yield "schedule", ensemble_pictures.plot_schedule(dataset.load(folder / "schedule.nc"))
+def _one(name: str, draw: Callable[[xr.Dataset], Figure]) -> Callable[[Path, Sequence[str]], Drawn]:
+    """Return what draws the only picture of a result, whose data has its name."""
+    return lambda folder, _: iter([(name, draw(dataset.load(folder / f"{name}.nc")))])
 
 
 _DRAWN: dict[str, Callable[[Path, Sequence[str]], Drawn]] = {
-    "trajectory.nc": _walk, "sweep.nc": _sweep, "map.nc": _map, "search.nc": _search, "judged.nc": _judged,
-    "front.nc": _front, "schedule.nc": _schedule,
-}  # fmt: skip
+    "trajectory.nc": _walk,
+    "sweep.nc": lambda folder, metrics: _maps(folder, "sweep.nc", "comparison.json", metrics, "maps"),
+    "map.nc": lambda folder, metrics: _maps(folder, "map.nc", "summary.json", metrics, "map"),
+    "search.nc": _search,
+    "judged.nc": _judged,
+    "front.nc": _one("front", ensemble_pictures.plot_front),
+    "schedule.nc": _one("schedule", ensemble_pictures.plot_schedule),
+}
 _OF_METRICS = ("sweep.nc", "map.nc", "judged.nc")
 
 

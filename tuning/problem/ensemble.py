@@ -6,21 +6,19 @@ Masses are off by one factor for all links (`mjx_climb.Parameters.mass_scale`).
 
 import dataclasses
 import math
-import os
 from collections.abc import Callable
 from types import ModuleType
 from typing import Annotated, Any, Self
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import given
-from mjx_climb.quantities.parameters import own_numbers
+from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.scenario.hardware import MAX_DELAY
 from mjx_climb.scenario.messages import ConfigError
-from tuning.problem import settings
+from tuning.problem.settings import Settings, setting
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -31,9 +29,7 @@ PositiveRange = tuple[_Positive, _Positive]
 AnyRange = tuple[_Finite, _Finite]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Section(Settings):
     @model_validator(mode="after")
     def _ranges_in_order(self) -> Self:
         for name in type(self).model_fields:
@@ -46,45 +42,41 @@ class _Section(BaseModel):
 class Pushes(_Section):
     """Pushes on the base in place of the scenario's own, each in a direction drawn evenly over the sphere."""
 
-    count: Annotated[int, Field(ge=0, le=20)] = Field(default=2, description="pushes per walk")
-    force: Range = Field(default=(1.0, 5.0), description="size, N")
-    start: Range = Field(default=(0.5, 7.0), description="first instant, s")
-    length: PositiveRange = Field(default=(0.2, 1.0), description="duration, s")
+    count: int = setting(2, "pushes per walk", ge=0, le=20)
+    force: Range = setting((1.0, 5.0), "size, N")
+    start: Range = setting((0.5, 7.0), "first instant, s")
+    length: PositiveRange = setting((0.2, 1.0), "duration, s")
 
 
 class Cargo(_Section):
     """Cargo in place of the scenario's own; it stays as long as the scenario says."""
 
-    mass: Range = Field(default=(0.0, 1.5), description="kg")
-    start: Range = Field(default=(1.0, 3.0), description="time of loading, s")
+    mass: Range = setting((0.0, 1.5), "kg")
+    start: Range = setting((1.0, 3.0), "time of loading, s")
 
 
 class Gravity(_Section):
     """Errors of gravity."""
 
-    scale: Range = Field(default=(0.9, 1.1), description="factor on the scenario's gravity")
-    slope: Range = Field(default=(0.0, 10.0), description="tilt against the scenario's gravity to any side, degrees")
+    scale: Range = setting((0.9, 1.1), "factor on the scenario's gravity")
+    slope: Range = setting((0.0, 10.0), "tilt against the scenario's gravity to any side, degrees")
 
 
 class Hardware(_Section):
     """What the loop's hardware may be. A range that is null leaves the scenario's own; each walk has its own noise."""
 
-    force_delay: Range | None = Field(default=None, description="age of the forces, s")
-    command_delay: Range | None = Field(default=None, description="from the law to the joints, s")
-    control_rate: PositiveRange | None = Field(
-        default=None, description="of law and joint targets, Hz, even in its logarithm; periods are whole time steps"
+    force_delay: Range | None = setting(None, "age of the forces, s")
+    command_delay: Range | None = setting(None, "from the law to the joints, s")
+    control_rate: PositiveRange | None = setting(
+        None, "of law and joint targets, Hz, even in its logarithm; periods are whole time steps"
     )
-    force_noise: Range | None = Field(default=None, description="standard deviation per axis and sample, N")
-    force_bias: AnyRange | None = Field(default=None, description="offset on every axis of every sensor, N")
-    force_filter: PositiveRange | None = Field(default=None, description="cut-off, Hz, even in its logarithm")
-    friction: PositiveRange | None = Field(
-        default=None, description="factor on dry, load and viscous friction, even in its logarithm"
-    )
-    armature: PositiveRange | None = Field(default=None, description="factor on the armature, even in its logarithm")
-    backlash: Range | None = Field(default=None, description="play of the gears from end to end, rad")
-    capture_distance: PositiveRange | None = Field(
-        default=None, description="how far off the ground a gripper holds what it shuts on, m"
-    )
+    force_noise: Range | None = setting(None, "standard deviation per axis and sample, N")
+    force_bias: AnyRange | None = setting(None, "offset on every axis of every sensor, N")
+    force_filter: PositiveRange | None = setting(None, "cut-off, Hz, even in its logarithm")
+    friction: PositiveRange | None = setting(None, "factor on dry, load and viscous friction, even in its logarithm")
+    armature: PositiveRange | None = setting(None, "factor on the armature, even in its logarithm")
+    backlash: Range | None = setting(None, "play of the gears from end to end, rad")
+    capture_distance: PositiveRange | None = setting(None, "how far off the ground a gripper holds what it shuts on, m")
 
 
 _FRICTION = ("coulomb_friction", "load_friction", "viscous_friction")
@@ -93,51 +85,26 @@ _FRICTION = ("coulomb_friction", "load_friction", "viscous_friction")
 class Worst(_Section):
     """How much the worst members count beside the mean."""
 
-    share: _Share = Field(default=0.2, description="share of the members that are the worst")
-    weight: _Share = Field(default=0.5, description="weight of their mean; the mean of all has the rest")
+    share: _Share = setting(0.2, "share of the members that are the worst")
+    weight: _Share = setting(0.5, "weight of their mean; the mean of all has the rest")
 
 
 class Ensemble(_Section):
     """What the walks of an ensemble may meet. A section that is null leaves the scenario's own as it is."""
 
-    members: Annotated[int, Field(ge=1, le=100_000)] = Field(default=16, description="walks per set of gains")
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = Field(default=0, description="of the draw")
-    pushes: Pushes | None = Field(default=Pushes(), description="what hits the robot")
-    cargo: Cargo | None = Field(default=Cargo(), description="what it carries")
-    gravity: Gravity | None = Field(default=Gravity(), description="where it climbs")
-    grip_stiffness: PositiveRange = Field(
-        default=(0.5, 2.0), description="factor on the contact stiffness, even in its logarithm"
-    )
-    robot_mass: PositiveRange = Field(default=(0.9, 1.1), description="factor on the masses and inertias of all links")
-    hardware: Hardware | None = Field(default=None, description="what stands between the law and the joints")
-    worst: Worst = Field(default=Worst(), description="the worst members in the objective")
-
-    def to_yaml(self) -> str:
-        """Return the ensemble as YAML; loading it gives an equal one."""
-        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=110)
-
-
-def load(path: str | os.PathLike[str], **changes: Any) -> Ensemble:
-    """Read an ensemble from YAML, with some of its top keys changed; what the file leaves out takes its default.
-
-    Raises:
-        ConfigError: in one line, key and what is wrong.
-    """
-    data, source = settings.read(path)
-    return make({**data, **changes}, source)
-
-
-def make(values: dict[str, Any], source: str = "ensemble") -> Ensemble:
-    """Return a validated ensemble.
-
-    Raises:
-        ConfigError: in one line, key and what is wrong.
-    """
-    return settings.validated(Ensemble, values, source)
+    members: int = setting(16, "walks per set of gains", ge=1, le=100_000)
+    seed: int = setting(0, "of the draw", ge=0, lt=2**31)
+    pushes: Pushes | None = setting(Pushes(), "what hits the robot")
+    cargo: Cargo | None = setting(Cargo(), "what it carries")
+    gravity: Gravity | None = setting(Gravity(), "where it climbs")
+    grip_stiffness: PositiveRange = setting((0.5, 2.0), "factor on the contact stiffness, even in its logarithm")
+    robot_mass: PositiveRange = setting((0.9, 1.1), "factor on the masses and inertias of all links")
+    hardware: Hardware | None = setting(None, "what stands between the law and the joints")
+    worst: Worst = setting(Worst(), "the worst members in the objective")
 
 
 def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
-    """Return the numbers of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains.
+    """Return the parameters of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains.
 
     Raises:
         ConfigError: a factor on what the scenario does not have, or a control rate or delays that its time step cannot
@@ -153,7 +120,7 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
         values = span[0] + (span[1] - span[0]) * (strata + rng.random((members, count))) / members
         return values.reshape(members, 1, *shape)
 
-    own = own_numbers(scenario)
+    own = own_parameters(scenario)
     changes = {
         "contact_stiffness": own.contact_stiffness * np.exp(uniform(_logs(ensemble.grip_stiffness))),
         "mass_scale": uniform(ensemble.robot_mass),
@@ -182,7 +149,7 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
 def _hardware(
     scenario: mc.Scenario, hardware: Hardware, own: mc.Parameters, uniform: Callable[[AnyRange], np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Return the numbers of the members' hardware, (members, 1) each."""
+    """Return the parameters of the members' hardware, (members, 1) each."""
     drawn, longest = {}, MAX_DELAY * scenario.time_step
     for name in ("force_delay", "command_delay"):
         if (span := getattr(hardware, name)) is not None and span[1] > longest:

@@ -1,4 +1,4 @@
-"""Points of a space, judged in batches: they walk, with slopes where asked for, and the objective judges them."""
+"""What is searched or evaluated, and points of its space evaluated in batches, with tangents where asked for."""
 
 import dataclasses
 import functools
@@ -12,16 +12,12 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.compilation import devices
-from mjx_climb.compilation.cache import enable_cache
-from mjx_climb.compilation.kept_programs import kept
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.rollouts.given import AnyGains
-from mjx_climb.rollouts.identity import identity
-from mjx_climb.rollouts.rollout import given_in, metrics_of
-from mjx_climb.walk.step import structure
-from tuning.problem.objectives import Goal, Judge
-from tuning.problem.spaces import Space, to_gains64
+from mjx_climb.execution import devices
+from mjx_climb.rollouts.resolve import AnyGains
+from tuning.problem.ensemble import Ensemble
+from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
+from tuning.problem.spaces import NO_SPACE, Space, to_gains64
 
 
 class Evaluation(NamedTuple):
@@ -31,8 +27,8 @@ class Evaluation(NamedTuple):
     descent: np.ndarray  # (B,)
     penalty: np.ndarray  # (B,)
     feasible: np.ndarray  # (B,) bool
-    gradient: np.ndarray  # (B, k) slopes of `descent` along the k directions asked for
-    sharp: np.ndarray  # (B, k) slopes of value plus penalty with true extremes, which exist almost everywhere
+    gradient: np.ndarray  # (B, k) derivatives of `descent` along the k directions asked for
+    sharp: np.ndarray  # (B, k) derivatives of value plus penalty with true extremes, which exist almost everywhere
     metrics: Mapping[str, np.ndarray]  # (B,) each
 
     @property
@@ -42,105 +38,100 @@ class Evaluation(NamedTuple):
 
     @property
     def merit(self) -> np.ndarray:
-        """One number per point for searches that only compare: value plus penalty, huge where the walk diverged."""
+        """Value plus penalty (B,), for searches that only compare; huge where the walk diverged."""
         total = self.value + self.penalty
         return np.asarray(np.where(np.isfinite(total), total, 1e6))
 
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """What is searched: a space, an objective over the metrics, and the walks that give them.
+    """A scenario with its law, metrics and engine; for a search also a space of gains and an objective.
 
-    `numbers` replaces the scenario's. With a leading axis (members, 1) every point walks through an ensemble, and its
-    score is the mean over the members.
+    `parameters` replaces the scenario's. With a leading axis (members, 1), those of `ensemble` for example, every point
+    walks through all members, and its score is the mean over them where the objective does not say otherwise.
     """
 
     scenario: mc.Scenario
-    space: Space
-    objective: Goal
-    numbers: mc.Parameters | None = None
+    space: Space = NO_SPACE
+    objective: Goal = NO_OBJECTIVE
+    parameters: mc.Parameters | None = None
     members: int = 1
     dtype: type = np.float32
     engine: str = DEFAULT_ENGINE
     metrics: mc.MetricTable = mc.METRICS
     law: mc.Law | None = None  # the scenario's where None
-    judge: Judge | None = None  # the objective as its user gave it, None for the weighted terms
+    own_objective: OwnObjective | None = None  # as its user gave it, None for the weighted terms
+    ensemble: Ensemble | None = None  # from which the parameters were drawn
+
+    @property
+    def walks(self) -> dict[str, Any]:
+        """The law, metrics and engine as arguments of `mc.rollout_metrics`."""
+        return {"law": self.law, "metrics": self.metrics, "engine": self.engine}
 
     def env_steps(self, points: int, tangents: int = 0) -> int:
-        """Return what judging so many points costs; a step with k tangents counts 1 + k."""
+        """Return what evaluating so many points costs; a step with k tangents counts 1 + k."""
         return points * self.members * self.scenario.steps * (1 + tangents)
 
     def evaluate(
         self, theta: Float[np.ndarray, "B n"], directions: Float[np.ndarray, "k n"] | None = None
     ) -> Evaluation:
-        """Walk with the gains of B points and judge them, with slopes along some directions."""
+        """Simulate with the gains of B points and score them, with tangents along some directions."""
+        theta, how = np.asarray(theta, float), {**self.walks, "dtype": self.dtype, "smooth": True}
+        gradient: Any
+        sharp: Any
+        double = np.dtype(self.dtype) == np.float64
         with devices.on_host():
-            return self._evaluate(np.asarray(theta, float), directions)
-
-    def _evaluate(self, theta: np.ndarray, directions: np.ndarray | None) -> Evaluation:
-        walk: dict[str, Any] = {
-            "metrics": self.metrics, "dtype": self.dtype, "engine": self.engine, "smooth": True, "law": self.law,
-        }  # fmt: skip
-        if directions is None:
-            metrics = mc.rollout_metrics(self.scenario, to_gains64(self.space, theta), self.numbers, **walk)
-            with jax.enable_x64(np.dtype(self.dtype) == np.float64):
-                judged = _judged(self.objective, metrics)[1]
-            none: np.ndarray = np.zeros((len(theta), 0), self.dtype)
-            return _in_numpy(Evaluation(gradient=none, sharp=none, **judged))
-        metrics, slopes = mc.rollout_slopes(
-            self.scenario, *_along(self.space, theta, np.asarray(directions, float)), self.numbers, **walk
-        )
-        with jax.enable_x64(np.dtype(self.dtype) == np.float64):
-            (gradient, sharp), judged = _judged_slopes(self.objective, metrics, slopes)
-        return _in_numpy(Evaluation(gradient=gradient.T, sharp=sharp.T, **judged))
+            if directions is None:
+                metrics = mc.rollout_metrics(self.scenario, to_gains64(self.space, theta), self.parameters, **how)
+                with jax.enable_x64(double):
+                    reported = _scored(self.objective, metrics)[1]
+                gradient = sharp = np.zeros((len(theta), 0), self.dtype)
+            else:
+                gains, tangents = _along(self.space, theta, np.asarray(directions, float))
+                metrics, tangents = mc.rollout_jvp(self.scenario, gains, tangents, self.parameters, **how)
+                with jax.enable_x64(double):
+                    derivatives, reported = _scored_tangents(self.objective, metrics, tangents)
+                gradient, sharp = (np.asarray(each).T for each in derivatives)
+        found: Evaluation = jax.tree.map(np.asarray, Evaluation(gradient=gradient, sharp=sharp, **reported))
+        return found
 
 
-def _in_numpy(found: Evaluation) -> Evaluation:
-    arrays: Evaluation = jax.tree.map(np.asarray, found)
-    return arrays
-
-
-def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[AnyGains, AnyGains]:
-    """Return the gains (B, 6) of points and their rates of change (k, B, 6) along directions (k, n)."""
+def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[AnyGains, Any]:
+    """Return the gains (B, 6) of points and their tangents (k, B, 6) along directions (k, n)."""
     with jax.enable_x64(True):
         along = jnp.broadcast_to(directions[:, None, :], (len(directions), *theta.shape))
-        rates = jax.vmap(lambda v: jax.jvp(space.to_gains, (theta,), (v,))[1])(along)
-        return to_gains64(space, theta), jax.tree.map(np.asarray, rates)
+        tangents = jax.vmap(lambda v: jax.jvp(space.to_gains, (theta,), (v,))[1])(along)
+        return to_gains64(space, theta), jax.tree.map(np.asarray, tangents)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _judged(objective: Goal, metrics: Mapping[str, Array]) -> tuple[tuple[Array, Array], dict[str, Any]]:
+def _scored(objective: Goal, metrics: Mapping[str, Array]) -> tuple[tuple[Array, Array], dict[str, Any]]:
     """Return descent and value plus penalty, (B,) each, to be differentiated; and what is reported beside them."""
     score = objective.score(metrics)
 
-    # an objective may have judged the members together: its scores have lost their axis then
+    # an objective may have joined the members: its scores have lost their axis then
     def mean(value: Array | np.ndarray) -> Array:
         return jnp.asarray(value.mean(0) if value.ndim > 1 else value)
 
-    dtype = score.value.dtype
-    reported: dict[str, Any] = {
-        "value": mean(score.value),
-        "descent": mean(score.descent),
-        "penalty": mean(score.penalty),
-        "feasible": score.feasible.all(0) if score.feasible.ndim > 1 else score.feasible,
-        "metrics": {name: mean(jnp.asarray(value, dtype)) for name, value in metrics.items()},
-    }
+    reported: dict[str, Any] = {name: mean(getattr(score, name)) for name in ("value", "descent", "penalty")}
+    reported["feasible"] = score.feasible.all(0) if score.feasible.ndim > 1 else score.feasible
+    reported["metrics"] = {name: mean(jnp.asarray(value, score.value.dtype)) for name, value in metrics.items()}
     return (reported["descent"], reported["value"] + reported["penalty"]), reported
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _judged_slopes(
-    objective: Goal, metrics: Mapping[str, Array], slopes: Mapping[str, Array]
+def _scored_tangents(
+    objective: Goal, metrics: Mapping[str, Array], tangents: Mapping[str, Array]
 ) -> tuple[tuple[Array, Array], dict[str, Any]]:
-    """Return the slopes (k, B) of `_judged`'s first two from those of the metrics, and what is reported."""
-    others = {name: value for name, value in metrics.items() if name not in slopes}
-    real = {name: metrics[name] for name in slopes}
+    """Return the tangents (k, B) of `_scored`'s first two from those of the metrics, and what is reported."""
+    others = {name: value for name, value in metrics.items() if name not in tangents}
+    real = {name: metrics[name] for name in tangents}
 
-    def push(slope: Mapping[str, Array]) -> tuple[Any, tuple[Array, Array], dict[str, Any]]:
-        return jax.jvp(lambda m: _judged(objective, {**m, **others}), (real,), (slope,), has_aux=True)
+    def push(tangent: Mapping[str, Array]) -> tuple[Any, tuple[Array, Array], dict[str, Any]]:
+        return jax.jvp(lambda m: _scored(objective, {**m, **others}), (real,), (tangent,), has_aux=True)
 
-    _, sloped, reported = jax.vmap(push, out_axes=(None, 0, None))(slopes)
-    return sloped, reported
+    _, pushed, reported = jax.vmap(push, out_axes=(None, 0, None))(tangents)
+    return pushed, reported
 
 
 def under_pd(scenario: mc.Scenario) -> mc.Scenario:
@@ -153,12 +144,5 @@ def baseline(
     scenario: mc.Scenario, engine: str = DEFAULT_ENGINE, metrics: mc.MetricTable = mc.METRICS
 ) -> dict[str, float]:
     """Return the metrics of pd in float64 with nothing torn off, and their smooth companions."""
-    enable_cache()
-    pd = under_pd(scenario)
-    in_pieces = mc.pieces_pay(engine, "cpu")
-    with devices.on_host(), jax.enable_x64(True):
-        walker = given_in(pd, None, None, None, np.float64)
-        shape = structure(pd, engine, walker.numbers, metrics=metrics, smooth=True, in_pieces=in_pieces)
-        options = mc.compiler_options(1, in_pieces=in_pieces, backend="cpu")
-        found = kept(metrics_of, identity, options)(shape, walker.law, walker.numbers)
-        return {name: float(value) for name, value in found.items()}
+    found = mc.rollout_metrics(under_pd(scenario), metrics=metrics, engine=engine, dtype=np.float64, smooth=True)
+    return {name: float(value) for name, value in found.items()}

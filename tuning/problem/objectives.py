@@ -28,7 +28,7 @@ BINDING = 1.25  # margins of a limit: as near to it, it is what holds a search t
 
 
 class Score(NamedTuple):
-    """The judgement of points, (...) each."""
+    """What points are worth, (...) each."""
 
     value: Array | np.ndarray
     descent: Array | np.ndarray
@@ -59,17 +59,17 @@ class Limit(NamedTuple):
 
 @runtime_checkable
 class Goal(Protocol):
-    """What points are judged by."""
+    """What points are scored by."""
 
     @property
     def limits(self) -> tuple[Limit, ...]:
         """What no metric may pass."""
 
     def score(self, metrics: Metrics) -> Score:
-        """Judge points by their metrics."""
+        """Return what points are worth by their metrics."""
 
 
-Judge = Callable[[Metrics], Array] | Goal  # what a user may give: a function in place of the terms, or all of it
+OwnObjective = Callable[[Metrics], Array] | Goal  # what a user may give: a function in place of the terms, or all of it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Objective:
     function: Callable[[Metrics], Array] | None = None
 
     def score(self, metrics: Metrics) -> Score:
-        """Judge points by their metrics; NaN and infeasible where the walk diverged."""
+        """Score points by their metrics; NaN and infeasible where the walk diverged."""
         if self.function is not None:
             value = smooth = self.function(metrics)
         else:
@@ -110,8 +110,11 @@ class Objective:
         return jnp.asarray(total / weights)
 
 
+NO_OBJECTIVE = Objective((), ())
+
+
 def worthless(score: Score, lost: Array) -> Score:
-    """Return a score, with its slopes, without a number and infeasible where `lost` (...) is true."""
+    """Return a score, with its derivatives, NaN and infeasible where `lost` (...) is true."""
     number = jnp.where(lost, jnp.nan, jnp.ones_like(score.value))
     value, descent, penalty = (jnp.asarray(part * number) for part in score[:3])
     return Score(value, descent, penalty, score.feasible & ~lost)
@@ -165,14 +168,10 @@ def objective(
         if not weight or function is not None:
             continue
         smooth = baseline.get(PREFIX + metric, baseline[metric])
-        if baseline["diverged"]:
-            raise ConfigError(
-                f"weights.{metric}: expected a metric that pd has here, got a walk that diverges under pd"
-            )
-        if not (np.isfinite([baseline[metric], smooth]).all() and baseline[metric] and smooth):
-            raise ConfigError(
-                f"weights.{metric}: expected a metric that pd has here, got {baseline[metric]:g} under pd"
-            )
+        has_none = not (np.isfinite([baseline[metric], smooth]).all() and baseline[metric] and smooth)
+        if baseline["diverged"] or has_none:
+            got = "a walk that diverges" if baseline["diverged"] else f"{baseline[metric]:g}"
+            raise ConfigError(f"weights.{metric}: expected a metric that pd has here, got {got} under pd")
         terms.append(Term(metric, weight, baseline[metric], smooth, metrics[metric].larger_is_better))
     limits: list[Limit] = []
 

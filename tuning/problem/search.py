@@ -1,66 +1,95 @@
-"""The settings of a search: what is searched, how, and for what; validated, and enough to repeat it."""
+"""The settings of the searches: name, unit, bounds, default and help of each, once.
 
-import os
-from difflib import get_close_matches
-from typing import Annotated, Any, Literal, get_args
+Python, YAML, the documentation and the options of the command line are made from these models. Nothing heavy is
+imported here, so that the command line starts at once.
+"""
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+import itertools
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+
+from pydantic import BeforeValidator, Field, model_validator
 
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.walk.metrics import FAILURES, MetricTable
-from tuning.problem import settings
+from tuning.problem.settings import Settings, setting
 
-Shipped = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+if TYPE_CHECKING:
+    from mjx_climb.walk.metrics import MetricTable
+
+MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
+SpaceName = Literal["isotropic", "split", "diagonal"]
 OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune`
-Method = Shipped | Literal["own"]
-Layout = Literal["isotropic", "split", "diagonal"]
-
-METHODS: tuple[str, ...] = get_args(Shipped)
-LAYOUTS: tuple[str, ...] = get_args(Layout)
+METHODS: tuple[str, ...] = get_args(MethodName)
+LAYOUTS: tuple[str, ...] = get_args(SpaceName)
+WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
+ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}  # of a search over an ensemble
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
+_NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-
-WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
 
 
-class Search(BaseModel):
-    """A search for gains, fully specified beside its scenario. Immutable."""
+def _numbers(text: Any) -> Any:
+    """Return the numbers of a text, as 0,1/6,1."""
+    from fractions import Fraction
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    try:
+        return [float(Fraction(part.strip())) for part in text.split(",")] if isinstance(text, str) else text
+    except (ValueError, ZeroDivisionError, OverflowError):
+        raise ValueError(f"expected numbers with commas between them, got {text!r}") from None
 
-    method: Method = Field(default="gradient", description="how to search")
-    space: Layout = Field(default="isotropic", description="which axes share their gains")
-    inertia: bool = Field(default=False, description="search the virtual inertia as well")
-    also: tuple[str, ...] = Field(default=(), description="gains of the law to search that are left alone otherwise")
-    joint_gains: bool | None = Field(
-        default=None, description="search kp and kd of the joint loop as well; null: where there is hardware"
+
+_FromText = BeforeValidator(_numbers)
+
+
+class Search(Settings):
+    """A search for gains, fully specified beside its scenario."""
+
+    method: MethodName | Literal["own"] = setting(
+        "gradient", "how to search", default_in_words="gradient; cmaes on a GPU"
     )
-    bounds: dict[str, tuple[_Positive, _Positive]] = Field(
-        default={}, description="lowest and highest value of a gain, as stiffness, stiffness.rotation, stiffness.rx"
+    space: SpaceName = setting("isotropic", "which axes share their gains")
+    inertia: bool = setting(False, "search the virtual inertia as well", flag="--with-inertia")
+    also: tuple[str, ...] = setting((), "gain of the law to search that is left alone otherwise", metavar="GAIN")
+    joint_gains: bool | None = setting(
+        None,
+        "search kp and kd of the joint loop as well; null: where there is hardware",
+        flag="--with-joint-gains/--without-joint-gains",
     )
-    pins: dict[str, _Positive] = Field(default={}, description="gains that keep a value, named likewise")
-    weights: dict[str, _Weight] = Field(
-        default=WEIGHTS, description="metrics to better, each relative to its value under pd"
+    bounds: dict[str, tuple[_Positive, _Positive]] = setting(
+        {},
+        "lowest and highest value of a gain, SI units, as stiffness, stiffness.rotation or stiffness.rx",
+        flag="--bound",
+        metavar="GAIN=LOW:HIGH",
     )
-    limits: dict[str, _Finite] = Field(
-        default={}, description="highest value of a metric (lowest, where larger is better), in its unit"
+    pins: dict[str, _Positive] = setting(
+        {}, "gain that keeps a value, SI units, named likewise", flag="--pin", metavar="GAIN=VALUE"
     )
-    deviation_factor: _Positive = Field(
-        default=3.0, description="limit of base_deviation relative to pd's, where limits names none"
+    weights: dict[str, _NonNegative] = setting(
+        WEIGHTS,
+        "metric to better and its weight, relative to its value under pd; those named take the place of the default",
+        flag="--weight",
+        metavar="METRIC=W",
+        default_in_words=", ".join(WEIGHTS),
     )
-    no_worse_than_pd: bool = Field(default=True, description="no metric with a weight may be worse than under pd")
-    starts: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
-        default=None, description="points searched side by side: starts, or the population"
+    limits: dict[str, _Finite] = setting(
+        {},
+        "highest value of a metric (lowest, where larger is better), in its unit, as base_deviation=5e-3",
+        flag="--limit",
+        metavar="METRIC=VALUE",
     )
-    iterations: Annotated[int, Field(ge=1, le=1_000_000)] | None = Field(default=None, description="rounds")
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = Field(default=0, description="of all random draws")
-    precision: Literal["float32", "float64"] = Field(default="float32", description="of the search's simulations")
+    deviation_factor: _Positive = setting(3.0, "limit of base_deviation relative to pd's, where limits name none")
+    no_worse_than_pd: bool = setting(
+        True, "no metric with a weight may be worse than under pd", flag="--no-worse-than-pd/--may-be-worse-than-pd"
+    )
+    starts: int | None = setting(
+        None, "starts or population; grid: points per gain; null: the method's", ge=1, le=100_000
+    )
+    iterations: int | None = setting(None, "rounds of the search; null: the method's", ge=1, le=1_000_000)
+    seed: int = setting(0, "seed of all random draws", ge=0, le=2**31 - 1)
+    precision: Literal["float32", "float64"] = setting("float32", "precision of the search's simulations")
 
     @model_validator(mode="after")
-    def _makes_sense(self) -> "Search":
+    def _makes_sense(self) -> Self:
         if not any(self.weights.values()):
             raise ValueError("weights: expected one above 0")
         for name, (low, high) in self.bounds.items():
@@ -68,45 +97,68 @@ class Search(BaseModel):
                 raise ValueError(f"bounds.{name}: expected low < high, got {low:g}, {high:g}")
         return self
 
-    def to_yaml(self) -> str:
-        """Return the settings as YAML; loading it gives equal ones."""
-        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=110)
+
+class Pareto(Settings):
+    """Which front is searched."""
+
+    better: str = setting("force_variation", "metric to better", metavar="METRIC", complete="metric")
+    against: str = setting("base_deviation", "metric that it is traded against", metavar="METRIC", complete="metric")
+    points: int = setting(12, "limits along the front", ge=2, le=200)
+
+    @model_validator(mode="after")
+    def _two_metrics(self) -> Self:
+        if self.better == self.against:
+            raise ValueError(f"against: expected another metric than {self.better}")
+        return self
 
 
-def make(values: dict[str, Any], source: str = "search") -> Search:
-    """Return validated settings.
+class Schedule(Settings):
+    """The operating points that a schedule has gains for: every pair."""
 
-    Raises:
-        ConfigError: in one line, key and what is wrong.
-    """
-    return settings.validated(Search, values, source)
+    gravity: Annotated[tuple[_Positive, ...], _FromText] = setting(
+        (1e-6, 1e-2, 1 / 6, 0.38, 1.0),
+        "gravities, ascending, 1 G = 9.81 m/s^2",
+        metavar="G,G,...",
+        default_in_words="1e-6,1e-2,1/6,0.38,1",
+        min_length=1,
+    )
+    cargo: Annotated[tuple[_NonNegative, ...], _FromText] = setting(
+        (0.0, 0.5, 1.0),
+        "masses of the cargo, ascending, kg",
+        metavar="KG,KG,...",
+        default_in_words="0,0.5,1",
+        min_length=1,
+    )
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        for name, values in (("gravity", self.gravity), ("cargo", self.cargo)):
+            if any(not low < high for low, high in itertools.pairwise(values)):
+                raise ValueError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
+        return self
 
 
-def check_metrics(search: Search, metrics: MetricTable, source: str = "search") -> None:
+class Judge(Settings):
+    """The walks that evaluate gains: a draw of an ensemble that no search has seen."""
+
+    members: int = setting(128, "walks of each set of gains", ge=1, le=100_000)
+
+
+def check_metrics(search: Search, metrics: "MetricTable", source: str = "search") -> None:
     """Refuse settings that weigh or limit what is no metric.
 
     Raises:
         ConfigError: in one line, the source and the name.
     """
+    from difflib import get_close_matches
+
+    from mjx_climb.walk.metrics import FAILURES
+
+    known = [name for name in metrics.names if name not in FAILURES]
     for name in (*search.weights, *search.limits):
-        if name not in metrics.names or name in FAILURES:
-            known = [metric for metric in metrics.names if metric not in FAILURES]
+        if name not in known:
             near = get_close_matches(name, known)
             hint = f" (did you mean {' or '.join(near)}?)" if near else ""
             raise ConfigError(
                 f"{source}: {name!r} is no metric to weigh or limit{hint}, expected one of {', '.join(known)}"
             )
-
-
-def load(path: str | os.PathLike[str]) -> Search:
-    """Read settings from YAML; keys that the file leaves out take their defaults.
-
-    Raises:
-        ConfigError: in one line, what is wrong.
-    """
-    return make(*settings.read(path))
-
-
-def parse(text: str, source: str = "search") -> Search:
-    """Return the settings that a YAML text holds."""
-    return make(settings.mapping(text, source), source)

@@ -1,49 +1,113 @@
-"""Settings in YAML: read, validated, and refused in one line."""
+"""What every model of settings is: read from YAML, written to it, refused in one line, and typed in a shell."""
 
 import os
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Self
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from mjx_climb.scenario import yaml_text
 from mjx_climb.scenario.messages import ConfigError
 
-Settings = TypeVar("Settings", bound=BaseModel)
+
+class Shell(NamedTuple):
+    """How the command line writes a setting, where that does not follow from its name and type."""
+
+    flag: str | None = None
+    metavar: str | None = None
+    complete: str | None = None  # by which function of `tuning.command_line.completion`
+    default_in_words: str | None = None
+    argument: bool = False  # by its place, not by its name
 
 
-def validated(kind: type[Settings], values: dict[str, Any], source: str) -> Settings:
-    """Return settings of a kind.
+def setting(default: Any, text: str, **how: Any) -> Any:
+    """Return a field of a model, all that is said of it.
 
-    Raises:
-        ConfigError: in one line, source, key and what is wrong.
+    Arguments:
+        default: `...` for none.
+        text: the help, with the unit. "; null: ..." at its end says what None stands for.
+        how: the fields of `Shell`, and bounds as of `pydantic.Field`.
     """
-    try:
-        return kind(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        reason = message[:1].lower() + message[1:]
-        raise ConfigError(f"{source}: {key + ': ' if key else ''}{reason}") from None
+    shell = Shell(**{name: how.pop(name) for name in Shell._fields if name in how})
+    field = Field(default=default, description=text, validate_default=isinstance(default, str), **how)
+    field.metadata.append(shell)
+    return field
 
 
-def mapping(text: str, source: str) -> dict[str, Any]:
-    """Return the mapping that a YAML text holds, empty where the text is.
-
-    Raises:
-        ConfigError: no YAML, or no mapping.
-    """
-    data = yaml_text.parse(text, source)
-    if not isinstance(data, dict | None):
-        raise ConfigError(f"{source}: expected a mapping")
-    return data or {}
+_EXPECTED = {  # by pydantic's type of an error
+    "greater_than": "a number above {gt:g}", "greater_than_equal": "{ge:g} or more",
+    "less_than": "a number below {lt:g}", "less_than_equal": "{le:g} at most",
+    "finite_number": "a finite number", "float_parsing": "a number", "float_type": "a number",
+    "int_parsing": "a whole number", "int_type": "a whole number", "int_from_float": "a whole number",
+    "literal_error": "{expected}", "expected": "{expected}",
+    "missing": "a value here", "too_long": "{max_length} values",
+}  # fmt: skip
 
 
-def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], str]:
-    """Return the mapping that a YAML file holds, and the file's name for messages.
+def explained(invalid: ValidationError) -> tuple[str, str]:
+    """Return the dotted key of the first error of a model, empty for none, and what is wrong there."""
+    error = invalid.errors(include_url=False)[0]
+    key, context = ".".join(map(str, error["loc"])), error.get("ctx", {})
+    if error["type"] in _EXPECTED:
+        expected = _EXPECTED[error["type"]].format(**context)
+        return key, f"expected {expected}, got {context.get('got', error['input'])!r}"
+    message = error["msg"].removeprefix("Value error, ")
+    return key, f"{message[:1].lower()}{message[1:]}"
 
-    Raises:
-        ConfigError: the file cannot be read, or as `mapping`.
-    """
-    source = os.fsdecode(path)
-    return mapping(yaml_text.read(source), source), source
+
+class Options(BaseModel):
+    """What is typed. Immutable."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Settings(Options):
+    """Settings that are read from YAML and written to it."""
+
+    @classmethod
+    def make(cls, values: dict[str, Any], source: str | None = None) -> Self:
+        """Return validated settings.
+
+        Raises:
+            ConfigError: in one line: source, key and what is wrong.
+        """
+        try:
+            return cls(**values)
+        except ValidationError as error:
+            key, reason = explained(error)
+            place = cls.__name__.lower() if source is None else source
+            raise ConfigError(f"{place}: {key + ': ' if key else ''}{reason}") from None
+
+    @classmethod
+    def parse(cls, text: str, source: str | None = None, **changes: Any) -> Self:
+        """Return the settings that a YAML text holds; keys that it leaves out take their defaults.
+
+        Raises:
+            ConfigError: no YAML, no mapping, or as `make`.
+        """
+        from mjx_climb.scenario import yaml_text
+
+        source = cls.__name__.lower() if source is None else source
+        data = yaml_text.parse(text, source)
+        if not isinstance(data, dict | None):
+            raise ConfigError(f"{source}: expected a mapping")
+        return cls.make({**(data or {}), **changes}, source)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], **changes: Any) -> Self:
+        """Read settings from a YAML file, with some of its top keys changed.
+
+        Raises:
+            ConfigError: the file cannot be read, or as `parse`.
+        """
+        from mjx_climb.scenario import yaml_text
+
+        return cls.parse(yaml_text.read(os.fsdecode(path)), os.fsdecode(path), **changes)
+
+    def changed(self, changes: dict[str, Any], source: str | None = None) -> Self:
+        """Return the settings with some keys replaced, validated as by `make`."""
+        return self.make({**self.model_dump(), **changes}, source) if changes else self
+
+    def to_yaml(self) -> str:
+        """Return the settings as YAML; loading it gives equal ones."""
+        import yaml
+
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=110)

@@ -20,9 +20,9 @@ import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
 from mjx_climb.hardware.stages import IDEAL, stages_of
-from mjx_climb.quantities.parameters import own_numbers
+from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper
+from mjx_climb.rollouts.resolve import AnyGains, has_gains_of_the_paper
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile
 from tuning.problem.search import Search
@@ -103,6 +103,9 @@ class Space:
         return [name for name, on in zip(self.names, beside, strict=True) if on]
 
 
+NO_SPACE = Space((), np.zeros(0), np.zeros(0), {}, np.zeros(0))
+
+
 def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> Space:
     """Return the space that the settings ask for around a law's own gains, the scenario's law where None is given.
 
@@ -116,65 +119,71 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
     if unknown := sorted({*search.also} - set(law.GAINS)):
         raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
-    wanted = [name for name, field in law.GAINS.items() if field.searched or name in asked]
-    defaults = default_bounds(scenario, law)
-    known = set(JOINT) if joint_gains else set()
-    names, lower, upper, fixed = [], [], [], []
-    places: dict[str, int | list[int]] = {}
-
-    def add(name: str, keys: list[str]) -> int:
-        """Place one number; keys go from the general to the particular."""
-        known.update(keys)
-        pinned = [search.pins[key] for key in keys if key in search.pins]
-        if pinned:
-            fixed.append(np.log(pinned[-1]))
-            return -len(fixed)
-        low, high = _bounds(keys, search, defaults)
-        if not low > 0:
-            raise ConfigError(f"bounds.{name}: expected a low end above 0 to search it, got {low:g}")
-        names.append(name)
-        lower.append(np.log(low))
-        upper.append(np.log(high))
-        return len(names) - 1
-
-    def keep(value: float) -> int:
-        with np.errstate(divide="ignore"):
-            fixed.append(np.log(value))
-        return -len(fixed)
-
+    places = _Places(search, default_bounds(scenario, law))
     for gain, value in own_values(scenario, law).items():
         values = np.atleast_1d(value)
-        axes = law.GAINS[gain].length if gain in law.GAINS else 0  # that the law has; more are kept
-        kept = values[axes:]
-        if gain not in wanted:
-            if gain in search.pins:
-                known.add(gain)
-                values = np.full(values.size, search.pins[gain])
-            own = [keep(value) for value in values]
-        elif axes == 1 or search.space == "isotropic":
-            own = [add(gain, [gain])] * axes + [keep(value) for value in kept]
-        elif search.space == "split":
-            pair = [add(f"{gain}.{part}", [gain, f"{gain}.{part}"]) for part in PARTS[: axes // 3]]
-            own = [place for place in pair for _ in range(3)] + [keep(value) for value in kept]
+        if gain in law.GAINS and (law.GAINS[gain].searched or gain in asked):
+            axes = law.GAINS[gain].length  # that the law has; further ones keep their values
+            own = places.add_axes(gain, axes) + [places.keep(each) for each in values[axes:]]
         else:
-            keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"] for axis in range(axes)]
-            own = [add(each[-1], each) for each in keys] + [keep(value) for value in kept]
-        places[gain] = own if np.ndim(value) else own[0]
+            places.known.update([gain] if gain in search.pins else [])
+            own = [places.keep(search.pins.get(gain, each)) for each in values]
+        places.of[gain] = np.asarray(own if np.ndim(value) else own[0])
     if joint_gains:
-        for gain in JOINT:
-            places[gain] = add(gain, [gain])
-    for section in ("bounds", "pins"):
-        for key in getattr(search, section):
-            if key not in known:
-                raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(known))}")
-    if not names:
-        raise ConfigError("pins: expected a gain left to search, got none")
-    count = len(names)
-    index = {
-        gain: np.asarray([p if p >= 0 else count - 1 - p for p in np.ravel(place)], np.int32).reshape(np.shape(place))
-        for gain, place in places.items()
-    }
-    return Space(tuple(names), np.asarray(lower), np.asarray(upper), index, np.asarray(fixed, float))
+        places.of |= {gain: np.asarray(places.add([gain])) for gain in JOINT}
+    return places.space()
+
+
+class _Places:
+    """The numbers of a space, one after the other: searched ones counted from 0, fixed ones from -1 downwards."""
+
+    def __init__(self, search: Search, defaults: Mapping[str, tuple[float, float]]):
+        self.search, self.defaults = search, defaults
+        self.names: list[str] = []
+        self.bounds: list[tuple[float, float]] = []
+        self.fixed: list[float] = []
+        self.known: set[str] = set()  # keys that the settings may name
+        self.of: dict[str, np.ndarray] = {}  # gain: its places, (6,) or ()
+
+    def keep(self, value: float) -> int:
+        """Return the place of a value that is not searched."""
+        self.fixed.append(value)
+        return -len(self.fixed)
+
+    def add(self, keys: list[str]) -> int:
+        """Return the place of one number, by its keys from the general to the particular."""
+        self.known.update(keys)
+        if pinned := [self.search.pins[key] for key in keys if key in self.search.pins]:
+            return self.keep(pinned[-1])
+        sources = self.search.bounds, self.defaults  # the user's before the defaults
+        low, high = next(source[key] for source in sources for key in reversed(keys) if key in source)
+        if not low > 0:
+            raise ConfigError(f"bounds.{keys[-1]}: expected a low end above 0 to search it, got {low:g}")
+        self.names.append(keys[-1])
+        self.bounds.append((low, high))
+        return len(self.names) - 1
+
+    def add_axes(self, gain: str, axes: int) -> list[int]:
+        """Return the places of a gain's axes, as the settings share it between them."""
+        if axes == 1 or self.search.space == "isotropic":
+            return [self.add([gain])] * axes
+        if self.search.space == "split":
+            return [place for part in PARTS[: axes // 3] for place in [self.add([gain, f"{gain}.{part}"])] * 3]
+        return [self.add([gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"]) for axis in range(axes)]
+
+    def space(self) -> Space:
+        """Return the space of all of them."""
+        for section in ("bounds", "pins"):
+            for key in getattr(self.search, section):
+                if key not in self.known:
+                    raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(self.known))}")
+        if not self.names:
+            raise ConfigError("pins: expected a gain left to search, got none")
+        last = len(self.names) - 1
+        index = {gain: np.where(at < 0, last - at, at).astype(np.int32) for gain, at in self.of.items()}
+        with np.errstate(divide="ignore"):  # a gain of 0 that is not searched
+            lower, upper = np.log(self.bounds).T
+            return Space(tuple(self.names), lower, upper, index, np.log(np.asarray(self.fixed, float)))
 
 
 def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
@@ -184,11 +193,11 @@ def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
     """
     if search.joint_gains is not None:
         return search.joint_gains
-    return stages_of(scenario, own_numbers(scenario))._replace(capture=False) != IDEAL
+    return stages_of(scenario, own_parameters(scenario))._replace(capture=False) != IDEAL
 
 
 def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float, float]]:
-    """Return where a search looks that is not told: by gain, and `gain.rotation`.
+    """Return the bounds of a search whose settings name none: by gain, and `gain.rotation`.
 
     Joint gains about the scenario's own. The paper's gains where the law has them for HubRobo, and in proportion to its
     mass for a robot from a file; a law that makes bounds of its gains (`search_bounds` of its own) is not scaled.
@@ -201,7 +210,7 @@ def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float,
         and isinstance(scenario.robot, RobotFile)
         and type(law).search_bounds is mc.Law.search_bounds
     ):
-        heavier = float(load_robot(scenario.robot).total_mass[0] / load_robot(_BOUNDED_FOR).total_mass[0])
+        heavier = float(load_robot(scenario.robot).total_mass / load_robot(_BOUNDED_FOR).total_mass)
         bounds = {name: (low * heavier, high * heavier) for name, (low, high) in bounds.items()}
     return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in JOINT.items()}
 
@@ -226,7 +235,7 @@ def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:
 
 
 def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> AnyGains:
-    """Return the gains of points in double precision, whatever JAX is set to."""
+    """Return the gains of points in double precision, independent of JAX's setting."""
     with jax.enable_x64(True):
         gains: AnyGains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(theta)))
         return gains
@@ -235,8 +244,3 @@ def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> AnyGains:
 def _hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     strata = np.argsort(rng.random((lower.size, count)), axis=1).T
     return np.asarray(lower + (upper - lower) * (strata + rng.random((count, lower.size))) / count)
-
-
-def _bounds(keys: list[str], search: Search, defaults: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
-    """Return the bounds of a gain: the user's before the defaults, each from the particular key to the general."""
-    return next(source[key] for source in (search.bounds, defaults) for key in reversed(keys) if key in source)

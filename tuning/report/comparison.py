@@ -1,10 +1,14 @@
 """Walks side by side: a table, and what it says in words."""
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
+from mjx_climb.files.dataset import SIX
 from tuning.gains.gains_file import by_name
+from tuning.gains.gains_tables import JOINT_UNITS
 from tuning.gains.labels import labels
 from tuning.report.numbers import axis_values, change, gain, is_number, number, plain_unit, unit
 from tuning.report.page import Table
@@ -36,42 +40,72 @@ def gain_units(compared: Compared, law: Law | None = None) -> dict[str, tuple[st
     return {name: (plain_unit(each[0]), plain_unit(each[-1])) for name, each in units.items()}
 
 
-def table(compared: Compared, caption: str, about: MetricTable = METRICS, law: Law | None = None) -> Table:
-    """Return gains and metrics of walks; the first is also given as change against the others, in per cent.
+Column = tuple[str, str | None]  # a walk, and the walk that it is given as change against; None: its own values
 
-    `about` holds the metrics themselves, `law` is the user's own, if any.
-    """
+
+def columns_of(compared: Compared) -> list[Column]:
+    """Return the first walk, what it changes against each of the others, and these: the columns of a page."""
     first, *others = compared
-    columns = ["", "unit", first, *(f"vs {name} %" for name in others), *others]
-    gains = []
-    for key, (text, _) in gain_units(compared, law).items():
-        values = {name: gain(held, key) for name, (held, _) in compared.items()}
-        gains.append([key, text, values[first], *("" for _ in others), *(values[name] for name in others)])
-    rows = []
-    for key, value in compared[first][1].items():
-        theirs = [compared[name][1][key] for name in others]
-        changes = [change(value, base) for base in theirs]
-        rows.append([about.in_words(key), unit(key, about), number(value), *changes, *map(number, theirs)])
-    return Table(caption, columns, [("", gains), ("", rows)])
+    return [(first, None), *((first, name) for name in others), *((name, None) for name in others)]
+
+
+def table(
+    compared: Compared,
+    caption: str,
+    about: MetricTable = METRICS,
+    law: Law | None = None,
+    columns: Sequence[Column] | None = None,
+) -> Table:
+    """Return gains and metrics of walks side by side.
+
+    Arguments:
+        compared: gains and metrics by walk.
+        caption: above the table.
+        about: the metrics themselves.
+        law: the user's own, if any.
+        columns: values of walks, and changes in per cent; `columns_of` them where None.
+    """
+    columns = columns_of(compared) if columns is None else columns
+    heads = [name if base is None else f"vs {base} %" for name, base in columns]
+    gains = [
+        [key, text, *(gain(compared[name][0], key) if base is None else "" for name, base in columns)]
+        for key, (text, _) in gain_units(compared, law).items()
+    ]
+    metrics = {name: values for name, (_, values) in compared.items()}
+    rows = [
+        [
+            about.in_words(key),
+            unit(key, about),
+            *(
+                number(metrics[name][key]) if base is None else change(metrics[name][key], metrics[base][key])
+                for name, base in columns
+            ),
+        ]
+        for key in metrics[columns[0][0]]
+    ]
+    return Table(caption, ["metric", "unit", *heads], [("", gains), ("", rows)])
 
 
 def gains_table(compared: Compared, law: Law | None = None) -> Table:
-    """Return the gains of walks, axis by axis; `law` is the user's own, if any."""
+    """Return the gains of walks, axis by axis where the axes differ; `law` is the user's own, if any."""
     held = {name: gains for name, (gains, _) in compared.items() if gains is not None}
     sections = []
     for key, units in gain_units(compared, law).items():
-        values = {name: axis_values(gains.get(key)) for name, gains in held.items()}
-        if law is not None and key in law.GAINS and law.GAINS[key].length == 1:
-            rows = [[key, units[0], *(number(_finite(v[0])) for v in values.values())]]
+        values = [axis_values(gains.get(key)) for gains in held.values()]
+        if all(np.unique(each).size == 1 for each in values):
+            rows = [[key, units[0], *(_gain(each[0]) for each in values)]]
         else:
-            axes = enumerate(("x", "y", "z", "rx", "ry", "rz"))
-            rows = [[f"{key} {a}", units[i // 3], *(number(_finite(v[i])) for v in values.values())] for i, a in axes]
+            rows = [
+                [f"{key} {axis}", units[i // 3], *(_gain(each[i]) for each in values)] for i, axis in enumerate(SIX)
+            ]
         sections.append(("", rows))
-    return Table("Gains by axis", ["", "unit", *held], sections)
+    joint = [name for name in JOINT_UNITS if held and all(name in gains for gains in held.values())]
+    rows = [[name, JOINT_UNITS[name], *(_gain(gains[name]) for gains in held.values())] for name in joint]
+    return Table("Gains by axis", ["gain", "unit", *held], [*sections, *([("", rows)] if rows else [])])
 
 
-def _finite(value: float) -> float | None:
-    return value if value == value else None
+def _gain(value: float) -> str:
+    return number(None if np.isnan(value) else float(value))
 
 
 def against(metric: str, value: float | None, others: Values, about: MetricTable = METRICS) -> str:

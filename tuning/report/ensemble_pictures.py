@@ -7,99 +7,98 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
 from mjx_climb import plots
 from tuning.problem import ensemble
+from tuning.searches.judge import WORST_SHARE
 from tuning.searches.pareto import knee
-from tuning.searches.robust import JUDGED_SHARE
 
 SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 _COLORS = {"config": plots.VERMILLION, "paper": plots.VERMILLION, "pd": "0.6"}
+_LOADS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.SKY, plots.VERMILLION)
+_UNITS = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inertia": "M [kg, kg m$^2$]"}
+_DASHES = {"tuned": "-", "config": ":", "retuned_pd": "--"}
 
 
 def _scaled(variable: xr.DataArray) -> tuple[float, str]:
-    """Return the factor and the unit in which people read a metric."""
+    """Return the factor by which people read a metric, and the label of its axis."""
     factor, unit = SCALES.get(variable.attrs["units"], (1.0, variable.attrs["units"]))
-    return factor, "" if unit == "1" else f" [{unit}]"
+    return factor, variable.attrs["long_name"] + ("" if unit == "1" else f" [{unit}]")
 
 
+@plots.style()
 def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation", "peak_pull_force")) -> Figure:
     """Draw which share of the unseen walks stays below a value, a curve for each set of gains.
 
     A dot marks the mean, a diamond the mean of the worst 5 %. A gripper lets go beyond the
     vertical line.
     """
-    with plots.style():
-        figure = Figure(figsize=(plots.COLUMN, 0.35 + 1.75 * len(metrics)), layout="constrained")
-        axes = figure.subplots(len(metrics), 1, squeeze=False)[:, 0]
-        share = 100 * (np.arange(judged.sizes["member"]) + 1) / judged.sizes["member"]
-        handles = []
-        for number, name in enumerate(judged["gains"].values.tolist()):
-            color = _COLORS.get(name, (plots.BLUE, plots.GREEN, plots.PURPLE)[number % 3])
-            for panel, metric in zip(axes, metrics, strict=True):
-                values = judged[metric].sel(gains=name).values.astype(float)
-                values = np.sort(values[np.isfinite(values)]) * _scaled(judged[metric])[0]
-                panel.step(values, share[: values.size], where="post", color=color, linewidth=1.2)
-                panel.plot(
-                    values.mean(), np.interp(values.mean(), values, share[: values.size]), "o", color=color, ms=4
-                )
-                worst = ensemble.worst_mean(values, JUDGED_SHARE)
-                panel.plot(worst, np.interp(worst, values, share[: values.size]), "D", color=color, ms=4)
-            handles.append(Line2D([], [], color=color, label=name))
-        for panel, metric in zip(axes, metrics, strict=True):
-            panel.set_xlabel(judged[metric].attrs["long_name"] + _scaled(judged[metric])[1])
-            panel.set_ylabel("share of walks [%]")
-            panel.set_ylim(0, 103)
-            limit = judged.attrs.get("holding_limit", np.inf)
-            if metric == "peak_pull_force" and limit < panel.get_xlim()[1]:
-                panel.axvline(limit, color=plots.RED, linewidth=0.8)
-        handles.append(Line2D([], [], color="0.3", marker="o", ms=4, linestyle="", label="mean"))
-        handles.append(Line2D([], [], color="0.3", marker="D", ms=4, linestyle="", label="worst 5 %"))
-        plots.legend(figure, handles)
+    figure = Figure(figsize=(plots.COLUMN, 0.35 + 1.75 * len(metrics)), layout="constrained")
+    names = judged["gains"].values.tolist()
+    others = (plots.BLUE, plots.GREEN, plots.PURPLE)
+    colors = {name: _COLORS.get(name, others[number % 3]) for number, name in enumerate(names)}
+    share = 100 * (np.arange(judged.sizes["member"]) + 1) / judged.sizes["member"]
+    for panel, metric in zip(figure.subplots(len(metrics), 1, squeeze=False)[:, 0], metrics, strict=True):
+        factor, label = _scaled(judged[metric])
+        for name, color in colors.items():
+            values = judged[metric].sel(gains=name).values.astype(float)
+            values = np.sort(values[np.isfinite(values)]) * factor
+            panel.step(values, share[: values.size], where="post", color=color, linewidth=1.2)
+            for mark, at in (("o", values.mean()), ("D", ensemble.worst_mean(values, WORST_SHARE))):
+                panel.plot(at, np.interp(at, values, share[: values.size]), mark, color=color, ms=4)
+        panel.set(xlabel=label, ylabel="share of walks [%]", ylim=(0, 103))
+        limit = judged.attrs.get("holding_limit", np.inf)
+        if metric == "peak_pull_force" and limit < panel.get_xlim()[1]:
+            panel.axvline(limit, color=plots.RED, linewidth=0.8)
+    handles = [Line2D([], [], color=color, label=name) for name, color in colors.items()]
+    marks = {"mean": "o", "worst 5 %": "D"}
+    handles += [Line2D([], [], color="0.3", marker=mark, ms=4, ls="", label=label) for label, mark in marks.items()]
+    plots.legend(figure, handles)
     return figure
 
 
+@plots.style()
 def plot_front(front: xr.Dataset) -> Figure:
     """Draw a Pareto front, all that was walked on the way, its knee, the config's gains, pd, and the front of pd."""
     x, y = front.attrs["against"], front.attrs["better"]
-    (fx, ux), (fy, uy) = _scaled(front[x]), _scaled(front[y])
-    fronts = front[x].values * fx, front[y].values * fy
-    walked = front[f"walked_{x}"].values * fx, front[f"walked_{y}"].values * fy
-    reference = {
-        name: (front[f"reference_{x}"].sel(reference=name).item() * fx,
-               front[f"reference_{y}"].sel(reference=name).item() * fy)
-        for name in ("config", "pd")
-    }  # fmt: skip
-    held = front["held"].values.astype(bool)
-    with plots.style():
-        figure = Figure(figsize=(plots.COLUMN, 2.7), layout="constrained")
-        panel = figure.subplots()
-        panel.plot(walked[0][held], walked[1][held], ".", color="0.75", ms=2.5, label="walked", zorder=1)
-        panel.plot(*fronts, "-o", color=plots.BLUE, ms=2.5, label="front")
-        panel.plot(front[f"without_{x}"] * fx, front[f"without_{y}"] * fy, "--.", color=plots.BLACK, ms=3, lw=0.8,
-                   label="pd over kp, kd")  # fmt: skip
-        chosen = knee(front[x].values, front[y].values)
-        panel.plot(fronts[0][chosen], fronts[1][chosen], "*", color=plots.ORANGE, ms=9, mec="black", mew=0.5,
-                   linestyle="", label="knee")  # fmt: skip
-        for (name, (a, b)), marker in zip(reference.items(), "Ds", strict=True):
-            panel.plot(a, b, marker, color=_COLORS[name], mec="black", mew=0.5, ms=5, linestyle="", label=name)
-        shown = np.array([*zip(*fronts, strict=True), *(v for v in reference.values() if np.isfinite(v).all())])
-        for axis, place in (("x", 0), ("y", 1)):
-            low, high = shown[:, place].min(), shown[:, place].max()
-            if low > 0 and high / low > 8:
-                getattr(panel, f"set_{axis}scale")("log")
-                room = (low / high) ** 0.08
-                getattr(panel, f"set_{axis}lim")(low * room, high / room)
-            else:
-                room = 0.1 * (high - low) or 0.1 * abs(high)
-                getattr(panel, f"set_{axis}lim")(low - room, high + room)
-        panel.set_xlabel(front[x].attrs["long_name"] + ux)
-        panel.set_ylabel(front[y].attrs["long_name"] + uy)
-        panel.legend(fontsize=6.5)
+    (x_factor, x_label), (y_factor, y_label) = _scaled(front[x]), _scaled(front[y])
+
+    def places(kind: str = "") -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of a kind as they are drawn, x and y."""
+        return front[f"{kind}{x}"].values * x_factor, front[f"{kind}{y}"].values * y_factor
+
+    held, references = front["held"].values.astype(bool), np.transpose(places("reference_"))
+    figure = Figure(figsize=(plots.COLUMN, 2.7), layout="constrained")
+    panel = figure.subplots()
+    walked = np.transpose(places("walked_"))[held]
+    panel.plot(*walked.T, ".", color="0.75", ms=2.5, label="walked", zorder=1)
+    panel.plot(*places(), "-o", color=plots.BLUE, ms=2.5, label="front")
+    panel.plot(*places("without_"), "--.", color=plots.BLACK, ms=3, lw=0.8, label="pd over kp, kd")
+    bend = np.transpose(places())[knee(front[x].values, front[y].values)]
+    panel.plot(*bend, "*", color=plots.ORANGE, ms=9, mec="black", mew=0.5, ls="", label="knee")
+    named = dict(zip(front["reference"].values.tolist(), references, strict=True))
+    for name, marker in (("config", "D"), ("pd", "s")):
+        panel.plot(*named[name], marker, color=_COLORS[name], mec="black", mew=0.5, ms=5, ls="", label=name)
+    shown = np.concatenate([np.transpose(places()), references[np.isfinite(references).all(1)]])
+    for scale, limits, values in (
+        (panel.set_xscale, panel.set_xlim, shown[:, 0]),
+        (panel.set_yscale, panel.set_ylim, shown[:, 1]),
+    ):
+        low, high = values.min(), values.max()
+        if low > 0 and high / low > 8:
+            scale("log")
+            room = (low / high) ** 0.08
+            limits(low * room, high / room)
+        else:
+            room = 0.1 * (high - low) or 0.1 * abs(high)
+            limits(low - room, high + room)
+    panel.set(xlabel=x_label, ylabel=y_label)
+    panel.legend(fontsize=6.5)
     return figure
 
 
+@plots.style()
 def plot_schedule(table: xr.Dataset) -> Figure:
     """Draw the gains over gravity, a line for each cargo, and the force variation that they leave of pd's.
 
@@ -107,39 +106,28 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     their geometric mean. Hollow marks break a limit.
     """
     gravity, kinds = table["gravity"].values, table.attrs["searched"].split()
-    units = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inertia": "M [kg, kg m$^2$]"}
-    loads = table["cargo"].values
-    colors = [plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.SKY, plots.VERMILLION]
-    dashes = {"tuned": "-", "config": ":", "retuned_pd": "--"}
-    with plots.style():
-        figure = Figure(figsize=(plots.COLUMN, 0.5 + 1.3 * (len(kinds) + 1)), layout="constrained")
-        axes = figure.subplots(len(kinds) + 1, 1, sharex=True)
-        for number, load in enumerate(loads):
-            color = colors[number % len(colors)]
-            point = table.sel(cargo=load)
-            sound = point["feasible"].values.astype(bool)
-            for panel, kind in zip(axes, kinds, strict=False):
-                for part, dash in zip(_translation_and_rotation(point[kind].values), "-:", strict=False):
-                    _line(panel, gravity, part, sound, color, dash)
-                panel.set_ylabel(units.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
-            variation = point["force_variation"]
-            for walk, dash in dashes.items():
-                left = 100 * (variation.sel(walk=walk) / variation.sel(walk="pd")).values
-                _line(axes[-1], gravity, left, sound if walk == "tuned" else None, color, dash)
-        for panel in axes[:-1]:
-            _log_scale(panel)
-        axes[-1].axhline(100, color="0.6", linewidth=0.8)
-        axes[-1].set_ylabel("force variation\n[% of pd]")
-        axes[-1].set_xscale("log")
-        axes[-1].set_xlabel("gravity [G]")
-        axes[-1].legend(
-            handles=[Line2D([], [], color="0.3", ls=d, label=w.replace("_", " ")) for w, d in dashes.items()],
-            fontsize=6.5,
-        )
-        plots.legend(
-            figure, [Line2D([], [], color=c, label=f"{load:g} kg") for load, c in zip(loads, colors, strict=False)],
-            "cargo",
-        )  # fmt: skip
+    colors = {load: _LOADS[number % len(_LOADS)] for number, load in enumerate(table["cargo"].values)}
+    figure = Figure(figsize=(plots.COLUMN, 0.5 + 1.3 * (len(kinds) + 1)), layout="constrained")
+    *panels, below = figure.subplots(len(kinds) + 1, 1, sharex=True)
+    for load, color in colors.items():
+        point = table.sel(cargo=load)
+        feasible = point["feasible"].values.astype(bool)
+        for panel, kind in zip(panels, kinds, strict=True):
+            for part, dash in zip(_translation_and_rotation(point[kind].values), "-:", strict=False):
+                _line(panel, gravity, part, feasible, color=color, linestyle=dash)
+            panel.set_ylabel(_UNITS.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
+        variation = point["force_variation"]
+        for walk, dash in _DASHES.items():
+            left = 100 * (variation.sel(walk=walk) / variation.sel(walk="pd")).values
+            _line(below, gravity, left, feasible if walk == "tuned" else None, color=color, linestyle=dash)
+    for panel in panels:
+        _log_scale(panel)
+    below.axhline(100, color="0.6", linewidth=0.8)
+    below.set(ylabel="force variation\n[% of pd]", xscale="log", xlabel="gravity [G]")
+    walks = [Line2D([], [], color="0.3", ls=dash, label=walk.replace("_", " ")) for walk, dash in _DASHES.items()]
+    below.legend(handles=walks, fontsize=6.5)
+    loads = [Line2D([], [], color=color, label=f"{load:g} kg") for load, color in colors.items()]
+    plots.legend(figure, loads, "cargo")
     return figure
 
 
@@ -158,12 +146,14 @@ def _log_scale(panel: Axes) -> None:
     panel.set_ylim(low / room, high * room)
     if high * room**2 / low < 1e3:
         panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.yaxis.set_minor_formatter(NullFormatter())
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter("")
 
 
-def _line(panel: Axes, x: np.ndarray, y: np.ndarray, sound: np.ndarray | None, color: str, dash: str) -> None:
-    panel.plot(x, y, dash, color=color)
-    if sound is not None:
-        panel.plot(x[sound], y[sound], "o", color=color, ms=3)
-        panel.plot(x[~sound], y[~sound], "o", color=color, ms=3, mfc="white")
+def _line(
+    panel: Axes, x: np.ndarray, y: np.ndarray, feasible: np.ndarray | None, *, color: str, linestyle: str
+) -> None:
+    panel.plot(x, y, linestyle, color=color)
+    if feasible is not None:
+        panel.plot(x[feasible], y[feasible], "o", color=color, ms=3)
+        panel.plot(x[~feasible], y[~feasible], "o", color=color, ms=3, mfc="white")

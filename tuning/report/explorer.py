@@ -12,9 +12,10 @@ import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.histories import LINES, histories, stretches
-from tuning.report.numbers import gain, plain
+from tuning.report.numbers import gain, plain, plain_unit
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
+BASELINE = "pd"  # the walk that all others are compared with; disturbances and grip changes are its own
 SCALES = {"m": (1e3, "mm")}  # how people read a line
 
 
@@ -23,7 +24,6 @@ def explorer(
     walks: Mapping[str, mc.Trajectory],
     metrics: Mapping[str, Mapping[str, Any]],
     *,
-    baseline: str = "pd",
     shown: tuple[str, ...] | None = None,
     opens_on: str | None = None,
     points: Mapping[str, Any] | None = None,
@@ -33,33 +33,30 @@ def explorer(
 
     Arguments:
         title: above it.
-        walks: by name; they share the scenario but for the controller.
+        walks: by name, `BASELINE` among them; they share the scenario but for the controller.
         metrics: of the walks, as `mjx_climb.walk.metrics` gives them.
-        baseline: the walk that all others are compared with; disturbances and grip changes are its own.
         shown: walks that are drawn at first; all where None.
         opens_on: the walk whose numbers stand beside the points at first; the points' own beginning where None.
         points: many walks to choose from, see `grid_points`.
         about: the metrics themselves.
     """
-    first = walks[baseline]
-    count, steps = stretches(first.scenario.steps)
+    first = walks[BASELINE]
+    scenario = first.scenario
+    count, steps = stretches(scenario.steps)
+    scaled = {name: (text, *SCALES.get(unit, (1, unit))) for name, (unit, text, _) in LINES.items()}
     return {
         "title": title,
-        "baseline": baseline,
+        "baseline": BASELINE,
         "opens_on": opens_on,
-        "metrics": _metric_texts(about),
+        "metrics": {m.name: _about(m.long_name, m.unit, larger=m.larger_is_better) for m in about},
         "lines": [
-            {"name": name, "label": text, "unit": SCALES.get(unit, (1, unit))[1], "factor": SCALES.get(unit, (1, 0))[0]}
-            for name, (unit, text, _) in LINES.items()
+            {"name": name, "label": text, "unit": unit, "factor": factor}
+            for name, (text, factor, unit) in scaled.items()
         ],
-        "time": {
-            "count": count,
-            "stretch": steps * first.scenario.time_step,
-            "end": first.scenario.steps * first.scenario.time_step,
-        },
+        "time": {"count": count, "stretch": steps * scenario.time_step, "end": scenario.steps * scenario.time_step},
         "windows": [window[:3] for window in plots.disturbances(first)],
         "grips": plots.grip_changes(first).tolist(),
-        "holding_limit": first.scenario.contact.holding_limit,
+        "holding_limit": scenario.contact.holding_limit,
         "walks": [
             {
                 "name": name,
@@ -88,42 +85,39 @@ def grid_points(
         histories: a grid with time histories, over the same values or some of them.
         baseline: metrics of the baseline, for the colours.
         marks: points (x, y) to mark on the map, by name.
-        chosen: the cell to begin with, as of `tuning.searches.grid.best_cell`; the first one where None.
+        chosen: the cell to begin with, as of `tuning.searches.sweep.best_cell`; the first one where None.
     """
-    walks, axes = grid["diverged"].size, axes_of(grid)
-    x, y = axes
+    axes = x, y = axes_of(grid)
     shown = coarser_grid(grid, chosen, MOST_CELLS)
     flat = shown.transpose(*axes, ...).stack(cell=axes, create_index=False)
     failed = plots.failed_walks(shown, *axes)
     scales = {}
-    for name in [str(n) for n in shown.data_vars if n not in LINES]:
-        values = plots.comparable(shown, name).transpose(*reversed(axes)).values.astype(float)
+    names = [str(name) for name in shown.data_vars if name not in LINES]
+    for name in names:
+        values = plots.comparable(shown, name).transpose(y, x).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
             larger = dataset.larger_is_better(shown[name])
             scales[name] = _scale(values, failed, baseline.get(name), larger=larger)
-    listed = {str(n): _values(plots.comparable(flat, str(n))) for n in flat.data_vars if n not in LINES}
-    stored = [
-        i * shown.sizes[y] + j
-        for i, across in enumerate(shown[x].values)
-        for j, up in enumerate(shown[y].values)
-        if across in histories[x].values and up in histories[y].values
-    ]
-    kept = histories.sel({n: [v for v in shown[n].values if v in histories[n].values] for n in axes})
+    values_of = {name: _values(plots.comparable(flat, name)) for name in names}
+    own = [name for name in names if name not in mc.METRICS.names]
+    failures = zip(*(values_of[name] for name in _FAILURES), strict=True)
+    with_history = [np.isin(shown[name].values, histories[name].values) for name in axes]
+    held = histories.sel({name: shown[name].values[has] for name, has in zip(axes, with_history, strict=True)})
     begin = dict.fromkeys(axes, 0) if chosen is None else place_of(shown, chosen)
     return {
         "count": flat.sizes["cell"],
-        "left_out": walks - flat.sizes["cell"],
+        "left_out": grid["diverged"].size - flat.sizes["cell"],
         "axes": [_axis(shown[name], name) for name in axes],
         "gains": {name: _values(flat[name]) for name in axes},
-        "values": listed,
-        "texts": {n: _text(shown[n], n) for n in listed if n not in mc.METRICS.names},
+        "values": values_of,
+        "texts": {name: _text(shown[name], name) for name in own},
         "scales": scales,
-        "failed": [_failure({n: listed[n][i] for n in _FAILURES}) for i in range(flat.sizes["cell"])],
+        "failed": [_failure(dict(zip(_FAILURES, each, strict=True))) for each in failures],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
         "limit": [line.tolist() for line in plots.stability_lines(grid, *axes)],
         "begin": begin[x] * shown.sizes[y] + begin[y],
-        "stored": stored,
-        "histories": {name: packed(kept[name].transpose(*axes, "extreme", "stretch").values) for name in LINES},
+        "stored": np.flatnonzero(np.logical_and.outer(*with_history)).tolist(),
+        "histories": {name: packed(held[name].transpose(*axes, "extreme", "stretch").values) for name in LINES},
         "colors": colors(),
     }
 
@@ -144,17 +138,15 @@ def listed_points(
         trade: the two metrics that are drawn against each other.
         about: the metrics themselves.
     """
-    count, names = walks.sizes["front"], walks.attrs["searched"].split()
-    values = {name: _values(walks[name]) for name in about.names}
-    values["detached_limb"] = [None] * count  # nothing lets go on a front
-    gains = [{name: walks[name].values[i] for name in names} for i in range(count)]
+    count, gains = walks.sizes["front"], walks.attrs["searched"].split()
     return {
         "count": count,
         "left_out": 0,
         "axes": None,
         "trade": list(trade),
-        "gains": {name: [gain(held, name) for held in gains] for name in names},
-        "values": values,
+        "gains": {name: [gain({name: held}, name) for held in walks[name].values] for name in gains},
+        # nothing lets go on a front
+        "values": {name: _values(walks[name]) for name in about.names} | {"detached_limb": [None] * count},
         "texts": {},
         "scales": {},
         "failed": [None] * count,
@@ -169,15 +161,16 @@ def listed_points(
 _FAILURES = ("detached_limb", "detached_at", "diverged")
 
 
-def axes_of(grid: xr.Dataset) -> tuple[str, ...]:
+def axes_of(grid: xr.Dataset) -> tuple[str, str]:
     """Return the names of the two gains of a grid, the horizontal one first."""
-    return tuple(str(name) for name in grid["diverged"].dims)
+    x, y = map(str, grid["diverged"].dims)
+    return x, y
 
 
 def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
     """Return a grid with at most about `most` of its cells, the chosen one among them."""
-    kept = {} if chosen is None else place_of(grid, chosen)
-    return grid.isel(coarser({name: grid.sizes[name] for name in axes_of(grid)}, kept, most))
+    places = {} if chosen is None else place_of(grid, chosen)
+    return grid.isel(coarser({name: grid.sizes[name] for name in axes_of(grid)}, places, most))
 
 
 def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
@@ -185,15 +178,14 @@ def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
     return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
 
 
-def coarser(sizes: Mapping[str, int], kept: Mapping[str, int], most: int) -> dict[str, np.ndarray]:
-    """Return indices along the axes of a grid that leave at most about `most` cells, evenly; the ones `kept` stay."""
+def coarser(sizes: Mapping[str, int], places: Mapping[str, int], most: int) -> dict[str, np.ndarray]:
+    """Return indices along the axes of a grid that leave at most about `most` cells, evenly; those of `places` stay."""
     rows = {name: np.arange(size) for name, size in sizes.items()}
     while np.prod([len(index) for index in rows.values()]) > most:
         longest = max(rows, key=lambda name: len(rows[name]))
-        size = sizes[longest]
-        index = np.linspace(0, size - 1, max(1, int(0.95 * len(rows[longest])))).round().astype(int)
-        if longest in kept:  # the nearest gives way
-            index[np.argmin(abs(index - kept[longest]))] = kept[longest]
+        index = np.linspace(0, sizes[longest] - 1, max(1, int(0.95 * len(rows[longest])))).round().astype(int)
+        if longest in places:  # the nearest gives way
+            index[np.argmin(abs(index - places[longest]))] = places[longest]
         rows[longest] = np.unique(index)
     return rows
 
@@ -212,39 +204,27 @@ def colors() -> str:
 
 
 def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger: bool) -> dict[str, Any]:
-    """Return where the colours of a map begin and end.
-
-    As on the pictures, but what is far worse than the baseline shares one colour: better ones are to be told apart.
-    """
-    norm, _ = plots.color_scale(values, failed, base)
-    low, high, log = float(norm.vmin or 0.0), float(norm.vmax or 0.0), isinstance(norm, mpl.colors.LogNorm)
-    if base is not None and low < base < high and not log:
-        reach = max(2 * (high - base if larger else base - low), 0.5 * abs(base))
-        low, high = (max(low, base - reach), high) if larger else (low, min(high, base + reach))
-    return {"low": low, "high": high, "log": log}
-
-
-def _metric_texts(about: mc.MetricTable) -> dict[str, Any]:
+    """Return where the colours of a map begin and end, as on the pictures."""
+    norm, _ = plots.color_scale(values, failed, base, larger)
     return {
-        metric.name: {
-            "label": metric.long_name,
-            "unit": "" if metric.unit == "1" else metric.unit,
-            "larger_is_better": metric.larger_is_better,
-        }
-        for metric in about
+        "low": float(norm.vmin or 0.0),
+        "high": float(norm.vmax or 0.0),
+        "log": isinstance(norm, mpl.colors.LogNorm),
     }
 
 
+def _about(label: str, unit: str, *, larger: bool) -> dict[str, Any]:
+    return {"label": label, "unit": plain_unit(unit), "larger_is_better": larger}
+
+
 def _text(variable: xr.DataArray, name: str) -> dict[str, Any]:
-    unit = variable.attrs.get("units", "1")
     label = variable.attrs.get("long_name", name.replace("_", " "))
-    return {"label": label, "unit": "" if unit == "1" else unit,
-            "larger_is_better": dataset.larger_is_better(variable)}  # fmt: skip
+    return _about(label, variable.attrs.get("units", "1"), larger=dataset.larger_is_better(variable))
 
 
 def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:
-    return {"name": name, "label": variable.attrs.get("long_name", name), "unit": variable.attrs["units"].split(",")[0],
-            "values": _values(variable)}  # fmt: skip
+    label, unit = variable.attrs.get("long_name", name), variable.attrs["units"].split(",")[0]
+    return {"name": name, "label": label, "unit": unit, "values": _values(variable)}
 
 
 def _values(variable: xr.DataArray) -> list[Any]:

@@ -1,11 +1,13 @@
-"""The result of a search, the same for every method: the gains, how they were found, and what made them."""
+"""The result of every search: data, gains, the problem that was searched, and how all of it is written."""
 
 import dataclasses
+import functools
+import importlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import xarray as xr
@@ -13,80 +15,206 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.checks.time_step import short_enough
 from mjx_climb.files import dataset
-from mjx_climb.rollouts.given import AnyGains, has_gains_of_the_paper, with_gains
+from mjx_climb.rollouts.resolve import AnyGains, has_gains_of_the_paper, with_gains
 from mjx_climb.scenario.messages import ConfigError
+from tuning.background import Stage, silent
 from tuning.gains.gains_file import by_name
 from tuning.gains.law_file import check_reference, reference
-from tuning.problem import search as search_settings
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
-from tuning.problem.search import Search
+from tuning.problem.search import Judge, Search
 from tuning.problem.spaces import to_gains64
+
+if TYPE_CHECKING:
+    from tuning.report.page import Origin
+
+
+@dataclasses.dataclass(frozen=True)
+class Written:
+    """What a result was compared with, what its tests said, and what was written."""
+
+    files: str = ""  # their names
+    walks: Mapping[str, mc.Trajectory] = dataclasses.field(default_factory=dict)  # in double precision
+    # gains (None for a controller without) and metrics of these
+    compared: Mapping[str, tuple[Mapping[str, Any] | None, Mapping[str, Any]]] = dataclasses.field(default_factory=dict)
+    data: xr.Dataset | None = None  # the grid with its limit of stability, the map, or the walks of the fresh draw
+    summed: xr.Dataset | None = None  # mean and worst of that draw, see `tuning.searches.judge.summary`
+    outcome: list[str] = dataclasses.field(default_factory=list)  # in lines
+    summary: str = ""  # all of it, JSON
 
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What a search found.
+    """What was found, and for what; its kinds say what else is known of it."""
 
-    `history` holds every point that was judged, in order: dimensions `point` and `coordinate` (names of the space);
+    FILE: ClassVar[str]  # of the data; by it the folder of a result is known
+    KIND: ClassVar[str]  # the command; `tuning/output/KIND.py` writes it
+
+    data: xr.Dataset
+    problem: Problem
+    search: Search | None = None  # its settings, where gains were searched
+    ensemble: Ensemble | None = None  # as its user gave it, where there was one
+    gains: AnyGains | None = None  # those to use, where it says
+
+    @property
+    def scenario(self) -> mc.Scenario:
+        """The scenario."""
+        return self.problem.scenario
+
+    @property
+    def law(self) -> mc.Law | None:
+        """The law, where another than the scenario's walked; with the gains found, where there are such."""
+        law = self.problem.law
+        return law if law is None or self.gains is None else with_gains(law, self.gains)
+
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: "Origin | None" = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
+        compared: Any = None,
+    ) -> Written:
+        """Compare, test and draw the result, and write what its command writes.
+
+        Arguments:
+            folder: where to; it is made. What the search kept there with `out=folder` is removed.
+            origin: what the report says of where it comes from.
+            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; reports hold them as PNG anyway.
+            stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
+            compared: what `tuning.output.comparisons` gave, where it was begun before the search.
+
+        Raises:
+            ConfigError: over an ensemble, some gains diverge in each member.
+            OutputError: a file cannot be written, or the folder holds another command's result.
+        """
+        from tuning.output.folder import Folder
+
+        place = Folder(Path(folder), self.FILE, origin, {*figures}, stage)
+        written: Written = importlib.import_module(f"tuning.output.{self.KIND}").write(self, place, compared)
+        return dataclasses.replace(written, files=place.finished())
+
+    def write_found(self, folder: Path, origin: "Origin | None" = None) -> None:
+        """Write what was asked, gains and data, without walking anything."""
+        from tuning.output.folder import Folder
+
+        Folder(folder, self.FILE, origin).found(self)
+
+    def comment(self, name: str) -> str:
+        """Return what the file of its gains says of a result for the scenario `name`."""
+        return f"mjx-climb {self.KIND} {name}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Tuned(Result):
+    """The gains that a search found.
+
+    `data` holds every point that was evaluated, in order: dimensions `point` and `coordinate` (names of the space);
     variables `theta` (natural logarithm), `value`, `descent`, `penalty`, `feasible`, `gradient_norm`, `round`, `row`
     (place in its batch), `phase`, `env_steps` (spent so far) and the metrics.
     """
 
-    scenario: mc.Scenario
-    search: Search
-    gains: AnyGains  # the best found, in float64: `mc.Gains`, or by name where the law has others than the paper's
-    theta: np.ndarray  # (n,)
-    value: float  # 1 for pd
-    feasible: bool
-    metrics: dict[str, float]  # of the best, as the search saw it: nothing torn off
-    env_steps: int  # a forward-mode step with n tangents counts 1 + n
-    best_at: int  # env-steps spent when the best was found
-    interrupted: bool
-    history: xr.Dataset
-    judged_by: mc.MetricTable = mc.METRICS
-    law: mc.Law | None = None  # with the gains found, where another than the scenario's was searched
+    FILE = "search.nc"
+    KIND = "tune"
+
+    search: Search = dataclasses.field(default_factory=Search)
+    gains: AnyGains = dataclasses.field(default_factory=dict)  # the best found: `mc.Gains`, or by name for other laws
+
+    @functools.cached_property
+    def best(self) -> int:
+        """The index of the best point."""
+        return best_of({name: self.data[name].values for name in ("value", "penalty", "feasible")})
+
+    @property
+    def theta(self) -> np.ndarray:
+        """The best point (n,)."""
+        return np.asarray(self.data["theta"].values[self.best])
+
+    @property
+    def value(self) -> float:
+        """The objective of the best point, 1 for pd."""
+        return float(self.data["value"][self.best])
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the best point keeps every limit."""
+        return bool(self.data["feasible"][self.best])
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The metrics of the best point, as the search saw it: nothing torn off."""
+        return {name: float(self.data[name][self.best]) for name in self.problem.metrics.names if name in self.data}
+
+    @property
+    def env_steps(self) -> int:
+        """What the search cost; a forward-mode step with n tangents counts 1 + n."""
+        return int(self.data["env_steps"][-1])
+
+    @property
+    def best_at(self) -> int:
+        """Environment steps spent when the best was found."""
+        return int(self.data["env_steps"][self.best])
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user ended the search."""
+        return bool(self.data.attrs["interrupted"])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the whole result as netCDF and return its path."""
-        return dataset.save(self.history, path)
+        """Write the data as netCDF, from which `load` makes the result again, and return its path."""
+        return dataset.save(self.data, path)
+
+    def comment(self, name: str) -> str:
+        """Return the method, the space and the value."""
+        return f"mjx-climb tune {name}: {self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
 
 
-def from_history(problem: Problem, search: Search, arrays: Mapping[str, np.ndarray], *, interrupted: bool) -> Result:
-    """Return the result of the points judged so far.
+@dataclasses.dataclass(frozen=True)
+class Robust(Tuned):
+    """The gains that a search over an ensemble found."""
+
+    KIND = "robust"
+
+    ensemble: Ensemble = dataclasses.field(default_factory=Ensemble)
+    judges: int = Judge().members  # walks of each set of gains in the fresh draw that tests the result
+
+    def comment(self, name: str) -> str:
+        """Return the method, the space, how many members, and the value."""
+        how = f"{self.search.method}, {self.search.space}, {self.ensemble.members} members"
+        return f"mjx-climb tune {name} --ensemble: {how}, objective {self.value:.4f} (pd: 1)"
+
+
+def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarray], *, interrupted: bool) -> Tuned:
+    """Return the result of the points evaluated so far.
 
     The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
     A point whose joint gains are too much for the time step is neither, and has a penalty without end.
 
     Raises:
-        ValueError: nothing was judged.
+        ValueError: nothing was evaluated.
     """
     if not arrays or not len(arrays["value"]):
-        raise ValueError("expected a judged point, got none")
-    scenario, space, law, metrics = problem.scenario, problem.space, problem.law, problem.metrics
-    count = len(arrays["value"])
+        raise ValueError("expected a point that was evaluated, got none")
+    metrics, law = problem.metrics, problem.law
     arrays = _without_the_unsteady(problem, arrays)
-    best = best_of(arrays)
-    data: dict[str, Any] = {
-        "theta": (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})
-    }
+    data: dict[str, Any] = {}
     for name, values in arrays.items():
-        if name == "theta":
-            continue
         about = {"units": "1", "long_name": name.replace("_", " ")}
-        data[name] = (
-            "point",
-            values,
-            dataset.metric_attributes(metrics[name]) if name in metrics.names else about,
-        )
-    attrs: dict[str, Any] = {"title": "search for gains", **dataset.provenance(scenario), "search": search.to_yaml()}
-    attrs["interrupted"] = int(interrupted)
-    history = xr.Dataset(data, {"coordinate": list(space.names), "point": np.arange(count)}, attrs)
-    theta = np.asarray(arrays["theta"][best], float)
-    gains = to_gains64(space, theta)
-    history.attrs["gains"] = dataset.fields_as_json(by_name(gains))
+        data[name] = ("point", values, dataset.metric_attributes(metrics[name]) if name in metrics.names else about)
+    data["theta"] = (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})
+    gains = to_gains64(problem.space, np.asarray(arrays["theta"][best_of(arrays)], float))
+    attrs = {
+        "title": "search for gains", **dataset.provenance(problem.scenario), "search": search.to_yaml(),
+        "interrupted": int(interrupted), "gains": dataset.fields_as_json(by_name(gains)),
+    }  # fmt: skip
     if law is not None:
-        history.attrs["law"] = reference(law)
-    return _of(history, scenario, search, gains, best, law, metrics)
+        attrs["law"] = reference(law)
+    coordinates = {"coordinate": list(problem.space.names), "point": np.arange(len(arrays["value"]))}
+    made = xr.Dataset(data, coordinates, attrs)
+    if problem.ensemble is None:
+        return Tuned(made, problem, search, gains=gains)
+    return Robust(made, problem, search, problem.ensemble, gains)
 
 
 def _without_the_unsteady(problem: Problem, arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
@@ -95,76 +223,40 @@ def _without_the_unsteady(problem: Problem, arrays: Mapping[str, np.ndarray]) ->
     Joint gains shake at a long time step. A search may see little of it in one walk, but nobody can walk with them.
     """
     penalty, feasible = np.array(arrays["penalty"], float), np.array(arrays["feasible"])
-    judged = {**arrays, "penalty": penalty, "feasible": feasible}
-    while np.isfinite(penalty[best := best_of(judged)]):
+    changed = {**arrays, "penalty": penalty, "feasible": feasible}
+    while np.isfinite(penalty[best := best_of(changed)]):
         gains = by_name(to_gains64(problem.space, np.asarray(arrays["theta"][best], float)))
         joint = {f"control.{name}": float(gains[name]) for name in ("kp", "kd") if gains.get(name) is not None}
         if not joint or short_enough(problem.scenario.with_overrides(joint)):
             break
         penalty[best], feasible[best] = np.inf, False
-    return judged
+    return changed
 
 
 def best_of(arrays: Mapping[str, np.ndarray]) -> int:
     """Return the index of the best point."""
     value, penalty, feasible = (np.asarray(arrays[name]) for name in ("value", "penalty", "feasible"))
     ranked = np.where(feasible, value, np.inf) if feasible.any() else value + penalty
-    ranked = np.where(np.isfinite(ranked), ranked, np.inf)
-    return int(np.argmin(ranked))
+    return int(np.argmin(np.where(np.isfinite(ranked), ranked, np.inf)))
 
 
-def _of(
-    history: xr.Dataset,
-    scenario: mc.Scenario,
-    search: Search,
-    gains: AnyGains,
-    best: int,
-    law: mc.Law | None,
-    metrics: mc.MetricTable,
-) -> Result:
-    names = [name for name in metrics.names if name in history]
-    return Result(
-        scenario=scenario,
-        search=search,
-        gains=gains,
-        theta=history["theta"].values[best],
-        value=float(history["value"][best]),
-        feasible=bool(history["feasible"][best]),
-        metrics={name: float(history[name][best]) for name in names},
-        env_steps=int(history["env_steps"][-1]),
-        best_at=int(history["env_steps"][best]),
-        interrupted=bool(history.attrs["interrupted"]),
-        history=history,
-        judged_by=metrics,
-        law=None if law is None else with_gains(law, gains),
-    )
-
-
-def load(path: str | os.PathLike[str], law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS) -> Result:
-    """Read the result that `Result.save` wrote; its scenario, law, metrics and settings repeat the search.
+def load(path: str | os.PathLike[str], law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS) -> Tuned:
+    """Read the result that `Tuned.save` wrote; its scenario, law, metrics and settings repeat the search.
 
     Arguments:
         path: the file.
         law: the one whose gains were searched, where it was not the scenario's.
-        metrics: those that its walks were judged by.
+        metrics: those of its walks.
 
     Raises:
         ConfigError: no such file, or another one, or a search of another law.
     """
-    history = dataset.load(path)
-    if "search" not in history.attrs:
-        raise ConfigError(f"{os.fspath(path)}: expected the result of a search, got another dataset")
-    gains = {name: np.asarray(v) for name, v in json.loads(history.attrs["gains"]).items() if v is not None}
-    check_reference(law, history.attrs.get("law"), os.fspath(path))
-    of_the_paper = law is None or has_gains_of_the_paper(law)
-    arrays = {name: history[name].values for name in ("value", "penalty", "feasible")}
-    settings = search_settings.parse(history.attrs["search"], os.fspath(path))
-    return _of(
-        history,
-        dataset.scenario_of(history),
-        settings,
-        mc.Gains(**gains) if of_the_paper else gains,
-        best_of(arrays),
-        law,
-        mc.MetricTable(metrics),
-    )
+    data, source = dataset.load(path), os.fspath(path)
+    if "search" not in data.attrs or "interrupted" not in data.attrs:
+        raise ConfigError(f"{source}: expected the result of a search, got another dataset")
+    check_reference(law, data.attrs.get("law"), source)
+    gains: Any = {name: np.asarray(v) for name, v in json.loads(data.attrs["gains"]).items() if v is not None}
+    if law is None or has_gains_of_the_paper(law):
+        gains = mc.Gains(**gains)
+    problem = Problem(dataset.scenario_of(data), law=law, metrics=mc.MetricTable(metrics))
+    return Tuned(data, problem, Search.parse(data.attrs["search"], source), gains=gains)

@@ -2,7 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,32 +14,43 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import short_enough
 from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.rollouts.given import AnyGains
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT, default_bounds
-from tuning.searches import finished_parts, tune
-from tuning.searches.result import Result
+from tuning.searches import parts, tune
+from tuning.searches.result import Tuned
+from tuning.searches.rounds import Callback
 
 NAME = "retuned_pd"  # in tables and files
 _COARSE = (12, 9)  # values of kp and kd
 FINE = (24, 18)
-_JUDGED_BY = ("force_variation", "detached_limb", "diverged")
+_SEEN = ("force_variation", "detached_limb", "diverged")
 ROUNDS, POINTS = 2, 12  # of `least`: grids of so many values of kp and of kd, the next within a cell of the best
 HALVINGS = 2  # of the time step at most, for joint gains that it cannot follow
 ON_A_GRID = "on a grid alone"
+
+
+class Rival(NamedTuple):
+    """pd with kp and kd that were searched."""
+
+    joint: Mapping[str, float]
+    value: float  # of what was searched for
+    spread: float = 0.0  # see `spread`; of two searches that are compared the larger one
+    lacks: str = ""  # in what it was searched less than it might be, nothing where all its bounds were
+    feasible: bool = True  # it keeps all limits
+    step: float | None = None  # s, the time step of a comparison, where it is not the scenario's
 
 
 def search(
     problem: Problem,
     settings: Search,
     *,
-    out: Path | None = None,
-    progress: Callable[[tune.Progress], None] | None = None,
-) -> Result | None:
+    out: str | os.PathLike[str] | None = None,
+    progress: Callback | None = None,
+) -> Tuned | None:
     """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same.
 
     A method of the caller's own is replaced by the default one, in its own number of rounds. The time step is one that
@@ -47,7 +59,7 @@ def search(
     Arguments:
         problem: what was searched.
         settings: of its search.
-        out: a folder that keeps each finished round in a folder of its own, see `tuning.searches.tune.tune`.
+        out: a folder that keeps each finished round in a folder of its own, see `tuning.tune`.
         progress: called after each round.
 
     Returns:
@@ -58,13 +70,18 @@ def search(
     """
     if problem.law is None and problem.scenario.control.controller == "pd":
         return None
-    settings, scenario = _settings(settings), under_pd(problem.scenario)
+    changed: dict[str, Any] = {"space": "isotropic", "inertia": False, "also": (), "joint_gains": True, "pins": {}}
+    changed["bounds"] = {name: span for name, span in settings.bounds.items() if name in JOINT}
+    if settings.method == OWN_METHOD:
+        changed |= {"method": "gradient", "starts": None, "iterations": None}
+    settings, scenario = settings.model_copy(update=changed), under_pd(problem.scenario)
     space = spaces.space(scenario, settings)
     if JOINT.keys().isdisjoint(problem.space.gains):
-        step = time_step_for(problem.scenario, _highest(space))
-        scenario = scenario.with_overrides({"time_step": step})
+        scenario = scenario.with_overrides({"time_step": time_step_for(problem.scenario, _highest(space))})
     rival = dataclasses.replace(problem, scenario=scenario, space=space, law=None)
-    again = tune.run(rival, settings, out=None if out is None else _kept_in(out), progress=progress)
+    again = tune.run(
+        rival, settings, out=None if out is None else Path(out) / parts.FOLDER / NAME, progress=progress
+    )  # fmt: skip
     if again.interrupted:
         raise KeyboardInterrupt
     return again
@@ -75,13 +92,13 @@ def walked_on_grid(
     metrics: mc.MetricTable,
     counts: tuple[int, int] = _COARSE,
     *,
-    numbers: mc.Parameters | None = None,
+    parameters: mc.Parameters | None = None,
     dtype: DTypeLike = np.float32,
     engine: str = DEFAULT_ENGINE,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Walk pd with kp and kd on a grid within the bounds of a search, and with the scenario's own.
+    """Simulate pd with kp and kd on a grid within the bounds of a search, and with the scenario's own.
 
-    `numbers` (P) are walked in place of the scenario's, all of them with each.
+    `parameters` (P) walk in place of the scenario's, all of them with each.
 
     Returns:
         kp and kd, (N,) each, and the metrics of their walks, (N) or (N, P).
@@ -90,19 +107,19 @@ def walked_on_grid(
     bounds, own = default_bounds(pd, PD()), {"kp": pd.control.kp, "kd": pd.control.kd}
     axes = [np.append(np.geomspace(*bounds[name], count), own[name]) for name, count in zip(own, counts, strict=True)]
     gains = dict(zip(own, (values.ravel() for values in np.meshgrid(*axes)), strict=True))
-    each = gains if numbers is None else {name: values[:, None] for name, values in gains.items()}
-    walks = mc.rollout_metrics(pd, each, numbers, metrics=metrics, dtype=dtype, engine=engine)
+    each = gains if parameters is None else {name: values[:, None] for name, values in gains.items()}
+    walks = mc.rollout_metrics(pd, each, parameters, metrics=metrics, dtype=dtype, engine=engine)
     return gains, {name: np.asarray(value) for name, value in walks.items()}
 
 
-def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFAULT_ENGINE) -> "Rival | None":
+def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFAULT_ENGINE) -> Rival | None:
     """Search kp and kd with which pd has the least force variation and holds, None where it never does.
 
     Over all of the bounds first, then closer and closer about the best: what a sweep, which looks for the same among
     the gains of a law, is compared with. The time step is halved so many times at most for kp and kd that it cannot
     follow; those that it then cannot are left out, which `Rival.lacks` says.
     """
-    pd, table = under_pd(scenario), mc.MetricTable(mc.METRICS[name] for name in _JUDGED_BY)
+    pd, table = under_pd(scenario), mc.MetricTable(mc.METRICS[name] for name in _SEEN)
     bounds = default_bounds(pd, PD())
     highest = {name: high for name, (_, high) in bounds.items()}
     pd = pd.with_overrides({"time_step": time_step_for(scenario, highest, halvings)})
@@ -116,23 +133,14 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
         walks = mc.rollout_metrics(pd, joint, metrics=table, engine=engine)
         holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
         values = np.where(holds, walks["force_variation"], np.inf)
-        while np.isfinite(values[place := values.argmin()]) and not _follows(pd, _row(joint, place)):
+        while np.isfinite(values[place := values.argmin()]) and not _follows(pd, _at(joint, place)):
             values[place] = np.inf
         best = points[place]
         every.append(values)
         centre, half = best, half * 2 / (POINTS - 1)
     if not np.isfinite(values[place]):
         return None
-    return Rival(_row(joint, place), float(values[place]), spread(np.concatenate(every)), _lacks(pd, highest))
-
-
-class Rival(NamedTuple):
-    """pd with kp and kd that were searched."""
-
-    joint: dict[str, float]
-    value: float  # N, the force variation
-    spread: float  # see `spread`
-    lacks: str  # in what it was searched less than it might be, nothing where all its bounds were
+    return Rival(_at(joint, place), float(values[place]), spread(np.concatenate(every)), _lacks(pd, highest))
 
 
 def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: int = HALVINGS) -> float:
@@ -160,15 +168,10 @@ def walker(scenario: mc.Scenario, joint: Mapping[str, float]) -> mc.Scenario:
     return under_pd(scenario).with_overrides({**gains, "time_step": time_step_for(scenario, joint)})
 
 
-def joint_of(found: Result) -> dict[str, float]:
+def joint_of(found: Tuned) -> dict[str, float]:
     """Return kp and kd alone: pd has no other gains."""
     gains = by_name(found.gains)
     return {name: float(gains[name]) for name in JOINT}
-
-
-def lacks(found: Result) -> str:
-    """Return in what `search` looked at less than its bounds, nothing where it looked at all of them."""
-    return _lacks(found.scenario, _highest(spaces.space(found.scenario, found.search)))
 
 
 def spread(values: np.ndarray) -> float:
@@ -180,12 +183,16 @@ def spread(values: np.ndarray) -> float:
     return float(np.ptp(two) / abs(two[0])) if two.size == 2 and two[0] else 0.0
 
 
-def spread_of(found: Result) -> float:
-    """Return the spread of what a search walked side by side: starts of a descent, a population, points of a grid."""
-    rows = found.history["row"].values
-    best = np.full(rows.max() + 1, np.inf)
-    np.fmin.at(best, rows, np.where(found.history["feasible"], found.history["value"], np.inf))
-    return spread(best)
+def rival_of(found: Tuned, retuned: Tuned, step: float | None = None) -> Rival:
+    """Return what `search` found, to be compared with what it was searched for, at a time step of both."""
+    highest = _highest(spaces.space(retuned.scenario, retuned.search))
+    lacks, spreads = _lacks(retuned.scenario, highest), []
+    for each in (found, retuned):  # side by side: starts of a descent, a population, points of a grid
+        rows = each.data["row"].values
+        best = np.full(rows.max() + 1, np.inf)
+        np.fmin.at(best, rows, np.where(each.data["feasible"], each.data["value"], np.inf))
+        spreads.append(spread(best))
+    return Rival(joint_of(retuned), retuned.value, max(spreads), lacks, retuned.feasible, step)
 
 
 def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
@@ -200,23 +207,8 @@ def _highest(space: spaces.Space) -> dict[str, float]:
     return dict(zip(space.names, np.exp(space.upper), strict=True))
 
 
-def _row(joint: Mapping[str, np.ndarray], place: int | np.integer) -> dict[str, float]:
+def _at(joint: Mapping[str, np.ndarray], place: int | np.integer) -> dict[str, float]:
     return {name: float(values[place]) for name, values in joint.items()}
-
-
-def _kept_in(out: Path) -> Path:
-    return Path(out) / finished_parts.FOLDER / NAME
-
-
-def _settings(search: Search) -> Search:
-    """Return the settings with the joint loop alone to move."""
-    changed: dict[str, Any] = {
-        "space": "isotropic", "inertia": False, "also": (), "joint_gains": True, "pins": {},
-        "bounds": {name: span for name, span in search.bounds.items() if name in JOINT},
-    }  # fmt: skip
-    if search.method == OWN_METHOD:
-        changed |= {"method": "gradient", "starts": None, "iterations": None}
-    return search.model_copy(update=changed)
 
 
 class Worth(NamedTuple):
@@ -225,18 +217,19 @@ class Worth(NamedTuple):
     changes: dict[str, float]  # relative, of what the gains were found for: -0.1 is a tenth less
     in_words: str
 
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {"force_sensor": self.changes | {"in_words": self.in_words}}
+
 
 def worth(
     values: Mapping[str, float],
     without: Mapping[str, float],
-    gains: AnyGains,
+    rival: Rival,
     *,
-    feasible: bool = True,
     larger: bool = False,
-    spread: float = 0.0,
-    lacks: str = "",
     place: str = "",
-    step: float | None = None,
     others: tuple[Sequence[str], Sequence[str]] = ((), ()),
 ) -> Worth:
     """Return what a force sensor is worth.
@@ -246,35 +239,31 @@ def worth(
     Arguments:
         values: first what the gains were found for, then what else is to be said of them.
         without: the same of pd retuned.
-        gains: kp and kd of that.
-        feasible: whether it keeps all limits.
+        rival: pd retuned.
         larger: whether more of the first value is better, not less.
-        spread: of both searches, the larger one; see the function.
-        lacks: in what pd was searched less than the gains.
         place: where the gains were searched, if that is not all there is.
-        step: the time step of both walks, where it is not the scenario's.
         others: what else is worse, and what is better, in words.
     """
-    joint = by_name(gains)
-    rival = f"pd with kp {float(joint['kp']):.4g}, kd {float(joint['kd']):.4g}, which needs none"
-    rival += "" if feasible else " (and breaks a limit)"
+    than = f"pd with kp {rival.joint['kp']:.4g}, kd {rival.joint['kd']:.4g}, which needs none"
+    than += "" if rival.feasible else " (and breaks a limit)"
     changes = {name: values[name] / without[name] - 1 for name in values}
     if not all(map(math.isfinite, changes.values())):
-        return Worth(changes, f"the force sensor: not to be compared with {rival}: a walk failed")
+        return Worth(changes, f"the force sensor: not to be compared with {than}: a walk failed")
     first = next(iter(changes.values()))
-    if abs(first) <= spread:
-        verdict = f"the force sensor changes nothing{place} beyond the search's own spread of {100 * spread:.1f} %"
+    if abs(first) <= rival.spread:
+        beyond = f"beyond the search's own spread of {100 * rival.spread:.1f} %"
+        verdict = f"the force sensor changes nothing{place} {beyond}"
     elif not (first > 0 if larger else first < 0):
         verdict = f"the force sensor does not pay{place}"
-    elif lacks:
-        verdict = f"no verdict on the force sensor, since pd was searched {lacks}"
+    elif rival.lacks:
+        verdict = f"no verdict on the force sensor, since pd was searched {rival.lacks}"
     else:
         verdict = "the force sensor pays"
-    parts = [
+    said = [
         f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'} {name.replace('_', ' ')}"
         for name, change in changes.items()
     ]
-    text = f"{verdict}: {' and '.join(parts)} than {rival}"
-    text += "" if step is None else f", both at a time step of {step:g} s"
+    text = f"{verdict}: {' and '.join(said)} than {than}"
+    text += "" if rival.step is None else f", both at a time step of {rival.step:g} s"
     named = zip(("worse", "better"), others, strict=True)
     return Worth(changes, "; ".join([text, *(f"{which}: {', '.join(each)}" for which, each in named if each)]))

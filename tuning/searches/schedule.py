@@ -1,15 +1,15 @@
-"""A gain schedule: which gains to load under which gravity and with which cargo.
+"""A gain schedule: which gains to load under which gravity and with which cargo: `tuning.schedule`.
 
 All operating points are tuned side by side in one batch, each under its own gravity and cargo and against its own pd.
 Then every point tries the gains of all others, takes them where they are better, and goes on from there.
 """
 
 import dataclasses
-import io
 import math
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,93 +20,106 @@ import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.files import dataset
-from mjx_climb.quantities.parameters import own_numbers
-from mjx_climb.rollouts.given import AnyGains
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.rollouts.resolve import AnyGains
 from tuning.gains.gains_file import by_name
 from tuning.gains.labels import axes_of, labelled
 from tuning.problem import objectives, spaces
 from tuning.problem import search as search_settings
 from tuning.problem.evaluation import Evaluation, Problem, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
-from tuning.problem.search import Search
+from tuning.problem.search import Schedule, Search
 from tuning.problem.spaces import to_gains64
 from tuning.searches import retuned_pd, tune
-from tuning.searches.judged_rounds import Rounds, Told
-from tuning.searches.methods import Task, gradient
+from tuning.searches.methods import Request, Task, gradient
+from tuning.searches.methods.staged import Leg
+from tuning.searches.parts import Parts
+from tuning.searches.result import Result
 from tuning.searches.robust import pd_of
+from tuning.searches.rounds import Callback, Rounds, follow
 
 G = -EARTH[2]  # m/s^2
-GRAVITIES = (1e-6, 1e-2, 1 / 6, 0.38, 1.0)  # G: orbit, a small body, Moon, Mars, Earth
-CARGO = (0.0, 0.5, 1.0)  # kg
 CANDIDATES = 24  # random points per operating point
 ITERATIONS = (10, 8)  # of the two descents
+SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")  # in tables
 _VARIED = ("gravity", "cargo_mass")
 _Row = TypeVar("_Row", Term, Limit)
 
 
-class OperatingPoints(NamedTuple):
-    """What is tuned side by side, P pairs of gravity and cargo, the cargo running fastest."""
+@dataclasses.dataclass(frozen=True)
+class Scheduled(Result):
+    """Gains for pairs of gravity and cargo.
 
-    problem: Problem  # of all of them, a row each
-    search: Search
-    goals: list[Objective]  # (P,) each relative to pd there
-    numbers: mc.Parameters  # gravity (P, 3), cargo (P,)
-    gravity: tuple[float, ...]  # G
-    cargo: tuple[float, ...]  # kg
+    `data` holds over `gravity` and `cargo` the gains, `value` (1 for pd at that point), `feasible`; with `walk` (tuned,
+    config, retuned_pd, pd) every metric, in float64 with grippers that tear off; `retuned_kp`, `retuned_kd` and
+    `retuned_value` of pd with the best of a grid of joint gains at each point; with `gravity_of` and `cargo_of` the
+    `value` (`transfer`) that the gains of another operating point have here, NaN where they break a constraint.
+    """
 
-    def at(self, places: np.ndarray) -> Problem:
-        """Return the problem whose rows are at some of the points."""
-        rows = {n: v[places] if n in _VARIED else v for n, v in vars(self.numbers).items()}
-        objective = _rows([self.goals[place] for place in places])
-        return dataclasses.replace(self.problem, numbers=mc.Parameters(**rows), objective=objective)
+    FILE = "schedule.nc"
+    KIND = "schedule"
+
+    def lookup(self, gravity: float, cargo: float) -> AnyGains:
+        """Return the gains for a gravity in G and a cargo in kg, between the operating points too."""
+        return lookup(self.data, gravity, cargo)
 
 
 def schedule(
     scenario: mc.Scenario,
-    settings: Search | None = None,
+    search: Search | None = None,
     *,
-    gravity: Sequence[float] = GRAVITIES,
-    cargo: Sequence[float] = CARGO,
+    gravity: Sequence[float] | None = None,
+    cargo: Sequence[float] | None = None,
     law: mc.Law | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
-    out: Path | None = None,
-    progress: Told | None = None,
-    **changes: Any,
-) -> xr.Dataset:
+    out: str | os.PathLike[str] | None = None,
+    progress: Callback | None = None,
+    **settings: Any,
+) -> Scheduled:
     """Tune gains for every pair of gravity and cargo.
+
+    `schedule(scenario, out="results/mine").write("results/mine")` is `mjx-climb schedule`.
 
     Arguments:
         scenario: what walks where; its gravity gives the direction alone, its cargo the window of time alone.
-        settings: space, bounds, weights, limits and seed (the method is not used); `changes` replace keys of it.
-        gravity: G, ascending.
+        search: space, bounds, weights, limits and seed (the method is not used); `settings` replace keys of it.
+        gravity: G, ascending; the default of this and the next as of `tuning.problem.search.Schedule`.
         cargo: kg, ascending.
-        law: whose gains are tuned, the scenario's where None.
-        metrics: what the walks are judged by, as `mjx_climb.METRICS + (mine,)`.
-        engine: the dynamics.
-        out: a folder that keeps finished rounds, so that an interrupted search goes on.
-        progress: called after each round.
-
-    Returns:
-        Over `gravity` and `cargo` the gains, `value` (1 for pd at that point), `feasible`; with `walk` (tuned,
-        config, retuned_pd, pd) every metric, in float64 with grippers that tear off; `retuned_kp`, `retuned_kd` and
-        `retuned_value` of pd with the best of a grid of joint gains at each point; with `gravity_of` and `cargo_of` the
-        `value` (`transfer`) that the gains of another operating point have here, NaN where they break a constraint.
+        law, metrics, engine, out, progress: as of `tuning.tune`.
 
     Raises:
         ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
+        OutputError: `out` cannot be written, or holds an unfinished search for something else.
     """
-    settings = tune.changed(settings, changes)
-    points = operating_points(scenario, settings, gravity, cargo, law=law, metrics=metrics, engine=engine)
+    given = {"gravity": gravity, "cargo": cargo}
+    asked = Schedule().changed({name: tuple(values) for name, values in given.items() if values is not None})
+    settled = (search or Search()).changed(settings)
+    points = operating_points(scenario, settled, asked, law=law, metrics=metrics, engine=engine)
     return run(points, out=out, progress=progress)
+
+
+@dataclasses.dataclass(frozen=True)
+class OperatingPoints:
+    """What is tuned side by side, P pairs of gravity and cargo, the cargo running fastest."""
+
+    problem: Problem  # of all of them, a row each: gravity (P, 3), cargo (P,)
+    search: Search
+    asked: Schedule
+    goals: list[Objective]  # (P,) each relative to pd there
+
+    def at(self, places: np.ndarray) -> Problem:
+        """Return the problem whose rows are at some of the points."""
+        values = vars(self.problem.parameters).items()
+        rows = {name: value[places] if name in _VARIED else value for name, value in values}
+        objective = _rows([self.goals[place] for place in places])
+        return dataclasses.replace(self.problem, parameters=mc.Parameters(**rows), objective=objective)
 
 
 def operating_points(
     scenario: mc.Scenario,
-    settings: Search,
-    gravity: Sequence[float] = GRAVITIES,
-    cargo: Sequence[float] = CARGO,
+    search: Search,
+    asked: Schedule,
     *,
     law: mc.Law | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
@@ -117,60 +130,57 @@ def operating_points(
     Raises:
         ConfigError: see `schedule`.
     """
-    for name, values, least in (("gravity", gravity, 0.0), ("cargo", cargo, -1e-12)):
-        if not len(values) or not np.isfinite(values).all() or min(values) <= least or (np.diff(values) <= 0).any():
-            raise ConfigError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
     table = tune.complete(metrics)
-    search_settings.check_metrics(settings, table)
-    numbers = _numbers(scenario, gravity, cargo)
-    baseline = pd_of(scenario, numbers, engine=engine, metrics=table)
-    count = len(gravity) * len(cargo)
-    goals = [
-        objective_at(scenario, settings, {n: float(v[p]) for n, v in baseline.items()}, table) for p in range(count)
-    ]
-    space, dtype = spaces.space(scenario, settings, law), np.dtype(settings.precision).type
-    problem = Problem(scenario, space, _rows(goals), dtype=dtype, engine=engine, metrics=table, law=law)
-    return OperatingPoints(problem, settings, goals, numbers, tuple(gravity), tuple(cargo))
+    search_settings.check_metrics(search, table)
+    down = np.asarray(scenario.gravity, float)
+    length = np.linalg.norm(down)
+    down = down / length if length > 0 else np.array([0.0, 0.0, -1.0])
+    level, load = (values.ravel() for values in np.meshgrid(asked.gravity, asked.cargo, indexing="ij"))
+    parameters = dataclasses.replace(own_parameters(scenario), gravity=G * level[:, None] * down, cargo_mass=load)
+    pd = pd_of(scenario, parameters, engine=engine, metrics=table)
+    goals = [objective_at(scenario, search, {n: float(v[p]) for n, v in pd.items()}, table) for p in range(load.size)]
+    space, dtype = spaces.space(scenario, search, law), np.dtype(search.precision).type
+    problem = Problem(scenario, space, _rows(goals), parameters, 1, dtype, engine, table, law)
+    return OperatingPoints(problem, search, asked, goals)
 
 
-def run(asked: OperatingPoints, *, out: Path | None = None, progress: Told | None = None) -> xr.Dataset:
-    """Tune the gains of all operating points; arguments and result as of `schedule`."""
-    problem, settings, points = asked.problem, asked.search, len(asked.goals)
-    space, rng = problem.space, np.random.default_rng(settings.seed)
-    own = tune.start_of(problem)
-    identity = {
-        **tune.search_identity(problem, settings), "operating_points": [list(asked.gravity), list(asked.cargo)],
-    }  # fmt: skip
-    rounds = Rounds(1 + sum(ITERATIONS) + 2, progress, out, identity)
+def run(
+    points: OperatingPoints, *, out: str | os.PathLike[str] | None = None, progress: Callback | None = None
+) -> Scheduled:
+    """Tune the gains of all operating points; arguments, result and errors as of `schedule`."""
+    problem, search, count = points.problem, points.search, len(points.goals)
+    space, rng, own = problem.space, np.random.default_rng(search.seed), tune.start_of(problem)
+    asked = [list(points.asked.gravity), list(points.asked.cargo)]
+    plain = dataclasses.replace(problem, parameters=None)  # the operating points say which they are
+    parts = Parts(
+        None if out is None else Path(out), lambda: tune.search_identity(plain, search, operating_points=asked)
+    )
+    rounds = Rounds(1 + sum(ITERATIONS) + 2, parts, progress)
+    best, merit = np.tile(own, (count, 1)), np.full(count, np.inf)
 
-    best, merit = np.tile(own, (points, 1)), np.full(points, np.inf)
-
-    def take(theta: np.ndarray, found: Evaluation, places: np.ndarray) -> None:
-        """Keep the best point of every operating point."""
+    def evaluate(request: Request, places: np.ndarray) -> Evaluation:
+        """Evaluate points at some operating points, and keep the best of each."""
+        found = rounds.evaluate(points.at(places), request)
         ranks = np.where(found.feasible, found.value, 1e3 + found.merit)
         for row, place in enumerate(places):
             if ranks[row] < merit[place]:
-                best[place], merit[place] = theta[row], ranks[row]
+                best[place], merit[place] = request.theta[row], ranks[row]
+        return found
 
-    drawn = np.concatenate([own[None], space.draw_tied(rng, CANDIDATES - 1)])
-    places = np.repeat(np.arange(points), CANDIDATES)
-    theta = np.tile(drawn, (points, 1))
-    take(theta, rounds.evaluate(asked.at(places), theta, "random points"), places)
-
-    here = np.arange(points)
-    pairs = np.repeat(here, points), np.tile(here, points)  # operating point, whose gains
-    for number, iterations in enumerate(ITERATIONS):
-        ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
-        walks, phase = asked.at(here), f"descent {number + 1} of {len(ITERATIONS)}"
-        task = Task(walks, settings, own)
-        moves = gradient.descend(task, best.copy(), ties, iterations, rng, phase, np.full(points, 0.5 * 0.6**number))
-        for step in rounds.descend(walks, moves):
-            take(step.theta, step.found, here)
-        theta = best[pairs[1]]
-        crossed = rounds.evaluate(asked.at(pairs[0]), theta, "gains of the neighbours")
-        take(theta, crossed, pairs[0])
-    transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(points, points)
-    return _dataset(asked, best, merit, transfer, rounds.env_steps)
+    here = np.arange(count)
+    pairs = np.repeat(here, count), np.tile(here, count)  # operating point, whose gains
+    with parts:
+        drawn = np.concatenate([own[None], space.draw_tied(rng, CANDIDATES - 1)])
+        evaluate(Request(np.tile(drawn, (count, 1)), None, "random points"), np.repeat(here, CANDIDATES))
+        for number, iterations in enumerate(ITERATIONS):
+            ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
+            phase, scales = f"descent {number + 1} of {len(ITERATIONS)}", np.full(count, 0.5 * 0.6**number)
+            task = Task(points.at(here), search, own)
+            moves = gradient.descend(task, Leg(best.copy(), ties, iterations, phase, scales), rng)
+            follow(moves, lambda request: evaluate(request, here))
+            crossed = evaluate(Request(best[pairs[1]], None, "gains of the neighbours"), pairs[0])
+    transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(count, count)
+    return Scheduled(_dataset(points, best, merit, transfer).assign_attrs(env_steps=rounds.env_steps), problem, search)
 
 
 def objective_at(
@@ -205,24 +215,12 @@ def _rows(rows: Sequence[Objective]) -> Objective:
     return Objective(terms, limits)
 
 
-def _numbers(scenario: mc.Scenario, gravity: Sequence[float], cargo: Sequence[float]) -> mc.Parameters:
-    """Return the numbers of all operating points, gravity (P, 3) and cargo (P,), the cargo running fastest."""
-    down = np.asarray(scenario.gravity, float)
-    length = np.linalg.norm(down)
-    down = down / length if length > 0 else np.array([0.0, 0.0, -1.0])
-    level, load = np.meshgrid(gravity, cargo, indexing="ij")
-    gravities = G * level.reshape(-1, 1) * down
-    return dataclasses.replace(own_numbers(scenario), gravity=gravities, cargo_mass=load.ravel())
-
-
-def _dataset(
-    asked: OperatingPoints, theta: np.ndarray, merit: np.ndarray, transfer: np.ndarray, spent: int
-) -> xr.Dataset:
-    problem = asked.problem
+def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, transfer: np.ndarray) -> xr.Dataset:
+    problem, asked = points.problem, points.asked
     scenario, space, table, law = problem.scenario, problem.space, problem.metrics, problem.law
     shape = (len(asked.gravity), len(asked.cargo))
     gains = to_gains64(space, theta)
-    pd, (joint, without) = under_pd(scenario), _retuned(asked)
+    pd, (joint, without) = under_pd(scenario), _retuned(problem)
     own = {name: np.full(len(theta), float(getattr(scenario.control, name))) for name in joint}  # pd's one program
     walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
     walkers = {
@@ -230,7 +228,7 @@ def _dataset(
         retuned_pd.NAME: (pd, joint, None), "pd": (pd, own, None),
     }  # fmt: skip
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
-    metrics = [mc.rollout_metrics(s, g, asked.numbers, law=own, **how) for s, g, own in walkers.values()]
+    metrics = [mc.rollout_metrics(s, g, problem.parameters, law=own, **how) for s, g, own in walkers.values()]
     values = {name: value.reshape(*shape, *value.shape[1:]) for name, value in by_name(gains).items()}
     tuned = labelled(values, ("gravity", "cargo"), law)
     data: dict[str, Any] = dict(tuned)
@@ -252,16 +250,15 @@ def _dataset(
         "cargo_of": np.asarray(asked.cargo, float),
         "walk": list(walkers),
     }
-    attrs = {"title": "gain schedule", "search": asked.search.to_yaml(), "env_steps": spent}
+    attrs = {"title": "gain schedule", "search": points.search.to_yaml()}
     attrs |= {"space": " ".join(space.names), "gains": " ".join(tuned), "searched": " ".join(space.gains)}
     return xr.Dataset(data, coordinates | axes_of(tuned), {**attrs, **dataset.provenance(scenario)})
 
 
-def _retuned(asked: OperatingPoints) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def _retuned(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return kp and kd, (P,) each, with which pd is best at each point, of a grid, and what it is worth, 1 for pd."""
-    problem = asked.problem
     how: dict[str, Any] = {"dtype": problem.dtype, "engine": problem.engine}
-    gains, walks = retuned_pd.walked_on_grid(problem.scenario, problem.metrics, numbers=asked.numbers, **how)
+    gains, walks = retuned_pd.walked_on_grid(problem.scenario, problem.metrics, parameters=problem.parameters, **how)
     score = problem.objective.score({name: jnp.asarray(values) for name, values in walks.items()})
     value, feasible = np.asarray(score.value), np.asarray(score.feasible)
     ranks = np.where(feasible, value, 1e3 + value + np.asarray(score.penalty))
@@ -285,11 +282,6 @@ def worth(table: xr.Dataset) -> str:
     )
 
 
-def gain_names(table: xr.Dataset) -> list[str]:
-    """Return the names of the gains that a schedule holds."""
-    return list(table.attrs["gains"].split())
-
-
 def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:
     """Return the gains between the operating points: logarithms, linear in log gravity and in cargo, held at the ends.
 
@@ -307,7 +299,7 @@ def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:
         found = np.exp([np.interp(math.log(gravity), levels, column) for column in np.transpose(at_cargo)])
         return found if values.ndim > 2 else found[0]
 
-    return spaces.as_gains({name: between(name) for name in gain_names(table)})
+    return spaces.as_gains({name: between(name) for name in table.attrs["gains"].split()})
 
 
 def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
@@ -322,46 +314,41 @@ def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
     return float(table["gravity"][g]), float(table["cargo"][c]), float(worst[g, c])
 
 
+def _points(table: xr.Dataset) -> Iterator[xr.Dataset]:
+    for g in range(table.sizes["gravity"]):
+        for c in range(table.sizes["cargo"]):
+            yield table.isel(gravity=g, cargo=c)
+
+
 def rows(table: xr.Dataset) -> list[dict[str, Any]]:
     """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd."""
     result = []
-    for g in range(table.sizes["gravity"]):
-        for c in range(table.sizes["cargo"]):
-            point = table.isel(gravity=g, cargo=c)
-            row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
-            for name in gain_names(table):
-                values = np.unique(np.round(point[name].values.ravel(), 12))
-                row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
-            row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
-            for name in ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation"):
-                row[name] = {walk: float(point[name].sel(walk=walk)) for walk in table["walk"].values.tolist()}
-            row[retuned_pd.NAME] = {name: float(point[f"retuned_{name}"]) for name in ("kp", "kd", "value")}
-            result.append(row)
+    for point in _points(table):
+        row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
+        for name in table.attrs["gains"].split():
+            values = np.unique(np.round(point[name].values.ravel(), 12))
+            row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
+        row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
+        for name in SHOWN:
+            row[name] = {walk: float(point[name].sel(walk=walk)) for walk in table["walk"].values.tolist()}
+        row[retuned_pd.NAME] = {name: float(point[f"retuned_{name}"]) for name in ("kp", "kd", "value")}
+        result.append(row)
     return result
 
 
 def to_csv(table: xr.Dataset) -> str:
     """Return the schedule as CSV: one line per operating point, a column per axis of each gain."""
-    text = io.StringIO()
-    gains = {name: [f"{name}_{axis}" for axis in _axes(table[name])] or [name] for name in gain_names(table)}
-    metrics = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")
-    walks = table["walk"].values.tolist()
-    columns = [column for names in gains.values() for column in names]
-    head = ["gravity_G", "cargo_kg", *columns, "feasible", *(f"{name}_{walk}" for name in metrics for walk in walks)]
-    text.write(",".join(head) + "\n")
-    for g, level in enumerate(table["gravity"].values):
-        for c, load in enumerate(table["cargo"].values):
-            point = table.isel(gravity=g, cargo=c)
-            values = [level, load, *np.concatenate([point[name].values.ravel() for name in gains])]
-            tail = [point[name].sel(walk=walk).item() for name in metrics for walk in walks]
-            cells = [f"{v:.6g}" for v in values] + [str(int(point["feasible"]))] + [f"{v:.6g}" for v in tail]
-            text.write(",".join(cells) + "\n")
-    return text.getvalue()
-
-
-def _axes(gain: xr.DataArray) -> list[str]:
-    """Return the names of a gain's axes, none for one of a single number."""
-    return [] if gain.ndim == 2 else [str(axis) for axis in gain[gain.dims[-1]].values]
+    lines = []
+    for point in _points(table):
+        cells = {"gravity_G": point["gravity"], "cargo_kg": point["cargo"]}
+        for name in table.attrs["gains"].split():
+            axes = [str(axis) for dim in point[name].dims for axis in point[dim].values]
+            each = {f"{name}_{axis}": point[name][number] for number, axis in enumerate(axes)}
+            cells |= each or {name: point[name]}
+        cells["feasible"] = point["feasible"]
+        cells |= {f"{name}_{walk}": point[name].sel(walk=walk) for name in SHOWN for walk in table["walk"].values}
+        lines.append(",".join(f"{float(value):.6g}" for value in cells.values()))
+    return "\n".join([",".join(cells), *lines]) + "\n"
 
 
 def to_yaml(table: xr.Dataset) -> str:

@@ -7,23 +7,23 @@ together. On a CPU each row has the bits that it has in one process.
 import dataclasses
 import fnmatch
 import json
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mjx_climb.compilation import devices
+from mjx_climb import execution
 from mjx_climb.files.dataset import OutputError, write_text_atomically
 from mjx_climb.scenario.messages import ConfigError
-from tuning.searches import finished_parts
-from tuning.searches.finished_parts import Parts
+from tuning.searches import parts as finished_parts
+from tuning.searches.parts import Parts
 
 FILE = "shard.json"
 SHARD = "{shard}"  # in the command that walks a shard
-Told = Callable[[int, int], None]  # rows done, rows in all
+Counted = Callable[[int, int], None]  # rows done, rows in all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +32,15 @@ class Shard:
 
     number: int  # from 1
     count: int
+
+    def __post_init__(self) -> None:
+        """Refuse a number that is none from 1 to the count.
+
+        Raises:
+            ConfigError: it is none.
+        """
+        if not 1 <= self.number <= self.count:
+            raise ConfigError(f"shard: expected a number from 1 to how many there are, got {self}")
 
     def __str__(self) -> str:
         return f"{self.number}/{self.count}"
@@ -45,17 +54,6 @@ class Shard:
         return out / f"shard-{self.number:0{len(str(self.count))}d}-of-{self.count}"
 
 
-def made(number: int, count: int) -> Shard:
-    """Return a shard.
-
-    Raises:
-        ConfigError: no number from 1 to the count.
-    """
-    if not 1 <= number <= count:
-        raise ConfigError(f"shard: expected a number from 1 to how many there are, got {number}/{count}")
-    return Shard(number, count)
-
-
 class Work(Protocol):
     """Walks that are told apart by their row alone."""
 
@@ -67,10 +65,6 @@ class Work(Protocol):
     def size(self) -> int:
         """How many walk at a time."""
 
-    @property
-    def in_pieces(self) -> bool:
-        """Whether steps are compiled in pieces, as `mjx_climb.compilation.devices` asks."""
-
     def identity(self) -> dict[str, Any]:
         """Return all that determines the numbers of a row, bit by bit, as plain JSON values; `kind` among them."""
 
@@ -80,6 +74,9 @@ class Work(Protocol):
     def name(self, row: int) -> str:
         """Return what a row is, in words."""
 
+    def write_asked(self, folder: Path) -> None:
+        """Write what a merge needs beside the identity to make the same work again."""
+
 
 class Kept(NamedTuple):
     """A shard in its folder."""
@@ -87,12 +84,7 @@ class Kept(NamedTuple):
     folder: Path
     shard: Shard
     identity: Mapping[str, Any]
-    about: Mapping[str, Any]  # what else was told of it
-
-
-def even(rows: int, size: int) -> int:
-    """Return the size, `size` at most, of equal parts of so many rows."""
-    return math.ceil(rows / math.ceil(rows / size))
+    about: Mapping[str, Any]  # what else is said of it
 
 
 def parts_of(work: Work, rows: range) -> list[range]:
@@ -102,28 +94,76 @@ def parts_of(work: Work, rows: range) -> list[range]:
     return [part for part in cut if part]
 
 
-def walk(work: Work, kept: Parts | None, progress: Told | None, shard: Shard | None = None) -> dict[str, np.ndarray]:
-    """Return the arrays of all rows, or of those of a shard; `kept` parts are not walked again.
+class Rows:
+    """The rows of a work that one process walks, all or a shard's; a folder keeps each part that is finished."""
 
-    `progress` is told of the rows that are there already first, then after each part.
-    """
-    rows = range(work.rows) if shard is None else shard.rows(work.rows)
-    parts = parts_of(work, rows)
-    found = [None if kept is None else kept.load(number) for number in range(len(parts))]
-    done = sum(len(part) for part, arrays in zip(parts, found, strict=True) if arrays is not None)
-    if progress is not None:
-        progress(done, len(rows))
-    for number, part in enumerate(parts):
-        if found[number] is not None:
-            continue
-        arrays = _walk_part(work, part)
-        found[number] = arrays
-        if kept is not None:
-            kept.save(number, arrays)
-        done += len(part)
+    def __init__(
+        self,
+        work: Work,
+        out: str | os.PathLike[str] | None = None,
+        shard: tuple[int, int] | None = None,
+        about: Mapping[str, str] = MappingProxyType({}),
+    ):
+        """Claim the folder.
+
+        Arguments:
+            work: what walks.
+            out: the folder, or that below which a shard has one of its own; nothing is kept where None.
+            shard: which one, from 1, and how many there are.
+            about: for those who merge shards: `again`, the command or call that walks one, with `SHARD` where it names
+                which, and what else the report is to say.
+
+        Raises:
+            ConfigError: no such shard, or more shards than rows.
+            OutputError: the folder cannot be written, or `out` holds parts, or shards, of something else.
+        """
+        self._work, self.shard = work, None if shard is None else Shard(*shard)
+        self.rows = range(work.rows) if self.shard is None else self.shard.rows(work.rows)
+        self._cut = parts_of(work, self.rows)
+        if self.shard is None or out is None:
+            self.folder = None if out is None else Path(out)
+            self._parts = Parts(self.folder, work.identity)
+        else:
+            self.folder = self.shard.folder(Path(out))
+            self._parts = self._claim(self.shard, Path(out), self.folder, about)
+
+    def _claim(self, shard: Shard, out: Path, folder: Path, about: Mapping[str, str]) -> Parts:
+        if shard.count > self._work.rows:
+            limit = f"expected at most {self._work.rows} shards, one walk each"
+            raise ConfigError(f"shard {shard}: {limit}, got {shard.count}")
+        for other in _folders_in(out):
+            if not other.name.endswith(f"-of-{shard.count}"):
+                raise OutputError(
+                    f"{out}: expected shards of {shard.count}, got {other.name} (remove it, or choose another --out)"
+                )
+        parts = Parts(folder, lambda: {**self._work.identity(), "shard": [shard.number, shard.count]})
+        self._work.write_asked(folder)
+        write_text_atomically(folder / FILE, json.dumps({**about}, indent=1) + "\n")
+        return parts
+
+    @property
+    def there(self) -> int:
+        """How many of the rows are kept already."""
+        return sum(len(part) for number, part in enumerate(self._cut) if self._parts.load(number) is not None)
+
+    def walk(self, progress: Counted | None = None) -> dict[str, np.ndarray]:
+        """Return the arrays of the rows; parts that are there are not walked again.
+
+        `progress` is called with the rows that are there already first, then after each part.
+        """
+        found = [self._parts.load(number) for number in range(len(self._cut))]
+        done = sum(len(part) for part, arrays in zip(self._cut, found, strict=True) if arrays is not None)
         if progress is not None:
-            progress(done, len(rows))
-    return _concatenated([arrays for arrays in found if arrays is not None])
+            progress(done, len(self.rows))
+        for number, part in enumerate(self._cut):
+            if found[number] is not None:
+                continue
+            arrays = found[number] = _walk_part(self._work, part)
+            self._parts.save(number, arrays)  # before it is counted as done
+            done += len(part)
+            if progress is not None:
+                progress(done, len(self.rows))
+        return _concatenated([arrays for arrays in found if arrays is not None])
 
 
 def _walk_part(work: Work, part: range) -> dict[str, np.ndarray]:
@@ -132,44 +172,10 @@ def _walk_part(work: Work, part: range) -> dict[str, np.ndarray]:
     own = range(part.start - begin, part.stop - begin)
     # the last part is filled up with its last row: every part has the shape that was compiled
     filled = own.stop == work.rows - begin and not own.start
-    walking = range(work.size) if filled else devices.walking_with(own, work.size, in_pieces=work.in_pieces)
+    walking = range(work.size) if filled else execution.walking_with(own, work.size)
     last = min(work.size, work.rows - begin) - 1
     arrays = work.walk(begin + np.minimum(np.array(walking), last))
     return {name: values[own.start - walking.start : own.stop - walking.start] for name, values in arrays.items()}
-
-
-def there(work: Work, kept: Parts, rows: range) -> int:
-    """Return how many of some rows are kept already."""
-    return sum(len(part) for number, part in enumerate(parts_of(work, rows)) if kept.load(number) is not None)
-
-
-def claim(work: Work, out: Path, shard: Shard) -> Parts:
-    """Prepare the folder of a shard below `out` and return its parts.
-
-    Raises:
-        ConfigError: more shards than rows.
-        OutputError: the folder cannot be written, or `out` holds shards of another number or of something else.
-    """
-    if shard.count > work.rows:
-        raise ConfigError(f"shard {shard}: expected at most {work.rows} shards, one walk each, got {shard.count}")
-    for other in _folders_in(out):
-        if not other.name.endswith(f"-of-{shard.count}"):
-            raise OutputError(
-                f"{out}: expected shards of {shard.count}, got {other.name} (remove it, or choose another --out)"
-            )
-    folder = shard.folder(out)
-    return Parts(folder, {**work.identity(), "shard": [shard.number, shard.count]})
-
-
-def tell(out: Path, shard: Shard, about: Mapping[str, Any]) -> None:
-    """Leave in the folder of a shard what those who merge it need beside its identity, as plain JSON values.
-
-    `again` is the command, or the call, that walks a shard, with `SHARD` where it names which.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
-    write_text_atomically(shard.folder(out) / FILE, json.dumps(about, indent=1) + "\n")
 
 
 def find(folders: Sequence[Path]) -> list[Kept]:
@@ -227,11 +233,13 @@ def joined(work: Work, found: Sequence[Kept]) -> dict[str, np.ndarray]:
     for number in range(1, count + 1):
         shard = Shard(number, count)
         parts = parts_of(work, shard.rows(work.rows))
-        kept = None if number not in begun else Parts(begun[number].folder, begun[number].identity)
-        loaded = [None if kept is None else kept.load(at) for at in range(len(parts))]
+        kept = Parts(
+            begun[number].folder if number in begun else None, begun[number].identity if number in begun else {}
+        )
+        loaded = [kept.load(at) for at in range(len(parts))]
         missing = [part for part, arrays in zip(parts, loaded, strict=True) if arrays is None]
         if missing:
-            lacking.append(_lack(work, shard, missing, kept is not None))
+            lacking.append(_lack(work, shard, missing, number in begun))
         whole += [arrays for arrays in loaded if arrays is not None]
     if lacking:
         raise ConfigError(f"{home(found) or found[0].folder}: {'; '.join(lacking)}; {_remedy(found, lacking)}")

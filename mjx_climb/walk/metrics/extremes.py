@@ -8,18 +8,14 @@ extremes.
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.lax import stop_gradient
 
-from mjx_climb.walk.chosen import larger, largest_row, smaller, smallest_row
-from mjx_climb.walk.metrics.metric import Context, Metric, Value
-from mjx_climb.walk.metrics.table import PREFIX
-from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.metrics.metric import PREFIX, Metric, Value
 
 _SQUARINGS = 5
 ORDER = 2**_SQUARINGS
@@ -29,91 +25,62 @@ _SHARPNESS = 100.0
 def peak(name: str, unit: str, long_name: str, value: Value) -> Metric:
     """Return the metric that is the largest over time of a value that is never negative, and should be small.
 
-    `value` of a sample and the context is (..., B): the largest over its leading axes counts.
+    `value` of a sample and the context may have any shape: the largest of its elements counts.
     """
-    return Metric(
-        name,
-        unit,
-        long_name,
-        larger_is_better=False,
-        init=lambda zero: zero,
-        update=lambda running, sample, context: larger(running, _best(largest_row, value(sample, context))),
-        finish=lambda running, _: running,
-        smooth=Metric(
-            PREFIX + name,
-            unit,
-            f"{long_name}, smooth",
-            larger_is_better=False,
-            init=lambda zero: _Mean(zero, zero + 1, zero, zero),
-            update=lambda mean, sample, context: _with_large(mean, value(sample, context)),
-            finish=lambda mean, _: _power_mean(mean),
-        ),
-    )
+    return _with_companion(_metric(_PEAK, value, name, unit, long_name, False), _POWER_MEAN, value)
 
 
 def smallest(
     name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = True, scale: float | None = None
 ) -> Metric:
     """Return the metric that is the smallest over time of a value of either sign; `value` as of `peak`."""
-    return Metric(
-        name,
-        unit,
-        long_name,
-        larger_is_better,
-        init=lambda zero: zero + jnp.inf,
-        update=lambda running, sample, context: smaller(running, _best(smallest_row, value(sample, context))),
-        finish=lambda running, _: running,
-        smooth=Metric(
-            PREFIX + name,
-            unit,
-            f"{long_name}, smooth",
-            larger_is_better,
-            init=lambda zero: _Mean(zero + jnp.inf, zero, zero, zero),
-            update=lambda mean, sample, context: _with_small(mean, value(sample, context)),
-            finish=lambda mean, _: _soft_minimum(mean),
-        ),
-        scale=scale,
-    )
+    metric = _metric(_SMALLEST, value, name, unit, long_name, larger_is_better)
+    return _with_companion(dataclasses.replace(metric, scale=scale), _SOFT_MINIMUM, value)
 
 
 def largest(
     name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = False, scale: float | None = None
 ) -> Metric:
     """Return the metric that is the largest over time of a value of either sign; `value` as of `peak`."""
-
-    def negative(sample: Sample, context: Context) -> Array:
-        return -value(sample, context)
-
-    mirrored = smallest(name, unit, long_name, negative, larger_is_better=larger_is_better, scale=scale)
-    assert mirrored.smooth is not None
-    return dataclasses.replace(_negated(mirrored), smooth=_negated(mirrored.smooth))
+    metric = _metric(_LARGEST, value, name, unit, long_name, larger_is_better)
+    return _with_companion(dataclasses.replace(metric, scale=scale), _SOFT_MAXIMUM, value)
 
 
-def _negated(metric: Metric) -> Metric:
-    finish: Callable[..., Array] = metric.finish
-    return dataclasses.replace(metric, finish=lambda running, context: -finish(running, context))
+class _Reduction(NamedTuple):
+    """How the values of one sample after the other become one number."""
+
+    init: Callable[[Array], Any]  # of a zero ()
+    take: Callable[[Any, Array], Any]  # the running value and the values of a sample
+    finish: Callable[[Any], Array]
 
 
-def _best(row: Callable[[Array], Array], values: Array) -> Array:
-    """Return the best (B,) of values (..., B), axis after axis: `row` gives that of the first one."""
-    while values.ndim > 1:
-        values = row(values)
-    return values
+def _metric(
+    reduction: _Reduction, value: Value, name: str, unit: str, long_name: str, larger_is_better: bool
+) -> Metric:
+    return Metric(
+        name,
+        unit,
+        long_name,
+        larger_is_better,
+        init=reduction.init,
+        update=lambda running, sample, context: reduction.take(running, value(sample, context)),
+        finish=lambda running, _: reduction.finish(running),
+    )
 
 
-def _leading(values: Array) -> tuple[int, ...]:
-    return tuple(range(values.ndim - 1))
+def _with_companion(metric: Metric, reduction: _Reduction, value: Value) -> Metric:
+    name, long_name = PREFIX + metric.name, f"{metric.long_name}, smooth"
+    smooth = _metric(reduction, value, name, metric.unit, long_name, metric.larger_is_better)
+    return dataclasses.replace(metric, smooth=smooth)
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class _Mean:
-    """A running mean of scaled powers or exponentials, each (B,); no derivative goes through `extreme` and `unit`."""
+class _Mean(NamedTuple):
+    """A running mean of scaled powers or exponentials, each (); no derivative goes through `extreme` and `unit`."""
 
     extreme: Array  # so far; keeps the powers and exponentials between 0 and 1
     unit: Array  # of the exponentials
     total: Array
-    count: Array
+    number: Array  # of values
 
 
 def _power(value: Array) -> Array:
@@ -123,38 +90,38 @@ def _power(value: Array) -> Array:
 
 
 def _with_large(mean: _Mean, values: Array) -> _Mean:
-    extreme = jnp.maximum(stop_gradient(mean.extreme), stop_gradient(values).max(_leading(values)))
+    extreme = jnp.maximum(stop_gradient(mean.extreme), jnp.max(stop_gradient(values)))
     scale = jnp.where(extreme > 0, extreme, 1.0)
-    total = mean.total * _power(mean.extreme / scale) + _power(values / scale).sum(_leading(values))
-    return _Mean(extreme, mean.unit, total, mean.count + math.prod(values.shape[:-1]))
+    total = mean.total * _power(mean.extreme / scale) + jnp.sum(_power(values / scale))
+    return _Mean(extreme, mean.unit, total, mean.number + values.size)
 
 
 def _with_small(mean: _Mean, values: Array) -> _Mean:
-    first = mean.count == 0
-    least = stop_gradient(values).min(_leading(values))
+    first = mean.number == 0
+    least = jnp.min(stop_gradient(values))
     unit = jnp.where(first, jnp.maximum(jnp.abs(least), 1e-6) / _SHARPNESS, mean.unit)
     extreme = jnp.minimum(stop_gradient(mean.extreme), least)
     before = jnp.where(first, 0.0, mean.total * jnp.exp((extreme - jnp.where(first, extreme, mean.extreme)) / unit))
-    return _Mean(
-        extreme,
-        unit,
-        before + jnp.exp((extreme - values) / unit).sum(_leading(values)),
-        mean.count + math.prod(values.shape[:-1]),
-    )
-
-
-def _share(mean: _Mean) -> tuple[Array, Array]:
-    """Return the mean of the powers or exponentials, 1 where it is zero, and where it is not."""
-    share = mean.total / mean.count
-    some = share > 0
-    return jnp.where(some, share, 1.0), some
+    total = before + jnp.sum(jnp.exp((extreme - values) / unit))
+    return _Mean(extreme, unit, total, mean.number + values.size)
 
 
 def _power_mean(mean: _Mean) -> Array:
-    share, some = _share(mean)
-    return jnp.where(some, mean.extreme * share ** (1 / ORDER), 0.0)
+    share = mean.total / mean.number
+    some = share > 0
+    return jnp.where(some, mean.extreme * jnp.where(some, share, 1.0) ** (1 / ORDER), 0.0)
 
 
 def _soft_minimum(mean: _Mean) -> Array:
-    share, _ = _share(mean)
-    return mean.extreme - mean.unit * jnp.log(share)
+    share = mean.total / mean.number
+    return mean.extreme - mean.unit * jnp.log(jnp.where(share > 0, share, 1.0))
+
+
+_PEAK = _Reduction(lambda zero: zero, lambda running, v: jnp.maximum(running, jnp.max(v)), lambda running: running)
+_LARGEST = _PEAK._replace(init=lambda zero: zero - jnp.inf)
+_SMALLEST = _Reduction(
+    lambda zero: zero + jnp.inf, lambda running, v: jnp.minimum(running, jnp.min(v)), lambda running: running
+)
+_POWER_MEAN = _Reduction(lambda zero: _Mean(zero, zero + 1, zero, zero), _with_large, _power_mean)
+_SOFT_MINIMUM = _Reduction(lambda zero: _Mean(zero + jnp.inf, zero, zero, zero), _with_small, _soft_minimum)
+_SOFT_MAXIMUM = _Reduction(_SOFT_MINIMUM.init, lambda mean, v: _with_small(mean, -v), lambda mean: -_soft_minimum(mean))

@@ -1,16 +1,16 @@
 """A metric: one number of a walk, accumulated from its samples so that a batch needs no memory over time."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, NamedTuple, SupportsIndex
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, SupportsIndex, overload
 
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk.sample import Sample
 
+PREFIX = "smooth_"  # of the name of a companion
 Value = Callable[[Sample, "Context"], Array]  # of one sample
 
 
@@ -18,28 +18,33 @@ class Context(NamedTuple):
     """What a metric may know beside a sample: what stays the same all through a walk, and how far this has come."""
 
     robot: Robot  # as heavy as it is in this walk
-    gravity: Array | np.ndarray  # (3, B) m/s^2
-    heading: Array | np.ndarray  # (B,) rad
+    gravity: Array | np.ndarray  # (3,) m/s^2
+    heading: Array | np.ndarray  # () rad
     time_step: float | Array  # s
     first: Array | bool = True  # () whether this is the first sample
-    diverged: Array | bool = False  # (B,) whether an earlier sample was not finite
+    diverged: Array | bool = False  # () whether an earlier sample was not finite
+
+
+def _as_it_is(running: Array, _: Context) -> Array:
+    return running
 
 
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """One number of a walk, with its name, unit and meaning, and how it comes from the samples.
+    """One number of a walk of one robot, with its name, unit and meaning, and how it comes from the samples.
 
-    A walk's batch of B robots is the last axis of every array. A running value is an array (..., B) or a tree of them,
-    and keeps its shapes and types. Samples from the one on that is not finite never get here.
+    A running value is an array or a tree of them, and keeps its shapes and types. Samples from the first one on that is
+    not finite are left out.
     """
 
     name: str  # in mappings, options and files
     unit: str  # "1" where there is none
     long_name: str  # for people: on pictures, in tables
     larger_is_better: bool  # of two walks the one with more is the better one
-    init: Callable[[Array], Any]  # of zeros (B,): the running value before the first sample
+    init: Callable[[Array], Any]  # of a zero (): the running value before the first sample
     update: Callable[[Any, Sample, Context], Any]  # the running value with one more sample
-    finish: Callable[[Any, Context], Array]  # the metric (B,) of the last running value; NaN where it is not defined
+    # the metric () of the last running value, itself where there is no function; NaN where it is not defined
+    finish: Callable[[Any, Context], Array] = _as_it_is
     smooth: "Metric | None" = None  # its companion for searches that follow gradients; in place of an extreme
     scale: float | None = None  # how much counts as much, in its unit, where values pass through zero
 
@@ -52,7 +57,7 @@ class Metric:
 
 
 def total(name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = False) -> Metric:
-    """Return the metric that integrates a value (B,) of each sample over time: `unit` is the value's times s."""
+    """Return the metric that integrates a value () of each sample over time: `unit` is the value's times s."""
     return Metric(
         name,
         unit,
@@ -60,5 +65,62 @@ def total(name: str, unit: str, long_name: str, value: Value, *, larger_is_bette
         larger_is_better,
         init=lambda zero: zero,
         update=lambda running, sample, context: running + value(sample, context) * context.time_step,
-        finish=lambda running, _: jnp.asarray(running),
     )
+
+
+class MetricTable(tuple[Metric, ...]):
+    """Metrics in order, immutable: `table + (mine,)` is a longer one, `table["travel"]` one metric by its name.
+
+    Raises:
+        ValueError: two metrics of one name, a name that no variable of Python could have, or something else than
+            metrics.
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, metrics: Iterable[Metric]) -> "MetricTable":
+        table = super().__new__(cls, metrics)
+        seen: set[str] = set()
+        for metric in table:
+            if not isinstance(metric, Metric):
+                raise ValueError(f"metrics: expected objects of mjx_climb.Metric, got {metric!r}")
+            if not metric.name.isidentifier():
+                raise ValueError(f"metric {metric.name!r}: expected a name of letters, digits and underscores")
+            if metric.name in seen:
+                raise ValueError(f"metric {metric.name}: expected one of this name, got two")
+            seen.add(metric.name)
+        return table
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names in order."""
+        return tuple(metric.name for metric in self)
+
+    def in_words(self, name: str) -> str:
+        """Return what a metric is called for people, on pictures, in tables and in sentences."""
+        return self[name].long_name if name in self.names else name.replace("_", " ")
+
+    @property
+    def with_companions(self) -> "MetricTable":
+        """The table with the smooth companions of its metrics behind them, as a search uses it."""
+        return self + tuple(metric.smooth for metric in self if metric.smooth is not None)
+
+    @overload  # type: ignore[override]  # a name too
+    def __getitem__(self, index: int | str) -> Metric: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> "MetricTable": ...
+
+    def __getitem__(self, index: int | str | slice) -> "Metric | MetricTable":
+        if isinstance(index, str):
+            if index not in self.names:
+                raise KeyError(f"metric {index}: expected one of {', '.join(self.names)}")
+            return self[self.names.index(index)]
+        found = super().__getitem__(index)
+        return found if isinstance(found, Metric) else MetricTable(found)
+
+    def __add__(self, others: Iterable[Metric]) -> "MetricTable":  # type: ignore[override]  # lists too
+        return MetricTable((*self, *others))
+
+    def __repr__(self) -> str:
+        return f"MetricTable({', '.join(self.names)})"

@@ -6,39 +6,33 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.dynamics.spatial import norm
-from mjx_climb.walk.chosen import largest_row
 from mjx_climb.walk.metrics.extremes import peak, smallest
-from mjx_climb.walk.metrics.metric import Context, Metric
-from mjx_climb.walk.metrics.table import MetricTable
+from mjx_climb.walk.metrics.metric import Context, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 
 FAILURES = ("detached_at", "detached_limb", "missed_grips", "diverged")  # how a walk failed: nothing to better
 
 
 def foot_forces(sample: Sample, _: Context) -> Array:
-    """Return the sizes of the foot forces, (L, B) N."""
-    return norm(sample.foot_force)
+    """Return the sizes of the foot forces, (limb,) N."""
+    sizes: Array = norm(sample.foot_force)
+    return sizes
 
 
 def pull_forces(sample: Sample, context: Context) -> Array:
-    """Return the sizes of the foot forces where the ground pulls a supporting foot down, else 0, (L, B) N."""
-    pulling = sample.support & (sample.foot_force[2] < 0)
+    """Return the sizes of the foot forces where the ground pulls a supporting foot down, else 0, (limb,) N."""
+    pulling = sample.support & (sample.foot_force[:, 2] < 0)
     return jnp.where(pulling, foot_forces(sample, context), 0.0)
 
 
 def joint_limit_margins(sample: Sample, context: Context) -> Array:
-    """Return how far the joints are from the nearer of their limits, (N, L, B) rad; negative beyond."""
+    """Return how far the joints are from the nearer of their limits, (limb, joint) rad; negative beyond."""
     robot = context.robot
     return jnp.minimum(sample.joint_angles - robot.joint_lower, robot.joint_upper - sample.joint_angles)
 
 
-def joint_power(sample: Sample) -> Array:
-    """Return the power of all joints, each counted as positive, (B,) W."""
-    return jnp.abs(sample.joint_torque * sample.joint_rates).sum((0, 1))
-
-
 class _Way(NamedTuple):
-    """Where the base was at the first sample and at the last, (2, B) m each."""
+    """Where the base was at the first sample and at the last, (2,) m each."""
 
     start: Array
     end: Array
@@ -62,14 +56,15 @@ def _travel(way: _Way, context: Context) -> Array:
 class _Transport(NamedTuple):
     """What a transport took."""
 
-    work: Array  # (B,) J, integral of `joint_power`
-    mass: Array  # (B,) kg, the largest so far, cargo included
+    work: Array  # () J, integral of the power of all joints, each counted as positive
+    mass: Array  # () kg, the largest so far, cargo included
     way: _Way
 
 
 def _more_transport(running: _Transport, sample: Sample, context: Context) -> _Transport:
+    power = jnp.abs(sample.joint_torque * sample.joint_rates).sum()
     return _Transport(
-        work=running.work + joint_power(sample) * context.time_step,
+        work=running.work + power * context.time_step,
         mass=jnp.maximum(running.mass, context.robot.total_mass + sample.cargo_mass),
         way=_longer_way(running.way, sample, context),
     )
@@ -77,30 +72,27 @@ def _more_transport(running: _Transport, sample: Sample, context: Context) -> _T
 
 def _cost_of_transport(running: _Transport, context: Context) -> Array:
     """Return work by weight and travel; without gravity, or without travel, there is none: NaN."""
-    weight_travel = running.mass * norm(context.gravity) * jnp.abs(_travel(running.way, context))
+    weight_travel = running.mass * norm(jnp.asarray(context.gravity)) * jnp.abs(_travel(running.way, context))
     defined = weight_travel > 0
     return jnp.where(defined, running.work / jnp.where(defined, weight_travel, 1.0), jnp.nan)
 
 
 class _Variation(NamedTuple):
-    """How much a force has varied, and its last value, (B,) N each."""
+    """How much a force has varied, and its last value, () N each."""
 
     total: Array
     last: Array
 
 
 def _more_variation(running: _Variation, sample: Sample, context: Context) -> _Variation:
-    force = largest_row(foot_forces(sample, context))
+    force = jnp.max(foot_forces(sample, context))
     return _Variation(running.total + jnp.where(context.first, 0.0, jnp.abs(force - running.last)), force)
 
 
-def _first_detachment(at: Array, sample: Sample, _: Context) -> Array:
-    return jnp.where(jnp.isnan(at) & sample.torn_off.any(0), sample.time, at)
-
-
 def _first_limb(limb: Array, sample: Sample, _: Context) -> Array:
-    limbs = sample.torn_off.shape[0]
-    torn = jnp.where(sample.torn_off, jnp.arange(limbs, dtype=limb.dtype)[:, None], limbs).min(0)
+    """Return the limb that was torn off first, of several in one step the first in their order; -1 for none."""
+    limbs = len(sample.torn_off)
+    torn = jnp.min(jnp.where(sample.torn_off, jnp.arange(limbs, dtype=limb.dtype), limbs))
     return jnp.where((limb < 0) & (torn < limbs), torn, limb)
 
 
@@ -121,9 +113,7 @@ METRICS = MetricTable(
             update=_more_transport,
             finish=_cost_of_transport,
         ),
-        Metric(
-            "travel", "m", "travel", larger_is_better=True, init=_no_way, update=_longer_way, finish=_travel
-        ),
+        Metric("travel", "m", "travel", larger_is_better=True, init=_no_way, update=_longer_way, finish=_travel),
         peak(
             "base_deviation", "m", "base deviation",
             lambda sample, _: norm(sample.base_position - sample.base_reference),
@@ -133,21 +123,18 @@ METRICS = MetricTable(
         smallest("joint_limit_margin", "rad", "joint limit margin", joint_limit_margins, scale=0.1),
         Metric(
             "detached_at", "s", "detached at", larger_is_better=True,
-            init=lambda zero: jnp.full_like(zero, jnp.nan),
-            update=_first_detachment,
-            finish=lambda running, _: running,
+            init=lambda zero: zero + jnp.nan,
+            update=lambda at, sample, _: jnp.where(jnp.isnan(at) & sample.torn_off.any(), sample.time, at),
         ),
         Metric(
             "detached_limb", "1", "detached limb", larger_is_better=False,  # its place among the limbs
-            init=lambda zero: jnp.full(zero.shape, -1, jnp.int32),
+            init=lambda zero: jnp.full((), -1, jnp.int32),
             update=_first_limb,
-            finish=lambda running, _: running,
         ),
         Metric(
             "missed_grips", "1", "missed grips", larger_is_better=False,
-            init=lambda zero: jnp.zeros(zero.shape, jnp.int32),
-            update=lambda running, sample, _: running + sample.missed.sum(0, dtype=jnp.int32),
-            finish=lambda running, _: running,
+            init=lambda zero: jnp.zeros((), jnp.int32),
+            update=lambda count, sample, _: count + sample.missed.sum(dtype=jnp.int32),
         ),
         Metric(
             "diverged", "1", "diverged", larger_is_better=False,

@@ -1,11 +1,8 @@
 """A thousand malformed inputs: never a traceback, never a hang, never half a result; one line says what is wrong."""
 
 import contextlib
-import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,14 +12,14 @@ import mjx_climb as mc
 import tuning.searches.robust
 import tuning.searches.schedule
 from mjx_climb.rendering import backend
-from tests.fuzz import Case, case
+from tests.fuzz import COMMANDS, Case, case
+from tests.shell import ends, start
 from tuning.benchmarks import measure
-from tuning.command_line import diagnosis, main
-from tuning.judged import deployment
-from tuning.output import beside
+from tuning.command_line import diagnosis, main, program
+from tuning.evaluation import deployment
+from tuning.output import comparisons
 from tuning.problem import evaluation
 
-ROOT = Path(__file__).parents[3]
 CASES, CHUNK, QUICK = 1000, 50, 150
 PATIENCE = 1000  # times the processor's time for a call that is valid; the longest takes a hundred
 
@@ -38,7 +35,7 @@ def valid_input_stops_here(monkeypatch):
 
     for module, names in (
         (mc, ("rollout", "rollout_metrics", "rollout_histories")),
-        (beside, ("beside",)),  # compiles
+        (comparisons, ("of_grid",)),  # compiles
         (evaluation, ("baseline",)),
         (tuning.searches.robust, ("pd_of",)),
         (tuning.searches.schedule, ("pd_of",)),
@@ -49,6 +46,10 @@ def valid_input_stops_here(monkeypatch):
         for name in names:
             monkeypatch.setattr(module, name, start)
     monkeypatch.setattr(backend, "find", lambda: "egl")
+
+
+def test_every_command_is_tried():
+    assert set(COMMANDS) == set(program.COMMANDS)
 
 
 def prepare(malformed: Case, folder: Path) -> list[str]:
@@ -144,8 +145,6 @@ def test_malformed_input_to_a_process_of_its_own(number, tmp_path):
     """What a shell sees is what the other tests see."""
     arguments = prepare(case(number), tmp_path)
     before = tree(tmp_path)
-    command = [sys.executable, "-m", "tuning.command_line", *arguments]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    check_refusal(done.returncode, done.stdout, done.stderr, arguments)
+    ((code, out, err),) = ends(start(*arguments, folder=tmp_path))
+    check_refusal(code, out, err, arguments)
     assert tree(tmp_path) == before

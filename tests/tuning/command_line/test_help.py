@@ -1,22 +1,22 @@
 """What the program says of itself: help of every command, and completion in three shells, without heavy imports."""
 
-import os
 import re
+import shlex
 import subprocess
 import sys
-from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
 from mjx_climb.walk.metrics import FAILURES
+from tests.shell import PROGRAM, ROOT, environment
 from tuning.command_line import completion, main
-from tuning.command_line.program import app
+from tuning.command_line.options import EngineName
+from tuning.command_line.program import COMMANDS
 from tuning.problem import search
 
-ROOT = Path(__file__).parents[3]
-COMMANDS = [command.name for command in app.registered_commands]
 HEAVY = {"jax", "numpy", "matplotlib", "xarray", "mujoco", "yaml"}
 
 
@@ -45,18 +45,29 @@ def test_every_command_has_examples_and_says_what_each_option_does(say, command)
 def test_the_list_of_commands_is_not_cut_off(say):
     text = say("--help")
     listed = re.findall(r"^  (\w+) +(.+)$", text.partition("\nCommands:\n")[2].partition("\n\n")[0], re.MULTILINE)
-    assert [name for name, _ in listed] == COMMANDS
-    assert all(words.endswith(".") and not words.endswith("...") for _, words in listed)
+    assert dict(listed) == COMMANDS
 
 
-def complete(line, shell="bash", folder=ROOT / "tests", heavy=frozenset(HEAVY)):
-    """Return what a shell is told at the end of a line, by a process that must not import anything heavy."""
-    program = (
-        "import sys, tuning.command_line as c\n"
-        "try: c.main([])\n"
-        "except SystemExit as end: assert not end.code\n"
+def light(arguments, heavy, **how):
+    """Run the program with some arguments in a process that must not import anything heavy."""
+    script = (
+        f"import sys, tuning.command_line as c\ntry: c.main({arguments})\n"
+        f"except SystemExit as end: assert not end.code\n"
         f"assert not {set(heavy)} & set(sys.modules), {set(heavy)} & set(sys.modules)"
     )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, **how)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["tune", "--help"]])
+def test_help_needs_nothing_heavy(arguments):
+    """Its time is that of the imports, and numbers and pictures are not needed to say what there is."""
+    assert "mjx-climb tune case_1_2" in light(arguments, HEAVY, cwd=ROOT).stdout
+
+
+def complete(line, shell="bash", folder=ROOT / "tests", heavy=HEAVY):
+    """Return what a shell is told at the end of a line."""
     asked = {
         "_MJX_CLIMB_COMPLETE": f"complete_{shell}",
         "COMP_WORDS": line,
@@ -64,9 +75,7 @@ def complete(line, shell="bash", folder=ROOT / "tests", heavy=frozenset(HEAVY)):
         "_TYPER_COMPLETE_ARGS": line,
         "_TYPER_COMPLETE_FISH_ACTION": "get-args",
     }
-    environment = os.environ | asked | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    done = light([], heavy, cwd=folder, env=environment(**asked))
     return re.findall(r'"(.+?)"', done.stdout) if shell == "zsh" else done.stdout.split()
 
 
@@ -78,11 +87,11 @@ def test_shells_complete_options_and_their_values(shell):
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("mjx-climb ", COMMANDS),
+        ("mjx-climb ", list(COMMANDS)),
         ("mjx-climb sw", ["sweep"]),
         ("mjx-climb run ", [*shipped.names(), "mine.yaml"]),
         ("mjx-climb run m", ["mine.yaml"]),
-        ("mjx-climb run case_2 --engine ", list(completion.ENGINES)),
+        ("mjx-climb run case_2 --engine ", list(get_args(EngineName))),
         ("mjx-climb run case_2 --controller base", ["base_admittance"]),
         ("mjx-climb tune case_2 --space ", list(search.LAYOUTS)),
         ("mjx-climb tune case_2 --ensemble e", ["ensemble", "ensemble_dynamixel_x"]),
@@ -103,38 +112,33 @@ def test_keys_of_the_scenario_complete(tmp_path):
 
 
 def test_names_written_for_completion_are_the_real_ones():
-    assert set(completion.ENGINES) == set(mc.ENGINES)
+    assert set(get_args(EngineName)) == set(mc.ENGINES)
     assert set(completion.METRICS) == set(mc.METRICS.names) - set(FAILURES)
     assert {"case_1_1", "case_1_2", "case_2", "limbero_like_cliff"} <= set(shipped.names())
 
 
+def call(*arguments, **variables):
+    quiet = environment(_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1", **variables)
+    return subprocess.run(
+        [*PROGRAM, *arguments], cwd=ROOT, env=quiet, capture_output=True, text=True, check=True
+    ).stdout
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_installs_in_a_home_and_sources(shell, tmp_path):
-    environment = os.environ | {"HOME": str(tmp_path), "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
-    command = [sys.executable, "-m", "tuning.command_line"]
-    how = {"cwd": ROOT, "env": environment, "capture_output": True, "text": True}
-    shown = subprocess.run([*command, "--show-completion", shell], **how)
-    installed = subprocess.run([*command, "--install-completion", shell], **how)
-    assert shown.returncode == installed.returncode == 0, installed.stderr
-    assert "_MJX_CLIMB_COMPLETE" in shown.stdout
+    shown = call("--show-completion", shell, HOME=str(tmp_path))
+    call("--install-completion", shell, HOME=str(tmp_path))
+    assert "_MJX_CLIMB_COMPLETE" in shown
     scripts = [file for file in tmp_path.rglob("*mjx-climb*") if file.is_file()]
-    assert [file.read_text().strip() for file in scripts] == [shown.stdout.strip()]
+    assert [file.read_text().strip() for file in scripts] == [shown.strip()]
 
 
 def test_bash_asks_the_program(tmp_path):
     """The script, sourced in a real bash, fills in what the program answers."""
-    script = subprocess.run(
-        [sys.executable, "-m", "tuning.command_line", "--show-completion", "bash"],
-        cwd=ROOT,
-        env=os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"},
-        capture_output=True,
-        text=True,
-    ).stdout
     program = tmp_path / "mjx-climb"
-    program.write_text(f'#!/bin/bash\nPYTHONPATH={ROOT} exec "{sys.executable}" -m tuning.command_line "$@"\n')
+    program.write_text(f'#!/bin/bash\nPYTHONPATH={ROOT} exec {shlex.join(PROGRAM)} "$@"\n')
     program.chmod(0o755)
     press = 'COMP_WORDS=(mjx-climb export --format j); COMP_CWORD=3; _mjx_climb_completion "$0"; echo "${COMPREPLY[@]}"'
-    done = subprocess.run(
-        ["bash", "-c", f"{script}\n{press}", str(program)], cwd=tmp_path, capture_output=True, text=True
-    )
+    script = f"{call('--show-completion', 'bash')}\n{press}"
+    done = subprocess.run(["bash", "-c", script, str(program)], cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout.split() == ["json"], done.stderr

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb import plots
-from mjx_climb.compilation.devices import LostProcess
+from mjx_climb.execution.devices import LostProcess
 from mjx_climb.files import dataset
 from tests import interrupts
 from tuning.command_line import ending, interruption, main
@@ -58,7 +59,7 @@ main(sys.argv[2:])
 """
 
 
-@pytest.mark.parametrize("module", ["tuning.command_line.program", "typer", "jax", "mjx_climb.rollouts.rollout"])
+@pytest.mark.parametrize("module", ["tuning.command_line.program", "typer", "jax", "mjx_climb.simulation"])
 def test_a_signal_while_modules_are_imported(module, tmp_path):
     """It ends the program in one line, not in an ImportError of whatever was under way."""
     command = [sys.executable, "-c", _WHILE_IMPORTING, module, *RUN, "--out", str(tmp_path)]
@@ -113,6 +114,7 @@ sum(itertools.repeat(0))  # as in a library that hangs: no Python runs in any th
 def test_the_second_signal_ends_what_lets_no_python_run(number):
     process = subprocess.Popen([sys.executable, "-c", _HUNG], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "busy\n"
+    time.sleep(0.5)  # until it is within the call that lets no Python run
     process.send_signal(number)
     status = Path(f"/proc/{process.pid}/status")
     while int(re.search(r"ShdPnd:\s*(\w+)", status.read_text())[1], 16):

@@ -2,12 +2,6 @@
 
 import functools
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +10,11 @@ import xarray as xr
 import mjx_climb as mc
 import tuning
 from mjx_climb.scenario.shipped import config_path
+from tests.shell import ROOT, finish, killed
 from tuning.problem import ensemble
 from tuning.searches import result
 from tuning.tune import tune
 
-ROOT = Path(__file__).parents[3]
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.3", "--set", "disturbance.cargo.start=0.1"]
 ENSEMBLE = ["--ensemble", "ensemble", "--members", "2", "--judges", "4", "--limit", "base_deviation=1e-4"]
@@ -33,19 +27,6 @@ SEARCHES = {  # arguments, and what the result is in
 pytestmark = pytest.mark.slow
 
 
-def start(*arguments):
-    command = [sys.executable, "-m", "tuning.command_line", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": "off"}
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
-
-
-def finish(*arguments):
-    process = start(*arguments)
-    out, errors = process.communicate(timeout=900)
-    assert process.returncode == 0, errors
-    return out
-
-
 @pytest.fixture(scope="module")
 def quiet(tmp_path_factory):
     """Return the folder of a search that nothing disturbs; what it prints is in its printed.json."""
@@ -53,8 +34,7 @@ def quiet(tmp_path_factory):
     @functools.cache
     def run(search):
         folder = tmp_path_factory.mktemp(search)
-        printed = finish(*SEARCHES[search][0], "--out", folder, "--json")
-        (folder / "printed.json").write_text(printed)
+        (folder / "printed.json").write_text(finish(*SEARCHES[search][0], "--out", folder, "--json")[0])
         return folder
 
     return run
@@ -64,22 +44,15 @@ def quiet(tmp_path_factory):
 @pytest.mark.parametrize("search", SEARCHES)
 def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     """SIGKILL at a random instant once rounds are kept; what the same command ends with is that of a quiet run."""
-    arguments, holds = SEARCHES[search]
-    killed = tmp_path / "killed"
-    process = start(*arguments, "--out", killed)
-    while len(list(killed.glob("parts/part-*.npz"))) < 2 and process.poll() is None:
-        time.sleep(0.01)
-    time.sleep(np.random.default_rng().uniform(0, 0.2))
-    process.kill()
-    errors = process.communicate()[1]
-    assert process.returncode == -signal.SIGKILL, errors
-    assert list(killed.glob("parts/part-*.npz"))
-    finish(*arguments, "--out", killed)
-    with xr.open_dataset(killed / holds) as resumed, xr.open_dataset(quiet(search) / holds) as whole:
+    (arguments, holds), folder = SEARCHES[search], tmp_path / "killed"
+    killed(*arguments, "--out", folder, once=folder, count=2, after=np.random.default_rng().uniform(0, 0.2))
+    assert list(folder.glob("parts/part-*.npz"))
+    finish(*arguments, "--out", folder)
+    with xr.open_dataset(folder / holds) as resumed, xr.open_dataset(quiet(search) / holds) as whole:
         assert set(resumed.variables) == set(whole.variables)
         for name, values in whole.variables.items():
             np.testing.assert_array_equal(resumed[name].values, values.values, err_msg=name)
-    assert not (killed / "parts").exists()
+    assert not (folder / "parts").exists()
 
 
 @pytest.mark.nightly
@@ -101,7 +74,7 @@ def from_python(search, folder):
         return tuning.pareto(scenario, points=3, out=folder)
     if search == "schedule":
         return tuning.schedule(scenario, gravity=(0.1, 1.0), cargo=(0.5,), out=folder)
-    drawn = ensemble.load(config_path("ensemble.yaml"), members=2)
+    drawn = ensemble.Ensemble.load(config_path("ensemble.yaml"), members=2)
     asked = {"limits": {"base_deviation": 1e-4}, "judges": 4}
     return tuning.robust(scenario, drawn, starts=2, iterations=3, out=folder, **asked)
 
@@ -133,9 +106,9 @@ def test_tuned_gains_go_from_file_to_file(quiet, tmp_path):
         assert (folder / name).stat().st_size > 100, name
 
     gains = ["--gains", folder / "gains.yaml"]
-    run = json.loads(finish("run", CASE, *SHORT, *gains, "--out", tmp_path / "run", "--json"))
+    run = json.loads(finish("run", CASE, *SHORT, *gains, "--out", tmp_path / "run", "--json")[0])
     grid = ["--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2"]
-    sweep = json.loads(finish("sweep", CASE, *SHORT, *grid, *gains, "--out", tmp_path / "sweep", "--json"))
+    sweep = json.loads(finish("sweep", CASE, *SHORT, *grid, *gains, "--out", tmp_path / "sweep", "--json")[0])
     for metrics in (run, sweep["gains file"]["metrics"]):
         assert {name: metrics[name] for name in tuned} == tuned
 

@@ -1,23 +1,24 @@
-"""Several processes for one command: how they are recognised, what they write together, and how they end."""
+"""Several processes for one command, together or each with its shard: how they are told apart, write and end."""
 
+import json
 import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
+from tests.shell import ends, finish, killed, same_files, start, wait_for_parts
 from tuning.command_line import launcher
 from tuning.command_line.ending import InputError
 
-ROOT = Path(__file__).parents[3]
 SHORT = ["case_1_2", "--set", "duration=0.2"]
 SWEEP = ["sweep", *SHORT, "--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2", "--batch-size", "4"]
+LONG = [*SWEEP[:-1], "1", "--set", "duration=8"]
 TUNE = ["tune", *SHORT, "--starts", "2", "--iterations", "2"]
+GRID = ["sweep", *SHORT, "--stiffness", "1e2:1e6:12", "--damping", "1e1:1e5:6"]  # 72 robots: more than walk in one call
+WRITTEN = ("sweep.nc", "maps.png", "comparison.json", "config.yaml")
 
 JAX = {"JAX_COORDINATOR_ADDRESS": "node1:99", "JAX_NUM_PROCESSES": "4", "JAX_PROCESS_ID": "3"}
 SLURM = {
@@ -28,18 +29,22 @@ MPI = {"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_RANK": "1"}
 URI = {"OMPI_MCA_orte_hnp_uri": "1531576320.0;tcp://10.96.0.1:34911"}
 
 
+def array(**changes):
+    values = {"ID": "5", "MIN": "2", "MAX": "5", "COUNT": "4", **changes}
+    return {f"SLURM_ARRAY_TASK_{name}": value for name, value in values.items()}
+
+
 @pytest.fixture
 def launched(monkeypatch):
-    """Return what is recognised where the environment has these variables of launchers and no others."""
+    """Return a function that sets these variables of launchers and no others."""
 
-    def recognise(variables):
+    def launch(variables):
         for name in [name for name in os.environ if name.startswith(("JAX_", "SLURM_", "OMPI_"))]:
             monkeypatch.delenv(name)
         for name, value in variables.items():
             monkeypatch.setenv(name, value)
-        return launcher.process()
 
-    return recognise
+    return launch
 
 
 @pytest.mark.parametrize(
@@ -59,28 +64,55 @@ def launched(monkeypatch):
     ],
 )
 def test_a_launcher_is_recognised(variables, expected, launched):
-    found = launched(variables)
+    launched(variables)
+    found = launcher.process()
     assert (None if found is None else found[:3]) == expected
 
 
 @pytest.mark.parametrize(
-    ("variables", "expected"),
+    ("text", "variables", "shard"),
     [
-        (MPI, "JAX_COORDINATOR_ADDRESS: expected host:port of process 0"),
-        (JAX | {"JAX_PROCESS_ID": "4"}, "JAX_PROCESS_ID: expected a number below the 4 of JAX_NUM_PROCESSES, got 4"),
-        (JAX | {"JAX_PROCESS_ID": ""}, "JAX_PROCESS_ID: expected a whole number, got ''"),
-        (JAX | {"JAX_NUM_PROCESSES": "two"}, "JAX_NUM_PROCESSES: expected a whole number, got 'two'"),
+        (None, {}, None),
+        ("3/16", {}, (3, 16)),
+        ("1/1", {}, None),
+        (None, array(), (4, 4)),
+        (None, array(ID="2"), (1, 4)),
+        (None, array(ID="8", MIN="0", MAX="12", COUNT="4", STEP="4"), (3, 4)),
+        ("1/2", array(), (1, 2)),
+        ("1/1", array(), None),
     ],
 )
-def test_a_launcher_that_makes_no_sense(variables, expected, launched):
+def test_which_shard_a_process_walks(text, variables, shard, launched):
+    launched(variables)
+    found, words = launcher.shard_from(text)
+    assert found == shard
+    assert bool(words) == (text is not None or bool(variables))
+    assert ("Slurm" in words) == (text is None and bool(variables))
+
+
+NOT_ADDRESSED = "JAX_COORDINATOR_ADDRESS: expected host:port of process 0"
+NO_SHARD = "--shard: expected I/N"
+GAPS = "expected several tasks without gaps"
+
+
+@pytest.mark.parametrize(
+    ("asked", "variables", "expected"),
+    [
+        (launcher.process, MPI, NOT_ADDRESSED),
+        (launcher.process, JAX | {"JAX_PROCESS_ID": "4"}, "JAX_PROCESS_ID: expected a number below the 4 of JAX_NUM"),
+        (launcher.process, JAX | {"JAX_PROCESS_ID": ""}, "JAX_PROCESS_ID: expected a whole number, got ''"),
+        (launcher.process, JAX | {"JAX_NUM_PROCESSES": "two"}, "JAX_NUM_PROCESSES: expected a whole number, got 'two'"),
+        *((lambda text=text: launcher.shard_from(text), {}, NO_SHARD) for text in ("0/4", "5/4", "1", "1/4/2")),
+        (lambda: launcher.shard_from(None), array(MIN="1", MAX="9"), GAPS),
+        (lambda: launcher.shard_from(None), array(ID="9"), GAPS),
+        (lambda: launcher.shard_from(None), array(ID="3", MIN="3", MAX="3", COUNT="1"), f"{GAPS}, got 1 from 3 to 3"),
+        (lambda: launcher.shard_from(None), array(COUNT=""), "SLURM_ARRAY_TASK_COUNT: expected a whole number"),
+    ],
+)
+def test_a_launcher_or_a_shard_that_makes_no_sense(asked, variables, expected, launched):
+    launched(variables)
     with pytest.raises(InputError, match=expected):
-        launched(variables)
-
-
-def start(*arguments, **variables):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu", **variables}
-    command = [sys.executable, "-m", "tuning.command_line", *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+        asked()
 
 
 def together(*commands):
@@ -88,53 +120,31 @@ def together(*commands):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
-    how = {"JAX_COORDINATOR_ADDRESS": address, "JAX_NUM_PROCESSES": str(len(commands))}
+    how = {"JAX_COORDINATOR_ADDRESS": address, "JAX_NUM_PROCESSES": str(len(commands)), "JAX_PLATFORMS": "cpu"}
     return [start(*command, JAX_PROCESS_ID=str(number), **how) for number, command in enumerate(commands)]
-
-
-def ends(processes):
-    """Return the exit code, standard output and standard error of each."""
-    said = [process.communicate(timeout=600) for process in processes]
-    return [(process.returncode, *texts) for process, texts in zip(processes, said, strict=True)]
-
-
-@pytest.fixture(scope="module")
-def alone(tmp_path_factory):
-    """Return the folder that one process wrote, and what it printed."""
-    folder = tmp_path_factory.mktemp("alone")
-    ((code, out, errors),) = ends([start(*SWEEP, "--out", folder, "--json")])
-    assert code == 0, errors
-    return folder, out
 
 
 @pytest.mark.slow
 @pytest.mark.nightly
-def test_two_processes_write_what_one_writes(alone, tmp_path):
+def test_two_processes_write_what_one_writes(tmp_path):
     """A sweep that was killed goes on in two processes: they have the parts of the first one."""
-    folder, printed = alone
-    killed = start(*SWEEP, "--out", tmp_path)
-    while not list(tmp_path.glob("parts/part-*.npz")) and killed.poll() is None:
-        time.sleep(0.01)
-    killed.kill()
-    killed.communicate()
-    (first, second) = ends(together(*[[*SWEEP, "--out", tmp_path, "--json"]] * 2))
-    assert first[:2] == (0, printed), first
-    assert second == (0, "", "")
+    alone, two = tmp_path / "alone", tmp_path / "two"
+    printed, _ = finish(*SWEEP, "--out", alone, "--json", JAX_PLATFORMS="cpu")
+    killed(*SWEEP, "--out", two, once=two)
+    first, second = ends(*together(*[[*SWEEP, "--out", two, "--json"]] * 2))
+    assert (first[:2], second) == ((0, printed), (0, "", "")), first
     assert "2 processes" in first[2] and "; 4 are there already" in first[2]
-    for name in ("sweep.nc", "maps.png", "comparison.json", "config.yaml"):
-        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+    same_files(two, alone, *WRITTEN)
 
 
 @pytest.mark.slow
 @pytest.mark.nightly
 def test_two_processes_find_the_same_gains(tmp_path):
-    results = [tmp_path / "one", tmp_path / "two"]
-    (one,) = ends([start(*TUNE, "--out", results[0], "--json")])
-    first, second = ends(together(*[[*TUNE, "--out", results[1], "--json"]] * 2))
-    assert (one[0], first[0], second) == (0, 0, (0, "", "")), (one[2], first[2])
-    assert first[1] == one[1]
-    for name in ("gains.yaml", "search.nc", "map.nc"):
-        assert (results[1] / name).read_bytes() == (results[0] / name).read_bytes(), name
+    one, two = tmp_path / "one", tmp_path / "two"
+    printed, _ = finish(*TUNE, "--out", one, "--json", JAX_PLATFORMS="cpu")
+    first, second = ends(*together(*[[*TUNE, "--out", two, "--json"]] * 2))
+    assert (first[:2], second) == ((0, printed), (0, "", "")), first
+    same_files(two, one, "gains.yaml", "search.nc", "map.nc")
 
 
 @pytest.mark.slow
@@ -146,7 +156,7 @@ def test_what_is_wrong_in_one_process_ends_all_and_is_said_once(tmp_path):
         ((SWEEP, bad), "mjx-climb: error: process 1: .*durations"),
         ((SWEEP, other), "mjx-climb: error: process 1: expected the same command and config in all processes"),
     ):
-        first, second = ends(together(*([*command, "--out", tmp_path / "out"] for command in commands)))
+        first, second = ends(*together(*([*command, "--out", tmp_path / "out"] for command in commands)))
         lines = [line for line in first[2].splitlines() if line.startswith("mjx-climb")]
         assert (first[:2], len(lines)) == ((2, ""), 1), first
         assert re.match(expected, lines[0])
@@ -155,13 +165,11 @@ def test_what_is_wrong_in_one_process_ends_all_and_is_said_once(tmp_path):
 
 @pytest.mark.slow
 def test_interrupted_processes_end_and_say_what_is_kept(tmp_path):
-    long = [*SWEEP[:-1], "1", "--set", "duration=8", "--out", tmp_path]
-    running = together(long, long)
-    while not list(tmp_path.glob("parts/part-*.npz")) and running[0].poll() is None:
-        time.sleep(0.01)
+    running = together(*[[*LONG, "--out", tmp_path]] * 2)
+    wait_for_parts(running[0], tmp_path)
     for process in running:
         process.send_signal(signal.SIGTERM)
-    first, second = ends(running)
+    first, second = ends(*running)
     assert first[0] == 130, first
     assert "of 6 walks are kept" in first[2].splitlines()[-1]
     assert second[0] != 0 and not second[1] + second[2]
@@ -169,11 +177,52 @@ def test_interrupted_processes_end_and_say_what_is_kept(tmp_path):
 
 @pytest.mark.slow
 def test_a_process_that_dies_ends_the_other_with_a_line(tmp_path):
-    long = [*SWEEP[:-1], "1", "--set", "duration=8", "--out", tmp_path]
-    running = together(long, long)
-    while not list(tmp_path.glob("parts/part-*.npz")) and running[0].poll() is None:
-        time.sleep(0.01)
+    running = together(*[[*LONG, "--out", tmp_path]] * 2)
+    wait_for_parts(running[0], tmp_path)
     running[1].kill()
-    first, _ = ends(running)
+    first, _ = ends(*running)
     assert first[:2] == (2, ""), first
     assert first[2].splitlines()[-1].startswith("mjx-climb: error: another process of this computation has ended: ")
+
+
+@pytest.mark.slow
+def test_four_shards_merged_are_the_same_files(tmp_path):
+    """One shard dies, is named, and goes on; all that is written is that of one machine, but for the typed command."""
+    one, four = tmp_path / "one", tmp_path / "four"
+    alone, _ = finish(*GRID, "--out", one, "--json")
+    sweep = [*GRID, "--out", four]
+    for number in (1, 2):
+        finish(*sweep, "--shard", f"{number}/4")
+    assert "shard 4/4, this task of a Slurm array" in finish(*sweep, **array())[1]
+    died = start(*sweep, "--shard", "3/4")
+    while not (four / "shard-3-of-4" / "shard.json").exists():
+        time.sleep(0.01)
+    died.kill()
+    ends(died)
+    _, said = finish("merge", four, code=2)
+    assert said.startswith(f"mjx-climb: error: {four}: shard 3/4 lacks 18 of 18 walks (stiffness ")
+    remedy = said.partition("to finish it: mjx-climb ")[2].split()
+    assert json.loads(finish(*remedy, "--json")[0]) == {"shard": 3, "of": 4, "walks": 18}
+    assert finish("merge", four, "--json")[0] == alone
+    same_files(four, one, *WRITTEN)
+    pages = [(folder / "report.html").read_text().splitlines() for folder in (one, four)]
+    differ = [lines for lines in zip(*pages, strict=True) if lines[0] != lines[1]]
+    assert [line.startswith("<pre>mjx-climb ") for line in sum(differ, ())] == [True, True]
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_judged_in_shards_is_the_same_file(tmp_path):
+    """72 members, more than walk in one call; an interrupted shard keeps what it has."""
+    gains, one, three = tmp_path / "mine.yaml", tmp_path / "one", tmp_path / "three"
+    gains.write_text("inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n")
+    judge = ["judge", *SHORT, "--gains", gains, "--members", "72"]
+    alone = json.loads(finish(*judge, "--out", one, "--json")[0])
+    assert list(alone) == ["mine", "config", "pd"] and 0 < alone["pd"]["mean"]["force_variation"]
+    for number in (1, 2, 3):
+        finish(*judge, "--out", three, "--shard", f"{number}/3")
+    assert "; 24 are there already" in finish(*judge, "--out", three, "--shard", "2/3")[1]
+    assert json.loads(finish("merge", three, "--json")[0]) == alone
+    same_files(three, one, "judged.nc", "judged.png", "summary.json", "ensemble.yaml")
+    _, refused = finish("merge", three / "shard-1-of-3", three / "shard-3-of-3", code=2)
+    assert "shard 2/3 is not there: it lacks 24 of 24 walks (member 24 to member 47)" in refused

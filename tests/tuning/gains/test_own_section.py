@@ -23,7 +23,7 @@ import helper
 
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance
-from mjx_climb.control.motion import Motion
+from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.walk.metrics import total
 
 
@@ -49,7 +49,10 @@ def file(tmp_path):
 
 
 def asked(config, *changes, law=None, controller=None, metrics=None):
-    return options.asked(Path(config), controller, list(changes), None, law, metrics)
+    walk = options.Walk(
+        config=Path(config), controller=controller, changes=tuple(changes), law=law, metrics=tuple(metrics or ())
+    )
+    return walk.load()[:3]
 
 
 @pytest.mark.parametrize("given", ["case_1_2", "config"])

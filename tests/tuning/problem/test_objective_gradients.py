@@ -41,10 +41,8 @@ class Searched:
 
     def __init__(self, case, numbers, reading: str, layouts: list[dict], overrides: dict, changes: dict):
         scenarios = [case(name, reading, overrides) for name in CASES]
-        in_pieces = mc.pieces_pay("limb")
-        walk = mc.simulator(scenarios[0], smooth=True, in_pieces=in_pieces)
-        self.simulate = jax.jit(walk, compiler_options=mc.compiler_options(64, in_pieces=in_pieces))
-        self.spaces = [spaces.space(scenarios[0], search.make(settings)) for settings in layouts]
+        self.simulate = jax.jit(mc.simulator(scenarios[0], smooth=True))
+        self.spaces = [spaces.space(scenarios[0], search.Search.make(settings)) for settings in layouts]
         rng = np.random.default_rng(0)
         self.points = []
         for space in self.spaces:

@@ -1,7 +1,6 @@
 """The report in a real browser: it loads from disk alone; hover, click, small windows and paper do what they say."""
 
 import base64
-import dataclasses
 import json
 import re
 import shutil
@@ -12,13 +11,14 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.rollouts.histories import LINES, histories
-from tuning.judged import paper, verification
+from tuning.evaluation import verification
+from tuning.output import sweep as sweep_output
+from tuning.output import tune as tune_output
 from tuning.output.folder import without_folders
-from tuning.problem import search
-from tuning.report import comparison, explorer, page, reproduce, tune
-from tuning.report import pareto as pareto_page
-from tuning.report import robust as robust_page
+from tuning.problem.evaluation import Problem
+from tuning.report import comparison, explorer, page, pages
 from tuning.searches import pareto, result
+from tuning.searches.pareto import Front
 
 CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
 AXES = ["--stiffness", "1e2:1e4:3", "--damping", "1e1:1e3:3"]
@@ -236,6 +236,21 @@ def compared_of(walks, gains):
     return {name: (None if name == "pd" else gains, mc.metrics(walk)) for name, walk in walks.items()}
 
 
+def grid_of(metrics, **gains):
+    """A grid over two gains in which every gripper holds."""
+    units = {"stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
+    axes = {name: (name, values, {"units": units[name]}) for name, values in gains.items()}
+    shape = [len(values) for values in gains.values()]
+    none = {"detached_at": np.full(shape, np.nan), "diverged": np.zeros(shape)}
+    data = {name: (list(gains), np.reshape(values, shape)) for name, values in (metrics | none).items()}
+    limbs = (list(gains), np.full(shape, -1), {"flag_meanings": "none LF LH RH RF"})
+    return xr.Dataset(data | {"detached_limb": limbs}, axes)
+
+
+def histories_of(grid, lines):
+    return grid[["diverged"]].assign({name: ([*grid.dims, "extreme", "stretch"], lines) for name in LINES})
+
+
 ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "duration: 0.3")
 
 
@@ -256,18 +271,18 @@ def test_each_column_holds_the_walk_that_its_header_names():
     made = comparison.table(compared, "")
     gains, metrics = ([dict(zip(made.columns, row, strict=True)) for row in rows] for _, rows in made.sections)
     told = {"best": "2", "vs config %": "-50.0", "vs pd %": "-75.0", "config": "4", "pd": "8"}
-    assert metrics[0] == {"": "force variation", "unit": "N", **told}
+    assert metrics[0] == {"metric": "force variation", "unit": "N", **told}
     changes = dict.fromkeys(("vs config %", "vs pd %"), "")
-    assert gains[0] == {"": "stiffness", "unit": "N/m", "best": "20", "config": "40", "pd": "80", **changes}
+    assert gains[0] == {"metric": "stiffness", "unit": "N/m", "best": "20", "config": "40", "pd": "80", **changes}
 
 
 def test_each_column_of_a_fresh_draw_holds_the_gains_that_its_header_names():
     names, statistics = ["robust", "config", "pd"], ["mean", "worst"]
     values = np.array([[2.0, 3.0], [4.0, 5.0], [8.0, 9.0]])
-    data = {name: (("gains", "statistic"), values) for name in robust_page.SHOWN}
+    data = {name: (("gains", "statistic"), values) for name in pages.SHOWN}
     data["objective"] = ("gains", values[:, 0])
     summed = xr.Dataset(data, {"gains": names, "statistic": statistics}, {"worst_share": 0.2})
-    made = robust_page.judged_table(summed)
+    made = pages.judged_table(summed)
     score, variation = (dict(zip(made.columns, made.sections[i][1][0], strict=True)) for i in (0, 1))
     told = {"robust": "2", "vs config %": "-50.0", "config": "4", "pd": "8"}
     assert score == {"metric": "objective", "unit": "", "of the members": "mean and worst", **told}
@@ -276,68 +291,71 @@ def test_each_column_of_a_fresh_draw_holds_the_gains_that_its_header_names():
     assert [worst[name] for name in (*names, "vs config %")] == ["3", "5", "9", "-40.0"]
 
 
-@pytest.mark.slow
-def test_the_page_of_a_search(swept, named):
-    scenario, (config, pd) = named[0], named[1].values()
-    walks = {"tuned": config, "config": config, "pd": pd}
+def found_for(scenario, gains):
+    """Return the result of a search of a single point."""
+    point = {"value": 0.9, "penalty": 0.0, "feasible": True, "env_steps": 1000}
+    data = xr.Dataset({name: ("point", [value]) for name, value in point.items()})
+    return result.Tuned(data, Problem(scenario), gains=gains)
+
+
+CHECKED = verification.Verification(
+    metrics={}, value=0.9, search_value=0.9, broken_limits=[], binding_limits=[], less={"damping": None},
+    more={"damping": 0.02}, shape={"damping": "cliff"}, slopes={"damping": 0.1}, grid_value=None,
+    grid_gains=None, spectral_radius=0.99, margins={}, warnings=[],
+)  # fmt: skip
+
+
+@pytest.fixture
+def tuned_page(named):
+    """Return what makes the page of a search whose result walks as the config does, beside a map or none."""
+    scenario, walks = named
+    walks = {"tuned": walks["config"], **walks}
     gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
-    found = result.Result(
-        scenario, search.Search(), mc.Gains(**gains), np.zeros(2), 0.9, True, {}, 1000, 500, False, xr.Dataset()
-    )
-    checked = verification.Verification(
-        metrics={}, value=0.9, search_value=0.9, broken_limits=[], binding_limits=[], less={"damping": None},
-        more={"damping": 0.02}, shape={"damping": "cliff"}, slopes={"damping": 0.1}, grid_value=None,
-        grid_gains=None, spectral_radius=0.99, margins={}, warnings=[],
-    )  # fmt: skip
-    scores = swept[1]["force_variation"] / mc.metrics(pd)["force_variation"]
-    radius = 1 + 1e-4 * (np.log10(swept[1]["stiffness"]) - 3.1) + 0 * swept[1]["damping"]
-    over = swept[1].assign(objective=scores, feasible=scores < 2, spectral_radius=radius)
+
+    def made(over, **changed):
+        compared = tune_output.Comparison(walks, compared_of(walks, gains), over, None, CHECKED, None)
+        found = found_for(scenario, mc.Gains(**gains | changed))
+        return pages.tune_page(found, compared, ["a line"], ["a test"], origin=ORIGIN, pictures={})
+
+    return made
+
+
+@pytest.fixture
+def over(swept):
+    """A map of an objective, its limit of stability between the cells."""
+    grid = swept[1]
+    radius = 1 + 1e-4 * (np.log10(grid["stiffness"]) - 3.1) + 0 * grid["damping"]
+    scores = grid["force_variation"] / grid["force_variation"].mean()
+    return grid.assign(objective=scores, feasible=scores < 2, spectral_radius=radius)
+
+
+@pytest.mark.slow
+def test_the_page_of_a_search(tuned_page, over):
     for grid in (over, None):
-        made = tune.page(found, checked, grid, walks, compared_of(walks, gains), outcome=["a line"], tests=["a test"],
-                         origin=ORIGIN, pictures={})  # fmt: skip
+        made = tuned_page(grid)
         text = page.render(made)
         assert "Tuned gains score 0.9000 of pd" in text and "every limit is kept" in text
         assert "breaks a limit" in text and "mjx-climb again" in text
-        assert made.notes[0] == "a line" and list(made.more) == ["a test"]
+        assert made.notes[0] == "A line" and list(made.more) == ["A test"]
         (data,) = made.explorers
         assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
         assert (data["points"] is None) == (grid is None)
-    cells = tune.page(
-        found, checked, over, walks, compared_of(walks, gains), outcome=[], tests=[], origin=ORIGIN, pictures={}
-    )
-    points = cells.explorers[0]["points"]
-    assert points["begin"] == int(np.argmin(scores.values))
+    (cells,) = tuned_page(over).explorers
+    points = cells["points"]
+    assert points["begin"] == int(np.argmin(over["objective"].values))
     assert {"objective", "feasible"} < set(points["values"])
-    assert cells.explorers[0]["opens_on"] == "tuned"
+    assert cells["opens_on"] == "tuned"
     assert {round(np.log10(x), 6) for x, _ in points["limit"][0]} == {3.1}
-    apart = mc.Gains(1.0, 1e2, np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0]))
-    other = dataclasses.replace(found, gains=apart)
-    made = tune.page(
-        other, checked, over, walks, compared_of(walks, gains), outcome=[], tests=[], origin=ORIGIN, pictures={}
-    )
-    stands = {mark["name"]: mark["at"] for mark in made.explorers[0]["points"]["marks"]}
+    assert next(walk["metrics"] for walk in cells["walks"] if walk["name"] == "tuned")["objective"] == 0.9
+    (apart,) = tuned_page(over, stiffness=np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0])).explorers
+    stands = {mark["name"]: mark["at"] for mark in apart["points"]["marks"]}
     assert stands["tuned, translations"] == pytest.approx([2e3, 1e2])
     assert stands["tuned, rotations"] == pytest.approx([20.0, 1e2]) and "tuned" not in stands
-    tuned = next(walk["metrics"] for walk in cells.explorers[0]["walks"] if walk["name"] == "tuned")
-    assert tuned["objective"] == 0.9
 
 
 @pytest.mark.slow
-def test_the_page_of_a_search_opens_on_its_result(chromium, swept, named, tmp_path):
-    grid = swept[1]
-    scores = grid["force_variation"] / 10
-    walks = {name: named[1][name] for name in ("config", "pd")} | {"tuned": named[1]["config"]}
-    found = result.Result(
-        named[0], search.Search(), mc.Gains(1.0, 1e2, 1e3), np.zeros(2), 0.9, True, {}, 1000, 500, False, xr.Dataset()
-    )
-    checked = verification.Verification({}, 0.9, 0.9, [], [], {}, {}, {}, {}, None, None, 0.99, {}, [])
-    over = grid.assign(objective=scores, feasible=scores < 2)
-    gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
-    ordered = {name: walks[name] for name in ("tuned", "config", "pd")}
-    made = tune.page(
-        found, checked, over, ordered, compared_of(ordered, gains), outcome=[], tests=[], origin=ORIGIN, pictures={}
-    )
-    chromium.get(page.write(made, tmp_path).as_uri())
+def test_the_page_of_a_search_opens_on_its_result(chromium, tuned_page, over, tmp_path):
+    chromium.get(page.write(tuned_page(over), tmp_path).as_uri())
     assert find(chromium, ".readout caption").text == "tuned"
     assert find(chromium, ".readout tr[data-metric='objective'] td").text == "0.9"
     assert not chromium.find_elements("css selector", ".chart path[data-series=cell]")
@@ -345,6 +363,31 @@ def test_the_page_of_a_search_opens_on_its_result(chromium, swept, named, tmp_pa
     assert find(chromium, ".readout table").get_attribute("data-cell") == "2"
     assert chromium.find_elements("css selector", ".chart path[data-series=cell]")
     assert chromium.get_log("browser") == []
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_the_page_of_a_sweep_says_which_walk_is_best(held):
+    """Or that none held; what a reader should know stands first, a sentence each."""
+    failures = {"detached_limb": None, "diverged": False, "min_tsm": 0.1}
+    values = {"best": (40.0, 0.02), "pd": (80.0, 0.01)} if held else {"pd": (80.0, 0.01)}
+    rows = {name: (None, {"force_variation": v, "base_deviation": d, **failures}) for name, (v, d) in values.items()}
+    grid = grid_of({"force_variation": np.zeros(4)}, stiffness=[1e2, 1e3], damping=[1.0, 2.0])
+    grid = grid.assign_attrs(dtype="float32", engine="limb", batch_size=4)
+    best = grid.isel(stiffness=1, damping=0) if held else None
+    scenario = mc.Scenario().with_overrides({"duration": 0.2, "control.controller": "pd"})
+    walks = dict.fromkeys(rows, mc.rollout(scenario))
+    compared = sweep_output.Comparison(grid, best, walks, rows, 1, [], None)
+    lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
+    made = pages.sweep_page(Problem(scenario), compared, lines, {}, ["widen it"], origin=ORIGIN, pictures={})
+    expected = []
+    if held:
+        expected = ["1 of the 4 walks lost a gripper or diverged.", "Worse than pd: base deviation +100 %."]
+        assert "stiffness 1000 and damping 1 are best: force variation 40 N, 50.0 % below pd" in made.verdict
+        assert made.explorers[0]["points"]["begin"] == 2
+    else:
+        assert made.verdict == "None of the 4 walks held: every one lost a gripper or diverged."
+    cells = "The page holds the time histories of 2 of the cells; a click shows the nearest of them."
+    assert made.notes == ["Widen it.", *expected, cells]
 
 
 @pytest.mark.slow
@@ -356,29 +399,21 @@ def test_the_page_of_a_front(swept, named):
     references = {f"reference_{name}": ("reference", [0.1, 0.2]) for name in traded}
     front = front.assign(references).assign_coords(reference=["config", "pd"])
     front = front.assign_attrs(better=traded[1], against=traded[0], searched="stiffness damping")
-    knee = front[traded[0]].values[4]
+    bend = pareto.knee(*(front[name].values for name in traded))
+    knee = front[traded[0]].values[bend]
     without = {f"without_{traded[0]}": [0.5 * knee, 2 * knee], f"without_{traded[1]}": [7.0, 5.0]}
     without |= {"without_kp": [30.0, 10.0], "without_kd": [0.5, 0.25]}
     front = front.assign({name: ("without", np.array(values)) for name, values in without.items()})
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
-    how = {"origin": ORIGIN, "seed": 0, "worth": "the force sensor pays", "pictures": {}}
-    made = pareto_page.page(front, 4, kept, named[1], named[0], **how)
-    assert "The front of 9 points bends at" in page.render(made) and "The force sensor pays." in made.notes
+    found = Front(front, Problem(named[0]))
+    made = pages.pareto_page(found, kept, named[1], origin=ORIGIN, pictures={})
+    assert "The front of 9 points bends at" in page.render(made)
+    assert made.notes[0].endswith(", at no more base deviation.")
     rows = made.tables[0].sections[0][1]
-    assert [row[0] for row in rows] == [""] * 4 + ["knee"] + [""] * 4 and len(rows[0]) == 5
+    assert [row[0] for row in rows] == ["knee" if i == bend else "" for i in range(9)] and len(rows[0]) == 5
     assert [row[0] for row in made.tables[0].sections[1][1]] == ["config", "pd", "pd, kp 30, kd 0.5"]
     points = made.explorers[0]["points"]
-    assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == 4
-
-
-def test_the_verdict_on_the_paper_counts_claims():
-    holds = dict.fromkeys(paper.CLAIMS, True) | {"detachment": None, "cost_of_transport": False}
-    case = {
-        reading: {claim: paper.Verdict(value, {}, "") for claim, value in holds.items()} for reading in paper.READINGS
-    }
-    other = {reading: case[reading] | {"torque_spikes": paper.Verdict(False, {}, "")} for reading in paper.READINGS}
-    text = reproduce.verdict({"1": case, "2": other})
-    assert text.count("3 hold wherever they can be judged and 1 in some cases only") == 2
+    assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == bend
 
 
 @pytest.mark.parametrize(
@@ -398,15 +433,9 @@ def test_folders_of_a_machine_are_left_out(text, expected):
 
 def test_cells_of_a_grid_that_is_not_square():
     """Histories of one row only; gains in the order of the cells, in the unit of translations."""
-    values = {"stiffness": ("N/m, N m/rad", [1e2, 1e3, 1e4]), "damping": ("N s/m, N m s/rad", [1e1, 1e2])}
-    axes = {name: (name, numbers, {"units": unit}) for name, (unit, numbers) in values.items()}
-    metrics = {"peak_foot_force": np.arange(6.0), "detached_at": np.full(6, np.nan), "diverged": np.zeros(6)}
-    data = {name: (list(axes), numbers.reshape(3, 2)) for name, numbers in metrics.items()}
-    names = {"flag_meanings": "none LF LH RH RF"}
-    grid = xr.Dataset(data | {"detached_limb": (list(axes), np.full((3, 2), -1), names)}, axes)
+    grid = grid_of({"peak_foot_force": np.arange(6.0)}, stiffness=[1e2, 1e3, 1e4], damping=[1e1, 1e2])
     lines = np.arange(24.0).reshape(3, 2, 2, 2)
-    walks = xr.Dataset({name: ([*axes, "extreme", "stretch"], lines) for name in LINES}, axes)
-    points = explorer.grid_points(grid, walks.isel(damping=[1]), {}, {}, None)
+    points = explorer.grid_points(grid, histories_of(grid, lines).isel(damping=[1]), {}, {}, None)
     assert points["stored"] == [1, 3, 5] and points["values"]["peak_foot_force"] == list(range(6))
     assert points["gains"] == {"stiffness": [1e2, 1e2, 1e3, 1e3, 1e4, 1e4], "damping": [1e1, 1e2] * 3}
     assert [axis["unit"] for axis in points["axes"]] == ["N/m", "N s/m"]

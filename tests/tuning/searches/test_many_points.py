@@ -10,12 +10,14 @@ from cmaes import CMA
 
 import mjx_climb as mc
 import tuning
+from mjx_climb import execution
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
 from tuning.searches import robust as robust_search
 from tuning.searches import tune
 from tuning.searches.methods import cma_es
 from tuning.searches.methods.task import Task
+from tuning.searches.rounds import follow
 
 SIZE = 6
 BOTTOM = np.linspace(0.2, 0.8, SIZE)
@@ -24,8 +26,7 @@ BOTTOM = np.linspace(0.2, 0.8, SIZE)
 @pytest.fixture
 def kernel(monkeypatch):
     """Have the searches believe that there is a GPU whose kernel walks."""
-    for module in (cma_es, tune):
-        monkeypatch.setattr(module, "kernel_pays", lambda engine, dtype: np.dtype(dtype) == np.float32)
+    monkeypatch.setattr(execution, "many_at_once", lambda dtype: np.dtype(dtype) == np.float32, raising=False)
 
 
 def task(search, members=1):
@@ -36,16 +37,14 @@ def task(search, members=1):
 
 def searched(task):
     """Run CMA-ES over a valley whose axes differ a hundredfold; return sizes and best value of the generations."""
-    points, weights = cma_es.run(task), np.geomspace(0.1, 10.0, SIZE)
-    request, sizes, best = next(points), [], []
-    try:
-        while True:
-            merit = (weights * (request.theta - BOTTOM) ** 2).sum(1)
-            sizes.append(len(merit))
-            best.append(merit.min())
-            request = points.send(types.SimpleNamespace(merit=merit))
-    except StopIteration:
-        return sizes, best
+    merits = []
+
+    def evaluate(request):
+        merits.append((np.geomspace(0.1, 10.0, SIZE) * (request.theta - BOTTOM) ** 2).sum(1))
+        return types.SimpleNamespace(merit=merits[-1])
+
+    follow(cma_es.run(task), evaluate)
+    return [merit.size for merit in merits], [merit.min() for merit in merits]
 
 
 def test_many_points_go_to_the_bottom_and_end_there(kernel):

@@ -17,7 +17,6 @@ from mjx_climb.walk.metrics import smallest
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.report import comparison
 from tuning.report.explorer import explorer, grid_points
-from tuning.searches import grid
 
 PAGE = Path(__file__).parents[3] / "docs" / "metrics.md"
 SHORT = {"duration": 0.3, "gait.cycle": 0.4, "disturbance.cargo.start": 0.05}
@@ -54,22 +53,22 @@ def test_the_example_is_resumed_bit_for_bit_and_seen_everywhere(example):
     assert cut.interrupted
     scope, undisturbed = example("one"), example("other")["found"]
     found = scope["found"]
-    assert not found.interrupted and cut.history.sizes["point"] < found.history.sizes["point"]
+    assert not found.interrupted and cut.data.sizes["point"] < found.data.sizes["point"]
     for name in ("theta", "value", "descent", "peak_base_speed"):
-        np.testing.assert_array_equal(found.history[name], undisturbed.history[name])
+        np.testing.assert_array_equal(found.data[name], undisturbed.data[name])
     np.testing.assert_allclose(
         found.value,
-        found.history["value"].values.astype(float)[found.history["feasible"].values].min(),
+        found.data["value"].values.astype(float)[found.data["feasible"].values].min(),
     )
-    assert (found.history["peak_base_speed"].values[found.history["feasible"].values] <= 0.5).all()
+    assert (found.data["peak_base_speed"].values[found.data["feasible"].values] <= 0.5).all()
 
     metrics, scenario = scope["metrics"], scope["scenario"]
     table = comparison.table({"tuned": (None, scope["best"]), "pd": (None, scope["best"])}, "", metrics)
     rows = {row[0]: row for _, section in table.sections for row in section}
     assert rows["largest speed of the base"][1:3] == ["m/s", f"{scope['best']['peak_base_speed']:.4g}"]
 
-    axes = np.geomspace(1e3, 1e4, 2), np.geomspace(1e1, 1e2, 2)
-    walks = grid.sweep(scenario, *axes, metrics=metrics)
+    axes = {"stiffness": np.geomspace(1e3, 1e4, 2), "damping": np.geomspace(1e1, 1e2, 2)}
+    walks = tuning.sweep(scenario, axes, metrics=metrics).data
     panel = plot_map(walks, "peak_base_speed").axes[1]
     assert panel.get_ylabel() == "largest speed of the base [m/s]"
     points = grid_points(walks, walks, scope["best"], {}, None)

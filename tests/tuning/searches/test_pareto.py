@@ -13,9 +13,9 @@ from tuning.gains import law_file
 from tuning.problem import spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
-from tuning.problem.search import Search
+from tuning.problem.search import Pareto, Search
 from tuning.report import ensemble_pictures
-from tuning.report.pareto import front_table
+from tuning.report.pages import front_table
 from tuning.searches import pareto, retuned_pd
 
 LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
@@ -52,19 +52,27 @@ def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(few, monk
             slopes = np.zeros((len(theta), 0 if directions is None else len(directions)))
             return Evaluation(ones, ones, 0 * ones, ones > 0, slopes, slopes, found)
 
-    monkeypatch.setattr(pareto, "_dataset", lambda asked, archive, *_: archive)
+    class Given(Exception):
+        pass
+
+    def dataset(problem, asked, walked, widest):
+        raise Given(walked)
+
+    monkeypatch.setattr(pareto, "_dataset", dataset)
     limits = tuple(Limit(name, 0.5, 0.5, 0.02, "") for name in ("base_deviation", "peak_foot_force"))
     goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), limits)
     problem = Shares(mc.Scenario(), spaces.space(mc.Scenario(), Search()), goal)
-    archive = pareto.run(pareto.Trade(problem, Search(), "force_variation", "base_deviation"), points=2)
-    theta, held = (np.concatenate(archive[name]) for name in ("theta", "held"))
+    with pytest.raises(Given) as given:
+        pareto.run(problem, Search(), Pareto(points=2))
+    (walked,) = given.value.args
+    theta, held = walked.theta, walked.held
     deviation, force = ((theta - problem.space.lower) / (problem.space.upper - problem.space.lower)).T
     assert held.tolist() == (force <= 0.5).tolist() and 0 < held.sum() < held.size and deviation[held].max() > 0.5
 
 
 def test_one_metric_twice_is_refused():
     with pytest.raises(ConfigError, match="against"):
-        pareto.front(mc.Scenario(), better="travel", against="travel")
+        pareto.pareto(mc.Scenario(), better="travel", against="travel")
 
 
 @pytest.mark.slow
@@ -73,7 +81,7 @@ def test_a_front_of_a_law_of_ones_own(few):
     """Its gains, of six axes and of one, are those of the walks on the front."""
     law = law_file.load(f"{LAW}:Filtered")
     scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.2", "disturbance.cargo.start=0.05"])
-    front = pareto.front(scenario, points=2, law=law)
+    front = pareto.pareto(scenario, points=2, law=law).data
     assert front.attrs["searched"].split() == ["stiffness", "damping", "cutoff", "share"]
     assert front["cutoff"].dims == ("front", "six") and front["share"].dims == ("front",)
     assert front["cutoff"].attrs["units"] == "Hz"
@@ -88,7 +96,7 @@ def test_a_front_of_a_law_of_ones_own(few):
 @pytest.mark.slow
 def test_front_and_resume(few, tmp_path):
     scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3", "disturbance.cargo.start=0.1"])
-    whole = pareto.front(scenario, points=3)
+    whole = pareto.pareto(scenario, points=3).data
     x, y = whole["base_deviation"].values, whole["force_variation"].values
     assert (np.diff(x) > 0).all() and (np.diff(y) < 0).all()
     for i in range(whole.sizes["front"]):  # nothing that was walked beats the front, up to the walks' precision
@@ -114,13 +122,13 @@ def test_front_and_resume(few, tmp_path):
     class Stop(Exception):
         pass
 
-    def stop(done, total, phase):
-        if done == 3:
+    def stop(now):
+        if now.rounds == 3:
             raise Stop
 
     with pytest.raises(Stop):
-        pareto.front(scenario, points=3, out=tmp_path, progress=stop)
-    resumed = pareto.front(scenario, points=3, out=tmp_path)
+        pareto.pareto(scenario, points=3, out=tmp_path, progress=stop)
+    resumed = pareto.pareto(scenario, points=3, out=tmp_path).data
     for name in ("theta", "walked_force_variation", "force_variation", "stiffness"):
         np.testing.assert_array_equal(resumed[name], whole[name])
     dataset.save(whole, tmp_path / "front.nc")

@@ -10,6 +10,7 @@ from tuning.searches import retuned_pd
 CASE = mc.load_scenario("case_1_2")
 OURS, THEIRS = {"force_variation": 30.0}, {"force_variation": 40.0}
 JOINT = {"kp": 17.0, "kd": 1.0}
+RIVAL = retuned_pd.Rival(JOINT, 40.0)
 
 
 @pytest.mark.parametrize(
@@ -88,21 +89,23 @@ def test_a_further_search_of_pd_finds_nothing_better():
 
 def test_a_verdict_only_where_pd_was_searched_as_well():
     worth = retuned_pd.worth
-    assert worth(OURS, THEIRS, JOINT).in_words == (
+    assert worth(OURS, THEIRS, RIVAL).in_words == (
         "the force sensor pays: 25.0 % less force variation than pd with kp 17, kd 1, which needs none"
     )
-    assert worth(OURS, THEIRS, JOINT, lacks="on a grid alone").in_words.startswith(
+    assert worth(OURS, THEIRS, RIVAL._replace(lacks="on a grid alone")).in_words.startswith(
         "no verdict on the force sensor, since pd was searched on a grid alone: 25.0 % less"
     )
-    behind = worth(THEIRS, OURS, JOINT, lacks="on a grid alone", place=" on this grid").in_words
+    behind = worth(THEIRS, OURS, RIVAL._replace(lacks="on a grid alone"), place=" on this grid").in_words
     assert behind.startswith("the force sensor does not pay on this grid: 33.3 % more force variation")
     for pair in ((OURS, THEIRS), (THEIRS, OURS)):
-        same = worth(*pair, JOINT, spread=0.34).in_words
+        same = worth(*pair, RIVAL._replace(spread=0.34)).in_words
         assert same.startswith("the force sensor changes nothing beyond the search's own spread of 34.0 %: ")
-    told = worth(OURS, THEIRS, JOINT, step=5e-4, others=(["peak pull force +71.0 %"], ["travel +3.0 %"])).in_words
+    told = worth(
+        OURS, THEIRS, RIVAL._replace(step=5e-4), others=(["peak pull force +71.0 %"], ["travel +3.0 %"])
+    ).in_words
     assert told.endswith(", both at a time step of 0.0005 s; worse: peak pull force +71.0 %; better: travel +3.0 %")
-    assert worth({"min_tsm": 3.0}, {"min_tsm": 2.0}, JOINT, larger=True).in_words.startswith("the force sensor pays")
-    lost = worth({"force_variation": np.nan}, THEIRS, JOINT).in_words
+    assert worth({"min_tsm": 3.0}, {"min_tsm": 2.0}, RIVAL, larger=True).in_words.startswith("the force sensor pays")
+    lost = worth({"force_variation": np.nan}, THEIRS, RIVAL).in_words
     assert "not to be compared" in lost and lost.endswith("a walk failed")
 
 

@@ -9,14 +9,16 @@ import xarray as xr
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.profiles import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import ensemble as ensembles
 from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble
-from tuning.searches import retuned_pd, robust, tune
+from tuning.problem.evaluation import Problem
+from tuning.searches import judge, retuned_pd, robust, tune
+from tuning.searches.shards import Rows
 
 FAST = ["duration=0.3"]
 SHORT_PUSHES = {"start": (0.05, 0.1), "length": (0.05, 0.1)}
@@ -29,32 +31,27 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def ensemble():
-    return ensembles.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}})
+    return ensembles.Ensemble.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}})
 
 
 def test_the_shipped_ensemble_is_the_default_one():
-    assert ensembles.load(config_path("ensemble.yaml")) == Ensemble()
+    assert ensembles.Ensemble.load(config_path("ensemble.yaml")) == Ensemble()
 
 
 def test_yaml_round_trip(tmp_path, ensemble):
     (tmp_path / "e.yaml").write_text(ensemble.to_yaml())
-    assert ensembles.load(tmp_path / "e.yaml") == ensemble
+    assert ensembles.Ensemble.load(tmp_path / "e.yaml") == ensemble
 
 
 @pytest.mark.parametrize(
     ("text", "where"),
-    [
-        ("cargo: {mass: [2, 1]}", "cargo: mass: expected low <= high"),
-        ("slope: 3", "slope"),
-        ("members: 0", "members"),
-        ("robot_mass: [0, 1]", "robot_mass"),
-        ("[1]", "expected a mapping"),
-    ],
-)
+    [("cargo: {mass: [2, 1]}", "cargo: mass: expected low <= high"), ("slope: 3", "slope"), ("members: 0", "members"),
+     ("robot_mass: [0, 1]", "robot_mass"), ("[1]", "expected a mapping")],
+)  # fmt: skip
 def test_errors_name_file_and_key(tmp_path, text, where):
     (tmp_path / "e.yaml").write_text(text)
     with pytest.raises(ConfigError, match=r"e\.yaml") as error:
-        ensembles.load(tmp_path / "e.yaml")
+        ensembles.Ensemble.load(tmp_path / "e.yaml")
     assert where in str(error.value)
 
 
@@ -95,7 +92,7 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     scenario = scenario.with_overrides({"hardware.servo": {"load_friction": 0.1, "viscous_friction": 0.02}})
     own = jax.tree.map(np.asarray, mc.parameters(scenario))
     before = ensembles.draw(scenario, Ensemble(members=50))
-    drawn = ensembles.draw(scenario, ensembles.make({"members": 50, "hardware": HARDWARE}))
+    drawn = ensembles.draw(scenario, ensembles.Ensemble.make({"members": 50, "hardware": HARDWARE}))
     for name in ("push_force", "cargo_mass", "gravity", "mass_scale", "contact_stiffness", "backlash"):
         np.testing.assert_array_equal(getattr(before, name), getattr(drawn, name))
     assert len(np.unique(drawn.seed)) == 50 and before.seed.ndim == 0
@@ -122,15 +119,15 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
 )
 def test_hardware_that_cannot_be_drawn_is_refused(scenario, hardware, where):
     with pytest.raises(ConfigError, match=where):
-        ensembles.draw(scenario, ensembles.make({"hardware": hardware}))
+        ensembles.draw(scenario, ensembles.Ensemble.make({"hardware": hardware}))
 
 
 def test_joint_gains_are_searched_where_there_is_hardware(scenario):
     late = scenario.with_overrides({"hardware.force_sensor.delay": 0.005})
     names = [spaces.space(s, search.Search()).names for s in (scenario, late)]
     assert names == [("damping", "stiffness"), ("damping", "stiffness", "kp", "kd")]
-    assert spaces.space(late, search.make({"joint_gains": False})).size == 2
-    drawn = ensembles.make({"hardware": {"force_delay": (0.0, 0.01)}})
+    assert spaces.space(late, search.Search.make({"joint_gains": False})).size == 2
+    drawn = ensembles.Ensemble.make({"hardware": {"force_delay": (0.0, 0.01)}})
     assert robust.settled(search.Search(), {}, drawn).joint_gains
     assert not robust.settled(None, {"joint_gains": False}, drawn).joint_gains
     assert robust.settled(search.Search(), {}, Ensemble()).joint_gains is None
@@ -172,7 +169,7 @@ def test_worst_mean():
 def test_pd_scores_one(scenario, ensemble):
     numbers = ensembles.draw(scenario, ensemble)
     pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
-    settings = search.make({"weights": robust.ROBUST_WEIGHTS})
+    settings = search.Search.make({"weights": search.ROBUST_WEIGHTS})
     goal = robust.objective(scenario, settings, ensemble, pd)
     score = goal.score({name: value[:, None] for name, value in pd.items()})
     assert float(score.value[0]) == pytest.approx(1.0, rel=1e-5)
@@ -203,7 +200,7 @@ def test_mean_and_worst_count_by_their_weights():
 def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
     numbers = ensembles.draw(scenario, ensemble)
     pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
-    goal = robust.objective(scenario, search.make({"no_worse_than_pd": False}), ensemble, pd)
+    goal = robust.objective(scenario, search.Search.make({"no_worse_than_pd": False}), ensemble, pd)
     rows = {name: np.stack([value, value], axis=1) for name, value in pd.items()}
     rows["peak_pull_force"][2, 1] = 16.0
     score = goal.score(rows)
@@ -215,18 +212,23 @@ def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
 def test_search_and_judgement(scenario):
     """Forces are late in every walk: the joint loop is searched and judged with the admittance."""
     late = {"force_delay": (0.002, 0.005)}
-    ensemble = ensembles.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late})
+    ensemble = ensembles.Ensemble.make(
+        {"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late}
+    )
     found = tuning.robust(scenario, ensemble, method="cmaes", starts=4, iterations=2)
-    assert found.history.sizes["point"] == 8
+    assert found.data.sizes["point"] == 8
     assert found.env_steps == 8 * ensemble.members * scenario.steps
     assert found.gains.kp is not None
     paper = mc.Gains(1.0, 5e3, 2e4)
     calm = {"kp": 30.0, "kd": 0.5}
     rivals = {"robust": found.gains, "config": paper}
-    judged = robust.judge(scenario, rivals, ensemble, members=6, pd={"retuned_pd": calm})
+    draw = judge.through(
+        Problem(scenario), rivals, judge.fresh(Ensemble(**vars(ensemble) | {"members": 6})), {"retuned_pd": calm}
+    )
+    judged = draw.dataset(Rows(draw).walk())
     assert judged["force_variation"].dims == ("gains", "member")
     assert judged["gains"].values.tolist() == ["robust", "config", "retuned_pd", "pd"]
-    unseen = ensembles.draw(scenario, ensemble.model_copy(update={"members": 6, "seed": robust.FRESH_SEED}))
+    unseen = ensembles.draw(scenario, ensemble.model_copy(update={"members": 6, "seed": judge.FRESH_SEED}))
     own = jax.tree.map(np.asarray, mc.parameters(scenario))
     alone = jax.tree.map(lambda v, own: v[3, 0] if v.ndim > own.ndim else v, unseen, own)
     pd = scenario.with_overrides({"control.controller": "pd"})
@@ -237,7 +239,7 @@ def test_search_and_judgement(scenario):
     ):
         there = judged["force_variation"].sel(gains=name, member=3).item()
         assert there == pytest.approx(metrics["force_variation"].item(), rel=1e-3), name
-    summed = robust.summary(judged)
+    summed = judge.summary(judged)
     assert summed["force_variation"].dims == ("statistic", "gains")
     variation = judged["force_variation"].sel(gains="pd").values
     assert summed["force_variation"].sel(gains="pd", statistic="worst").item() == pytest.approx(variation.max())
@@ -255,7 +257,7 @@ def judgement(**metrics):
 def test_limits_are_judged_on_the_unseen_draw(scenario):
     base = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 6e-3], [1e-3, 1e-3]])
     pd = {name: base[name].sel(gains="pd").values for name in base.data_vars}
-    settings = search.make({"weights": {"force_variation": 1.0}, "limits": {"base_deviation": 5e-3}})
+    settings = search.Search.make({"weights": {"force_variation": 1.0}, "limits": {"base_deviation": 5e-3}})
     goal = robust.objective(scenario, settings, Ensemble(members=2), pd)
     shares = robust.broken(base, goal)
     asked = "base deviation at most 0.005 (set by the user)"
@@ -272,7 +274,7 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
 
 
 def test_what_a_force_sensor_is_worth():
-    retuned = {"kp": 25.0, "kd": 0.5}
+    retuned = retuned_pd.Rival({"kp": 25.0, "kd": 0.5}, 0.8)
     without = {"objective": 0.8, "force_variation": 50.0}
     less = retuned_pd.worth({"objective": 0.6, "force_variation": 30.0}, without, retuned)
     assert less.changes == pytest.approx({"objective": -0.25, "force_variation": -0.4})
@@ -296,19 +298,20 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
     walked = []
     resumed = tuning.robust(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
     assert walked == [False, True]
-    xr.testing.assert_equal(resumed.history, tuning.robust(scenario, ensemble, **how).history)
+    xr.testing.assert_equal(resumed.data, tuning.robust(scenario, ensemble, **how).data)
 
 
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_slopes_of_the_robust_objective(scenario, ensemble):
     """Forward derivatives through all members and the worst of them agree with central differences."""
-    settings = search.make({"weights": {"force_variation": 1.0, "peak_pull_force": 1.0}, "precision": "float64"})
+    settings = search.Search.make({"weights": {"force_variation": 1.0, "peak_pull_force": 1.0}, "precision": "float64"})
     numbers = ensembles.draw(scenario, ensemble)
     pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
     assert PREFIX + "peak_pull_force" in pd
     goal = robust.objective(scenario, settings, ensemble, pd)
-    problem = tune.problem_of(scenario, settings, goal, numbers)
+    problem = tune.problem_of(scenario, settings, goal)
+    problem = dataclasses.replace(problem, parameters=numbers, members=ensemble.members)
     theta = np.log([[1e3, 2e4]])
     step = 1e-4
     around = np.concatenate([theta, *(theta + sign * step * np.eye(2) for sign in (1, -1))])
@@ -323,12 +326,9 @@ def test_walks_that_fail_are_counted():
     data = {n: (("gains", "member"), values, {"larger_is_better": int(mc.METRICS[n].larger_is_better)}) for n in names}
     data["diverged"] = (("gains", "member"), np.array([[False] * 3, [False, False, True]]))
     judged = xr.Dataset(data, {"gains": ["robust", "pd"]}, {"holding_limit": 15.0})
-    summed = robust.summary(judged)
+    summed = judge.summary(judged)
     assert summed["failed"].values.tolist() == pytest.approx([1 / 3, 1 / 3])
-    assert summed["peak_pull_force"].sel(statistic="mean").values.tolist() == [
-        1.5,
-        4.5,
-    ]  # without the one that diverged
+    assert summed["peak_pull_force"].sel(statistic="mean").values.tolist() == [1.5, 4.5]  # without the diverged one
     assert summed["peak_pull_force"].sel(statistic="worst").values.tolist() == [2.0, 5.0]
     assert summed["travel"].sel(statistic="worst").values.tolist() == [1.0, 4.0]  # the least of it
     assert summed.attrs["members_compared"] == 2
@@ -337,10 +337,10 @@ def test_walks_that_fail_are_counted():
 @pytest.mark.nightly
 def test_robust_gains_beat_the_papers_on_a_draw_that_was_not_seen():
     scenario = mc.load_scenario(config_path("case_1_2.yaml"))
-    ensemble = ensembles.load(config_path("ensemble.yaml"))
+    ensemble = ensembles.Ensemble.load(config_path("ensemble.yaml"))
     found = tuning.robust(scenario, ensemble, method="gradient", starts=3, iterations=10)
     paper = mc.Gains(1.0, 5e3, 5e4)
-    summed = robust.summary(robust.judge(scenario, {"robust": found.gains, "paper": paper}, ensemble))
+    summed = judge.summary(judge.judge(scenario, {"robust": found.gains, "paper": paper}, ensemble).data)
     for metric, mean, worst in (("force_variation", 0.55, 0.55), ("peak_pull_force", 0.85, 0.95)):
         ratio = (summed[metric].sel(gains="robust") / summed[metric].sel(gains="paper")).values
         assert ratio[0] < mean and ratio[1] < worst, (metric, ratio)

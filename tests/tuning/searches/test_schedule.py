@@ -15,7 +15,7 @@ from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains import law_file
-from tuning.problem.search import Search
+from tuning.problem.search import Schedule, Search
 from tuning.report import ensemble_pictures
 from tuning.searches import schedule
 
@@ -36,7 +36,7 @@ def few():
 
 
 def made(scenario, **how):
-    return schedule.schedule(scenario, gravity=(1e-2, 1.0), cargo=(0.0, 1.0), no_worse_than_pd=False, **how)
+    return schedule.schedule(scenario, gravity=(1e-2, 1.0), cargo=(0.0, 1.0), no_worse_than_pd=False, **how).data
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +48,9 @@ def test_each_operating_point_has_its_gravity_and_its_cargo(scenario, monkeypatc
     """The cargo runs fastest, in what is walked as in the tables."""
     pd = dict.fromkeys(mc.METRICS.names, np.ones(6)) | {"diverged": np.zeros(6)}
     monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: pd)
-    points = schedule.operating_points(scenario, Search(), gravity=(0.1, 1.0), cargo=(0.0, 0.5, 2.0))
-    np.testing.assert_allclose(points.numbers.gravity[:, 2], [-0.981] * 3 + [-9.81] * 3)
-    assert points.numbers.cargo_mass.tolist() == [0.0, 0.5, 2.0] * 2
+    points = schedule.operating_points(scenario, Search(), Schedule(gravity=(0.1, 1.0), cargo=(0.0, 0.5, 2.0)))
+    np.testing.assert_allclose(points.problem.parameters.gravity[:, 2], [-0.981] * 3 + [-9.81] * 3)
+    assert points.problem.parameters.cargo_mass.tolist() == [0.0, 0.5, 2.0] * 2
 
 
 @pytest.mark.nightly
@@ -167,8 +167,8 @@ def test_lookup(table):
 
 @pytest.mark.slow
 def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, tmp_path):
-    def stop(done, total, phase):
-        if done == 3:
+    def stop(now):
+        if now.rounds == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -9,11 +9,11 @@ import xarray as xr
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.compilation import devices
+from mjx_climb.execution import devices
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.shipped import config_path
-from tuning.searches import finished_parts, shards
-from tuning.searches.shards import Shard
+from tuning.searches import parts, shards
+from tuning.searches.shards import Rows, Shard
 
 AXES = {"stiffness": np.array([1e3, 1e4, 1e5]), "damping": np.array([1e2, 1e3])}
 SIZE = 4
@@ -26,7 +26,6 @@ class Numbers:
     rows: int = 10
     size: int = SIZE
     settings: float = 1.0
-    in_pieces: bool = False
     platform: str = "cpu"
 
     def identity(self):
@@ -39,14 +38,15 @@ class Numbers:
     def name(self, row):
         return f"row {row}"
 
+    def write_asked(self, folder):
+        (folder / "asked").write_text("")
+
 
 def keep(work, out, shard, lose=()):
     """Walk a shard into its folder, and lose some of its parts again."""
-    parts = shards.claim(work, out, shard)
-    shards.tell(out, shard, {"again": "walk it --shard {shard}"})
-    shards.walk(work, parts, None, shard)
+    Rows(work, out, (shard.number, shard.count), {"again": "walk it --shard {shard}"}).walk()
     for number in lose:
-        (shard.folder(out) / finished_parts.FOLDER / f"part-{number:06d}.npz").unlink()
+        (shard.folder(out) / parts.FOLDER / f"part-{number:06d}.npz").unlink()
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_shards_hold_every_row_once(rows, count):
 
 
 def test_shards_joined_are_the_whole(three):
-    whole = shards.walk(Numbers(), None, None)
+    whole = Rows(Numbers()).walk()
     np.testing.assert_array_equal(whole["x"], np.sin(np.arange(10.0)))
     for folders in ([three], list(reversed([Shard(n, 3).folder(three) for n in (1, 2, 3)]))):
         for platform in ("cpu", "gpu"):  # of the machine that joins them
@@ -87,9 +87,9 @@ def test_robots_keep_place_and_program(whole, in_pieces):
 def test_a_shard_goes_on_where_it_stopped(tmp_path):
     shard, seen = Shard(2, 2), []
     keep(Numbers(), tmp_path, shard, lose=[1])
-    parts = shards.claim(Numbers(), tmp_path, shard)
-    assert shards.there(Numbers(), parts, shard.rows(10)) == 3  # of rows 5 to 7, and 8 and 9 after them
-    shards.walk(Numbers(), parts, lambda *done: seen.append(done), shard)
+    own = Rows(Numbers(), tmp_path, (2, 2))
+    assert own.there == 3  # of rows 5 to 7, and 8 and 9 after them
+    own.walk(lambda *done: seen.append(done))
     assert seen == [(3, 5), (5, 5)]
 
 
@@ -128,11 +128,11 @@ def test_shards_that_do_not_belong_together(three, tmp_path_factory):
 
 def test_a_folder_takes_shards_of_one_thing(three):
     with pytest.raises(OutputError, match="expected shards of 2, got shard-1-of-3"):
-        shards.claim(Numbers(), three, Shard(1, 2))
+        Rows(Numbers(), three, (1, 2))
     with pytest.raises(OutputError, match=r"differs in settings\.a "):
-        shards.claim(Numbers(settings=2.0), three, Shard(1, 3))
+        Rows(Numbers(settings=2.0), three, (1, 3))
     with pytest.raises(mc.ConfigError, match="expected at most 10 shards"):
-        shards.claim(Numbers(), three / "new", Shard(1, 11))
+        Rows(Numbers(), three / "new", (1, 11))
 
 
 @pytest.fixture(scope="module")
@@ -148,8 +148,8 @@ def test_a_sweep_in_shards_is_the_sweep(scenario, tmp_path):
     merged = tuning.merge([tmp_path])
     whole = tuning.sweep(scenario, AXES, gains=gains, batch_size=SIZE)
     xr.testing.assert_identical(merged.data, whole.data)
-    assert (merged.scenario, merged.engine) == (whole.scenario, whole.engine)
+    assert (merged.scenario, merged.problem.engine) == (whole.scenario, whole.problem.engine)
     assert merged.gains.inertia == 2.0
-    (Shard(2, 3).folder(tmp_path) / finished_parts.FOLDER / "part-000000.npz").unlink()
+    (Shard(2, 3).folder(tmp_path) / parts.FOLDER / "part-000000.npz").unlink()
     with pytest.raises(mc.ConfigError, match=r"shard 2/3 lacks 2 of 2 walks \(stiffness 1e\+04 damping 100 to "):
         tuning.merge([tmp_path])

@@ -1,11 +1,9 @@
 """Searches: spaces, objectives, gradients, methods, and results that survive a kill."""
 
-import contextlib
 import dataclasses
 import functools
 import itertools
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -25,6 +23,7 @@ from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.searches import result
 from tuning.searches.methods import METHODS, Method, Request, Task, refined_grid
+from tuning.searches.rounds import follow
 from tuning.searches.tune import problem_of, start_of
 from tuning.tune import tune
 
@@ -36,14 +35,10 @@ def scenario():
     return mc.Scenario().with_overrides({"gravity": [0.0, 0.0, -1.635], **SHORT})
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Spaces
-
-
 @pytest.mark.parametrize("layout", search.LAYOUTS)
 @pytest.mark.parametrize("inertia", [False, True])
 def test_a_space_goes_to_gains_and_back(scenario, layout, inertia):
-    space = spaces.space(scenario, search.make({"space": layout, "inertia": inertia}))
+    space = spaces.space(scenario, search.Search.make({"space": layout, "inertia": inertia}))
     theta = space.draw(np.random.default_rng(0), 5)
     for point in theta:
         gains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(point)))
@@ -60,7 +55,7 @@ def test_pins_bounds_and_joint_gains(scenario):
         "pins": {"damping.rotation": 7.0, "stiffness.x": 123.0},
         "bounds": {"stiffness": [10.0, 20.0], "stiffness.rz": [30.0, 40.0]},
     }
-    space = spaces.space(scenario, search.make(wanted))
+    space = spaces.space(scenario, search.Search.make(wanted))
     assert "stiffness.x" not in space.names and "damping.rx" not in space.names and "kp" in space.names
     gains = space.to_gains(jnp.asarray(space.lower))
     np.testing.assert_allclose(gains.damping[3:], 7.0, rtol=1e-5)
@@ -70,20 +65,20 @@ def test_pins_bounds_and_joint_gains(scenario):
 
 def test_joint_gains_that_shake_at_the_time_step_are_no_result(scenario):
     """One walk may seem well with them; nobody could walk with what was found."""
-    settings = search.make({"joint_gains": True})
+    settings = search.Search.make({"joint_gains": True})
     space = spaces.space(scenario, settings)
-    problem = Problem(scenario, space, objectives.Objective((), ()))
+    problem = Problem(scenario, space)
     gains = [mc.Gains(1.0, 1e2, 3e3, kp=50.0, kd=kd) for kd in (0.9, 0.3, 0.8, 0.2)]
     arrays = {
         "theta": np.array([space.from_gains(each) for each in gains]), "value": np.array([0.1, 0.4, 0.2, 0.3]),
         "penalty": np.zeros(4), "feasible": np.ones(4, bool), "env_steps": np.arange(4),
     }  # fmt: skip
-    found = result.from_history(problem, settings, arrays, interrupted=False)
+    found = result.from_rounds(problem, settings, arrays, interrupted=False)
     assert float(found.gains.kd) == pytest.approx(0.2) and found.feasible
-    assert found.history["feasible"].values.tolist() == [False, True, False, True]
-    assert result.best_of({name: found.history[name].values for name in ("value", "penalty", "feasible")}) == 3
+    assert found.data["feasible"].values.tolist() == [False, True, False, True]
+    assert result.best_of({name: found.data[name].values for name in ("value", "penalty", "feasible")}) == 3
     none = {**arrays, "theta": np.repeat(arrays["theta"][:1], 4, axis=0)}
-    assert not result.from_history(problem, settings, none, interrupted=False).feasible
+    assert not result.from_rounds(problem, settings, none, interrupted=False).feasible
 
 
 def test_bounds_are_those_of_the_robot(scenario):
@@ -104,7 +99,7 @@ def test_bounds_are_those_of_the_robot(scenario):
 
 
 def mass_of(scenario):
-    return float(load_robot(scenario.robot).total_mass[0])
+    return float(load_robot(scenario.robot).total_mass)
 
 
 @pytest.mark.parametrize(
@@ -112,23 +107,19 @@ def mass_of(scenario):
 )
 def test_settings_that_fit_no_space_are_refused(scenario, settings):
     with pytest.raises(ConfigError):
-        spaces.space(scenario, search.make(settings))
+        spaces.space(scenario, search.Search.make(settings))
 
 
 @pytest.mark.parametrize("bad", [{"weights": {"speed": 1}}, {"method": "magic"}, {"bounds": {"damping": [2, 1]}}])
 def test_bad_settings_are_refused_in_one_line(bad):
     with pytest.raises(ConfigError) as error:
-        search.check_metrics(search.make(bad), mc.METRICS)
+        search.check_metrics(search.Search.make(bad), mc.METRICS)
     assert "\n" not in str(error.value)
 
 
 def test_settings_survive_yaml():
-    settings = search.make({"space": "split", "limits": {"base_deviation": 0.01}, "pins": {"damping": 3.0}})
-    assert search.parse(settings.to_yaml()) == settings
-
-
-# ------------------------------------------------------------------------------------------------------------
-# Objectives and gradients
+    settings = search.Search.make({"space": "split", "limits": {"base_deviation": 0.01}, "pins": {"damping": 3.0}})
+    assert search.Search.parse(settings.to_yaml()) == settings
 
 
 def test_pd_scores_one_and_keeps_its_own_limits(scenario):
@@ -162,7 +153,7 @@ def test_a_limit_is_penalised_before_it_breaks_and_judged_where_it_breaks():
 )
 def test_gradients_agree_with_central_differences(scenario, layout):
     """Each slope of the smooth objective, in float64, against differences of the same program's values."""
-    settings = search.make(
+    settings = search.Search.make(
         {
             "space": layout,
             "inertia": True,
@@ -192,17 +183,13 @@ def test_an_ensemble_scores_the_mean_of_its_members(scenario):
     with jax.enable_x64(True):
         numbers = mc.parameters(scenario)
     masses = np.array([0.5, 1.5])[:, None]
-    together = dataclasses.replace(problem, numbers=_with(numbers, masses), members=2).evaluate(theta)
-    alone = [dataclasses.replace(problem, numbers=_with(numbers, mass[0])).evaluate(theta) for mass in masses]
+    together = dataclasses.replace(problem, parameters=_with(numbers, masses), members=2).evaluate(theta)
+    alone = [dataclasses.replace(problem, parameters=_with(numbers, mass[0])).evaluate(theta) for mass in masses]
     np.testing.assert_allclose(together.value, (alone[0].value + alone[1].value) / 2, rtol=1e-9)
 
 
 def _with(numbers, mass):
     return dataclasses.replace(numbers, cargo_mass=mass)
-
-
-# ------------------------------------------------------------------------------------------------------------
-# Methods, on a landscape that costs nothing
 
 
 class Bowl(Problem):
@@ -220,41 +207,43 @@ class Bowl(Problem):
         return Evaluation(value, value, zero, np.isfinite(value), slopes, slopes, metrics)
 
 
-@pytest.mark.parametrize("method", ["gradient", "lbfgs", "grid", "cmaes", "optuna"])
-@pytest.mark.parametrize("layout", ["isotropic", "diagonal"])
+def searched(scenario, start=start_of, **settings):
+    """Return every request of a method in a bowl and what it was told, and how many rounds it said it would take."""
+    search_settings = search.Search.make(settings)
+    bowl, found = Bowl(scenario, spaces.space(scenario, search_settings)), []
+    task, method = Task(bowl, search_settings, start(bowl)), METHODS[search_settings.method]
+
+    def evaluate(request):
+        found.append((request, bowl.evaluate(request.theta, request.directions)))
+        return found[-1][1]
+
+    follow(method.run(task), evaluate)
+    return found, method.rounds(task)
+
+
+@pytest.mark.parametrize(
+    ("method", "layout"),
+    [
+        (name, space)
+        for name in search.METHODS
+        for space in ("isotropic", "diagonal")
+        if (name, space) != ("grid", "diagonal")
+    ],
+)
 def test_methods_find_the_bottom_of_a_bowl(scenario, method, layout):
-    if (method, layout) == ("grid", "diagonal"):
-        pytest.skip("twelve dimensions are no grid")
     if method == "optuna":
         pytest.importorskip("optuna")
-    settings = search.make({"space": layout, "method": method})
-    bowl = Bowl(scenario, spaces.space(scenario, settings), objectives.Objective((), ()))
-    points, found = METHODS[method].run(Task(bowl, settings, start_of(bowl))), []
-    rounds = 0
-    request = next(points)
-    try:
-        while True:
-            answer = bowl.evaluate(request.theta, request.directions)
-            found.append(np.nanmin(answer.value))
-            rounds += 1
-            request = points.send(answer)
-    except StopIteration:
-        pass
-    assert min(found) < 0.5 + {"optuna": 0.8}.get(method, 0.06)
-    assert rounds <= METHODS[method].rounds(Task(bowl, settings, start_of(bowl)))
+    found, rounds = searched(scenario, space=layout, method=method)
+    assert min(np.nanmin(answer.value) for _, answer in found) < 0.5 + {"optuna": 0.8}.get(method, 0.06)
+    assert len(found) <= rounds
 
 
 def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenario, monkeypatch):
     """About its best point alone: nothing between two points of a grid is left out by the next, finer one."""
     monkeypatch.setattr(refined_grid, "CELLS", 1)
-    settings = search.make({"method": "grid"})
-    bowl = Bowl(scenario, spaces.space(scenario, settings), objectives.Objective((), ()))
-    points, walked = refined_grid.run(Task(bowl, settings, start_of(bowl))), {"grid": [], "refined grid": []}
-    with contextlib.suppress(StopIteration):
-        request = next(points)
-        while True:
-            walked[request.phase].append(request.theta)
-            request = points.send(bowl.evaluate(request.theta))
+    walked = {"grid": [], "refined grid": []}
+    for request, _ in searched(scenario, method="grid")[0]:
+        walked[request.phase].append(request.theta)
     levels = [np.concatenate(walked["grid"]), *walked["refined grid"]]
     assert len(levels) == 3
     for coarse, fine in itertools.pairwise(levels):
@@ -263,28 +252,15 @@ def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenar
 
 
 def test_a_dead_start_does_not_poison_the_others(scenario):
-    settings = search.make({"method": "gradient", "starts": 4})
-    bowl = Bowl(scenario, spaces.space(scenario, settings), objectives.Objective((), ()))
-    points = METHODS["gradient"].run(Task(bowl, settings, bowl.space.lower))  # the own gains are in the dead corner
-    request, alive = next(points), []
-    try:
-        while True:
-            answer = bowl.evaluate(request.theta, request.directions)
-            alive.append(answer.alive)
-            assert np.isfinite(request.theta).all()
-            request = points.send(answer)
-    except StopIteration:
-        pass
+    found, _ = searched(scenario, start=lambda bowl: bowl.space.lower, starts=4)  # own gains in the dead corner
+    assert all(np.isfinite(request.theta).all() for request, _ in found)
+    alive = [answer.alive for _, answer in found]
     assert not alive[1][0] and alive[-1].all()
 
 
 def test_a_grid_of_twelve_gains_is_refused(scenario):
     with pytest.raises(ConfigError, match="at most"):
         tune(scenario, method="grid", space="diagonal")
-
-
-# ------------------------------------------------------------------------------------------------------------
-# Results
 
 
 @pytest.mark.slow
@@ -294,14 +270,10 @@ def test_a_search_betters_pd_and_can_be_repeated_from_its_file(scenario, tmp_pat
     assert found.env_steps == scenario.steps * (24 + 3 * 3 * 3)
     path = found.save(tmp_path / "search.nc")
     read = result.load(path)
-    assert (read.scenario, read.search, read.value, read.env_steps) == (
-        found.scenario,
-        found.search,
-        found.value,
-        found.env_steps,
-    )
+    for name in ("scenario", "search", "value", "env_steps"):
+        assert getattr(read, name) == getattr(found, name)
     again = tune(read.scenario, read.search)
-    np.testing.assert_array_equal(again.history["value"], read.history["value"])
+    np.testing.assert_array_equal(again.data["value"], read.data["value"])
 
 
 @pytest.mark.slow
@@ -317,11 +289,11 @@ def test_ctrl_c_ends_with_the_best_so_far(scenario, tmp_path):
             raise KeyboardInterrupt
 
     cut = tune(scenario, iterations=3, out=tmp_path, progress=stop)
-    assert cut.interrupted and cut.history.sizes["point"] == 24 + 2 * 3
+    assert cut.interrupted and cut.data.sizes["point"] == 24 + 2 * 3
     whole = tune(scenario, iterations=3, out=tmp_path)
     undisturbed = tune(scenario, iterations=3)
-    np.testing.assert_array_equal(whole.history["theta"], undisturbed.history["theta"])
-    np.testing.assert_array_equal(whole.history["value"], undisturbed.history["value"])
+    np.testing.assert_array_equal(whole.data["theta"], undisturbed.data["theta"])
+    np.testing.assert_array_equal(whole.data["value"], undisturbed.data["value"])
 
 
 def judging(weight, metrics):
@@ -360,15 +332,15 @@ def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path)
 
     how = {"limits": {"base_deviation": 0.02}, "seed": 3}
     method = functools.partial(random_search, 1.0)
-    assert tune(scenario, method=method, out=tmp_path, progress=stop, **how).history.sizes["point"] == 24
+    assert tune(scenario, method=method, out=tmp_path, progress=stop, **how).data.sizes["point"] == 24
     with pytest.raises(OutputError, match="another that differs in method"):
         tune(scenario, method=functools.partial(random_search, 2.0), out=tmp_path, **how)
     walked = []
     resumed = tune(scenario, method=method, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
     undisturbed = tune(scenario, method=Method(lambda task: 3, method), **how)
     assert walked == [False, True, True] and resumed.search.method == "own"
-    np.testing.assert_array_equal(resumed.history["theta"], undisturbed.history["theta"])
-    np.testing.assert_array_equal(resumed.history["value"], undisturbed.history["value"])
+    np.testing.assert_array_equal(resumed.data["theta"], undisturbed.data["theta"])
+    np.testing.assert_array_equal(resumed.data["value"], undisturbed.data["value"])
     assert resumed.value == undisturbed.value < 1
 
 
@@ -392,8 +364,6 @@ def test_a_method_that_is_none_is_refused_in_one_line(scenario, method, message)
 _KILLED = """
 import sys
 import mjx_climb as mc
-from mjx_climb.control import law_of
-from mjx_climb.files.dataset import OutputError
 from tuning.tune import tune
 scenario = mc.load_scenario(sys.argv[1])
 print("begun", flush=True)
@@ -406,18 +376,15 @@ def test_a_killed_search_goes_on_bit_by_bit(scenario, tmp_path):
     config = tmp_path / "scenario.yaml"
     config.write_text(scenario.to_yaml())
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
-    rng = np.random.default_rng()
-    for delay in rng.uniform(0, 0.5, 3):
-        command = [sys.executable, "-c", _KILLED, str(config), str(tmp_path / "out")]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)
-        process.stdout.readline()
-        process.stdout.readline()
-        time.sleep(delay)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
+    command = [sys.executable, "-c", _KILLED, str(config), str(tmp_path / "out")]
+    for delay in np.random.default_rng().uniform(0, 0.5, 3):
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
+            for _ in range(2):  # begun, and the first round
+                process.stdout.readline()
+            time.sleep(delay)
+            process.kill()
     resumed, undisturbed = tune(scenario, iterations=3, out=tmp_path / "out"), tune(scenario, iterations=3)
-    np.testing.assert_array_equal(resumed.history["value"], undisturbed.history["value"])
+    np.testing.assert_array_equal(resumed.data["value"], undisturbed.data["value"])
     np.testing.assert_array_equal(resumed.gains.stiffness, undisturbed.gains.stiffness)
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mjx_climb.compilation.options import kernel_pays
+from mjx_climb import execution
 from tuning.searches.methods.task import Points, Request, Task
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def population(task: Task) -> int:
 
 
 def _by_kernel(task: Task) -> bool:
-    return kernel_pays(task.problem.engine, task.problem.dtype)
+    return execution.many_at_once(task.problem.dtype)
 
 
 def run(task: Task) -> Points:

@@ -8,7 +8,8 @@ import numpy as np
 import optax
 
 from tuning.searches.methods import staged
-from tuning.searches.methods.task import Descent, Points, Request, Task
+from tuning.searches.methods.staged import Descent, Leg
+from tuning.searches.methods.task import Points, Request, Task
 
 CLIP = 5.0  # norm of a gradient; the objective is 1 for pd
 FALL = 10.0  # by how many times its value (1 for pd) a point is worse than the best where the loop has gone unstable
@@ -21,7 +22,7 @@ class Pace(NamedTuple):
     rate: float  # of the first step, in the logarithm of a gain
     last: float  # share of it at the end
     smooth: float  # share of the iterations that follow the smooth extremes; the rest follow the true ones
-    memory: float  # of the squared slopes, a share per step
+    memory: float  # of the squared gradient, a share per step
     patience: float  # steps without a better point after which a start goes back to its best one
 
 
@@ -38,17 +39,8 @@ def run(task: Task) -> Points:
     return staged.run(task, *(functools.partial(descend, pace=pace) for pace in (SINGLE, TIED, RACE, ALONE)))
 
 
-def descend(
-    task: Task,
-    theta: np.ndarray,
-    ties: np.ndarray,
-    iterations: int,
-    rng: np.random.Generator,
-    phase: str,
-    scales: np.ndarray,
-    pace: Pace = TIED,
-) -> Descent:
-    """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
+def descend(task: Task, leg: Leg, rng: np.random.Generator, pace: Pace = TIED) -> Descent:
+    """Move along the rows of `leg.ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
 
     Good gains often lie close to a cliff, beyond which the loop is unstable. A step over it (the walk diverges, or its
     value is out of all proportion) is taken back: the start steps again from its best point, half as far, with a fresh
@@ -56,15 +48,15 @@ def descend(
     as along one that does, and may leave a good valley for a worse one. A start that has no such point goes on from a
     random one. The others do not notice.
     """
-    space = task.problem.space
+    space, (theta, ties, iterations, phase, scales) = task.problem.space, leg
     schedule = optax.cosine_decay_schedule(pace.rate, iterations, alpha=pace.last)
     direction = optax.scale_by_adam(b1=0.8, b2=pace.memory)
     update = jax.jit(jax.vmap(direction.update))
-    with jax.enable_x64(False):  # whatever the caller's setting: a search repeats itself bit by bit
+    with jax.enable_x64(False):  # independent of the caller's setting: a search repeats itself bit by bit
         blank = jax.vmap(direction.init)(np.zeros((len(theta), len(ties)), np.float32))
         rate = [float(schedule(iteration)) for iteration in range(iterations)]
     state, visited, merits = blank, [], []
-    best, slope_there = theta, np.zeros((len(theta), len(ties)))  # of each start so far
+    best, gradient_there = theta, np.zeros((len(theta), len(ties)))  # of each start so far
     least, value_there = np.full(len(theta), np.inf), np.full(len(theta), np.inf)
     waited = np.zeros(len(theta), int)
     for iteration in range(iterations):
@@ -75,18 +67,20 @@ def descend(
         over = found.value > value_there + FALL * np.maximum(1.0, np.abs(value_there))
         lost = over | ~(found.alive & np.isfinite(gradient).all(1))
         better = ~lost & (found.merit < least)
-        best, slope_there = (np.where(better[:, None], *pair) for pair in ((theta, best), (gradient, slope_there)))
+        best, gradient_there = (
+            np.where(better[:, None], *pair) for pair in ((theta, best), (gradient, gradient_there))
+        )
         least, value_there = (np.where(better, *pair) for pair in ((found.merit, least), (found.value, value_there)))
 
         waited = np.where(better, 0, waited + 1)
         back = lost | (waited >= pace.patience)
         waited = np.where(back, 0, waited)
-        theta, slope = (np.where(back[:, None], *pair) for pair in ((best, theta), (slope_there, gradient)))
+        theta, clipped = (np.where(back[:, None], *pair) for pair in ((best, theta), (gradient_there, gradient)))
         scales = np.where(back & np.isfinite(least), BACK * scales, scales)
         state = choose(back, blank, state)
-        slope = slope * np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12))
+        clipped = clipped * np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(clipped, axis=1, keepdims=True), 1e-12))
         with jax.enable_x64(False):
-            steps, state = update(slope.astype(np.float32), state)
+            steps, state = update(clipped.astype(np.float32), state)
         rates = rate[iteration] * scales[:, None]
         theta = space.clip(theta - rates * np.asarray(steps, float) @ ties)
         homeless = lost & np.isinf(least)

@@ -4,14 +4,16 @@ import jax
 import numpy as np
 import optax
 
+from tuning.problem.spaces import Space
 from tuning.searches.methods import staged
 from tuning.searches.methods.gradient import choose
-from tuning.searches.methods.task import Descent, Points, Request, Task
+from tuning.searches.methods.staged import Descent, Leg
+from tuning.searches.methods.task import Points, Request, Task
 
 MEMORY = 8
 FIRST_STEP = 1.0  # length of the first step, in the logarithm of the gains
 LONGEST_STEP = 2.0
-DECREASE = 1e-4  # Armijo's share of the decrease that the slope promises
+DECREASE = 1e-4  # Armijo's share of the decrease that the gradient promises
 SHRINK = 0.4
 GIVE_UP = 1e-2  # relative length of a trial step below which a start forgets and follows the gradient
 
@@ -23,45 +25,34 @@ def run(task: Task) -> Points:
     return staged.run(task, *[descend] * 4)
 
 
-def descend(
-    task: Task,
-    theta: np.ndarray,
-    ties: np.ndarray,
-    iterations: int,
-    rng: np.random.Generator,
-    phase: str,
-    scales: np.ndarray,
-) -> Descent:
-    """Move along the rows of `ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
+def descend(task: Task, leg: Leg, rng: np.random.Generator) -> Descent:
+    """Move along the rows of `leg.ties`; return the points visited (iterations, B, n) and their merits (iterations, B).
 
-    Each round judges one trial point per start. A trial that diverges is a step too long; a start that is dead from
+    Each round evaluates one trial point per start. A trial that diverges is a step too long; a start that is dead from
     the beginning goes on from a random point.
     """
-    space = task.problem.space
+    space, (theta, ties, iterations, phase, scales) = task.problem.space, leg
     count, k = len(theta), len(ties)
     memory = optax.scale_by_lbfgs(memory_size=MEMORY)
-    with jax.enable_x64(False):  # whatever the caller's setting: a search repeats itself bit by bit
+    with jax.enable_x64(False):  # independent of the caller's setting: a search repeats itself bit by bit
         blank = jax.vmap(memory.init)(np.zeros((count, k), np.float32))
     update = jax.jit(jax.vmap(memory.update))
     state, fresh, visited, merits = blank, np.ones(count, bool), [], []
     trial, place, value = theta.copy(), np.zeros((count, k)), np.full(count, np.inf)  # place: moved along the ties
-    aim, slope, step, length = place.copy(), np.zeros((count, k)), np.zeros((count, k)), np.ones(count)
+    aim, gradient, step, length = place.copy(), np.zeros((count, k)), np.zeros((count, k)), np.ones(count)
     for _ in range(iterations):
         found = yield Request(trial, ties, phase)
         visited.append(trial)
         merits.append(found.merit)
         good = found.alive & np.isfinite(found.gradient).all(1)
-        promised = np.minimum((slope * (aim - place)).sum(1), 0.0)
+        promised = np.minimum((gradient * (aim - place)).sum(1), 0.0)
         accepted = good & (np.isinf(value) | (found.descent <= value + DECREASE * promised))
         theta, place = np.where(accepted[:, None], trial, theta), np.where(accepted[:, None], aim, place)
         value = np.where(accepted, found.descent, value)
-        slope = np.where(accepted[:, None], found.gradient, slope)
+        gradient = np.where(accepted[:, None], found.gradient, gradient)
 
-        # a gain that lies on a bound and would pass it takes no part in the step
-        lowest = _all_of(theta <= space.lower, ties)
-        highest = _all_of(theta >= space.upper, ties)
-        outwards = (lowest & (slope > 0)) | (highest & (slope < 0))
-        free = np.where(outwards, 0.0, slope).astype(np.float32)
+        outwards = _outwards(space, theta, gradient, ties)
+        free = np.where(outwards, 0.0, gradient).astype(np.float32)
         with jax.enable_x64(False):
             directions, stepped = update(free, state, place.astype(np.float32))
         state = choose(accepted, stepped, state)
@@ -90,6 +81,12 @@ def descend(
     return np.array(visited), np.array(merits)
 
 
-def _all_of(flags: np.ndarray, ties: np.ndarray) -> np.ndarray:
-    """Return (B, k) whether a flag (B, n) is set for every coordinate that a row of ties moves."""
-    return np.asarray((flags.astype(float) @ ties.T) >= ties.sum(1))
+def _outwards(space: Space, theta: np.ndarray, gradient: np.ndarray, ties: np.ndarray) -> np.ndarray:
+    """Return (B, k) which directions lie on a bound and would pass it: they take no part in a step."""
+
+    def all_of(flags: np.ndarray) -> np.ndarray:
+        """Return (B, k) whether a flag (B, n) is set for every coordinate that a direction moves."""
+        return np.asarray((flags.astype(float) @ ties.T) >= ties.sum(1))
+
+    lowest, highest = all_of(theta <= space.lower), all_of(theta >= space.upper)
+    return np.asarray((lowest & (gradient > 0)) | (highest & (gradient < 0)))

@@ -1,4 +1,4 @@
-"""Optuna's tree-structured Parzen estimator, told in batches."""
+"""Optuna's tree-structured Parzen estimator, in batches."""
 
 import warnings
 

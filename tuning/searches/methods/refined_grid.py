@@ -44,23 +44,23 @@ def _batch(dense: int) -> int:
 
 
 def run(task: Task) -> Points:
-    """Walk a dense grid of `starts` points per coordinate, then refine `iterations` - 1 times round its best points."""
+    """Evaluate a grid of `starts` points per coordinate, then refine `iterations` - 1 times round its best points."""
     space = task.problem.space
     dense, _ = _sizes(task)
     batch = _batch(dense)
     axes = [np.linspace(*ends, _points(task)) for ends in zip(space.lower, space.upper, strict=True)]
     cell = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
     points = np.array(list(itertools.product(*axes)))
-    judged, merits = [], []
+    evaluated, merits = [], []
     for level in range(1 + _refinements(task)):
         phase = "grid" if level == 0 else "refined grid"
         for begin in range(0, len(points), batch):
             # the last batch is filled up with its last point, so that one program walks them all
             rows = np.minimum(np.arange(begin, begin + batch), len(points) - 1)
             found = yield Request(points[rows], None, phase)
-            judged.append(points[rows])
+            evaluated.append(points[rows])
             merits.append(np.where(found.feasible, found.value, 1e3 + found.merit))
-        every, merit = np.concatenate(judged), np.concatenate(merits)
+        every, merit = np.concatenate(evaluated), np.concatenate(merits)
         every, first = np.unique(every, axis=0, return_index=True)
         best = every[np.argsort(merit[first], kind="stable")[:CELLS]]
         offsets = np.array(list(itertools.product(np.linspace(-1, 1, FINE[space.size]), repeat=space.size)))

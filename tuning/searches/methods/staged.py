@@ -6,21 +6,34 @@ than two that walk half as far, but which of them is known only after some steps
 stage only.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from typing import NamedTuple
 
 import numpy as np
 
-from tuning.searches.methods import starts
-from tuning.searches.methods.task import Descent, Points, Task
+from tuning.problem.evaluation import Evaluation
+from tuning.searches.methods.task import Points, Request, Task
 
 STARTS = 3
+CANDIDATES = 12  # random points walked per start that they give
 SCALES = np.array([1.0, 0.5])  # of the steps of the starts that race, the best first: a bold one crosses to better
 # valleys, a careful one gets further down its own
 ONE_STAGE = 20  # iterations
 TIED, RACE, ALONE = 12, 10, 64  # iterations of the three stages
 
-# (task, points (B, n), ties (k, n), iterations, rng, phase, scales of the steps (B,))
-Descend = Callable[..., Descent]
+
+class Leg(NamedTuple):
+    """A descent of B points."""
+
+    theta: np.ndarray  # (B, n) where they start
+    ties: np.ndarray  # (k, n) directions in which they move
+    iterations: int
+    phase: str
+    scales: np.ndarray  # (B,) of their steps
+
+
+Descent = Generator[Request, Evaluation, tuple[np.ndarray, np.ndarray]]  # all points visited, and their merits
+Descend = Callable[[Task, Leg, np.random.Generator], Descent]
 
 
 def iterations(task: Task) -> tuple[int, ...]:
@@ -44,16 +57,29 @@ def run(task: Task, single: Descend, tied: Descend, race: Descend, alone: Descen
     space = task.problem.space
     rng = np.random.default_rng(task.search.seed)
     first, *others = iterations(task)
-    theta = yield from starts.choose(task, task.search.starts or STARTS, rng)
+    theta = yield from _starts(task, rng)
     scales = np.ones(len(theta))
     if not others:
-        yield from single(task, theta, space.ties, first, rng, "descent", scales)
+        yield from single(task, Leg(theta, space.ties, first, "descent", scales), rng)
         return
-    visited = yield from tied(task, theta, space.ties, first, rng, "axes tied", scales)
-    free = np.eye(space.size)
-    theta = _best(*visited, len(SCALES))
-    visited = yield from race(task, theta, free, others[0], rng, "axes free", SCALES[: len(theta)])
-    yield from alone(task, _best(*visited, 1), free, others[1], rng, "winner alone", np.ones(1))
+    visited = yield from tied(task, Leg(theta, space.ties, first, "axes tied", scales), rng)
+    free, theta = np.eye(space.size), _best(*visited, len(SCALES))
+    visited = yield from race(task, Leg(theta, free, others[0], "axes free", SCALES[: len(theta)]), rng)
+    yield from alone(task, Leg(_best(*visited, 1), free, others[1], "winner alone", np.ones(1)), rng)
+
+
+def _starts(task: Task, rng: np.random.Generator) -> Generator[Request, Evaluation, np.ndarray]:
+    """Return (count, n) points: the scenario's own gains first, then the best of a Latin hypercube.
+
+    Random points have the same gains on all axes: of points drawn in twelve dimensions hardly one is any good.
+    """
+    count = task.search.starts or STARTS
+    if count == 1:
+        return task.start[None]
+    drawn = task.problem.space.draw_tied(rng, CANDIDATES * (count - 1))
+    found = yield Request(drawn, None, "random points")
+    best = np.argsort(found.merit, kind="stable")[: count - 1]
+    return np.concatenate([task.start[None], drawn[best]])
 
 
 def _best(visited: np.ndarray, merits: np.ndarray, count: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The seam between a search method and what runs it."""
+"""The protocol of a search method: it is given a task, and asks for points by requests."""
 
 from collections.abc import Callable, Generator
 from typing import NamedTuple
@@ -19,20 +19,19 @@ class Task(NamedTuple):
 
 
 class Request(NamedTuple):
-    """Points that a method wants judged."""
+    """Points that a method wants evaluated."""
 
     theta: np.ndarray  # (B, n)
-    directions: np.ndarray | None  # (k, n) along which slopes are wanted
+    directions: np.ndarray | None  # (k, n) along which tangents are wanted
     phase: str
 
     @property
     def tangents(self) -> int:
-        """How many slopes are wanted."""
+        """How many tangents are wanted."""
         return 0 if self.directions is None else len(self.directions)
 
 
 Points = Generator[Request, Evaluation, None]
-Descent = Generator[Request, Evaluation, tuple[np.ndarray, np.ndarray]]  # all points visited, and their merits
 
 
 class Method(NamedTuple):
@@ -59,22 +58,19 @@ def _iterations(task: Task) -> int:
     return task.search.iterations or 0
 
 
-def check_request(request: Request, task: Task) -> None:
-    """Refuse what no batch of points of the space is.
+def check_request(request: Request, n: int) -> None:
+    """Refuse what asks for no points (B, n).
 
     Raises:
         ConfigError: in one line, what was expected.
     """
-    n = task.problem.space.size
-    theta = np.asarray(request.theta) if isinstance(request, Request) else np.zeros(0)
-    if theta.ndim != 2 or not len(theta) or theta.shape[1] != n or not np.isfinite(theta).all():
-        raise ConfigError(f"method: expected a Request of finite theta (B, {n}), got {_in_short(request)}")
+    expected = f"method: expected a Request of finite theta (B, {n}), got"
+    if not isinstance(request, Request):
+        raise ConfigError(f"{expected} a {type(request).__name__}")
+    theta = np.asarray(request.theta)
+    if not np.isfinite(theta).all():
+        raise ConfigError(f"{expected} {theta.shape} with values that are not finite")
+    if theta.ndim != 2 or not len(theta) or theta.shape[1] != n:
+        raise ConfigError(f"{expected} {theta.shape}")
     if request.directions is not None and np.shape(request.directions)[1:] != (n,):
         raise ConfigError(f"method: expected directions (k, {n}), got {np.shape(request.directions)}")
-
-
-def _in_short(request: Request) -> str:
-    if not isinstance(request, Request):
-        return f"a {type(request).__name__}"
-    values = np.asarray(request.theta)
-    return f"{values.shape}" if np.isfinite(values).all() else f"{values.shape} with values that are not finite"

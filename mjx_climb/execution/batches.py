@@ -1,0 +1,240 @@
+"""The door: a function of one robot carried out for a batch, on whatever devices there are, by the fastest path.
+
+Three paths lead to the same results: regions (`cpu_regions`) on CPUs, one kernel (`gpu_kernel`) on GPUs, and XLA's own
+way of compiling the lifted program. Where the fast path of a device does not work there, or cannot do what a function
+asks for, the plain one is taken, and a warning says so once.
+"""
+
+import functools
+import itertools
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Sharding
+
+from mjx_climb.execution import devices, gpu_kernel, paths
+from mjx_climb.execution.cache import enable_cache, source_digest
+from mjx_climb.execution.cached_executables import cached_jit
+from mjx_climb.execution.contents import Unidentifiable, identity
+from mjx_climb.execution.fallback import first_possible, one_at_a_time
+from mjx_climb.execution.one_robot import over_robots
+
+Progress = Callable[[int, int], None]
+_TANGENT = "tangent of "  # before the name of a result
+
+
+class _Call(NamedTuple):
+    """A function of one robot, and which of its arguments have a batch axis."""
+
+    function: Callable[..., Any]
+    structure: Any
+    batched: tuple[bool, ...]  # of each leaf of the arguments
+
+
+def run(
+    function: Callable[..., dict[str, Array]],
+    structure: Any,
+    arguments: Sequence[Any],
+    axes: Sequence[Any],
+    shape: tuple[int, ...],
+    *,
+    directions: Any = None,
+    batch_size: int | None = None,
+    progress: Progress | None = None,
+    device: str | None = None,
+    compile_briefly: bool = False,
+) -> Any:
+    """Carry out a function of one robot for a batch of them, on all devices.
+
+    Arguments:
+        function: of the structure and the arguments of one robot; of a module, pure. It returns a dict of arrays.
+        structure: all that the function depends on beside the arguments; hashable. Executables are found by it, on
+            disk too, by its contents.
+        arguments: trees of numpy arrays, whose leading axes broadcast to `shape`.
+        axes: the same trees; in place of each array the number of axes that the value of one robot has.
+        shape: the batch axes.
+        directions: a tree like `arguments[0]` of arrays (*shape, k, ...): tangents are asked for along these.
+        batch_size: at most so many robots in one call of the executable, one call at a time on a GPU and one on each
+            core of a CPU.
+        progress: called with the number of robots that are done and the number in all, after each call.
+        device: "cpu" or None: where there is a GPU, only few robots go to the CPU.
+        compile_briefly: at a low level of optimisation, for large programs that run once.
+
+    Returns:
+        The results with the batch axes in front; with `directions` a pair of these and of the tangents (*shape, k, ...)
+        of those that are real numbers.
+
+    Raises:
+        ValueError: a batch size below one.
+    """
+    count = math.prod(shape)
+    trees, own = list(arguments), [*axes]
+    if directions is not None:
+        trees, own = [*trees, directions], [*own, jax.tree.map(lambda rate: rate.ndim - len(shape), directions)]
+    leaves, tree = jax.tree.flatten(tuple(trees))
+    flat = [_flat(leaf, size, shape) for leaf, size in zip(leaves, jax.tree.leaves(tuple(own)), strict=True)]
+    batched = [leaf.ndim > size for leaf, size in zip(flat, jax.tree.leaves(tuple(own)), strict=True)]
+    if not any(batched):  # a batch of equal robots: one leaf says how many
+        flat[0], batched[0] = np.broadcast_to(flat[0], (count, *flat[0].shape)), True
+
+    tangents = 0 if directions is None else jax.tree.leaves(directions)[0].shape[len(shape)]
+    double = any(leaf.dtype == np.float64 for leaf in flat)
+    on = device or paths.device_for(count, tangents, double=double)
+    path = paths.path_for(on, double=double)
+    share = devices.share_size(count, batch_size, on, in_pieces=path == "regions" and directions is None)
+    call = _Call(function, structure, tuple(batched))
+    program = _program(path, share, on, directions is not None, compile_briefly)
+    enable_cache()
+
+    @functools.cache
+    def same_for_all(sharding: Sharding) -> list[Array]:
+        """Return what does not vary on a device, put there once."""
+        same: list[Array] = jax.device_put([v for v, own in zip(flat, batched, strict=True) if not own], sharding)
+        return same
+
+    def of_rows(rows: np.ndarray, sharding: Sharding) -> dict[str, Array]:
+        with devices.on_host(), jax.enable_x64(double):  # holds for one thread
+            each = jax.device_put([v[rows] for v, own in zip(flat, batched, strict=True) if own], sharding)
+            by_kind = {True: iter(each), False: iter(same_for_all(sharding))}
+            found: dict[str, Array] = program(call, *jax.tree.unflatten(tree, [next(by_kind[own]) for own in batched]))
+            return found
+
+    found = devices.spread(of_rows, count, share, progress, on)
+    found = {name: value.reshape((*shape, *value.shape[1:])) for name, value in found.items()}
+    if directions is None:
+        return found
+    values = {name: value for name, value in found.items() if not name.startswith(_TANGENT)}
+    return values, {n.removeprefix(_TANGENT): value for n, value in found.items() if n.startswith(_TANGENT)}
+
+
+def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> Any:
+    """Carry out a function of one robot on the CPU, in the precision of the arrays; see `run`.
+
+    Returns:
+        What the function returns, as arrays of numpy.
+    """
+    double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(arguments))
+    program = _program(paths.path_for("cpu", double=double), 1, "cpu", False, False)
+    enable_cache()
+    with devices.on_host(), jax.enable_x64(double):
+        return jax.tree.map(np.asarray, program(_Call(function, structure, ()), *arguments))
+
+
+def walking_with(robots: range, whole: int) -> range:
+    """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits."""
+    return devices.walking_with(robots, whole, in_pieces=paths.path_for(None, double=False) == "regions")
+
+
+def _flat(value: np.ndarray, own: int, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a value with one batch axis where it varies, before its `own` axes.
+
+    Of a single robot those vary that have batch axes, so that it goes by the executable of several.
+    """
+    lead, tail = value.shape[: value.ndim - own], value.shape[value.ndim - own :]
+    count = math.prod(shape)
+    if math.prod(lead) == 1 and not (count == 1 and lead):
+        return value.reshape(tail)
+    return np.broadcast_to(value, (*shape, *tail)).reshape(count, *tail)
+
+
+@functools.cache
+def _program(
+    path: str, share: int, device: str | None, with_tangents: bool, briefly: bool
+) -> Callable[..., dict[str, Array]]:
+    """Return the program of a path, or of the plain one where that cannot be; for so many robots at a time."""
+    carried_out = {True: _tangents, False: _values}[with_tangents]
+
+    def compiled(path: str) -> Callable[..., dict[str, Array]]:
+        options = paths.compiler_options(share, path, device, briefly=briefly)
+        if path == "kernel":
+            return cached_jit({True: _tangents_in_kernel, False: _values_in_kernel}[with_tangents], _identity, options)
+        return cached_jit({True: carried_out, False: _PLAIN[carried_out]}[path == "regions"], _identity, options)
+
+    plain = functools.cache(lambda: one_at_a_time(compiled("plain")) if device != "gpu" else compiled("plain"))
+    if path == "plain":
+        return plain()
+    return first_possible(compiled(path), plain, paths.NAMES[path])
+
+
+def _identity(call: _Call, *trees: Any) -> str | None:
+    """Return what an executable depends on, None where it cannot be told."""
+    package = call.function.__module__.partition(".")[0]
+    folder = Path(str(sys.modules[package].__file__)).parent
+    laws = [type(tree) for tree in trees]
+    try:
+        return repr((identity((call.function, call.structure, laws)), call.batched, source_digest(folder)))
+    except Unidentifiable:
+        return None
+
+
+def _values(call: _Call, *trees: Any, regions: bool = True) -> Any:
+    one = over_robots(functools.partial(call.function, call.structure), regions=regions)
+    if not call.batched:
+        return one(*trees)
+    leaves, tree = jax.tree.flatten(trees)
+    mapped = [0 if batched else None for batched in call.batched]
+    return jax.vmap(lambda *leaves: one(*jax.tree.unflatten(tree, leaves)), in_axes=mapped)(*leaves)
+
+
+def _tangents(call: _Call, *trees: Any, regions: bool = True) -> dict[str, Array]:
+    """Return values, and tangents (B, k, ...) by their names after `_TANGENT`; directions are the last tree."""
+    one = over_robots(functools.partial(call.function, call.structure), regions=regions)
+    leaves, tree = jax.tree.flatten(trees)
+
+    def of_one(*leaves: Array) -> tuple[Any, Any, Any]:
+        moving, *others, directions = jax.tree.unflatten(tree, leaves)
+
+        def real_ones(moving: Any) -> tuple[Any, Any]:
+            found = one(moving, *others)
+            real = {name: value for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)}
+            return real, {name: value for name, value in found.items() if name not in real}
+
+        def along(direction: Any) -> tuple[Any, Any, Any]:
+            return jax.jvp(real_ones, (moving,), (direction,), has_aux=True)
+
+        found: tuple[Any, Any, Any] = jax.vmap(along, out_axes=(None, 0, None))(directions)
+        return found
+
+    mapped = [0 if batched else None for batched in call.batched]
+    real, tangents, others = jax.vmap(of_one, in_axes=mapped)(*leaves)
+    found: dict[str, Array] = real | others | {_TANGENT + name: value for name, value in tangents.items()}
+    return found
+
+
+def _values_plain(call: _Call, *trees: Any) -> Any:
+    return _values(call, *trees, regions=False)
+
+
+def _tangents_plain(call: _Call, *trees: Any) -> dict[str, Array]:
+    return _tangents(call, *trees, regions=False)
+
+
+_PLAIN: dict[Callable[..., Any], Callable[..., Any]] = {_values: _values_plain, _tangents: _tangents_plain}
+
+
+def _values_in_kernel(call: _Call, *trees: Any) -> dict[str, Array]:
+    one = functools.partial(call.function, call.structure)
+    found: dict[str, Array] = gpu_kernel.over_robots(one, call.batched)(*trees)
+    return found
+
+
+def _tangents_in_kernel(call: _Call, *trees: Any) -> dict[str, Array]:
+    *arguments, directions = trees
+    count = len(jax.tree.leaves(arguments[0]))
+    # what moves has the batch axis, as its directions have
+    robots = len(jax.tree.leaves(directions)[0])
+    moving, tree = jax.tree.flatten(arguments[0])
+    wide = [v if b else jnp.broadcast_to(v, (robots, *v.shape)) for v, b in zip(moving, call.batched, strict=False)]
+    arguments[0] = jax.tree.unflatten(tree, wide)
+    batched = [*itertools.repeat(True, count), *call.batched[count : len(call.batched) - count]]
+    one = functools.partial(call.function, call.structure)
+    values, tangents = gpu_kernel.tangents_over_robots(one, batched)(directions, *arguments)
+    found: dict[str, Array] = values | {_TANGENT + n: value for n, value in tangents.items() if value is not None}
+    return found

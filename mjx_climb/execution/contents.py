@@ -1,0 +1,194 @@
+"""A digest of all that can change what a user's function, class or object returns.
+
+A function is its byte code, its constants, defaults and closure, and the globals that it names; a class its bases and
+the members of its body; another object what `copy` and `pickle` rebuild it from. What an installed package defines is
+known by its name and the package's version. Byte code, not the text of the file: a file may have been edited since it
+was imported, and what is defined in a session, or two lambdas of one line, have no text of their own.
+"""
+
+import dis
+import functools
+import hashlib
+import importlib
+import sys
+import types
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import jax
+import numpy as np
+
+from mjx_climb.scenario.messages import ConfigError
+
+_OWN = ("mjx_climb", "tuning")
+_UNSEEN = {"eval", "exec", "compile", "globals", "locals", "open", "input", "__import__"}  # read what no digest knows
+_PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented))  # exact by repr
+_CODE = (
+    "co_code", "co_exceptiontable", "co_argcount", "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_names",
+    "co_varnames", "co_freevars", "co_cellvars",
+)  # fmt: skip
+
+
+class Unidentifiable(ConfigError):
+    """A value that has no digest; in one line: where it was found, and what it is."""
+
+
+def identity(value: Any, name: str = "value") -> str:
+    """Return a digest that differs wherever two values may return different results; the same in another process.
+
+    Arguments:
+        value: a function, a callable, a class, an instance, an array, or plain values in lists, tuples and mappings.
+        name: of the value in messages, as "objective".
+
+    Raises:
+        Unidentifiable: it holds or calls what contents do not tell: a lock, a generator, an open file, `eval`.
+    """
+    return _Digests(name).of(value)
+
+
+class _Digests:
+    """The digests of one value and of all that it refers to."""
+
+    def __init__(self, name: str) -> None:
+        self._path = [name]  # from the value to the one at hand
+        self._known: dict[int, tuple[str, Any]] = {}  # by id, with the object, so that its id stays its own
+
+    def of(self, value: Any, step: str = "") -> str:
+        """Return the digest of a value, which stands a step further on the path."""
+        if type(value) in _PLAIN:
+            return _hash(type(value).__name__, repr(value))
+        if id(value) not in self._known:
+            self._path.append(step)
+            self._known[id(value)] = f"recursion to depth {len(self._path)}", value
+            self._known[id(value)] = _hash(*self._parts(value)), value
+            self._path.pop()
+        return self._known[id(value)][0]
+
+    def _parts(self, value: Any) -> Iterable[Any]:
+        """Return what a value is known by."""
+        if name := _name_in_library(value):
+            return "library", name, _version(name)
+        if isinstance(value, types.ModuleType):
+            return "module", value.__name__, _version(value.__name__)
+        if isinstance(value, np.ndarray | np.generic | jax.Array) and not isinstance(value, jax.core.Tracer):
+            array = np.asarray(value)
+            if not array.dtype.hasobject:
+                return "array", array.dtype.str, array.shape, array.tobytes().hex()
+        if type(value) in (list, tuple):
+            return type(value).__name__, *(self.of(item, f"[{index}]") for index, item in enumerate(value))
+        if type(value) in (set, frozenset):
+            return type(value).__name__, *sorted(map(self.of, value))
+        if type(value) in (dict, types.MappingProxyType):
+            return "mapping", *(
+                part for key, held in value.items() for part in (self.of(key), self.of(held, f".{key}"))
+            )
+        if isinstance(value, types.FunctionType):
+            return self._function(value)
+        if isinstance(value, type):
+            body = {name: held for name, held in vars(value).items() if _in_body(name, held)}
+            return "class", value.__qualname__, *map(self.of, value.__bases__), self.of(body)
+        if isinstance(value, property):
+            return "property", *map(self.of, (value.fget, value.fset, value.fdel))
+        if hasattr(value, "__wrapped__") and not isinstance(value, types.MethodType):  # jax.jit, functools.cache
+            return "wrapped", type(value).__qualname__, self.of(value.__wrapped__)
+        return self._instance(value)
+
+    def _function(self, function: types.FunctionType) -> Iterator[Any]:
+        yield from ("function", self.of(function.__defaults__), self.of(function.__kwdefaults__))
+        for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+            yield from (self.of(held, f" ({name})") for held in _contents(cell))
+        yield self.of({name: held for name, held in vars(function).items() if name != "__wrapped__"})
+        home = function.__globals__.get("__name__", "")
+        yield _version(home)
+        # what a library made, as jax.vmap does, takes from its module what the version tells
+        yield from self._code(function.__code__, {} if in_library(home) else function.__globals__)
+
+    def _code(self, code: types.CodeType, space: dict[str, Any]) -> Iterator[Any]:
+        """Return byte code, that of the functions in it, and what it takes from its module and by imports."""
+        yield from (getattr(code, part) for part in _CODE)
+        for constant in code.co_consts:
+            yield from self._code(constant, space) if isinstance(constant, types.CodeType) else [self.of(constant)]
+        for step in dis.get_instructions(code):
+            name = step.argval
+            if step.opname in ("LOAD_GLOBAL", "LOAD_NAME") and name in space:
+                used = space[name]
+            elif step.opname == "IMPORT_NAME" and space:
+                try:
+                    used = importlib.import_module(name)
+                except (ImportError, ValueError):  # ValueError: a relative import
+                    raise self._refused(f"an import of {name or 'a neighbour'} inside {code.co_name}") from None
+            elif step.opname in ("LOAD_GLOBAL", "LOAD_NAME") and space and name in _UNSEEN:
+                raise self._refused(f"a call of {name} in {code.co_name}")
+            else:
+                continue
+            yield from (name, self.of(used, f" ({name})"))
+            for path, member in _members(used, code.co_names):
+                yield from (path, self.of(member, f" ({path})"))
+
+    def _instance(self, value: Any) -> Iterable[Any]:
+        try:
+            parts = value.__reduce_ex__(4)
+        except Exception:  # whatever a class of the user's raises
+            raise self._refused(f"a {type(value).__module__}.{type(value).__qualname__}") from None
+        if isinstance(parts, str):  # an object that its module holds under this name
+            return "named", type(value).__module__, type(value).__qualname__, parts
+        constructor, arguments, state, *items = (*parts, None, None, None)[:5]
+        items = [None if part is None else list(part) for part in items]  # iterators over a list or mapping
+        return "instance", self.of(type(value)), *map(self.of, (constructor, arguments, state, *items))
+
+    def _refused(self, what: str) -> Unidentifiable:
+        return Unidentifiable(
+            f"{''.join(self._path)}: expected what can be told from others by its contents, got {what} "
+            "(needed with out= alone, to know an interrupted search again)"
+        )
+
+
+def _hash(*parts: Any) -> str:
+    return hashlib.sha256("\0".join(map(str, parts)).encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def _contents(cell: types.CellType) -> tuple[Any, ...]:
+    try:
+        return (cell.cell_contents,)
+    except ValueError:  # not filled yet
+        return ()
+
+
+def _in_body(name: str, member: Any) -> bool:
+    """Return whether a member of a class may change results: not the names that Python and dataclasses add."""
+    return callable(member) or isinstance(member, classmethod) or not name.startswith(("__", "_abc_"))
+
+
+def _members(module: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+    """Return what a module of the user's own holds under some names; nothing of any other value."""
+    if isinstance(module, types.ModuleType) and not in_library(module.__name__):
+        for name in names:
+            if (value := vars(module).get(name, module)) is not module:
+                yield f"{module.__name__}.{name}", value
+                yield from _members(value, names)
+
+
+@functools.cache
+def in_library(module: str) -> bool:
+    """Return whether a module comes with Python, with this program, or from an installed package."""
+    top = module.partition(".")[0]
+    if top in sys.stdlib_module_names or top in _OWN:
+        return True
+    file = getattr(sys.modules.get(module), "__file__", None) or getattr(sys.modules.get(top), "__file__", None)
+    return file is not None and any(folder in file for folder in ("site-packages", "dist-packages"))
+
+
+def _version(name: str) -> str:
+    return str(getattr(sys.modules.get(name.partition(".")[0]), "__version__", ""))
+
+
+def _name_in_library(value: Any) -> str:
+    """Return the full name of what a library gives under a name, empty for anything else."""
+    module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    if not isinstance(module, str) or not isinstance(name, str) or not in_library(module):
+        return ""
+    try:
+        found = functools.reduce(getattr, name.split("."), sys.modules[module])
+    except (AttributeError, KeyError):
+        return ""
+    return f"{module}.{name}" if found is value else ""

@@ -1,0 +1,273 @@
+"""A program of one robot for a batch, cut into regions that XLA:CPU compiles as one kernel each.
+
+XLA:CPU runs a program as a sequence of kernels, one for each operation or fusion, at some 60 ns a call. A step of a
+walk has some 4000 operations, so that with a few hundred robots the calls cost more than the arithmetic. Fusion makes
+fewer kernels of them, but computes shared values again in each. A function call with the attribute
+`xla_cpu_small_call` becomes a single kernel: cut into such calls a step has few kernels, and what is shared between
+them is computed once.
+
+Within a kernel XLA still fuses, and computes again what is broadcast: an element of a product of matrices once for each
+element that is made of it. So a region has no matrices: each component is a row of robots, or of the limbs of robots,
+as `element_operations` writes it (`array_writer`). What it cannot write, and loops, stand between the regions.
+"""
+
+import functools
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend import core
+
+from mjx_climb.execution.activity import Has, by_axis, carried_on, mapped, reached
+from mjx_climb.execution.array_writer import ArrayWriter
+from mjx_climb.execution.element_operations import Operations, can_write
+from mjx_climb.execution.flat import flat, needed, region, runs, variables_of
+from mjx_climb.execution.jax_internals import new_program, scan_sizes
+from mjx_climb.execution.limbs import LimbAxes
+from mjx_climb.execution.unsupported import Unsupported
+
+EQUATIONS = 250  # in a region: with fewer the calls cost more
+STORED_FROM = 3  # operations
+MOST_ROWS = (
+    16  # put together by an equation within a region: XLA fuses them, and asks of each element which row it is in
+)
+
+
+def in_regions(
+    program: core.ClosedJaxpr, arguments: Sequence[Any], varies: Sequence[Has], batch: tuple[int, ...]
+) -> tuple[list[Any], list[Has]]:
+    """Return the results of a program of one robot for a batch, and which batch axes they have.
+
+    Arguments:
+        program: of one robot.
+        arguments: each with the batch axes that it `varies` along behind its own.
+        varies: which of the batch axes each argument has.
+        batch: the sizes of the batch axes.
+    """
+    whole = flat(program)
+    return _Program(LimbAxes(whole), batch, set()).results(whole, _unseen(arguments), varies)
+
+
+def _unseen(values: Sequence[Any]) -> list[Any]:
+    """Return values of which XLA does not see that they are constant, where they are.
+
+    It would put the constant in the place of a kernel's parameter, and stop the process at a parameter that nothing
+    reads (jaxlib 0.10: "All or none of the slices should have an explicit index").
+    """
+    return list(lax.optimization_barrier(tuple(values)))
+
+
+class _Program(NamedTuple):
+    """What all parts of a program share."""
+
+    limbs: LimbAxes
+    batch: tuple[int, ...]
+    refused: set[int]  # ids of equations that turned out to be none for a region
+
+    def results(
+        self, program: core.ClosedJaxpr, arguments: Sequence[Any], varies: Sequence[Has]
+    ) -> tuple[list[Any], list[Has]]:
+        """Return results of a flat program, and which batch axes they have."""
+        same = (False,) * len(self.batch)
+        known = dict(zip(program.jaxpr.constvars, ((value, same) for value in program.consts), strict=True))
+        known |= dict(zip(program.jaxpr.invars, zip(arguments, varies, strict=True), strict=True))
+
+        def read(atom: core.Var | core.Literal) -> tuple[Any, Has]:
+            return (atom.val, same) if isinstance(atom, core.Literal) else known[atom]
+
+        def fits(equation: core.JaxprEqn) -> bool:
+            return id(equation) not in self.refused and can_write(equation)
+
+        for part, straight in runs(program.jaxpr, fits):
+            if straight:
+                given = [known[variable] for variable in part.jaxpr.invars]
+                try:
+                    known |= zip(part.jaxpr.outvars, self._straight(part, given), strict=True)
+                except Unsupported as error:
+                    if error.equation is None:
+                        raise
+                    self.refused.add(id(error.equation))
+                    found = self.results(part, [value for value, _ in given], [has for _, has in given])
+                    known |= zip(part.jaxpr.outvars, zip(*found, strict=True), strict=True)
+                continue
+            for equation in part.jaxpr.eqns:
+                carry_out = self._scan if equation.primitive.name == "scan" else self._as_it_is
+                known |= zip(equation.outvars, carry_out(equation, [*map(read, equation.invars)]), strict=True)
+        made = [read(atom) for atom in program.jaxpr.outvars]
+        return [value for value, _ in made], [has for _, has in made]
+
+    def _straight(self, part: core.ClosedJaxpr, given: Sequence[tuple[Any, Has]]) -> list[tuple[Any, Has]]:
+        """Return the results of equations that are all written as elements."""
+        traced = [isinstance(value, jax.core.Tracer) for value, _ in given]
+        varies = by_axis(
+            functools.partial(reached, part.jaxpr), [h for _, h in given], len(self.batch), len(part.jaxpr.outvars)
+        )
+        writer = ArrayWriter(self.limbs.count, self.batch)
+
+        def written(*arguments: Any) -> list[Any]:
+            do, some = Operations(writer, self.limbs), iter(arguments)
+            elements = [
+                writer.elements(do, next(some) if t else value, cast(Any, v.aval).shape, self.limbs.of(v), has)
+                for v, (value, has), t in zip(part.jaxpr.invars, given, traced, strict=True)
+            ]
+            return [
+                writer.array(do, found, v.aval, self.limbs.of(v), has)
+                for v, found, has in zip(part.jaxpr.outvars, do.closed(part, elements), varies, strict=True)
+            ]
+
+        results = in_kernels(written)(*itertools.compress((value for value, _ in given), traced))
+        return list(zip(results, varies, strict=True))
+
+    def _scan(self, equation: core.JaxprEqn, given: Sequence[tuple[Any, Has]]) -> list[tuple[Any, Has]]:
+        """Return the results of a loop, its steps in regions."""
+        parameters, body = equation.params, equation.params["jaxpr"]
+        constants, carry = scan_sizes(parameters)
+        has = [has for _, has in given]
+        parts = has[:constants], has[constants : constants + carry], has[constants + carry :]
+
+        def carried_along(has: list[bool]) -> list[bool]:
+            return carried_on(body.jaxpr, has[:constants], has[constants : constants + carry], has[constants + carry :])
+
+        moving = by_axis(carried_along, has, len(self.batch), carry)
+        common, read = [value for value, _ in given[:constants]], [value for value, _ in given[constants + carry :]]
+        written_has: list[Has] = []
+
+        def step(carried: list[Any], now: list[Any]) -> tuple[list[Any], list[Any]]:
+            results, found = self.results(body, [*common, *carried, *now], [*parts[0], *moving, *parts[2]])
+            written_has[:] = found[carry:]
+            return [*map(self._wide, results, found, moving)], results[carry:]
+
+        start = _unseen([*map(self._wide, (value for value, _ in given[constants:]), parts[1], moving)])
+        how = {name: parameters[name] for name in ("length", "reverse", "unroll")}
+        after, written = lax.scan(step, start, read, **how)
+        return [*zip(after, moving, strict=True), *zip(written, written_has, strict=True)]
+
+    def _wide(self, value: Any, has: Has, wanted: Has) -> Any:
+        """Return a value with more of the batch axes."""
+        if has == wanted:
+            return value
+        value = jnp.asarray(value)
+        own = value.ndim - sum(has)
+        sizes = [size for size, w in zip(self.batch, wanted, strict=True) if w]
+        there = [own + sum(wanted[:axis]) for axis, h in enumerate(has) if h]
+        return lax.broadcast_in_dim(value, (*value.shape[:own], *sizes), (*range(own), *there))
+
+    def _as_it_is(self, equation: core.JaxprEqn, given: Sequence[tuple[Any, Has]]) -> list[tuple[Any, Has]]:
+        """Return the results of an equation that stands between the regions."""
+        values, has = [value for value, _ in given], [has for _, has in given]
+        varies = [tuple(any(axis) for axis in zip(*has, strict=True)) or (False,) * len(self.batch)] * len(
+            equation.outvars
+        )
+
+        def one(*operands: Any) -> list[Any]:
+            made = equation.primitive.bind(*operands, **equation.primitive.get_bind_params(equation.params))
+            return list(made) if equation.primitive.multiple_results else [made]
+
+        return list(zip(mapped(one, has, varies)(*values), varies, strict=True))
+
+
+# --- cutting
+
+
+def in_kernels(function: Callable[..., list[Any]], equations: int = EQUATIONS) -> Callable[..., list[Any]]:
+    """Return a function with its equations in regions of so many, each a kernel of its own; for a CPU."""
+
+    def cut(*arguments: Any) -> list[Any]:
+        closed = jax.make_jaxpr(function)(*arguments)
+        constants = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+        values = constants | dict(zip(closed.jaxpr.invars, arguments, strict=True))
+        for part in _regions(closed, equations):
+            inputs = [variable for variable in part.jaxpr.invars if variable not in constants]
+            results = _one_kernel(part, inputs, constants)(*(values[variable] for variable in inputs))
+            values |= zip(part.jaxpr.outvars, results if inputs else _unseen(results), strict=True)
+        return [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in closed.jaxpr.outvars]
+
+    return cut
+
+
+def _regions(closed: core.ClosedJaxpr, most: int) -> list[core.ClosedJaxpr]:
+    """Return regions of at most so many equations, in order of execution, without what nothing depends on.
+
+    Equations of constants alone are in each region that reads them, see `_unseen`.
+    """
+    jaxpr = closed.jaxpr
+    of_constants, others, known = [], [], set(jaxpr.constvars)
+    for equation in needed(jaxpr.eqns, jaxpr.outvars):
+        if all(variable in known for variable in variables_of(equation.invars)):
+            known.update(equation.outvars)
+            of_constants.append(equation)
+        else:
+            others.append(equation)
+    results = variables_of(jaxpr.outvars)
+    later, found = dict(results), []
+    for group in reversed(_groups(others, most)):
+        whole = [*needed(of_constants, [atom for equation in group for atom in equation.invars]), *group]
+        repeated = variables_of([variable for equation in whole[: -len(group)] for variable in equation.outvars])
+        wanted = {variable: None for variable in later if variable not in repeated}
+        found.append(region(jaxpr, whole, wanted | dict.fromkeys(_stored(group))))
+        later |= variables_of(found[-1].jaxpr.invars)
+    if known_results := [equation for equation in needed(of_constants, jaxpr.outvars)]:
+        found.append(region(jaxpr, known_results, results))
+    return found[::-1]
+
+
+def _stored(equations: Sequence[core.JaxprEqn]) -> list[core.Var]:
+    """Return values that XLA would compute more than once within a kernel: as results of the kernel they are stored.
+
+    It fuses a value into all that reads it, and computes it there again, where it can do so everywhere. A result of the
+    kernel it cannot fuse away. Storing and reading costs about as much as `STORED_FROM` operations.
+    """
+    uses: dict[core.Var, int] = {}
+    for equation in equations:
+        for variable in variables_of(equation.invars):
+            again = 2 if equation.primitive.name == "broadcast_in_dim" else 1
+            uses[variable] = uses.get(variable, 0) + again
+    cost: dict[core.Var, int] = {}
+    stored = []
+    for equation in equations:
+        own = equation.primitive.name not in _FREE
+        for made in equation.outvars:
+            cost[made] = own + sum(cost.get(variable, 0) for variable in variables_of(equation.invars))
+            if own and uses.get(made, 0) > 1 and cost[made] >= STORED_FROM:
+                stored.append(made)
+                cost[made] = 0
+    return stored
+
+
+_FREE = {"slice", "reshape", "broadcast_in_dim", "concatenate"}  # no arithmetic
+
+
+def _groups(equations: Sequence[core.JaxprEqn], most: int) -> list[list[core.JaxprEqn]]:
+    """Return equations in groups of at most so many; those that put many rows together apart."""
+
+    def puts_together(equation: core.JaxprEqn) -> bool:
+        return equation.primitive.name == "concatenate" and len(equation.invars) > MOST_ROWS
+
+    alike = [list(run) for _, run in itertools.groupby(equations, puts_together)]
+    return [run[start : start + most] for run in alike for start in range(0, len(run), most)]
+
+
+def _one_kernel(
+    part: core.ClosedJaxpr, inputs: Sequence[core.Var], constants: Mapping[core.Var, Any]
+) -> Callable[..., list[jax.Array]]:
+    """Return a region as a call that XLA:CPU compiles as a kernel, of those inputs that are no constants."""
+    own = [(variable, constants[variable]) for variable in part.jaxpr.invars if variable in constants]
+    whole = new_program(part.jaxpr, part.jaxpr.eqns, inputs, part.jaxpr.outvars, own)
+
+    def kernel(*arguments: jax.Array) -> list[jax.Array]:
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
+            results: list[jax.Array] = core.jaxpr_as_fun(whole)(*arguments)
+            return results
+
+    jitted = jax.jit(kernel)
+
+    def call(*arguments: jax.Array) -> list[jax.Array]:
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            results: list[jax.Array] = jitted(*arguments)
+            return results
+
+    return call

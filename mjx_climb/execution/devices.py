@@ -1,0 +1,172 @@
+"""A batch spread over whatever devices there are: CPU cores, the GPUs of one host, or of several hosts.
+
+Robots do not interact, so a batch is cut into shares, each computed by an executable of a single device. One executable
+partitioned over the devices would exchange nothing either, but XLA simplifies a partitioned program in another order,
+and a robot's last bits would depend on the number of devices. On CPUs a share is small whatever the number of devices
+or threads: it stays in a core's cache, one executable serves batches of any size, and every robot keeps its bits.
+"""
+
+import contextlib
+import math
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import SingleDeviceSharding
+
+# Up to so many robots: shares of so many, few enough to keep several cores busy. Two walk one by one: so the last two
+# starts of a search need no program but that of the last one.
+_CPU_SHARES = {2: 1, 8: 2, 64: 16, math.inf: 64}
+# In pieces a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA works out by several
+# threads: two shares of 128 under engine mjx wait for each other for ever.
+_CPU_SHARES_IN_PIECES = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
+
+
+class LostProcess(RuntimeError):
+    """Another process ended while this one waited for its share; in one line, what JAX says."""
+
+
+def begin() -> None:
+    """Begin to start JAX's devices, for which a GPU takes seconds: imports go on beside."""
+
+    def start() -> None:
+        with contextlib.suppress(RuntimeError):  # who asks for a device is told
+            jax.device_put(np.zeros(())).block_until_ready()
+
+    threading.Thread(target=start, name="devices").start()
+
+
+def host() -> jax.Device:
+    """Return the CPU, where small programs in double precision run: for a GPU they compile long, and libraries fail."""
+    return jax.local_devices(backend="cpu")[0]
+
+
+def on_host() -> contextlib.AbstractContextManager[object]:
+    """Have what is not placed elsewhere run on the CPU: single walks, and small programs."""
+    return contextlib.nullcontext() if jax.default_backend() == "cpu" else jax.default_device(host())
+
+
+def share_size(robots: int, limit: int | None, backend: str | None = None, *, in_pieces: bool) -> int:
+    """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time.
+
+    `backend` is where they walk, where that is not JAX's default; `in_pieces` whether their steps are compiled so, for
+    values alone.
+    """
+    check_batch_size(limit)
+    if (backend or jax.default_backend()) == "cpu":
+        shares = _CPU_SHARES_IN_PIECES if in_pieces else _CPU_SHARES
+        share = next(share for most, share in shares.items() if robots <= most)
+    else:
+        share = -(-min(robots, limit or robots) // jax.device_count())
+    return min(share, limit or share)
+
+
+def check_batch_size(robots: int | None) -> None:
+    """Refuse to walk fewer than one robot at a time.
+
+    Raises:
+        ValueError: in one line, how many.
+    """
+    if robots is not None and robots < 1:
+        raise ValueError(f"batch_size: expected 1 or more, got {robots}")
+
+
+def walking_with(robots: range, whole: int, *, in_pieces: bool) -> range:
+    """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits.
+
+    A robot's last bits depend on its place in a share, as vector units finish a row of robots one by one. So whole
+    shares walk, and enough of them for the same program; indices beyond the batch stand for its last robot. A GPU's
+    program holds the whole batch: there robots walk alone, and are the same to rounding only.
+    """
+    if jax.default_backend() != "cpu":
+        return robots
+    share = share_size(whole, None, in_pieces=in_pieces)
+    begin = robots.start // share * share
+    count = -(-(robots.stop - begin) // share) * share
+    while share_size(count, None, in_pieces=in_pieces) != share:
+        count += 1
+    return range(begin, begin + count)
+
+
+def spread(
+    walk: Callable[[np.ndarray, SingleDeviceSharding], Mapping[str, jax.Array | np.ndarray]],
+    robots: int,
+    share: int,
+    progress: Callable[[int, int], None] | None,
+    backend: str | None = None,
+) -> dict[str, np.ndarray]:
+    """Return `walk` of the rows 0 to `robots`, in shares of equal size: the last row again where there are too few.
+
+    `walk(rows, sharding)` gives a dict of arrays for some rows, on the device of the sharding; `progress` is told the
+    number of robots that have walked in this process and will in all. `backend` is where they walk, where that is not
+    JAX's default. With `jax.distributed` every process makes the
+    same call and gets the whole result.
+    """
+    devices = jax.devices(backend)
+    count = max(-(-robots // share), len(devices) if jax.process_count() > 1 else 1)  # no process goes without
+    shares = np.minimum(np.arange(count * share), robots - 1).reshape(-1, share)
+    own = [number for number in range(len(shares)) if _of(devices, number).process_index == jax.process_index()]
+    total = min(len(own) * share, robots)
+
+    def walk_share(number: int) -> dict[str, np.ndarray]:
+        walked = walk(shares[number], SingleDeviceSharding(_of(devices, number)))
+        return {name: np.asarray(value) for name, value in walked.items()}
+
+    with _threads(devices) as threads:
+        walking = {threads[number % len(devices)].submit(walk_share, number): number for number in own}
+        for done, future in enumerate(as_completed(walking), 1):
+            future.result()  # what went wrong is raised at once
+            if progress is not None:
+                progress(min(done * share, total), total)
+    parts = {number: future.result() for future, number in walking.items()}
+    if jax.process_count() > 1:
+        parts = _gathered(parts, len(shares), devices)
+    return {name: np.concatenate([parts[n][name] for n in range(len(shares))])[:robots] for name in parts[0]}
+
+
+def _of(devices: list[jax.Device], share: int) -> jax.Device:
+    return devices[share % len(devices)]
+
+
+@contextlib.contextmanager
+def _threads(devices: list[jax.Device]) -> Iterator[dict[int, ThreadPoolExecutor]]:
+    """Give an executor to each device of this process: the host launches every step of a loop and would keep others
+    waiting. CPU devices share the cores among them.
+    """
+    own = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
+    each = max(1, usable_cores() // len(own)) if devices[0].platform == "cpu" else 1
+    threads = {number: ThreadPoolExecutor(each) for number in own}
+    try:
+        yield threads
+    finally:
+        for executor in threads.values():
+            executor.shutdown(cancel_futures=True)
+
+
+def usable_cores() -> int:
+    """Return how many CPU cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _gathered(
+    parts: dict[int, dict[str, np.ndarray]], shares: int, devices: list[jax.Device]
+) -> dict[int, dict[str, np.ndarray]]:
+    """Return the shares of all processes, from those of this one; each process has at least one."""
+    like = next(iter(parts.values()))
+    record = np.dtype([(name, value.dtype, value.shape) for name, value in like.items()])
+    table = np.zeros(shares, record)
+    for number, part in parts.items():
+        for name, value in part.items():
+            table[name][number] = value
+    try:  # as bytes: JAX would round double precision
+        everyone = np.asarray(multihost_utils.process_allgather(table.view(np.uint8).reshape(shares, -1)))
+    except (RuntimeError, ValueError) as error:  # ValueError: Gloo's, between CPUs
+        reason = str(error).partition("\n")[0]
+        raise LostProcess(f"another process of this computation has ended: {reason}") from error
+    for number in range(shares):
+        table[number] = everyone[_of(devices, number).process_index, number].view(record)[0]
+    return {number: {name: table[name][number] for name in like} for number in range(shares)}

@@ -1,0 +1,158 @@
+"""A function of one robot as one operation of JAX's, which knows its batches, its derivatives and its compilation.
+
+Under `vmap` it takes a batch axis more, under `jvp` its traced program is differentiated, and where it is compiled for
+a CPU it is cut into regions (`cpu_regions`). Other devices, and reverse mode, take the equations as they are.
+"""
+
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.extend import core
+from jax.interpreters import ad, batching, mlir
+
+from mjx_climb.execution.activity import Has, by_axis, mapped, reached
+from mjx_climb.execution.cpu_regions import in_regions
+from mjx_climb.execution.jax_internals import OVER_ROBOTS, new_program, register_reverse_mode
+from mjx_climb.execution.tangents import tangents_of
+
+_Result = TypeVar("_Result")
+
+_program = core.Primitive(OVER_ROBOTS)  # of one robot; see `_batched` for its parameters
+_program.multiple_results = True
+
+
+def over_robots(function: Callable[..., _Result], *, regions: bool = True) -> Callable[..., _Result]:
+    """Return a pure function of one robot, compiled, that is fast under `vmap`.
+
+    It takes and gives trees of arrays, and works under `jit`, `scan`, `vmap`, `jvp` and `grad`, nested as one likes.
+
+    Arguments:
+        function: of trees of arrays of one robot, to such a tree.
+        regions: whether it is cut into regions where it is compiled for a CPU.
+    """
+
+    def call(*arguments: Any) -> _Result:
+        traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        program, outside = _of_traced_values(traced)
+        values = [*outside, *jax.tree.leaves(arguments)]
+        results = _program.bind(*values, program=program, batch=(), varies=((),) * len(values), regions=regions)
+        whole: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
+        return whole
+
+    return jax.jit(functools.wraps(function)(call))
+
+
+def _of_traced_values(traced: core.ClosedJaxpr) -> tuple[core.ClosedJaxpr, list[Any]]:
+    """Return a program that takes the traced values it closes over as its first arguments, and these values."""
+    pairs = list(zip(traced.jaxpr.constvars, traced.consts, strict=True))
+    outside = [(variable, value) for variable, value in pairs if isinstance(value, jax.core.Tracer)]
+    known = [(variable, value) for variable, value in pairs if not isinstance(value, jax.core.Tracer)]
+    inputs = [*(variable for variable, _ in outside), *traced.jaxpr.invars]
+    program = new_program(traced.jaxpr, traced.jaxpr.eqns, inputs, traced.jaxpr.outvars, known)
+    return program, [value for _, value in outside]
+
+
+def _abstract(*avals: Any, program: core.ClosedJaxpr, **how: Any) -> list[Any]:
+    sizes = how["batch"]
+    return [
+        aval.update(shape=(*aval.shape, *itertools.compress(sizes, has)))
+        for aval, has in zip(program.out_avals, _results_vary(program, how["varies"], len(sizes)), strict=True)
+    ]
+
+
+@functools.lru_cache(maxsize=256)
+def _results_vary(program: core.ClosedJaxpr, varies: Sequence[Has], axes: int) -> list[Has]:
+    """Return which batch axes the results have."""
+    return by_axis(functools.partial(reached, program.jaxpr), varies, axes, len(program.out_avals))
+
+
+def _run_now(*values: Any, **parameters: Any) -> Any:
+    return jax.jit(functools.partial(_program.bind, **parameters))(*values)
+
+
+def _batched(
+    values: Sequence[Any], axes: Sequence[int | None], program: core.ClosedJaxpr, **how: Any
+) -> tuple[list[Array], list[int | None]]:
+    """Add a batch axis, as the last."""
+    size = next(value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
+    last = [v if axis is None else jnp.moveaxis(v, axis, -1) for v, axis in zip(values, axes, strict=True)]
+    varies = tuple((*has, axis is not None) for has, axis in zip(how["varies"], axes, strict=True))
+    batch = (*how["batch"], size)
+    results = _program.bind(*last, program=program, batch=batch, varies=varies, regions=how["regions"])
+    having = _results_vary(program, varies, len(batch))
+    return results, [value.ndim - 1 if has[-1] else None for value, has in zip(results, having, strict=True)]
+
+
+def _differentiated(
+    values: Sequence[Any], tangents: Sequence[Any], program: core.ClosedJaxpr, **how: Any
+) -> tuple[list[Array], list[Any]]:
+    moving = [type(tangent) is not ad.Zero and tangent.dtype != jax.dtypes.float0 for tangent in tangents]
+    both, moved = tangents_of(program, moving)
+    varies = (*how["varies"], *itertools.compress(how["varies"], moving))
+    made = _program.bind(*values, *itertools.compress(tangents, moving), program=both, **how | {"varies": varies})
+    results, found = made[: len(moved)], iter(made[len(moved) :])
+    zeros = (ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results)
+    return results, [next(found) if moves else zero for moves, zero in zip(moved, zeros, strict=True)]
+
+
+def _linearized(moving: Sequence[bool], *values: Any, **parameters: Any) -> Any:
+    """Reverse mode goes by JAX's own operations, uncut: a region can be neither transposed nor split in time."""
+    moving = [m and _is_real(value) for m, value in zip(moving, values, strict=True)]
+
+    def plain(*some: Any) -> list[Any]:
+        given = iter(some)
+        found: list[Any] = _whole(*(next(given) if m else v for m, v in zip(moving, values, strict=True)), **parameters)
+        return found
+
+    results, along = jax.linearize(plain, *itertools.compress(values, moving))
+    real = [_is_real(value) for value in results]
+
+    def tangents(*given: Any) -> list[Any]:
+        found = along(*itertools.compress(given, moving))
+        zeros = (ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results)
+        return [rate if is_real else zero for rate, is_real, zero in zip(found, real, zeros, strict=True)]
+
+    return results, real, tangents
+
+
+def _is_real(value: Any) -> bool:
+    return bool(jnp.issubdtype(value.dtype, jnp.inexact))
+
+
+def _whole(*values: Any, program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], **_: Any) -> Any:
+    """Return the results by JAX's own operations."""
+    having = _results_vary(program, varies, len(batch))
+    return mapped(core.jaxpr_as_fun(program), varies, having)(*values)
+
+
+def _as_call(program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], regions: bool) -> dict[str, Any]:
+    """Return the parameters of an operation whose program takes the values with their batch axes."""
+    if batch:
+        varies = varies[: len(program.in_avals)]
+        shapes = [
+            jax.ShapeDtypeStruct((*aval.shape, *itertools.compress(batch, has)), aval.dtype)
+            for aval, has in zip(program.in_avals, varies, strict=True)
+        ]
+        program = jax.make_jaxpr(functools.partial(_whole, program=program, batch=batch, varies=varies))(*shapes)
+    return {"program": program, "batch": (), "varies": ((),) * len(program.in_avals), "regions": False}
+
+
+def _for_cpu(*values: Any, program: core.ClosedJaxpr, regions: bool, **how: Any) -> list[Array]:
+    if not regions:
+        found: list[Array] = _whole(*values, program=program, **how)
+        return found
+    return in_regions(program, values, how["varies"], how["batch"])[0]
+
+
+_program.def_abstract_eval(_abstract)
+_program.def_impl(_run_now)
+batching.primitive_batchers[_program] = _batched
+ad.primitive_jvps[_program] = _differentiated
+register_reverse_mode(_program, _linearized, _whole, _as_call)
+mlir.register_lowering(_program, mlir.lower_fun(_whole, multiple_results=True))
+mlir.register_lowering(_program, mlir.lower_fun(_for_cpu, multiple_results=True), platform="cpu")

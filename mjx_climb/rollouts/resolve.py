@@ -1,0 +1,241 @@
+"""What a caller passes as law, gains and parameters, resolved and checked once, before anything is traced."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import DTypeLike
+
+from mjx_climb.control import PD, Law
+from mjx_climb.quantities.batches import batch_shape, own_axes
+from mjx_climb.quantities.parameters import Gains, Parameters, own_parameters
+from mjx_climb.quantities.ranges import check_ranges
+from mjx_climb.quantities.whole_steps import with_whole_steps
+from mjx_climb.scenario.model import Scenario
+
+AnyGains = Gains | Law | Mapping[str, Any]  # values by name
+
+_JOINT_LOOP = {"kp": 0.0, "kd": 0.0}
+_NUMBERS = {1: "one", 3: "three", 6: "six"}
+
+
+class Resolved(NamedTuple):
+    """What is simulated: a law whose gains have their full length, parameters, and the batch shape of both."""
+
+    law: Law
+    parameters: Parameters  # with the joint gains that were given, and with times that are whole time steps
+    shape: tuple[int, ...]
+    own: Parameters  # as they were given, without either
+
+    @property
+    def axes(self) -> tuple[Law, Parameters]:
+        """How many axes the value of one robot has, in place of each value of law and parameters."""
+        return own_axes(self.law), own_axes(self.parameters)
+
+
+def resolve(
+    scenario: Scenario,
+    law: Law,
+    gains: AnyGains | None,
+    parameters: Parameters | None,
+    array: Callable[[Any], Any],
+) -> Resolved:
+    """Return the law with the gains given in place of its own, and parameters with the joint gains among them.
+
+    Arguments:
+        scenario: whose parameters are taken where there are none.
+        law: with its own gains.
+        gains: values that replace those of the law by name; `kp` and `kd` replace those of the parameters.
+        parameters: with any leading batch axes, in any precision.
+        array: makes arrays of the precision of the simulation.
+
+    Raises:
+        ValueError: in one line, an unknown name, a wrong shape, a gain that is not positive, or a parameter that no
+            scenario could have. Of what is being traced only shapes are known.
+    """
+    own = own_parameters(scenario) if parameters is None else parameters
+    check_ranges(own)
+    values = values_by_name(law, gains)
+    joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
+    law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
+    parameters = jax.tree.map(array, with_whole_steps(own, scenario.time_step))
+    parameters = dataclasses.replace(parameters, **joint)
+    # gains of a law without any still say how many robots there are
+    others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
+    shape = jnp.broadcast_shapes(batch_shape(law, parameters), *others)
+    check_robots(shape)
+    if shape != batch_shape(law, parameters):
+        parameters = dataclasses.replace(parameters, kp=_broadcast(parameters.kp, shape))
+    return Resolved(law, parameters, shape, own)
+
+
+def resolve_in(
+    scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike
+) -> Resolved:
+    """Return what `resolve` does, as arrays of NumPy of a precision.
+
+    Raises:
+        ValueError: as `resolve`, and a precision other than float32 and float64.
+    """
+    array = functools.partial(np.asarray, dtype=checked_dtype(dtype))
+    with jax.enable_x64(True):
+        return resolve(scenario, law, gains, parameters, array)
+
+
+def check_robots(shape: tuple[int, ...]) -> None:
+    """Refuse a batch of nobody.
+
+    Raises:
+        ValueError: in one line, the batch axes.
+    """
+    if 0 in shape:
+        raise ValueError(f"gains and parameters: expected one robot or more, got batch axes {shape}")
+
+
+def checked_dtype(dtype: DTypeLike) -> np.dtype:
+    """Return the precision of a walk.
+
+    Raises:
+        ValueError: other than float32 and float64.
+    """
+    if np.dtype(dtype) not in (np.float32, np.float64):
+        raise ValueError(f"dtype: expected float32 or float64, got {np.dtype(dtype)}")
+    return np.dtype(dtype)
+
+
+def floating_dtype(tree: Any) -> Any:
+    """Return the precision of a tree's arrays, or the one in force where it holds plain numbers alone."""
+    arrays = [leaf for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
+    floats = [leaf for leaf in arrays if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.result_type(*floats) if floats else jnp.result_type(float)
+
+
+def is_traced(tree: Any) -> bool:
+    """Return whether JAX traces any value of a tree, so that it is not known."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def with_gains(law: Law, gains: AnyGains) -> Law:
+    """Return a law with some of its gains replaced, by name; those of the joint loop are no part of it.
+
+    Raises:
+        ValueError: a name that it does not have.
+    """
+    values = {name: value for name, value in values_by_name(law, gains).items() if name in law.GAINS}
+    changed: Law = dataclasses.replace(law, **values)  # type: ignore[type-var]
+    return changed
+
+
+def has_gains_of_the_paper(law: Law) -> bool:
+    """Tell whether a law's gains are those of `Gains`, as far as it has any."""
+    return isinstance(law, PD) or set(law.GAINS) == set(Gains.AXES)
+
+
+def recorded(scenario: Scenario, gains: AnyGains | None, resolved: Resolved) -> Gains | dict[str, Any]:
+    """Return the gains of a walk to be stored with it, six axes each where the law has those of the paper, or none.
+
+    A law of translations leaves the rotations as they were given, or as the scenario has them.
+    """
+    law, parameters = resolved.law, resolved.parameters
+    joint = {name: getattr(parameters, name) for name in _JOINT_LOOP if name in values_by_name(law, gains)}
+    if not has_gains_of_the_paper(law):
+        return {name: getattr(law, name) for name in law.GAINS} | joint
+    six = {}
+    for name in Gains.AXES:
+        place = gains if isinstance(gains, Gains) else scenario.control
+        value = np.array(np.broadcast_to(np.asarray(getattr(place, name), parameters.kp.dtype), 6))
+        own = getattr(law, name, value)
+        value[: own.size] = own
+        six[name] = value
+    return Gains(**six, **joint)
+
+
+def checked_gains(law: Law, values: Mapping[str, Any], array: Callable[[Any], Any] = np.asarray) -> Law:
+    """Return a law with some values replaced, all of its gains as arrays of their full length.
+
+    Raises:
+        ValueError: in one line, a wrong shape, or a gain that is not positive.
+    """
+    own = {name: values.get(name, getattr(law, name)) for name in law.GAINS}
+    whole = {name: array(_full_length(law, name, value)) for name, value in own.items()}
+    changed: Law = dataclasses.replace(law, **whole)  # type: ignore[type-var]
+    return changed
+
+
+def checked(law: Law) -> Law:
+    """Return a law as it is.
+
+    Raises:
+        ValueError: no instance of `mjx_climb.Law`, or a field that cannot be hashed.
+    """
+    if not isinstance(law, Law):
+        made = f"; {law.__name__}() makes one" if isinstance(law, type) and issubclass(law, Law) else ""
+        raise ValueError(f"law: expected an instance of a class that inherits from mjx_climb.Law, got {law!r}{made}")
+    try:
+        hash(jax.tree.structure(law))
+    except TypeError as error:
+        raise ValueError(
+            f"{type(law).__name__}: expected fields that can be hashed beside its gains: {error}"
+        ) from None
+    return law
+
+
+def values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
+    """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
+    if gains is None:
+        return {}
+    if isinstance(gains, Gains):
+        values = {name: value for name, value in vars(gains).items() if value is not None}
+        for name, field in law.GAINS.items():
+            if field.length == 3 and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
+                values[name] = values[name][..., :3]
+        if isinstance(law, PD):
+            return values
+    else:
+        values = dict(gains) if isinstance(gains, Mapping) else {name: getattr(gains, name) for name in gains.GAINS}
+    if unknown := [name for name in values if name not in law.GAINS and name not in _JOINT_LOOP]:
+        known = ", ".join([*law.GAINS, *_JOINT_LOOP])
+        raise ValueError(f"gains.{unknown[0]}: expected one of {known}, the gains of {type(law).__name__}")
+    return values
+
+
+def _full_length(law: Law, name: str, value: Any) -> Any:
+    """Return a gain with its last axis of so many values as the law says."""
+    field = law.GAINS[name]
+    value = _checked(f"gains.{name}", value, field.length, field.bounds[0])
+    if field.length == 1:
+        return value
+    value = value if value.ndim else value[None]
+    return _broadcast(value, (*value.shape[:-1], field.length))
+
+
+def _broadcast(value: Any, shape: tuple[int, ...]) -> Any:
+    return np.broadcast_to(value, shape) if isinstance(value, np.ndarray) else jnp.broadcast_to(value, shape)
+
+
+def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
+    """Return the values of a gain as an array, of whatever precision they have.
+
+    Raises:
+        ValueError: not so many on the last axis, or values known now that are not finite or too small.
+    """
+    if not isinstance(value, jax.Array):
+        value = np.asarray(value, float if np.ndim(value) == 0 and not np.iscomplexobj(value) else None)
+    if length > 1 and value.ndim and value.shape[-1] not in (1, length):
+        raise ValueError(f"{name}: expected a scalar or a last axis of {_NUMBERS[length]}, got shape {value.shape}")
+    if np.iscomplexobj(value):
+        raise ValueError(f"{name}: expected real numbers, got {value.dtype}")
+    if isinstance(value, jax.core.Tracer):
+        return value
+    known = np.asarray(value)
+    zero_is_fine = name == "gains.kd" or low == 0
+    wrong = ~np.isfinite(known) | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero_is_fine))))
+    if wrong.any():
+        expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero_is_fine else 'above 0'}"
+        raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
+    return value

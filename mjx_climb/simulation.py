@@ -1,0 +1,401 @@
+"""What is simulated: a scenario, a control law, metrics and an engine, prepared once.
+
+    simulation = Simulation(scenario)
+    simulation.rollout(gains)                  one robot, full time histories
+    simulation.metrics(gains, parameters)      a batch of robots, metrics alone
+    simulation.jvp(gains, directions)          the same with tangents along directions in the gains
+    simulation.simulate(gains, parameters)     the metrics as a pure function, for jit, vmap, jvp, grad
+    simulation.reset(gains), .step(state)      one robot, step by step, as pure functions
+
+The walk itself is `mjx_climb.walk.step`; how a function of one robot is carried out for a batch is the affair of
+`mjx_climb.execution`. `mjx_climb.rollouts.functions` has the same in one call.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import DTypeLike
+
+from mjx_climb import execution
+from mjx_climb.checks.stance import check_stance
+from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.control import Law, law_of
+from mjx_climb.dynamics import DEFAULT_ENGINE, checked_engine
+from mjx_climb.dynamics.state import State
+from mjx_climb.quantities.batches import axes_behind, over_batch
+from mjx_climb.quantities.parameters import Parameters, own_parameters
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.directions import check_same_gains, moving_gains, resolved_directions
+from mjx_climb.rollouts.resolve import (
+    AnyGains,
+    Resolved,
+    checked,
+    checked_dtype,
+    floating_dtype,
+    is_traced,
+    recorded,
+    resolve,
+    resolve_in,
+)
+from mjx_climb.rollouts.trajectory import Trajectory
+from mjx_climb.rollouts.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.control_loop import Action
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
+from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.step import Carry, Setup, advance, begin, set_up, walk_of
+from mjx_climb.walk.structure import Structure, structure
+
+Progress = Callable[[int, int], None]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class SimulationState:
+    """A robot between two steps; of a batch, every array has the batch axes first."""
+
+    step: Array  # () how many have been made
+    carry: Carry  # what one step hands to the next
+    setup: Setup  # the law with its gains, parameters, and what is worked out from them
+
+    @property
+    def law(self) -> Law:
+        """The law with its gains as they are now."""
+        return self.setup.law
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters as they are now."""
+        return self.setup.parameters
+
+    @property
+    def robot(self) -> State:
+        """The mechanical state, joints limb after limb, as `mjx_climb.forward_dynamics` takes it."""
+        state, shape = self.carry.state, self.step.shape
+        angles, rates = (value.reshape(*shape, -1) for value in (state.joint_angles, state.joint_rates))
+        return dataclasses.replace(state, joint_angles=angles, joint_rates=rates)
+
+
+@dataclasses.dataclass(frozen=True, init=False, eq=False)
+class Simulation:
+    """A scenario under a control law, by an engine; immutable.
+
+    Gains are given by name: `Gains`, a mapping, or a law; those not given are the law's own. Parameters take the place
+    of the scenario's. A walk of given gains and parameters is the same by every method, to rounding.
+    """
+
+    scenario: Scenario
+    law: Law  # with its own gains
+    law_name: str  # where it is not the scenario's
+    table: MetricTable  # the metrics
+    engine: str
+    smooth: bool
+    structure: Structure  # what the scenario's own walk is compiled for
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        law: Law | None = None,
+        metrics: Iterable[Metric] = METRICS,
+        engine: str = DEFAULT_ENGINE,
+        *,
+        smooth: bool = False,
+    ) -> None:
+        """Prepare a simulation.
+
+        Arguments:
+            scenario: what walks where, and under which disturbance.
+            law: the control law with its gains, the scenario's own where None.
+            metrics: what walks are evaluated by, as `mjx_climb.METRICS + (mine,)`.
+            engine: the dynamics, one of `mjx_climb.ENGINES`.
+            smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics
+                have smooth companions, see `mjx_climb.walk.metrics.extremes`.
+
+        Raises:
+            ConfigError: no such engine, or a rest stance that is singular.
+            RuntimeError: a process that was forked from one in which JAX had begun.
+            ValueError: no control law, or two metrics of one name.
+        """
+        checked_engine(engine)
+        check_stance(scenario)
+        values = {"scenario": scenario, "table": MetricTable(metrics), "engine": engine, "smooth": smooth}
+        values |= {"law": law_of(scenario) if law is None else checked(law)}
+        values |= {"law_name": "" if law is None else type(law).__name__}
+        vars(self).update(values)  # frozen from here on
+        vars(self)["structure"] = self._structure(own_parameters(scenario))
+
+    def _structure(self, parameters: Parameters) -> Structure:
+        """Return what a walk is compiled for: parameters say which stages of hardware there are."""
+        return structure(self.scenario, self.engine, parameters, law=self.law, metrics=self.table, smooth=self.smooth)
+
+    def _resolved(self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike) -> Resolved:
+        return resolve_in(self.scenario, self.law, gains, parameters, dtype)
+
+    def rollout(
+        self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, dtype: DTypeLike = np.float64
+    ) -> Trajectory:
+        """Walk one robot, on the CPU, and return the full time histories.
+
+        Arguments:
+            gains: in place of the law's own.
+            parameters: in place of the scenario's.
+            dtype: precision of the simulation; float64 needs no setting of JAX's.
+
+        Raises:
+            ConfigError: a time step too long for the scenario's contacts and joints.
+            ValueError: batched gains or parameters, or gains that the law does not have.
+        """
+        resolved = self._resolved(gains, parameters, dtype)
+        if resolved.shape != ():
+            raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
+        check_time_step(self.scenario, parameters=resolved.parameters)
+        shape = self._structure(resolved.parameters)
+        samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters)
+        return Trajectory(
+            scenario=self.scenario,
+            gains=recorded(self.scenario, gains, resolved),
+            parameters=jax.tree.map(functools.partial(np.asarray, dtype=dtype), resolved.own),
+            limbs=load_robot(self.scenario.robot).limbs,
+            law=self.law_name,
+            **{name: np.asarray(value) for name, value in samples._asdict().items()},
+        )
+
+    def metrics(
+        self,
+        gains: AnyGains | None = None,
+        parameters: Parameters | None = None,
+        *,
+        dtype: DTypeLike = np.float32,
+        batch_size: int | None = None,
+        progress: Progress | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Walk a batch of robots on all devices and return their metrics; memory does not grow with time.
+
+        Arguments:
+            gains: in place of the law's own, with leading batch axes: `Gains(damping=(..., 6), ...)`.
+            parameters: with leading batch axes that broadcast with the gains'.
+            dtype: precision of the simulation.
+            batch_size: at most so many robots at once, one such share at a time on a GPU and one on each core of a CPU.
+                Few robots walk on the CPU although there is a GPU: they are there sooner.
+            progress: called with the number of robots that have walked and the number in all, after each share.
+
+        Returns:
+            Arrays with the batch axes of gains and parameters, by the names of the metrics; NaN and -1 as `simulate`
+            says.
+
+        Raises:
+            ConfigError: a time step too long for the scenario's contacts and joints.
+            ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, parameters that
+                no scenario could have, no robots, or another precision than float32 and float64.
+        """
+        resolved = self._resolved(gains, parameters, dtype)
+        found: dict[str, np.ndarray] = self._run(metrics_of, resolved, batch_size=batch_size, progress=progress)
+        return found
+
+    def histories(
+        self,
+        gains: AnyGains | None = None,
+        parameters: Parameters | None = None,
+        *,
+        dtype: DTypeLike = np.float32,
+        batch_size: int | None = None,
+        progress: Progress | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Walk a batch of robots and return metrics as `metrics` does, and some histories over time beside them.
+
+        Returns:
+            The metrics, and by the names of `rollouts.histories.LINES` arrays (*batch, 2, stretches) in their units:
+            the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the state
+            stopped being finite.
+        """
+        resolved = self._resolved(gains, parameters, dtype)
+        found: dict[str, np.ndarray] = self._run(histories_of, resolved, batch_size=batch_size, progress=progress)
+        return found
+
+    def jvp(
+        self,
+        gains: AnyGains,
+        directions: AnyGains,
+        parameters: Parameters | None = None,
+        *,
+        dtype: DTypeLike = np.float32,
+        batch_size: int | None = None,
+        progress: Progress | None = None,
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Walk a batch of robots and return metrics, and their tangents along k directions in the gains.
+
+        A direction costs about as much as the walk itself, and nothing is stored over time. The other arguments and
+        what is raised are those of `metrics`.
+
+        Arguments:
+            directions: rates of change of the gains, in their units and by their names: values (k, *batch, n), of
+                length 1 and for `kp` and `kd` (k, *batch), with batch axes that broadcast to the gains'. A gain of the
+                law without rates stays as it is.
+
+        Returns:
+            The metrics (*batch), and the tangents (k, *batch) of those that are real numbers.
+
+        Raises:
+            ValueError: rates of a gain that the law does not have, or `kp` or `kd` in one of two `Gains` alone.
+        """
+        check_same_gains(gains, directions)
+        resolved = self._resolved(gains, parameters, dtype)
+        along = resolved_directions(resolved, directions, dtype)
+        values, tangents = self._run(metrics_of_moved, resolved, along, batch_size=batch_size, progress=progress)
+        return values, tangents
+
+    def _run(self, function: Callable[..., Metrics], resolved: Resolved, directions: Any = None, **how: Any) -> Any:
+        check_time_step(self.scenario)
+        shape = self._structure(resolved.parameters)
+        arguments, axes = (resolved.law, resolved.parameters), resolved.axes
+        if directions is None:
+            return execution.run(function, shape, arguments, axes, resolved.shape, **how)
+        moving, own = moving_gains(resolved, directions)
+        values, tangents = execution.run(
+            function, shape, (moving, *arguments), (own, *axes), resolved.shape, directions=directions, **how
+        )
+        batch = len(resolved.shape)
+        return values, {name: np.moveaxis(value, batch, 0) for name, value in tangents.items()}
+
+    def simulate(self, gains: AnyGains | None = None, parameters: Parameters | None = None) -> Metrics:
+        """Return the metrics as a pure function of gains and parameters, for `jit`, `vmap`, `jvp`, `jacfwd` and `grad`.
+
+        Arguments:
+            gains: in place of the law's own, with any leading batch axes; their precision is the simulation's.
+            parameters: with leading batch axes that broadcast with the gains'. Of hardware they may have what the
+                scenario has.
+
+        Returns:
+            Arrays with the batch axes, named and in units as the metrics say. NaN stands for what is not defined:
+            `detached_at` while all limbs hold (`detached_limb` is then -1, else the index of the limb). Where the state
+            stopped being finite, `diverged`, the others are those of the walk until then.
+
+        Raises:
+            ValueError: gains that the law does not have, or cannot have, or a metric that does not keep its shapes.
+        """
+        dtype = checked_dtype(floating_dtype(self.law if gains is None else gains))
+        array = functools.partial(jnp.asarray, dtype=dtype)
+        resolved = resolve(self.scenario, self.law, gains, parameters, array)
+        walk = _carried_out(metrics_of, self.structure)
+        found: Metrics = over_batch(walk, (resolved.law, resolved.parameters), resolved.axes, resolved.shape)
+        return found
+
+    def reset(
+        self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, dtype: DTypeLike | None = None
+    ) -> SimulationState:
+        """Return one robot in the rest stance with all grippers shut; pure.
+
+        Arguments:
+            gains: in place of the law's own.
+            parameters: in place of the scenario's.
+            dtype: precision of the simulation; JAX's own setting where None.
+
+        Raises:
+            ValueError: batched gains or parameters (`jax.vmap` makes a batch), gains that the law does not have, or
+                parameters with hardware that the scenario does not have.
+        """
+        resolved = self.resolved_for_steps(gains, parameters, dtype)
+        if resolved.shape != ():
+            raise ValueError("reset is of one robot: a batch is made by jax.vmap, or by mjx_climb.Environment")
+        return self.start(resolved.law, resolved.parameters)
+
+    def start(self, law: Law, parameters: Parameters) -> SimulationState:
+        """Return what `reset` does, of a law and parameters that are resolved."""
+        state: SimulationState = _start(self.structure, law, parameters)
+        return state
+
+    def step(self, state: SimulationState, action: Action = None) -> tuple[SimulationState, Sample]:
+        """Return one robot one time step later, and all that is known about this step; pure.
+
+        Arguments:
+            state: what `reset` or the last `step` returned.
+            action: for this step, in place of the law, which then stays as it is; None: what the law commands.
+
+        Returns:
+            The state after the step; and the sample, fields as in `mjx_climb.Trajectory` without the axis of time: the
+            state at the start of the step, and the forces and accelerations that act in it.
+        """
+        after: tuple[SimulationState, Sample] = _carried_out(_step, self.structure)(state, action)
+        return after
+
+    def with_gains(self, state: SimulationState, gains: AnyGains) -> SimulationState:
+        """Return a robot, or a batch of them with its axes in front, that goes on with other gains; pure.
+
+        Gains that are not given stay; so does what the law remembers. It works the law out anew: call it when gains
+        change.
+
+        Raises:
+            ValueError: gains that the law does not have, or cannot have, or for more robots than there are.
+        """
+        shape, array = state.step.shape, functools.partial(jnp.asarray, dtype=state.parameters.kp.dtype)
+        resolved = resolve(self.scenario, state.law, gains, state.parameters, array)
+        if resolved.shape != shape:
+            raise ValueError(f"gains: expected batch axes that broadcast to the state's {shape}, got {resolved.shape}")
+        changed: SimulationState = over_batch(
+            functools.partial(_with_law, self.structure),
+            (state, resolved.law, resolved.parameters),
+            (axes_behind(state, shape), *resolved.axes),
+            shape,
+        )
+        return changed
+
+    def resolved_for_steps(
+        self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike | None
+    ) -> Resolved:
+        """Return law and parameters of robots that begin: arrays of JAX.
+
+        Raises:
+            ValueError: as `reset` says, but for batch axes.
+        """
+        dtype = checked_dtype(jnp.result_type(float) if dtype is None else dtype)
+        resolved = resolve(self.scenario, self.law, gains, parameters, functools.partial(jnp.asarray, dtype=dtype))
+        if not is_traced(resolved.own):
+            asked = self._structure(resolved.own).stages
+            if asked != self.structure.stages:
+                raise ValueError(
+                    "parameters: expected the stages of hardware and the longest delays of the scenario, "
+                    f"{self.structure.stages}, got {asked}; make the simulation of a scenario that has them"
+                )
+        return resolved
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _start(structure: Structure, law: Law, parameters: Parameters) -> SimulationState:
+    setup = set_up(structure, law, parameters)
+    return SimulationState(jnp.zeros((), jnp.int32), begin(walk_of(structure, setup)), setup)
+
+
+def _step(structure: Structure, state: SimulationState, action: Action) -> tuple[SimulationState, Sample]:
+    carry, sample = advance(walk_of(structure, state.setup), state.carry, state.step, action)
+    return SimulationState(state.step + 1, carry, state.setup), sample
+
+
+@functools.lru_cache(maxsize=128)
+def _carried_out(function: Callable[..., Any], structure: Structure) -> Callable[..., Any]:
+    """Return a function of one robot, for batches too: the same for equal arguments, so that it is compiled once."""
+    return execution.over_robots(functools.partial(function, structure))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _with_law(structure: Structure, state: SimulationState, law: Law, parameters: Parameters) -> SimulationState:
+    """Return a state with another law; the law's state stays, but for what `law.step` hands on as it is: constants."""
+    setup, memory = set_up(structure, law, parameters), state.carry.memory
+    walk = walk_of(structure, setup)
+
+    def next_of_law(law_state: Any) -> Any:
+        carry = state.carry._replace(memory=memory._replace(law=law_state))
+        return advance(walk, carry, state.step)[0].memory.law
+
+    program = jax.make_jaxpr(next_of_law)(memory.law).jaxpr
+    before, tree = jax.tree.flatten(memory.law)
+    begun = jax.tree.leaves(begin(walk).memory.law)
+    pairs = zip(program.invars, program.outvars, begun, before, strict=True)
+    mixed = [new if out is into else old for into, out, new, old in pairs]
+    carry = state.carry._replace(memory=memory._replace(law=jax.tree.unflatten(tree, mixed)))
+    return SimulationState(state.step, carry, setup)

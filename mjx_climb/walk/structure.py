@@ -1,0 +1,99 @@
+"""What a compiled walk depends on beside its law and the values of its parameters."""
+
+import functools
+import hashlib
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mjx_climb.control import LAWS, Law
+from mjx_climb.dynamics import ENGINES
+from mjx_climb.execution.contents import Unidentifiable, identity
+from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
+from mjx_climb.mujoco_import import mujoco
+from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.scenario.model import RobotFile, Scenario
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
+
+_PACKAGE = __name__.split(".")[0] + "."
+
+
+class Structure(NamedTuple):
+    """What a compiled walk depends on beside its law and the values of its parameters; hashable."""
+
+    robot: str | RobotFile
+    engine: str
+    lift_off: tuple[tuple[str, float], ...]  # of each limb, as a share of the cycle
+    base_reference: str
+    steps: int
+    time_step: float
+    metrics: MetricTable = METRICS
+    smooth: bool = False  # no gripper is torn off
+    stages: Stages = IDEAL  # of hardware between law and joints
+    model: str = ""  # digest of what a robot's own file says, empty for one that comes with the package
+    own_code: str = ""  # digest of law, metrics and engine of the user's own: a global that they read may have changed
+
+
+def structure(
+    scenario: Scenario,
+    engine: str,
+    parameters: Parameters,
+    *,
+    law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
+    smooth: bool = False,
+) -> Structure:
+    """Return the structure of a scenario's walk.
+
+    With `smooth` the metrics have their smooth companions, and no gripper is torn off. Parameters, with any leading
+    batch axes, say which stages of hardware there are.
+
+    Raises:
+        ValueError: two metrics of one name.
+    """
+    table = MetricTable(metrics)
+    return Structure(
+        robot=scenario.robot,
+        engine=engine,
+        lift_off=tuple(scenario.gait.lift_off.items()),
+        base_reference=scenario.gait.base_reference,
+        steps=scenario.steps,
+        time_step=scenario.time_step,
+        metrics=table.with_companions if smooth else table,
+        smooth=smooth,
+        stages=stages_of(scenario, parameters, load_robot(scenario.robot)),
+        model=_digest(scenario.robot, engine),
+        own_code=_own_code(law, table, engine),
+    )
+
+
+def _own_code(law: Law | None, metrics: MetricTable, engine: str) -> str:
+    """Return a digest of law, metrics and engine that are not shipped, empty without any."""
+    own: list[Any] = [metric for metric in metrics if metric not in METRICS]
+    own += [] if law is None or type(law) in LAWS.values() else [type(law)]
+    own += [] if ENGINES[engine].__module__.startswith(_PACKAGE) else [ENGINES[engine]]
+    try:
+        return identity(own) if own else ""
+    except Unidentifiable:
+        return ""
+
+
+@functools.lru_cache(maxsize=64)
+def _digest(robot: str | RobotFile, engine: str) -> str:
+    """Return a digest of all that a robot's own file says, but where it lies; of its constants, or for MJX of all."""
+    if isinstance(robot, str):
+        return ""
+    constants = vars(load_robot(robot))
+    content = [repr((name, _content(constants[name]))) for name in sorted(constants) if name != "model"]
+    if engine != "limb":
+        model = load_model(robot)
+        binary = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, binary)
+        content.append(hashlib.sha256(binary.tobytes()).hexdigest())
+    return hashlib.sha256("\n".join(content).encode()).hexdigest()
+
+
+def _content(value: Any) -> Any:
+    return (value.shape, value.dtype.str, value.tobytes()) if isinstance(value, np.ndarray) else value

@@ -1,0 +1,229 @@
+"""Control laws as functions of one robot: one step against other code than ours, under jit, vmap and jvp."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+import mjx_climb as mc
+from mjx_climb.control import (
+    LAWS,
+    PD,
+    EndEffectorAdmittance,
+    MeasuredPoseAdmittance,
+    Start,
+    VirtualModelAdmittance,
+    begin,
+)
+from mjx_climb.execution.jax_internals import scan_sizes
+
+STEP = 1e-3
+FEET = np.array([[0.14, 0.14, 0.0], [-0.14, 0.14, 0.0], [-0.14, -0.14, 0.0], [0.14, -0.14, 0.0]])
+pose = st.tuples(*[st.floats(-0.3, 0.3)] * 12).map(lambda values: np.array(values).reshape(4, 3))
+
+
+def power(low, high):
+    return st.floats(low, high).map(lambda exponent: 10.0**exponent)
+
+
+def reference_of(position=(0.0, 0.0, 0.11), turn=(0.0, 0.0, 0.0)):
+    quaternion = Rotation.from_rotvec(turn).as_quat(scalar_first=True)
+    return mc.Reference(jnp.asarray(position), jnp.asarray(quaternion), jnp.asarray(FEET))
+
+
+def measured_of(reference, force=0.0, moment=(0.0, 0.0, 0.0), support=(True,) * 4):
+    """A measurement of a base at its reference, with a force on each foot."""
+    forces = jnp.broadcast_to(jnp.asarray(force, float), (4, 3))
+    wrench = jnp.concatenate([forces.sum(0), jnp.asarray(moment, float)])
+    still = jnp.zeros(3)
+    return mc.Measurement(*reference[:2], still, still, forces, wrench, jnp.asarray(support))
+
+
+@jax.jit
+def command_of(law, measured, reference):
+    return law.step(begin(law, Start(STEP, reference)), measured, reference)[1]
+
+
+@given(power(-2, 2), power(-1, 3), power(-1, 5), pose, pose)
+def test_measured_pose_is_one_step_of_eq_3(inertia, damping, stiffness, measured, planned):
+    """`x_des = dx + dt dxd + dt^2 (w - D dxd - K dx) / M` in the axes of the reference, by other code than ours."""
+    position, velocity, omega, force = measured
+    aim, turned, axis, moment = planned
+    reference = Rotation.from_rotvec(turned)
+    base = (reference * Rotation.from_rotvec(axis)).as_quat(scalar_first=True)
+    law = MeasuredPoseAdmittance(*(value * np.ones(6) for value in (inertia, damping, stiffness)))
+    found = mc.Measurement(
+        position, base, velocity, omega, np.zeros((4, 3)), np.concatenate([force, moment]), np.ones(4, bool)
+    )
+    command = command_of(law, found, reference_of(aim, turned))
+
+    own = reference.inv().apply
+    offset = np.concatenate([own(position - aim), 2 * Rotation.from_rotvec(axis).as_quat()[:3]])
+    rate = np.concatenate([own(velocity), own(omega)])
+    acceleration = (np.concatenate([own(force), own(moment)]) - damping * rate - stiffness * offset) / inertia
+    shift = offset + STEP * rate + STEP**2 * acceleration
+    np.testing.assert_allclose(command.base_displacement, shift, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(command.base_position, aim + reference.apply(shift[:3]), rtol=1e-9, atol=1e-12)
+    assert float(np.linalg.norm(command.base_orientation)) == pytest.approx(1, abs=1e-12)
+    if np.linalg.norm(shift[3:]) < 1.9:
+        half = shift[3:] / 2
+        turn = Rotation.from_quat([*half, np.sqrt(1 - half @ half)])
+        difference = (reference * turn).inv() * Rotation.from_quat(command.base_orientation, scalar_first=True)
+        assert difference.magnitude() < 1e-7
+
+
+def test_measured_pose_saturates_at_half_a_turn():
+    """A demand beyond it keeps its axis, and the quaternion stays of unit length."""
+    reference = reference_of()
+    law = MeasuredPoseAdmittance(np.ones(6), np.ones(6), np.ones(6), horizon=1.0)
+    command = command_of(law, measured_of(reference, moment=(0.0, 30.0, 40.0)), reference)
+    np.testing.assert_allclose(command.base_orientation, [0.0, 0.0, 0.6, 0.8], atol=1e-12)
+
+
+def exact_response(gains, force, steps):
+    """Displacement of a virtual mass under a constant force after some steps, by the matrix exponential."""
+    inertia, damping, stiffness = gains
+    continuous = np.array([[0, 1, 0], [-stiffness / inertia, -damping / inertia, 1 / inertia], [0, 0, 0]])
+    return expm(continuous * STEP * steps)[0, 2] * force
+
+
+def test_the_virtual_model_yields_in_the_axes_of_its_reference():
+    """Each axis is driven by its own part of -w, also where the reference is turned: the shift turns with it."""
+    gains = np.array([[1.0, 2.0, 3.0, 0.1, 0.2, 0.3], np.linspace(50, 100, 6), np.linspace(1e3, 2e3, 6)])
+    reference, turn = reference_of(turn=(0.1, -0.2, 0.7)), Rotation.from_rotvec((0.1, -0.2, 0.7))
+    force, moment = np.array([1.0, -2.0, 3.0]), np.array([0.3, 0.2, -0.1])
+    law = VirtualModelAdmittance(*gains)
+    mass, measured = begin(law, Start(STEP, reference)), measured_of(reference, force / 4, moment)
+    for _ in range(5):
+        mass, command = jax.jit(law.step)(mass, measured, reference)
+    wrench = -np.concatenate([turn.inv().apply(force), turn.inv().apply(moment)])
+    shift = [exact_response(own, w, 5) for own, w in zip(gains.T, wrench, strict=True)]
+    np.testing.assert_allclose(command.base_displacement, shift, rtol=1e-9)
+    np.testing.assert_allclose(command.base_position, np.array([0, 0, 0.11]) + turn.apply(shift[:3]), rtol=1e-9)
+    both = turn * Rotation.from_rotvec(shift[3:])
+    np.testing.assert_allclose(command.base_orientation, both.as_quat(scalar_first=True), atol=1e-12)
+    np.testing.assert_array_equal(command.foot_position, FEET)
+
+
+def test_each_supporting_foot_gives_way_to_its_own_force_and_forgets_it_after_lift_off():
+    law = EndEffectorAdmittance(*(np.array(value) for value in ([1.0, 2, 3], [50.0, 60, 70], [1e3, 2e3, 3e3])))
+    reference, turn = reference_of(turn=(0.0, 0.0, 0.5)), Rotation.from_rotvec((0.0, 0.0, 0.5))
+    forces = np.random.default_rng(0).normal(size=(4, 3))
+    step, masses = jax.jit(law.step), begin(law, Start(STEP, reference))
+    for _ in range(5):
+        masses, command = step(masses, measured_of(reference, forces), reference)
+    gains = np.stack([law.inertia, law.damping, law.stiffness], axis=1)
+    own = turn.inv().apply(forces)
+    shift = [[exact_response(gains[axis], own[limb, axis], 5) for axis in range(3)] for limb in range(4)]
+    np.testing.assert_allclose(command.foot_position - FEET, turn.apply(shift), rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(command.base_displacement, 0)
+    np.testing.assert_array_equal(command.base_position, reference.base_position)
+
+    masses, command = step(masses, measured_of(reference, forces, support=(True, False, True, True)), reference)
+    for value in (masses.displacement, masses.rate, command.foot_position - FEET):
+        np.testing.assert_array_equal(value[1], 0)
+        assert (np.abs(np.delete(value, 1, axis=0)) > 0).all()
+
+
+@pytest.mark.parametrize("kind", dict.fromkeys(LAWS.values()), ids=lambda kind: kind.__name__)
+def test_a_law_of_one_robot_is_mapped_and_differentiated(kind):
+    """Under vmap each robot has what it has alone; tangents by a gain are those of central differences."""
+    reference = reference_of(turn=(0.1, 0.2, 0.3))
+    measured = measured_of(reference, np.arange(12.0).reshape(4, 3), (1.0, 2.0, 3.0))
+    measured = measured._replace(base_position=measured.base_position + 0.01)
+
+    def of_stiffness(stiffness):
+        law = kind(**{name: stiffness if name == "stiffness" else jnp.ones(()) for name in kind.GAINS})
+        state = begin(law, Start(STEP, reference))
+        for _ in range(3):
+            state, command = law.step(state, measured, reference)
+        return command
+
+    values = jnp.array([10.0, 3e3])
+    batch = jax.jit(jax.vmap(of_stiffness))(values)
+    for row, value in enumerate(values):
+        for own, alone in zip(batch, of_stiffness(value), strict=True):
+            np.testing.assert_allclose(own[row], alone, rtol=1e-12, atol=1e-12)
+    tangent = jax.jvp(of_stiffness, (values[1],), (1.0,))[1]
+    for own, above, below in zip(tangent, of_stiffness(values[1] + 1), of_stiffness(values[1] - 1), strict=True):
+        np.testing.assert_allclose(own, (above - below) / 2, rtol=1e-5, atol=1e-12)
+    assert kind is PD or max(float(jnp.abs(leaf).max()) for leaf in tangent) > 0
+
+
+# ------------------------------------------------------------------------------------------------------------
+# What a law must keep
+
+
+class Forgetful(VirtualModelAdmittance):
+    def step(self, state, measured, reference):
+        return (), super().step(state, measured, reference)[1]
+
+
+class Growing(PD):
+    def init(self, start):
+        return jnp.zeros(3)
+
+    def step(self, state, measured, reference):
+        return measured.wrench, super().step((), measured, reference)[1]
+
+
+class Rounding(Growing):
+    def init(self, start):
+        return 0, 0.0  # a whole number and a real one
+
+    def step(self, state, measured, reference):
+        return (state[0] + 0.5, state[1]), super().step(state, measured, reference)[1]
+
+
+class OfABatch(PD):
+    def step(self, state, measured, reference):
+        return state, super().step(state, measured, reference)[1]._replace(base_displacement=jnp.zeros((6, 1)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (Forgetful, r"Forgetful.step: expected a state like that of init, VirtualMass.*, got \(\)"),
+        (Growing, r"Growing.step: expected a state like that of init, float64\[3\], got float64\[6\]"),
+        (Rounding, r"Rounding.step: expected a state like that of init, \('int64\[\]', 'float64\[\]'\), got \('float"),
+        (OfABatch, r"OfABatch.step: expected the command, .*float64\[6\].*, got .*float64\[6, 1\]"),
+    ],
+)
+def test_a_state_or_command_of_another_shape_is_refused_in_one_line(kind, message):
+    with pytest.raises(ValueError, match=f"^{message}") as error:
+        begin(kind(), Start(STEP, reference_of()))
+    assert "\n" not in str(error.value)
+
+
+def test_a_state_begins_in_the_precision_of_the_walk():
+    reference = jax.tree.map(jnp.float32, reference_of())
+    gains = np.ones((3, 6), np.float32)
+    for law in (VirtualModelAdmittance(*gains), MeasuredPoseAdmittance(*gains, horizon=1e-3)):
+        state = begin(law, Start(STEP, reference))
+        assert {leaf.dtype for leaf in jax.tree.leaves(state)} == {np.dtype(np.float32)}
+
+
+def test_declared_gains_are_checked():
+    with pytest.raises(ValueError, match=r"^length of a gain: expected 1, 3 or 6, got 4"):
+        mc.gain("N", length=4, bounds=(1.0, 2.0))
+    with pytest.raises(ValueError, match=r"^bounds of a gain: expected low < high"):
+        mc.gain("N", bounds=(2.0, 1.0))
+    with pytest.raises(ValueError, match=r"^Taken.kp: expected another name"):
+        type("Taken", (mc.Law,), {"__annotations__": {"kp": float}, "kp": mc.gain("N", bounds=(1.0, 2.0))})
+
+
+@pytest.mark.parametrize(("kind", "carried"), [(PD, 0), (VirtualModelAdmittance, 2), (MeasuredPoseAdmittance, 0)])
+def test_a_loop_carries_what_changes_alone(kind, carried):
+    """What a law hands on as it is, its transition say, is a constant of the loop."""
+    reference, law = reference_of(), kind(*np.ones((len(kind.GAINS), 6)))
+    measured = measured_of(reference)
+
+    def walked(state):
+        return jax.lax.scan(lambda s, _: law.step(s, measured, reference), state, length=10)
+
+    program = jax.make_jaxpr(walked)(begin(law, Start(STEP, reference))).jaxpr
+    assert [scan_sizes(e.params)[1] for e in program.eqns if e.primitive.name == "scan"] == [carried]

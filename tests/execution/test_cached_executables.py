@@ -1,0 +1,162 @@
+"""Executables on disk: found by the next process, the same bits; never a wrong one, never a broken one."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjx_climb.execution import cache, cached_executables, probe
+from tuning.command_line import diagnosis
+
+ROOT = Path(__file__).parents[2]
+AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user")
+# small enough to be compiled often; `identity` and `answer` differ from process to process
+PROGRAM = """
+import sys
+import jax
+import numpy as np
+from mjx_climb.execution.cached_executables import cached_jit
+from mjx_climb.execution.cache import enable_cache
+
+identity, answer, shape, double = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "double"
+options = {"xla_backend_optimization_level": int(sys.argv[5])}
+traced = []
+
+def function(structure, values):
+    traced.append(structure)
+    with jax.ensure_compile_time_eval():  # a small program that runs while this one is traced
+        answered = jax.numpy.cos(jax.numpy.zeros(3)).max() * answer
+    return {"sum": jax.numpy.sin(values).sum() * answered, "all": values + structure}
+
+enable_cache()
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # as if the machine were slow
+program = cached_jit(function, lambda structure, *trees: identity or None, options)
+with jax.enable_x64(double):
+    made = program(3.0, np.arange(shape, dtype=float if double else np.float32))
+    print(len(traced), *(np.asarray(value).tobytes().hex() for value in made.values()))
+"""
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Give what a process of its own returns: how often it traced, and the bits of the results."""
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+
+    def process(identity="a", answer="1.0", shape="4", double="single", level="1", umask=0o022):
+        command = [sys.executable, "-c", PROGRAM, identity, answer, shape, double, level]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, umask=umask)
+        assert done.returncode == 0, done.stderr
+        traced, *values = done.stdout.split()
+        return int(traced), values
+
+    return process
+
+
+def test_the_next_process_neither_traces_nor_gets_another_executable(run):
+    """The same bits; another identity, shape, precision or option: another one; none stored without an identity."""
+    first = run()
+    assert first[0] == 1
+    assert run(answer="9.0") == (0, first[1])  # the stored one, by its identity
+    for change in ({"identity": "b"}, {"shape": "5"}, {"double": "double"}, {"level": "0"}, {"identity": ""}):
+        traced, values = run(**change)
+        assert traced == 1
+        assert (values == first[1]) == (change.keys() <= {"identity", "level"})
+    assert run(identity="")[0] == 1
+
+
+def test_what_xlas_cache_holds_is_made_and_stored_again(run, tmp_path):
+    """After an update, or where a file was lost: what XLA's cache returns could not be stored."""
+    _, values = run()
+    for identity in ("a", "after an update"):
+        for file in (tmp_path / "programs").iterdir():
+            file.unlink()
+        assert run(identity=identity) == (1, values)
+        assert run(identity=identity) == (0, values)
+
+
+def moved_from_another(file, run):
+    run(shape="5")
+    [other] = set(file.parent.iterdir()) - {file}
+    file.write_bytes(other.read_bytes())
+
+
+DAMAGE = {
+    "cut off": lambda file, _: file.write_bytes(file.read_bytes()[:-20]),
+    "changed": lambda file, _: file.write_bytes((content := file.read_bytes())[:200] + b"x" + content[201:]),
+    "another function's": moved_from_another,
+    "written by others": lambda file, _: file.chmod(0o666),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
+def test_a_file_that_is_not_what_was_written_is_not_executed(run, tmp_path, damage):
+    _, values = run()
+    [file] = (tmp_path / "programs").iterdir()
+    damage(file, run)
+    assert run() == (1, values)
+
+
+def test_a_cache_that_the_user_chose_in_jax_stays(tmp_path, monkeypatch):
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "ours"))
+    with cache.cache_in(str(tmp_path / "own")):
+        cache.enable_cache()
+        assert cache.cache_in_use() == str(tmp_path / "own")
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    """A cache with an entry of XLA's and a folder of executables, as others may look into it but not write."""
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+    (tmp_path / "programs").mkdir(mode=0o755)
+    (tmp_path / "xla-cache").touch(mode=0o644)
+    tmp_path.chmod(0o755)
+    yield tmp_path
+    cache.doubt.cache_clear()
+
+
+CHANGES = [
+    lambda path: path.chmod(0o777),
+    lambda path: path.chmod(0o775),
+    pytest.param(lambda path: os.chown(path, 65534, 65534), marks=AS_ROOT),
+]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("what", [".", "programs", "xla-cache"])
+def test_a_folder_in_which_another_user_may_have_put_a_file_is_not_used(folder, what, change, monkeypatch):
+    """What lies there is executed, XLA's own entries too; the warning comes once."""
+    assert cache.cache_folder() == folder and cache.doubt(folder) is None
+    cache.doubt.cache_clear()
+    change(folder / what)
+    with pytest.warns(UserWarning, match=f"cache is off: {folder / what} is not this user's own, or others") as warned:
+        assert (cache.cache_folder(), cache.cache_folder()) == (None, None)
+    assert len(warned) == 1
+    monkeypatch.setattr(cache, "cache_in_use", lambda: None)  # the tests' own is
+    assert diagnosis.cache().findings == (cache.doubt(folder),)
+
+
+def test_a_folder_that_is_made_here_lets_nobody_else_in(run, tmp_path, monkeypatch):
+    """Whatever the user's umask."""
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "cache"))
+    _, values = run(umask=0)
+    assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
+    assert run(umask=0) == (0, values)
+
+
+def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
+    """Neither of an executable nor of a verdict on a fast path."""
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(cached_executables, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(os, "replace", full)
+    program = cached_executables.cached_jit(lambda structure, values: values + structure, lambda *_: "a", {})
+    with cache.cache_in(str(tmp_path)):
+        assert program(1.0, np.zeros(2)).tolist() == [1.0, 1.0]
+    probe._keep(probe.Verdict(True, "tried"), tmp_path / "probes" / "verdict")
+    left = [path.name for path in tmp_path.rglob("*") if not path.name.endswith("-cache")]  # XLA writes its own
+    assert left == ["programs", "probes"]

@@ -1,0 +1,195 @@
+"""What tells users' functions and objects apart: contents, not names."""
+
+import dataclasses
+import functools
+import subprocess
+import sys
+import threading
+import types
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mjx_climb.execution.contents import Unidentifiable, identity
+from mjx_climb.scenario.messages import ConfigError
+
+SCALE = 2.0
+
+
+def closed_over(weight):
+    return lambda metrics: weight * metrics["travel"]
+
+
+def weighted(metrics, weight=1.0):
+    return weight * metrics["travel"]
+
+
+def helper(value):
+    return value * SCALE
+
+
+def through_a_helper(metrics):
+    return helper(metrics["travel"])
+
+
+def through_a_comprehension(metrics):
+    return sum(SCALE * metrics[name] for name in ("travel",))
+
+
+def calls_itself(depth):
+    return 0 if depth == 0 else calls_itself(depth - 1) + SCALE
+
+
+@dataclasses.dataclass(frozen=True)
+class Weighted:
+    weight: float = 1.0
+
+    def __call__(self, metrics):
+        return self.weight * helper(metrics["travel"])
+
+
+class Slotted:
+    __slots__ = ("weight",)
+
+    def __init__(self, weight):
+        self.weight = weight
+
+    def score(self, metrics):
+        return self.weight * metrics["travel"]
+
+
+class Pair(NamedTuple):
+    first: float
+    second: object
+
+
+def classes(**bodies):
+    """Return two classes of one name, each with one member."""
+    return tuple(type("Law", (), {name: member}) for name, members in bodies.items() for member in members)
+
+
+STEPS = (lambda self, x: x, lambda self, x: 2 * x)
+DIFFER = {
+    "closure": (closed_over(1.0), closed_over(100.0)),
+    "closure over arrays": (closed_over(np.ones(3)), closed_over(np.array([1.0, 1.0, 1.0 + 1e-15]))),
+    "closure over arrays of jax": (closed_over(jnp.ones(3)), closed_over(jnp.zeros(3))),
+    "closure over functions": (closed_over(closed_over(1.0)), closed_over(closed_over(2.0))),
+    "partial": (functools.partial(weighted, weight=1.0), functools.partial(weighted, weight=100.0)),
+    "partial of another": (functools.partial(weighted, weight=1.0), functools.partial(helper, weight=1.0)),
+    "default": (weighted, types.FunctionType(weighted.__code__, globals(), argdefs=(3.0,))),
+    "default of a keyword": (lambda m, *, weight=1: weight * m, lambda m, *, weight=2: weight * m),
+    "constants": (lambda m: 1.0 * m["travel"], lambda m: 2.0 * m["travel"]),
+    "type of a constant": (lambda m: m["travel"] ** 2, lambda m: m["travel"] ** 2.0),
+    "operations": (lambda m: m["travel"] + 1.0, lambda m: m["travel"] - 1.0),
+    "names": (lambda m: jnp.sin(m["travel"]), lambda m: jnp.cos(m["travel"])),
+    "inner functions": (lambda m: lambda: 1.0, lambda m: lambda: 2.0),
+    "fields": (Weighted(1.0), Weighted(2.0)),
+    "slots": (Slotted(1.0), Slotted(2.0)),
+    "method of another instance": (Slotted(1.0).score, Slotted(2.0).score),
+    "named tuple": (Pair(1.0, 2), Pair(1.0, 3)),
+    "methods": classes(step=STEPS),
+    "special methods": classes(__call__=STEPS),
+    "compiled special methods": classes(__call__=map(jax.jit, STEPS)),
+    "static methods": classes(step=map(staticmethod, STEPS)),
+    "class methods": classes(step=map(classmethod, STEPS)),
+    "properties": classes(step=map(property, STEPS)),
+    "attributes of classes": classes(weight=(1.0, 2.0)),
+    "instances of classes": [kind() for kind in classes(step=STEPS)],
+    "jit": (jax.jit(closed_over(1.0)), jax.jit(closed_over(2.0))),
+    "vmap": (jax.vmap(closed_over(1.0)), jax.vmap(closed_over(2.0))),
+    "axes of vmap": (jax.vmap(weighted, in_axes=0), jax.vmap(weighted, in_axes=1)),
+    "cache": (functools.cache(closed_over(1.0)), functools.cache(closed_over(2.0))),
+    "keys": ({"a": 1.0}, {"b": 1.0}),
+    "sign of zero": (0.0, -0.0),
+    "dtype": (np.zeros(2, np.float32), np.zeros(2, np.int32)),
+    "shape": (np.zeros((2, 3)), np.zeros((3, 2))),
+}
+
+
+@pytest.mark.parametrize("one, other", DIFFER.values(), ids=DIFFER.keys())
+def test_other_contents_are_told_apart(one, other):
+    assert identity(one) != identity(other)
+    assert identity(one) == identity(one) and identity(other) == identity(other)
+
+
+EQUAL = {
+    "closure": lambda: closed_over(7.0),
+    "partial": lambda: functools.partial(weighted, weight=np.arange(4)),
+    "instance": lambda: Weighted(3.0),
+    "jit": lambda: jax.jit(closed_over({"a": [1, 2]})),
+    "recursion": lambda: calls_itself,
+}
+
+
+@pytest.mark.parametrize("make", EQUAL.values(), ids=EQUAL.keys())
+def test_equal_contents_are_the_same(make):
+    one = make()
+    assert identity([one, one]) == identity([make(), make()])
+
+
+@pytest.mark.parametrize("function", [through_a_helper, through_a_comprehension, calls_itself, Weighted(), Weighted])
+def test_globals_that_are_named_count_those_of_helpers_too(function, monkeypatch):
+    before, of_another = identity(function), identity(weighted)
+    monkeypatch.setattr(sys.modules[__name__], "SCALE", 3.0)
+    assert identity(function) != before and identity(weighted) == of_another
+
+
+def test_members_of_the_users_own_modules_count(monkeypatch):
+    module = types.ModuleType("settings_of_the_user")
+    module.weight, module.other = 1.0, 1.0
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    made = {"settings": module}
+    exec("def score(m): return settings.weight * m\n", made)
+    exec("def late(m):\n    import settings_of_the_user as s\n    return s.weight * m\n", made)
+    before = identity(made["score"]), identity(made["late"])
+    module.other = 2.0
+    assert (identity(made["score"]), identity(made["late"])) == before
+    module.weight = 2.0
+    assert identity(made["score"]) != before[0] and identity(made["late"]) != before[1]
+
+
+def imports_a_neighbour(metrics):
+    from .neighbour import weight
+
+    return weight * metrics["travel"]
+
+
+REFUSED = {
+    "lock": (closed_over(threading.Lock()), r" \(weight\).* got a _thread"),
+    "generator": (closed_over(number for number in range(3)), r" \(weight\).* got a builtins.generator "),
+    "eval": (lambda m: eval("m"), ".* a call of eval in <lambda> "),
+    "import": (imports_a_neighbour, ".* an import of neighbour inside imports_a_neighbour "),
+}
+
+
+@pytest.mark.parametrize("value, seen", REFUSED.values(), ids=REFUSED.keys())
+def test_what_cannot_be_told_apart_is_refused_in_one_line(value, seen):
+    with pytest.raises(Unidentifiable, match="^objective" + seen) as error:
+        identity(value, "objective")
+    assert isinstance(error.value, ConfigError) and "\n" not in str(error.value)
+
+
+_ELSEWHERE = """
+import numpy as np, functools
+from mjx_climb.execution.contents import identity
+TABLE = {"a": np.arange(5.0), "b": frozenset({"x", "y", "z"})}
+def judge(m, scale=2.0, names=frozenset({"p", "q", "r"})):
+    return TABLE["a"] * scale if m in {"one", "two", "three"} else 0
+print(identity(functools.partial(judge, scale=3.0)))
+"""
+
+
+@pytest.mark.slow
+def test_another_process_gives_the_same():
+    """With other seeds of Python's hashes, which order sets."""
+    digests = [
+        subprocess.run(
+            [sys.executable, "-c", _ELSEWHERE], env={"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(sys.path)},
+            capture_output=True, text=True, check=True,
+        ).stdout
+        for seed in ("1", "2")
+    ]  # fmt: skip
+    assert digests[0] == digests[1] and len(digests[0].strip()) == 64

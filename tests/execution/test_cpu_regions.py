@@ -1,0 +1,149 @@
+"""A function of one robot, carried out for a batch in regions: as XLA does it whole."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array
+
+import mjx_climb as mc
+from mjx_climb.execution import over_robots
+
+HERE = Path(__file__).parent
+CHECK = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import jax
+import jax.numpy as jnp
+import numpy as np
+import primitives
+from mjx_climb.execution import over_robots
+
+ROBOTS = 5
+NO_TANGENTS = ["custom_vjp_call", "nextafter", "callback", "clamp"]  # by JAX's forward derivatives, of one robot
+NEVER = np.zeros(3, bool)
+jax.config.update("jax_enable_x64", True)
+rng = np.random.default_rng(3)
+vectors, matrix = rng.uniform(-2, 2, (ROBOTS, 3)), rng.uniform(-2, 2, (4, 3))
+numbers = np.arange(-1, ROBOTS - 1, dtype=np.int32)
+
+def walk_of(names):
+    operations = [primitives.EVERY[name] for name in names]
+
+    def walk(vector, number):
+        def step(vector, _):
+            made = [operation(vector, matrix * vector[0], number) for operation in operations]
+            unread = jnp.where(NEVER, vector * 7, 1.0) * (number * 0) + ((number + 1 > 0) & False)
+            same = jnp.where(number > 2, vector, jax.lax.stop_gradient(vector)) * jnp.clip(number - 1, 1, 1)
+            return vector * 1.01 + unread + same, (made, vector.sum(0))
+
+        return jax.lax.scan(step, vector, length=2)
+
+    return walk
+
+def carried_out(walk, tangents):
+    batch = jax.vmap(walk)
+    if tangents:
+        return jax.jit(lambda v, n: jax.jvp(lambda v: batch(v, n), (v,), (v[::-1],)))(vectors, numbers)
+    return jax.jit(batch)(vectors, numbers)
+
+def agree(names, tangents):
+    for start in range(0, len(names), 12):  # few programs, which compile sooner than many
+        some = names[start : start + 12]
+        print(some, tangents, flush=True)
+        walk = walk_of(some)
+        expected, found = (carried_out(each, tangents) for each in (walk, over_robots(walk)))
+        for mine, xla in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            assert mine.dtype == xla.dtype
+            if xla.dtype != jax.dtypes.float0:
+                np.testing.assert_allclose(mine, xla, rtol=1e-12, atol=1e-12)
+
+names = [name for name in primitives.EVERY if name != "other random bits"]  # which have no vmap
+agree(names, tangents=False)
+agree([name for name in names if name not in NO_TANGENTS], tangents=True)
+print("all")
+"""
+
+
+@pytest.mark.slow
+def test_every_operation_in_regions():
+    """In a process of its own, in float64 to 1e-12, with operations that call libraries and values nothing reads.
+
+    And their tangents.
+    """
+    on_cpu = os.environ | {"JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-c", CHECK, str(HERE)]
+    done = subprocess.run(command, env=on_cpu, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-300:] + done.stderr[-3000:]
+    assert done.stdout.splitlines()[-1] == "all"
+
+
+def test_tangents_by_a_rule_of_ones_own():
+    @jax.custom_jvp
+    def waves(angle: Array) -> Array:
+        return jnp.sin(angle) + jnp.cos(angle**2) * jnp.exp(angle)
+
+    waves.defjvp(lambda given, tangents: (waves(*given), 3 * tangents[0]))  # no derivative: so it is seen
+    angle = np.linspace(0, 1, 5)
+
+    def function(angle: Array) -> Array:
+        return waves(2 * angle) ** 2
+
+    batch = jax.vmap(over_robots(function))
+    value, tangent = jax.jit(lambda angle, along: jax.jvp(batch, (angle,), (along,)))(angle, angle)
+    np.testing.assert_allclose(value, function(angle), rtol=1e-12)
+    np.testing.assert_allclose(tangent, 2 * waves(2 * angle) * 3 * 2 * angle, rtol=1e-12)
+
+
+@pytest.mark.parametrize("moving", [(0, 1), (0,), (1,)])
+def test_a_loop_has_lax_scans_derivatives(moving):
+    """By what it starts with and what it reads, forward and in reverse, of a batch and of one robot."""
+    given = np.linspace(0.1, 1, 5), np.linspace(2, 3, 5)
+
+    def walk(start: Array, stiffness: Array) -> Array:
+        def step(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], Array]:
+            angle, rate, pulled, count = carry
+            pull = jnp.sin(angle) * stiffness
+            return (angle + 0.1 * rate, rate - 0.1 * pull, pulled + rate**2, count + 1), jnp.maximum(angle, 0.3)
+
+        zero = jnp.zeros_like(start)
+        (*after, count), seen = jax.lax.scan(step, (start, zero, zero, 0), length=4)
+        return jnp.stack([*after, *(seen * count)])
+
+    def derivatives(walk):
+        def ends(*moved):
+            every = dict(enumerate(given)) | dict(zip(moving, moved, strict=True))
+            return jax.vmap(walk)(every[0], every[1])
+
+        some = tuple(given[place] for place in moving)
+        return jax.jit(lambda *v: (jax.jvp(ends, v, v), jax.grad(lambda *v: ends(*v)[-1].sum())(*v)))(*some)
+
+    for mine, theirs in zip(*(jax.tree.leaves(derivatives(each)) for each in (over_robots(walk), walk)), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:the regions of the CPU cannot do")
+def test_a_metric_with_large_arrays_is_as_by_numpy():
+    """XLA works them out by several threads, and refuses a region that they are in."""
+    rng = np.random.default_rng(1)
+    first, second = (rng.normal(size=shape).astype(np.float32) for shape in ((512, 3), (4, 512)))
+
+    def value(force, array):
+        return abs(array.dot(second, array.tanh(array.dot(first, force)))).sum(0)
+
+    net = mc.Metric(
+        "net", "1", "a net of one's own", larger_is_better=False,
+        init=lambda zero: zero,
+        update=lambda running, sample, _: jnp.maximum(running, value(sample.foot_force[0], jnp)),
+        finish=lambda running, _: running,
+    )  # fmt: skip
+    scenario = mc.load_scenario("case_1_2", ["duration=0.01"])
+    found = mc.rollout_metrics(scenario, {"stiffness": np.full((193, 6), 3e3)}, metrics=(*mc.METRICS, net))
+    forces = mc.rollout(scenario, {"stiffness": np.full(6, 3e3)}).foot_force[:, 0]
+    np.testing.assert_allclose(found["net"], value(forces.T, np).max(), rtol=1e-4)

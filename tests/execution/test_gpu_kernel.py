@@ -1,0 +1,205 @@
+"""The GPU kernel of a walk, carried out on the CPU, against the same walk by XLA; and its compilation for GPUs."""
+
+import dataclasses
+import functools
+import types
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import law_of
+from mjx_climb.execution import nvrtc, paths, probe
+from mjx_climb.execution.fallback import first_possible
+from mjx_climb.execution.gpu_kernel import over_robots, tangents_over_robots
+from mjx_climb.execution.unsupported import Unsupported
+from mjx_climb.quantities.parameters import Gains
+from mjx_climb.rollouts.resolve import resolve_in
+from mjx_climb.rollouts.walks import metrics_of, metrics_of_moved
+from mjx_climb.walk.structure import structure
+
+ROBOTS = 140  # a block and a part of one
+STEPS = 120
+PUSH = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
+FOOTHOLDS = {"LF": [0.0, 0.02], "RH": [0.015, 0.0, 0.03]}
+# every law, both references of the base, both swings, flat and uneven ground, pushes, cargo, another heading
+CASES = {
+    "virtual_model": ({"disturbance.pushes": [PUSH], "gait.heading": 0.4, "contact.holding_limit": 4.0}, False),
+    "measured_pose": ({"gait.base_reference": "actual", "disturbance.cargo": {"mass": 1.0, "start": 0.02}}, True),
+    "end_effector": ({"ground.footholds": FOOTHOLDS, "disturbance.pushes": [PUSH, PUSH]}, False),
+    "pd": (
+        {"ground.footholds": FOOTHOLDS, "gait.base_reference": "actual", "gait.swing": "low_reaction"},
+        False,
+    ),
+}
+
+
+def walk_of(case, law, steps, dtype):
+    """Return one robot's walk as a function of law and parameters, these, and which of their arrays are batched."""
+    overrides, smooth = CASES[law]
+    scenario = case("case_1_2", law, overrides.items())
+    rng = np.random.default_rng(7)
+    spread = lambda *shape: 10.0 ** rng.uniform(-0.2, 0.2, (ROBOTS, *shape))  # noqa: E731
+    gains = Gains(10 * spread(6), 1e3 * spread(6), np.full(6, 1e4))
+    parameters = dataclasses.replace(
+        mc.parameters(scenario), gravity=np.array([0, 0, -1.0]) * spread(1), mass_scale=spread()
+    )
+    found = resolve_in(scenario, law_of(scenario), gains, parameters, dtype)
+    arguments = found.law, found.parameters
+    pairs = zip(jax.tree.leaves(arguments), jax.tree.leaves(found.axes), strict=True)
+    shape = structure(scenario, "limb", found.parameters, law=found.law, smooth=smooth)._replace(steps=steps)
+    return functools.partial(metrics_of, shape), arguments, [leaf.ndim > own for leaf, own in pairs]
+
+
+def by_vmap(walk, arguments, batched):
+    tree = jax.tree.structure(arguments)
+    return jax.vmap(walk, jax.tree.unflatten(tree, [0 if own else None for own in batched]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "law",
+    ["virtual_model", *(pytest.param(law, marks=pytest.mark.nightly) for law in ("measured_pose", "end_effector"))],
+)
+def test_the_kernel_walks_as_xla_does(case, law):
+    """Float64 metrics of 140 robots that differ in gains, gravity and mass agree to 1e-9 of their size."""
+    walk, arguments, batched = walk_of(case, law, STEPS, np.float64)
+    whole = {"xla_disable_hlo_passes": "fusion"}  # compiles sooner
+    found = jax.jit(over_robots(walk, batched, interpret=True), compiler_options=whole)(*arguments)
+    expected = jax.jit(by_vmap(walk, arguments, batched), compiler_options=whole)(*arguments)
+    assert found.keys() == expected.keys()
+    assert len(np.unique(expected["peak_foot_force"])) == ROBOTS
+    if law == "virtual_model":
+        assert 0 < np.sum(expected["detached_limb"] >= 0) < ROBOTS
+    for name, values in expected.items():
+        assert found[name].dtype == values.dtype, name
+        np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("law", CASES)
+def test_the_kernel_is_written_for_gpus(case, law, without_nvrtc):
+    """Every operation of a walk has its form in CUDA C, and the walk of 8000 steps is one kernel."""
+    with jax.enable_x64(False):
+        walk, arguments, batched = walk_of(case, law, 8000, np.float32)
+        mapped = over_robots(walk, batched)
+        lowered = jax.jit(mapped).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
+    assert lowered.count("__gpu$xla.gpu.ptx") == 1
+    assert "stablehlo.while" not in lowered
+    [kernel] = without_nvrtc
+    assert "__shfl_xor_sync" in kernel  # sums over the limbs
+
+
+@pytest.mark.slow
+def test_tangents_are_written_for_gpus(case, without_nvrtc):
+    """Tangents by gains of the law and of the joints are one kernel, whatever the number of directions."""
+    directions = 5
+    with jax.enable_x64(False):
+        walk, (law, parameters), batched = walk_of(case, "virtual_model", 8000, np.float32)
+        moving = {"damping": law.damping, "kp": np.full(ROBOTS, 50.0, "f4")}
+        along = {"damping": np.ones((ROBOTS, directions, 6), "f4"), "kp": np.ones((ROBOTS, directions), "f4")}
+        moved = functools.partial(metrics_of_moved, *walk.args)
+        traced = jax.jit(tangents_over_robots(moved, [True, True, *batched])).trace(along, moving, law, parameters)
+        lowered = traced.lower(lowering_platforms=("cuda",)).as_text()
+    assert lowered.count("__gpu$xla.gpu.ptx") == 1
+    assert len(without_nvrtc) == 1
+    assert traced.out_info[1]["min_tsm"].shape == (ROBOTS, directions)
+
+
+def test_elements_known_beforehand_and_halves():
+    """Zeros and ones of constants, rounding of halves to even, reductions and a loop agree with `jax.vmap`."""
+    matrix = np.array([[1.0, 0.0, -1.0], [0.0, 0.5, 1.0], [2.0, 0.0, 1.0]])
+
+    def function(vector, scale):
+        turned = (matrix * vector).sum(1) * scale
+        halves = jnp.round(jnp.concatenate([vector, turned, -vector]))
+        sums = jax.lax.fori_loop(0, 3, lambda _, total: total + halves, halves * matrix[0, 1])
+        return {"sums": sums, "largest": turned.max(), "any": (turned > 1.0).any(), "known": jnp.ones(2)}
+
+    vectors = np.random.default_rng(1).integers(-6, 7, (ROBOTS, 3)) / 2.0
+    found = jax.jit(over_robots(function, [True, False], interpret=True))(vectors, 0.5)
+    expected = jax.vmap(function, (0, None))(vectors, 0.5)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("backend", "capability", "paid"), [("cpu", None, False), ("gpu", "9.0", True), ("gpu", "7.5", False)]
+)
+def test_the_kernel_is_for_new_gpus(monkeypatch, backend, capability, paid):
+    """From compute capability 8.0 on, whatever this machine has; not in float64."""
+    device = types.SimpleNamespace(compute_capability=capability) if capability else types.SimpleNamespace()
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    monkeypatch.setattr(jax, "devices", lambda: [device])
+    monkeypatch.setattr(probe, "works", lambda path: path == "kernel")
+    assert (paths.path_for(None, double=False) == "kernel") == paid
+    assert paths.path_for(None, double=True) != "kernel"
+
+
+@pytest.mark.parametrize(
+    ("robots", "slopes", "dtype", "limit", "there"),
+    [
+        (1, 0, np.float64, "", True),
+        (8, 0, np.float32, "", True),
+        (9, 0, np.float32, "", False),  # by the kernel
+        (64, 0, np.float64, "", True),
+        (65, 0, np.float64, "", False),
+        (4, 12, np.float32, "", True),
+        (5, 12, np.float32, "", False),
+        (500, 12, np.float64, "500", True),
+        (1, 0, np.float64, "0", False),
+    ],
+)
+def test_few_robots_walk_on_the_cpu(monkeypatch, robots, slopes, dtype, limit, there):
+    """Although there is a GPU, up to a number that differs for what walks, or that the environment gives."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(paths, "path_for", lambda device, double: "plain" if double else "kernel")
+    monkeypatch.setenv(paths.ON_CPU, limit)
+    assert (paths.device_for(robots, slopes, double=dtype is np.float64) == "cpu") == there
+
+
+def test_a_limit_that_is_no_number_is_refused(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setenv(paths.ON_CPU, "few")
+    with pytest.raises(mc.ConfigError, match=r"^MJX_CLIMB_ON_CPU: expected a number of robots, got 'few'$"):
+        paths.device_for(1, 0, double=False)
+
+
+def test_without_nvrtc_the_reason_is_told(monkeypatch):
+    """It is what the fall-back to XLA's own kernels says."""
+    monkeypatch.setattr(nvrtc, "_places", lambda: ["libnvrtc.so.0"])
+    nvrtc._library.cache_clear()
+    with pytest.raises(Unsupported, match=r"libnvrtc\.so; pip install"):
+        nvrtc.ptx("", "9.0")
+    nvrtc._library.cache_clear()
+
+
+def test_without_a_gpu_nothing_is_moved():
+    assert paths.device_for(1, 0, double=False) is None
+
+
+def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla():
+    """A loop of unknown length goes by the plain program; the next structure goes by the kernel again."""
+
+    def function(structure, value):
+        loop = lambda v: jax.lax.while_loop(lambda a: a < 9, lambda a: a * 2, v)  # noqa: E731
+        return loop(value) if structure == "loop" else value * 2
+
+    def fast(structure, values):
+        return over_robots(functools.partial(function, structure), [True], interpret=True)(values)
+
+    traced = []
+
+    def plain(structure, values):
+        traced.append(structure)
+        return jax.vmap(functools.partial(function, structure))(values)
+
+    program = first_possible(jax.jit(fast, static_argnums=0), lambda: plain, "the kernel")
+    values = np.arange(1.0, 4.0)
+    with pytest.warns(UserWarning, match="the kernel cannot do the operation while") as said:
+        for _ in range(2):
+            np.testing.assert_array_equal(program("loop", values), [16.0, 16.0, 12.0])
+    assert len(said) == 1
+    np.testing.assert_array_equal(program("double", values), values * 2)
+    assert traced == ["loop", "loop"]

@@ -1,0 +1,75 @@
+"""What a trial of a fast path makes of this machine: a verdict that lasts, and the plain path where it is bad."""
+
+import pytest
+
+from mjx_climb.execution import paths, probe
+
+
+def forget():
+    for known in (probe.works, probe.verdict, probe._trial):
+        known.cache_clear()
+
+
+@pytest.fixture
+def fresh(monkeypatch, tmp_path):
+    """Forget all verdicts, before and after, and keep those of the test in a folder of its own."""
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+    forget()
+    yield tmp_path / "probes"
+    forget()
+
+
+@pytest.fixture
+def trial(monkeypatch):
+    """Run another program in place of the trial."""
+
+    def put(program):
+        monkeypatch.setattr(probe, "_TRIAL", program)
+        forget()
+
+    return put
+
+
+def test_a_path_that_works_is_tried_once(fresh, trial):
+    assert probe.verdict("regions") == (True, "tried, and compared with XLA's own")
+    trial("1 / 0")
+    assert probe.works("regions")  # known from the folder
+    for file in fresh.iterdir():
+        file.write_text("{")
+    trial("1 / 0")
+    with pytest.warns(UserWarning, match="ZeroDivisionError"):
+        assert not probe.works("regions")
+
+
+def test_a_trial_that_was_begun_is_the_one_asked_for(fresh, trial, monkeypatch):
+    trial("print('the same')")
+    probe.begin()
+    monkeypatch.setattr(probe, "_TRIAL", "1 / 0")  # what would be started now
+    assert probe.works("regions")
+    forget()
+    probe.begin()  # known from the folder: starts nothing
+    assert not probe._trial.cache_info().currsize
+
+
+@pytest.mark.parametrize(
+    ("program", "seen", "lasts"),
+    [
+        ("import os; os.abort()", "stopped by SIGABRT", True),
+        ("import os; os.kill(os.getpid(), 15)", "stopped by SIGTERM", False),
+        ("print('0.1 off in float32')", "0.1 off in float32", True),
+        ("1 / 0", "ZeroDivisionError", True),
+    ],
+)
+def test_a_path_that_does_not_work_is_left_with_a_word(fresh, trial, program, seen, lasts):
+    trial(program)
+    with pytest.warns(UserWarning, match=f"the CPU's regions cannot be used here .*{seen}") as said:
+        assert not any(paths.path_for("cpu", double=False) == "regions" for _ in range(2))
+    assert len(said) == 1
+    assert fresh.exists() == lasts
+
+
+def test_a_trial_that_cannot_start_is_no_verdict_for_ever(fresh, monkeypatch):
+    monkeypatch.setattr(probe.sys, "executable", "/nowhere")
+    with pytest.warns(UserWarning, match="no trial: FileNotFoundError"):
+        assert not paths.path_for("cpu", double=True) == "regions"
+    assert not fresh.exists()

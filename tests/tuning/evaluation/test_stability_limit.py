@@ -1,0 +1,119 @@
+"""The limit of stability: what it calls unstable diverges, what it calls stable does not."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.checks.time_step import growth
+from mjx_climb.quantities.parameters import own_parameters
+from tuning.evaluation import stability_limit
+
+
+def swept(stiffness, damping):
+    """What a sweep returns, as far as the limit reads it: the axes of its walks, in their order."""
+    none = np.zeros((len(stiffness), len(damping)), bool)
+    return xr.Dataset({"diverged": (("stiffness", "damping"), none)}, {"stiffness": stiffness, "damping": damping})
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_walk_diverges_where_the_loop_is_unstable(case):
+    """The measured pose holds with the paper's damping and loses its stability before damping M / dt twenty-fold."""
+    scenario = case("case_2", "measured_pose", {"duration": 1.0, "contact.holding_limit": None})
+    walks = swept([5e5], [5e3, 8e3, 1.9e4, 3e4])
+    radius = stability_limit.over_map(scenario, walks)
+    assert radius.dims == ("stiffness", "damping")
+    gains = mc.Gains(1.0, walks["damping"].values[:, None], 5e5)
+    found = mc.rollout_metrics(scenario, gains, dtype=np.float64)
+    lost = found["diverged"] | (found["peak_foot_force"] > 1e3)
+    assert (radius.values[0] > 1 + 1e-6).tolist() == lost.tolist() == [False, False, True, True]
+
+
+def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
+    monkeypatch.setattr(
+        stability_limit, "spectral_radius", lambda scenario, gains, law, engine: gains["damping"][:, 0] / 1e2
+    )
+    walks = swept(np.geomspace(1e2, 1e4, 200), np.geomspace(1e1, 1e3, 3))
+    walks["stiffness"].attrs["units"] = "N/m"
+    radius = stability_limit.over_map(case("case_2", "virtual_model"), walks)
+    assert walks.assign(spectral_radius=radius)["stiffness"].attrs == {"units": "N/m"}
+    assert radius.shape == (200, 3) and np.isfinite(radius[[0, -1]]).all()
+    known = radius.dropna("stiffness")
+    assert known.sizes["stiffness"] == 16
+    np.testing.assert_allclose(known, np.broadcast_to(walks["damping"] / 1e2, known.shape))
+
+
+def test_stances_begin_halve_and_end_the_times_in_which_the_same_feet_hold(case):
+    """Two steps clear of where that changes; where the law is worked out; on uneven ground in each cycle of two."""
+    turn = case("case_1_2", "virtual_model")
+    ends = [[2, 998], [1002, 1998], [2002, 2998], [3002, 3998]]
+    expected = np.sort([at for first, last in ends for at in (first, (first + last) // 2, last)])
+    found = np.sort(stability_limit.linearised_at(turn, np.array([1]), uneven=True))
+    np.testing.assert_array_equal(found, [[*expected, *(expected + 4000)]])
+    slow = stability_limit.linearised_at(turn, np.array([1, 8]), uneven=False)[1]
+    assert not (slow % 8).any() and ((np.sort(slow).reshape(4, 3) // 1000).T == np.arange(4)).all()
+    standing = stability_limit.linearised_at(turn.with_overrides({"gait.duty": 0.8}), np.array([1]), uneven=False)
+    assert {802, 900, 998} < {*standing[0]}  # between two swings of 800 steps
+
+
+@pytest.mark.slow
+def test_grips_that_keep_attitudes_are_in_the_loop(case):
+    """Held too stiffly for the time step, feet shake about as fast as the check of the time step says of its stance."""
+    scenario = case("case_1_2", "virtual_model", {"control.controller": "pd", "contact.rotational_stiffness": 1.0})
+    stiffness = np.array([1.0, 3e3])
+    parameters = dataclasses.replace(own_parameters(scenario), rotational_stiffness=stiffness)
+    radius = stability_limit.spectral_radius(scenario, {"kp": 50.0, "kd": 0.2}, parameters)
+    contact = scenario.contact.model_copy(update={"rotational_stiffness": 3e3})
+    assert radius[0] < 1
+    np.testing.assert_allclose(radius[1], growth(scenario.model_copy(update={"contact": contact})), rtol=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "reading", "stiffness", "damping", "least"),
+    [("case_1_2", "measured_pose", 1e5, 1.3e4, 1.04), ("case_2", "virtual_model", 2e4, 7.4, 1.002)],
+)
+def test_a_loop_that_is_stable_in_the_first_mid_swing_alone_is_unstable(case, name, reading, stiffness, damping, least):
+    """Walks with these gains reach 3,070 and 11,344 N of force variation, where pd has 100 and 131."""
+    scenario, gains = case(name, reading), mc.Gains(1.0, damping, stiffness)
+    radii = stability_limit.by_stance(scenario, gains)
+    first_middle = radii.reshape(-1, 3, 4)[:, 1, 0]
+    assert first_middle.max() < 1 and stability_limit.spectral_radius(scenario, gains) == radii.max() > least
+
+
+@pytest.mark.slow
+def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gait_has_them(case):
+    """K 3e3, D 150: a walk loses a gripper at 9.54 ms of delay, and diverges at 7 ms where it pauses on all feet."""
+    turn, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 150.0, 3e3)
+    late = dataclasses.replace(own_parameters(turn), force_delay=np.array([5.9e-3, 7e-3, 8.9e-3, 9.37e-3, 10.377e-3]))
+    assert (stability_limit.spectral_radius(turn, gains, late) > 1).tolist() == [False, False, False, True, True]
+    pauses = case("case_1_2", "virtual_model", {"gait.duty": 0.875})
+    late = dataclasses.replace(own_parameters(pauses), force_delay=late.force_delay)
+    assert (stability_limit.spectral_radius(pauses, gains, late) > 1).tolist() == [False, True, True, True, True]
+
+
+@pytest.mark.slow
+def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypatch):
+    """Soft gains, a law at 250 Hz, a cargo from the start: 5 ms of delay are borne, 15 ms are not.
+
+    In the first swing, which the walk does not leave.
+    """
+    monkeypatch.setattr(stability_limit, "linearised_at", lambda _, periods, uneven: np.full((len(periods), 1), 500.0))
+    push = {"force": [1.0, 1.0, 1.0], "moment": [0.1, 0.1, 0.1], "start": 0.2, "stop": 0.22}
+    still = {"gait.stride": 1e-4, "gait.step_height": 0.01, "duration": 1.0, "contact.holding_limit": None}
+    loaded = {"disturbance.pushes": [push], "disturbance.cargo": {"mass": 1.0, "start": 0.0}}
+    scenario = case("case_2", "virtual_model", still | loaded | {"hardware.control_period": 0.004})
+    gains = mc.Gains(1.0, 150.0, 3000.0)
+    with jax.enable_x64(True):
+        parameters = jax.tree.map(np.asarray, mc.parameters(scenario))
+    late = dataclasses.replace(parameters, force_delay=np.array([5e-3, 15e-3]))
+    radius = stability_limit.spectral_radius(scenario, gains, late)
+    force = mc.rollout_histories(scenario, gains, late, dtype=np.float64)["foot_force_history"][:, 1]
+    early, end = force[:, 80:120].max(1), force[:, 160:].max(1)  # of 200 stretches
+    assert radius[0] < 0.995 and force[0, 160:].max() < 0.5 * force[0, 40:60].max()
+    assert (end[1] / early[1]) ** (1 / 400) - 1 == pytest.approx(radius[1] - 1, rel=0.1)
+    assert radius[1] > 1.004

@@ -1,0 +1,105 @@
+"""What a search writes from Python is what the command writes."""
+
+import contextlib
+import json
+import types
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from tuning import background
+from tuning.evaluation import margins
+from tuning.gains import gains_file
+from tuning.output import comparisons
+from tuning.output import tune as tuned
+from tuning.problem.search import Search
+from tuning.searches import result, retuned_pd
+from tuning.tune import tune
+
+SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
+    """Every file of the command, the user's objective in the tests, stages told, nothing printed."""
+    stages = []
+
+    @contextlib.contextmanager
+    def stage(name, **_):
+        stages.append(name)
+        yield lambda *_: None
+
+    def judge(metrics):
+        return metrics["peak_joint_torque"]
+
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    found = tune(scenario, objective=judge, starts=2, iterations=2, out=tmp_path)
+    written = found.write(tmp_path, stage=stage)
+    names = {file.name for file in tmp_path.iterdir()}
+    pictures = {f"{name}.png" for name in ("convergence", "path", "walks", "margins")}
+    files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
+    assert names == files | pictures
+    walked = ["pd", "config", "tuned", "retuned_pd"]
+    tested = ["drawing", "map", "margins", "verification"]  # pictures of the walks while the tests go on
+    assert stages == ["retuned pd", *walked, *tested, "drawing", "report"]
+    summary = json.loads(written.summary)
+    torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
+    assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
+    assert set(summary["verification"]["margins"]) == set(margins.QUANTITIES)
+    assert sum(line.startswith("margin, ") for line in written.outcome) == len(margins.QUANTITIES)
+    assert names == {*written.files.split(", ")}
+    assert summary["force_sensor"]["in_words"] == written.outcome[0]
+    assert list(summary["retuned_pd"]["gains"]) == ["kp", "kd"] and list(written.compared) == [
+        "tuned", "retuned_pd", "config", "pd"
+    ]  # fmt: skip
+    assert json.loads((tmp_path / "summary.json").read_text()) == json.loads(written.summary)
+    assert summary["verification"]["value"] == pytest.approx(torques[0])
+    assert result.load(tmp_path / "search.nc").value == found.value
+    assert gains_file.load(tmp_path / "gains.yaml").stiffness == pytest.approx(found.gains.stiffness)
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("method", "more"), [("gradient", 0), ("cmaes", 1)])
+def test_a_search_without_slopes_has_the_program_of_the_tests_loaded_beside(monkeypatch, method, more):
+    asked = []
+    monkeypatch.setattr(comparisons.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    problem = types.SimpleNamespace(scenario=scenario)
+    monkeypatch.setattr(comparisons, "start_of", lambda problem: np.zeros(2))
+    works = []
+    comparisons.load_tests(problem, Search(method=method), works.append)
+    for work in works:
+        work(lambda *_: None)
+    assert asked == [(2,)] * more
+
+
+def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
+    """Without walking: what the verdict on the force sensor is given."""
+
+    class Given(Exception):
+        pass
+
+    def worth(ours, theirs, step, **_):
+        raise Given(ours, theirs, step)
+
+    nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
+    scenario = mc.load_scenario("case_1_2")
+    for module, name, value in (
+        (tuned.verification, "tests", nothing), (tuned.verification, "tuned", lambda _: scenario),
+        (tuned.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
+        (tuned.margins, "find", nothing), (tuned, "_with_joint_gains", nothing), (tuned, "differences", nothing),
+        (tuned, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
+        (retuned_pd, "rival_of", lambda found, retuned, step: step), (retuned_pd, "worth", worth),
+        (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+    found = types.SimpleNamespace(
+        scenario=scenario, problem=types.SimpleNamespace(law=None, engine="limb", objective=None, metrics=None),
+        law=None, gains=None,
+    )  # fmt: skip
+    begun = comparisons.OfSearch(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {})
+    with pytest.raises(Given) as given:
+        tuned.compare(found, types.SimpleNamespace(stage=background.silent, path=None, draw=nothing), begun)
+    assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)

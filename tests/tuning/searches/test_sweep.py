@@ -1,0 +1,177 @@
+"""The grid search: its numbers, its choice, and what an interrupt leaves behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.files.dataset import OutputError
+from tuning.problem.evaluation import Problem
+from tuning.searches import parts
+from tuning.searches import sweep as sweeps
+from tuning.searches.parts import Parts
+from tuning.searches.shards import Rows
+from tuning.searches.sweep import sweep
+
+ROOT = Path(__file__).parents[3]
+CONFIG = ROOT / "configs" / "case_1_2.yaml"
+AXES = {"stiffness": [1e3, 1e4, 1e5], "damping": [1e2, 1e3]}
+SIZE = 4  # of a batch: two parts, the last one half full
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return mc.load_scenario(CONFIG, ["duration=0.2"])
+
+
+@pytest.fixture(scope="module")
+def whole(scenario):
+    return sweep(scenario, AXES, batch_size=SIZE).data
+
+
+def kept(scenario, out, axes=AXES, batch_size=SIZE, **walks):
+    """Claim a folder for a sweep, and return how many of its walks are there."""
+    grid = sweeps.grid_of(Problem(scenario, **walks), axes, batch_size=batch_size)
+    return Rows(grid, out).there
+
+
+@pytest.mark.slow
+def test_every_cell_is_the_walk_with_its_gains(scenario, whole):
+    assert whole["peak_foot_force"].dims == ("stiffness", "damping")
+    for k, d in ((1e3, 1e3), (1e5, 1e2), (1e5, 1e3)):
+        alone = mc.metrics(mc.rollout(scenario, mc.Gains(1.0, d, k)))
+        cell = whole.sel(stiffness=k, damping=d)
+        for name in ("peak_foot_force", "force_variation", "base_deviation", "min_tsm"):
+            assert cell[name].item() == pytest.approx(alone[name], rel=5e-3), name
+
+
+def test_progress_counts_walks_not_padding(scenario):
+    seen = []
+    sweep(scenario, AXES, batch_size=SIZE, progress=lambda *done: seen.append(done))
+    assert seen == [(0, 6), (4, 6), (6, 6)]
+
+
+@pytest.mark.parametrize(("walks", "steps"), [(1, 8000), (4, 10), (144, 8000), (145, 8000), (5000, 200), (7, 10**7)])
+def test_parts_are_equal_and_hold_all(walks, steps):
+    for platform in ("cpu", "gpu"):
+        size = sweeps.default_batch_size(walks, steps, platform)
+        count = -(-walks // size)
+        assert 1 <= size <= walks
+        assert count * size - walks < count  # never a whole robot per part too many
+
+
+def test_killed_sweep_resumes_bit_by_bit(scenario, whole, tmp_path):
+    script = f"""
+import os, signal, numpy as np, mjx_climb as mc
+from tuning import sweep
+scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.2"])
+def die(done, total):
+    if done:
+        os.kill(os.getpid(), signal.SIGKILL)
+sweep(scenario, {AXES}, batch_size={SIZE}, progress=die, out={str(tmp_path)!r})
+"""
+    died = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True)
+    assert died.returncode == -signal.SIGKILL, died.stderr
+    assert kept(scenario, tmp_path) == SIZE
+    seen = []
+    resumed = sweep(scenario, AXES, batch_size=SIZE, out=tmp_path, progress=lambda *done: seen.append(done)).data
+    assert seen == [(4, 6), (6, 6)]
+    xr.testing.assert_identical(resumed.drop_attrs(), whole.drop_attrs())
+    parts.clear(tmp_path)
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("differs", "changes"),
+    [
+        ("scenario.contact.damping", {"scenario": mc.load_scenario(CONFIG, ["duration=0.2", "contact.damping=21"])}),
+        ("axes.stiffness", {"axes": {**AXES, "stiffness": [1e3, 1e4]}}),
+        ("axes.damping", {"axes": {**AXES, "damping": [1e2, 2e3]}}),
+        ("dtype", {"dtype": np.float64}),
+        ("batch_size", {"batch_size": 2}),
+        ("metrics", {"metrics": mc.MetricTable(tuple(mc.METRICS)[:-1])}),
+        ("engine", {"engine": "mjx"}),
+    ],
+)
+def test_folder_of_another_sweep_is_refused(scenario, tmp_path, differs, changes):
+    for _ in range(2):
+        assert kept(scenario, tmp_path) == 0
+    with pytest.raises(OutputError, match=f"^{tmp_path}: .* differs in {differs} "):
+        kept(**{"scenario": scenario, "out": tmp_path} | changes)
+    (tmp_path / parts.FOLDER / "identity.json").write_text("{")
+    with pytest.raises(OutputError):
+        kept(scenario, tmp_path)
+
+
+def test_damaged_part_is_walked_again(tmp_path):
+    some = Parts(tmp_path, {"a": 1.5})
+    some.save(0, {"x": np.arange(3)})
+    np.testing.assert_array_equal(some.load(0)["x"], np.arange(3))
+    file = next((tmp_path / parts.FOLDER).glob("*.npz"))
+    os.truncate(file, file.stat().st_size // 2)
+    assert some.load(0) is None and some.load(1) is None
+
+
+@pytest.mark.parametrize("axis", [[], [0.0, 1.0], [1.0, np.nan], [1.0, np.inf], [[1.0]]])
+def test_bad_axes(scenario, axis):
+    with pytest.raises(ValueError, match="stiffness"):
+        sweep(scenario, {**AXES, "stiffness": axis})
+
+
+def test_pd_has_nothing_to_sweep(scenario):
+    with pytest.raises(ValueError, match="pd"):
+        sweep(scenario.with_overrides(["control.controller=pd"]), AXES)
+
+
+def test_best_is_the_least_among_walks_that_hold(whole):
+    values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], np.float32)
+    limb, diverged = np.full((3, 2), -1, np.int32), np.zeros((3, 2), bool)
+    limb[0, 0], diverged[0, 1] = 2, True
+    made = whole.assign(
+        force_variation=(whole["detached_limb"].dims, values),
+        min_tsm=(whole["detached_limb"].dims, values),
+        detached_limb=(whole["detached_limb"].dims, limb),
+        diverged=(whole["detached_limb"].dims, diverged),
+    )
+    best = sweeps.best_cell(made)
+    assert (best["stiffness"], best["damping"], best["force_variation"]) == (1e4, 1e2, 3)
+    assert sweeps.best_cell(made, "min_tsm")["min_tsm"] == 6
+    assert sweeps.best_cell(made.assign(diverged=made["diverged"] | True)) is None
+
+
+_LONG_SWEEP = f"""
+import sys, mjx_climb as mc
+from tuning import sweep
+scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.2"])
+print("begun", flush=True)
+sweep(scenario, {AXES}, batch_size=1, out=sys.argv[1], progress=lambda done, total: print(done, flush=True))
+print("whole", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_sweep_killed_at_random_instants_resumes_bit_by_bit(scenario, tmp_path):
+    """SIGKILL at any instant, while it compiles, walks or writes; as often as it takes to see it whole."""
+    environment = dict(os.environ, PYTHONPATH=str(ROOT))
+    rng, there = np.random.default_rng(), []
+    for _ in range(4):
+        process = subprocess.Popen(
+            [sys.executable, "-c", _LONG_SWEEP, str(tmp_path)], cwd=ROOT, env=environment, text=True,
+            stdout=subprocess.PIPE,
+        )  # fmt: skip
+        for _ in range(rng.integers(1, 4)):  # begun, what is there, the first new part
+            process.stdout.readline()
+        time.sleep(rng.exponential(0.05))
+        process.kill()
+        process.communicate()
+        there.append(kept(scenario, tmp_path, batch_size=1))
+    assert there == sorted(there)
+    resumed = sweep(scenario, AXES, batch_size=1, out=tmp_path).data
+    xr.testing.assert_equal(resumed, sweep(scenario, AXES, batch_size=1).data)

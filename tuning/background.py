@@ -1,0 +1,85 @@
+"""Background work: what does not wait for each other, side by side where cores are idle; and how far it has come."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from typing import Any, Protocol, TypeVar
+
+import jax
+
+from mjx_climb.execution import devices
+
+Result = TypeVar("Result")
+Callback = Callable[..., None]  # called with walks done, walks in all, and perhaps a text
+Work = Callable[[Callback], Result]  # returns its result; the callback hears of its progress
+_CORES = 4  # that a work keeps busy by itself
+_FEWEST = 2  # works at once: while one loads its executable or simulates its last robots, another has a core
+
+
+class Begin(Protocol):
+    """Begins a work, and returns one that waits for its result."""
+
+    def __call__(self, work: Work[Result], /) -> Work[Result]: ...
+
+
+@contextlib.contextmanager
+def background(busy: int = 0) -> Iterator[Begin]:
+    """Give a function that begins a work: at once where there is more than one core, else when its result is asked for.
+
+    So many cores as are `busy` with something else, a search that compiles for example, are left to it.
+    At the end works that nobody has asked for are stopped, the next time that they report progress.
+    """
+    cores = devices.usable_cores()
+    if cores == 1 or jax.process_count() > 1:  # several processes must do the same in the same order
+        yield _when_asked
+        return
+    pool = ThreadPoolExecutor(min(max(_FEWEST, cores // _CORES), max(1, cores - busy)))
+    ended = threading.Event()
+
+    def begin(work: Work[Result]) -> Work[Result]:
+        callbacks: list[Callback] = []
+
+        def report(*progress: Any) -> None:
+            if ended.is_set():
+                raise KeyboardInterrupt
+            for callback in callbacks:
+                callback(*progress)
+
+        future = pool.submit(copy_context().run, work, report)
+
+        def result(callback: Callback) -> Result:
+            callbacks.append(callback)
+            return future.result()
+
+        return result
+
+    try:
+        yield begin
+    finally:
+        ended.set()
+        pool.shutdown(cancel_futures=True)
+
+
+def _when_asked(work: Work[Result]) -> Work[Result]:
+    return work
+
+
+def ignore(*_: Any) -> None:
+    """Take no notice of a work's progress."""
+
+
+class Stage(Protocol):
+    """Opens a stage of a work; while it is open, the callback that it gives is called with its progress."""
+
+    def __call__(
+        self, name: str, *, compiles: bool = True, unit: str = "walks"
+    ) -> contextlib.AbstractContextManager[Callback]:
+        """Open the stage `name`; `compiles` says whether programs may have to be compiled in it."""
+
+
+@contextlib.contextmanager
+def silent(name: str, *, compiles: bool = True, unit: str = "walks") -> Iterator[Callback]:
+    """Show no progress."""
+    yield ignore

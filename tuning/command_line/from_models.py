@@ -1,0 +1,159 @@
+"""Commands made from settings: every field of a pydantic model becomes an argument or option of typer, described there.
+
+A command is a function of models alone. Each is built from what was typed, so that `model_fields_set` tells it from the
+defaults. See `tuning.problem.settings.setting` for what is said of a field; its bounds are checked and shown.
+"""
+
+import inspect
+import types
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import typer
+from pydantic import BaseModel, BeforeValidator, ValidationError
+from pydantic.fields import FieldInfo
+
+from tuning.command_line import completion
+from tuning.command_line.ending import InputError
+from tuning.problem.settings import Shell, explained
+
+REPEATABLE = "; may be given several times"
+
+
+def command(function: Callable[..., None], folder: str = "") -> Callable[..., None]:
+    """Return what typer makes a command of: `function`, with a parameter for each field of the models that it takes.
+
+    Arguments:
+        function: takes models; of `Annotated[Model, "name"]` these fields alone are options, of "-name" all but these.
+        folder: what `--out` is by default, in words.
+    """
+    models = dict(_models(function))
+    places = {name: (taken, model) for taken, (model, names) in models.items() for name in names}
+
+    def called(context: typer.Context, **values: Any) -> None:
+        """Build the models and call the function."""
+        typed: dict[str, dict[str, Any]] = {taken: {} for taken in models}
+        for name, (taken, model) in places.items():
+            source = context.get_parameter_source(name)
+            if source is not None and source.name == "COMMANDLINE":
+                typed[taken][name] = _read(name, model.model_fields[name], values[name])
+        function(**{taken: made(model, typed[taken]) for taken, (model, _) in models.items()})
+
+    words = {"out": folder} if folder else {}
+    parameters = [_parameter(name, model.model_fields[name], words.get(name)) for name, (_, model) in places.items()]
+    parameters.sort(key=lambda parameter: parameter.default is not inspect.Parameter.empty)
+    first = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    called.__signature__ = inspect.Signature([first, *parameters])  # type: ignore[attr-defined]
+    called.__annotations__ = {parameter.name: parameter.annotation for parameter in (first, *parameters)}
+    called.__name__, called.__doc__ = function.__name__, function.__doc__
+    return called
+
+
+def made(model: type[BaseModel], values: Mapping[str, Any]) -> BaseModel:
+    """Return a model of what was typed.
+
+    Raises:
+        InputError: in one line, the option, what was expected and what was got.
+    """
+    try:
+        return model(**values)
+    except ValidationError as invalid:
+        key, reason = explained(invalid)
+        raise InputError(in_options(f"{key}: {reason}" if key else reason, model)) from None
+
+
+def in_options(message: str, model: type[BaseModel]) -> str:
+    """Return a message that begins with the key of a setting, as "pins.x: ...", with its option, as "--pin x: ..."."""
+    key, colon, reason = message.partition(": ")
+    name, *inner = key.split(".")
+    if not colon or name not in model.model_fields:
+        return message
+    field = model.model_fields[name]
+    parts = (_shell(field).metavar or "").rpartition("=")[2].split(":")  # as LOW:HIGH
+    place = int(inner.pop()) if inner and inner[-1].isdecimal() else None
+    part = "" if place is None or len(parts) == 1 else parts[place]
+    return f"{' '.join(filter(None, [flag_of(name, field), '.'.join(inner), part]))}: {reason}"
+
+
+def flag_of(name: str, field: FieldInfo) -> str:
+    """Return how a field is written."""
+    return (_shell(field).flag or f"--{name.replace('_', '-')}").partition("/")[0]
+
+
+def _models(function: Callable[..., None]) -> Iterator[tuple[str, tuple[type[BaseModel], tuple[str, ...]]]]:
+    """Yield the name of each parameter of a command, its model, and the fields that are options."""
+    for name, hint in get_type_hints(function, include_extras=True).items():
+        if name != "return":
+            model, *chosen = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+            but = {word[1:] for word in chosen if word.startswith("-")}
+            names = tuple(model.model_fields) if but or not chosen else tuple(chosen)
+            yield name, (model, tuple(each for each in names if each not in but))
+
+
+def _shell(field: FieldInfo) -> Shell:
+    return next((extra for extra in field.metadata if isinstance(extra, Shell)), Shell())
+
+
+def _kind(field: FieldInfo) -> Any:
+    """Return the type of a field without None; str where a validator reads a text."""
+    if any(isinstance(extra, BeforeValidator) for extra in field.metadata):
+        return str
+    if get_origin(field.annotation) in (Union, types.UnionType):
+        return get_args(field.annotation)[0]  # the others are None, or for Python alone
+    return field.annotation
+
+
+def _read(name: str, field: FieldInfo, value: Any) -> Any:
+    """Return what the model takes in place of what typer read: a mapping of NAME=VALUE pairs."""
+    kind = _kind(field)
+    if get_origin(kind) is not dict:
+        return value
+    found: dict[str, Any] = {}
+    for pair in value:
+        key, equals, text = pair.partition("=")
+        if not equals or key.strip() in found:
+            expected = f"{_shell(field).metavar}, each name once"
+            raise InputError(f"{flag_of(name, field)}: expected {expected}, got {pair!r}")
+        found[key.strip()] = text.split(":") if get_origin(get_args(kind)[1]) is tuple else text
+    return found
+
+
+def _parameter(name: str, field: FieldInfo, default_in_words: str | None) -> inspect.Parameter:
+    """Return a field as typer declares it: what is no flag and no path is a text for the model to read."""
+    shell, kind, default = _shell(field), _kind(field), field.get_default()
+    text, _, null = (field.description or "").partition("; null: ")
+    choices = get_args(kind) if get_origin(kind) is Literal else ()
+    repeated = get_origin(kind) in (dict, list, tuple)
+    plain = kind if kind in (bool, Path) else Path if repeated and get_args(kind)[0] is Path else str
+    shown = default_in_words or shell.default_in_words or null
+    if not isinstance(default, str | int | float | Path) or (shown and kind is not bool):
+        default = None
+    complete = getattr(completion, shell.complete) if shell.complete else None
+    how: dict[str, Any] = {
+        "help": f"{text[:1].upper()}{text[1:]}{_bounds(field)}{REPEATABLE * (repeated and not shell.argument)}.",
+        "metavar": shell.metavar or (f"<{'|'.join(choices)}>" if choices else "N" if kind in (int, float) else None),
+        "show_default": shown or not (default is None or default is False),
+        "autocompletion": completion.one_of(choices) if choices else complete,
+    }
+    declared = typer.Argument(**how) if shell.argument else typer.Option(shell.flag or flag_of(name, field), **how)
+    annotation = list[plain] if repeated else plain  # type: ignore[valid-type]
+    if field.is_required():
+        default = inspect.Parameter.empty
+    elif default is None:
+        annotation = annotation | None
+    elif plain is str:
+        default = str(default)
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[annotation, declared]
+    )
+
+
+def _bounds(field: FieldInfo) -> str:
+    """Return the range of a number in words where it has two ends, or begins above 1."""
+    ends: dict[str, Any] = {}
+    for extra in field.metadata:
+        ends |= {name: getattr(extra, name) for name in ("ge", "le") if hasattr(extra, name)}
+    if len(ends) == 2:
+        return f", {ends['ge']} to {ends['le']}"
+    return f", {ends['ge']} or more" if ends.get("ge", 0) > 1 else ""

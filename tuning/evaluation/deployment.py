@@ -1,0 +1,36 @@
+"""Whether gains may go to the robot: what speaks against it on the scenario's own hardware."""
+
+import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from tuning.evaluation import margins, stability_limit
+
+
+def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = DEFAULT_ENGINE) -> list[str]:
+    """Return warnings, a margin of less than twice the hardware each.
+
+    A robot stands on all its feet before it walks, also where its gait has no such stance: gains hold there too.
+
+    Arguments:
+        scenario: what walks where, on which hardware.
+        gains: those in question.
+        source: names them in an error.
+        engine: the dynamics.
+
+    Raises:
+        ConfigError: in one line, gains with which the loop is unstable in some stance, or a walk fails, on the very
+            hardware of the scenario.
+    """
+    standing = scenario.with_overrides({"gait.duty": 1 - 2 * scenario.time_step / scenario.gait.cycle})
+    for where, walked in (("about a stance of the gait", scenario), ("of a robot that stands on all feet", standing)):
+        radius = float(stability_limit.spectral_radius(walked, gains, engine=engine).max())
+        if radius > 1 + stability_limit.ROUNDING:
+            raise mc.ConfigError(
+                f"{source}: expected gains that are stable on the config's hardware, got a disturbance {where} that "
+                f"grows by {radius:.6f} a time step"
+            )
+    found = margins.find(scenario, gains, engine=engine)
+    if not found.holds:
+        raise mc.ConfigError(
+            f"{source}: expected gains that hold on the config's hardware, got a walk that loses a gripper or diverges"
+        )
+    return margins.warnings(found)

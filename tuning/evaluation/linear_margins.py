@@ -1,0 +1,128 @@
+"""Margins of the linearised loop: how far hardware may get worse before a small disturbance of the stance grows.
+
+The loop is that of `tuning.evaluation.stability_limit`, with delays, filter and control period in it. Walks say what
+happens until they end; this says where shaking begins that would never end.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.rollouts.resolve import AnyGains
+from tuning.evaluation import stability_limit
+from tuning.evaluation.margins import (
+    QUANTITIES,
+    Margin,
+    changes,
+    joint_gains,
+    needed,
+    reaches,
+    up_to,
+    values_of,
+    whole_steps,
+    with_unit,
+    without_joint,
+)
+
+POINTS = 9  # values of a quantity that are looked at first
+_FINER, _PRECISION = 4, 1e-3  # values between a good and a bad one, until these are as close together
+_BEYOND = 1.5  # times what a walk bears: a loop that is hardly unstable takes longer than a walk to tear a gripper off
+
+
+class Stable(NamedTuple):
+    """How far one quantity may go, in its unit."""
+
+    up_to: float | None  # None: not even at the best value
+    tried: float  # the worst value: what reaches it may go on
+
+
+def find(
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    margins: Mapping[str, Margin],
+    *,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Stable]:
+    """Return up to where the loop is stable, by quantity.
+
+    Arguments:
+        scenario: what walks where, on which hardware.
+        gains: those in question; kp and kd replace the scenario's where given.
+        margins: of walks with these gains: they say how far to look.
+        law: whose gains they are, the scenario's where None.
+        engine: the dynamics.
+        progress: called with the number of quantities done and of all.
+    """
+    own, joint, found = own_parameters(scenario), joint_gains(scenario, gains), {}
+    for done, (name, margin) in enumerate(margins.items()):
+        values = _values(scenario, name, margin)
+
+        def radii(some: np.ndarray, only: int | None = None, name: str = name, last: float = values[-1]) -> np.ndarray:
+            batch = np.unique([*some, last])  # with the worst value: buffers as long, and so the same program
+            of = stability_limit.by_stance(
+                scenario, without_joint(gains), changes(own, name, batch, joint), only=only, law=law, engine=engine
+            )
+            return of[np.searchsorted(batch, some)]
+
+        step = scenario.time_step if name == "control_period" else 0.0
+        found[name] = Stable(crossing(values, radii, step), float(values[-1]))
+        if progress is not None:
+            progress(done + 1, len(margins))
+    return found
+
+
+def warnings(margins: Mapping[str, Margin], stable: Mapping[str, Stable]) -> list[str]:
+    """Return in words where the loop is stable up to less than twice the hardware, though walks hold so far."""
+    lines = []
+    for name, margin in margins.items():
+        wanted, reached = needed(name, margin.own), stable[name]
+        if reaches(name, margin.holds, wanted) and not reaches(name, reached.up_to, wanted):
+            lines.append(
+                f"{QUANTITIES[name].title}: the linearised loop is stable {up_to(name, reached.up_to)}, the hardware "
+                f"has {with_unit(name, margin.own)}, {with_unit(name, wanted)} would be safe"
+            )
+    return lines
+
+
+def crossing(values: np.ndarray, radii: Callable[..., np.ndarray], step: float = 0.0) -> float | None:
+    """Return how far from the first of some values (N,) on a loop is stable, to a thousandth; None: nowhere.
+
+    `radii` gives those of values (N,) in each stance (N, S), or in the `only` one whose number is its second argument.
+    Of values that are whole steps, where there is a `step`, the last stable one is returned.
+    """
+    found = radii(values)
+    bad = _first_bad(found.max(1))
+    if bad in (0, len(values)):
+        return float(values[-1]) if bad else None
+    good, worse, there = float(values[bad - 1]), float(values[bad]), found[bad]
+    while True:  # the worst stance alone: others are seldom worse where it begins to be stable
+        reached = good
+        while abs(worse - reached) > max(1.5 * step, _PRECISION * abs(worse)):
+            some = np.linspace(reached, worse, _FINER + 1)
+            some = np.unique(whole_steps(some, step)) if step else some
+            bad = 1 + _first_bad(radii(some[1:-1], int(there.argmax())).max(1))
+            reached, worse = float(some[bad - 1]), float(some[bad])
+        worse, there = reached, radii(np.array([reached]))[0]
+        if reached == good or there.max() <= 1 + stability_limit.ROUNDING:
+            return reached
+
+
+def _first_bad(radii: np.ndarray) -> int:
+    """Return the place of the first radius (N,) of a loop that is not stable, N where all are."""
+    return int(np.argmin([*(radii <= 1 + stability_limit.ROUNDING), False]))
+
+
+def _values(scenario: mc.Scenario, name: str, margin: Margin) -> np.ndarray:
+    grid = values_of(scenario, name)
+    if QUANTITIES[name].scales:
+        worst = margin.worst if margin.holds is None else max(margin.worst, margin.holds / _BEYOND)
+        return np.geomspace(grid[0], worst, POINTS)
+    worst = min(margin.worst, _BEYOND * max(margin.holds or 0.0, grid[POINTS // 2]))
+    values = np.linspace(grid[0], worst, POINTS)
+    return whole_steps(values, scenario.time_step) if name == "control_period" else values

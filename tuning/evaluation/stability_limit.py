@@ -1,0 +1,359 @@
+"""The discrete stability limit of a control law: which gains let a small disturbance grow.
+
+The closed loop (robot, contacts, joint loop, law, and the hardware between them: delays, filter, control period,
+armature, viscous friction) is linearised over one control period about stances of the gait, without gravity; small
+disturbances grow in a stance where the largest eigenvalue of that period leaves the unit circle. Between two moments at
+which some foot is lifted off or set down the same feet hold: the stances are those of the beginning, the middle and the
+end of each such time in a cycle, on uneven ground in every cycle of the walk. The worst of them counts, not the product
+over the cycle: a disturbance that grows in one stance and dies out in the next is smaller after a cycle, and yet tears
+grippers off in between. This is the limit of the loop as it is simulated, not of the law by itself: the virtual model
+alone is stable for any positive gains.
+
+What has no linear part is left out: noise, bias, resolution, the limits of torque, offset and rate. So are dry
+friction, backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger
+motions, which slip.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from numpy.typing import ArrayLike
+
+import mjx_climb as mc
+from mjx_climb import execution
+from mjx_climb.control import Law, Reference, law_of
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.hardware.signals import period_steps
+from mjx_climb.hardware.stages import Stages
+from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.rollouts.resolve import AnyGains, Resolved, resolve_in
+from mjx_climb.walk import control_loop, gait
+from mjx_climb.walk.contact import Attitude
+from mjx_climb.walk.step import Carry, Walk, advance, begin, prepare
+from mjx_climb.walk.structure import Structure, structure
+
+ROUNDING = 1e-9  # a radius above 1 by less is 1
+_ENTRIES = 64 * 50**2  # of the matrices that are made at once, about
+_MOST_MATRICES = 64
+_FINEST = 16  # values along an axis of a map
+_FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
+_CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
+_UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
+
+
+def spectral_radius(
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    parameters: mc.Parameters | None = None,
+    *,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> np.ndarray:
+    """Return by how much a small disturbance grows in a time step of the worst stance; the loop is stable below 1.
+
+    It is the largest magnitude of an eigenvalue of one control period, taken to the power of a step, in any stance of
+    the scenario's gait; where the scenario has cargo, of the robot without it or with it. What a law remembers in whole
+    numbers, or in yes and no, stays as it is: it cannot be off by a little.
+
+    Arguments:
+        scenario: what walks where.
+        gains: with any leading batch axes.
+        parameters: in place of the scenario's, delays, period and filter among them, with batch axes that broadcast
+            with the gains'.
+        law: whose gains they are, the scenario's where None.
+        engine: the dynamics.
+
+    Returns:
+        Radii with the batch axes of gains and parameters.
+    """
+    return np.asarray(by_stance(scenario, gains, parameters, law=law, engine=engine).max(-1))
+
+
+def by_stance(
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    parameters: mc.Parameters | None = None,
+    *,
+    only: int | None = None,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> np.ndarray:
+    """Return the radii of `spectral_radius` in each stance, the last axis: of robots without cargo, then with it.
+
+    The other arguments are those of `spectral_radius`; `only` is the number of one stance, which is then the only one.
+    """
+    if law is None:
+        law = law_of(scenario.with_overrides(_UNBOUNDED))
+    calm = _calm(scenario, parameters)
+    found = resolve_in(scenario, law, gains, calm, np.float64)
+    walk = structure(scenario, engine, found.parameters, law=law, smooth=True)
+    walk = walk._replace(stages=_linear(walk.stages))
+    robots = _robots(found, scenario.time_step, walk.stages)
+    stances = linearised_at(scenario, robots.period, uneven=bool(calm.foothold_height.size))
+    loads = 2 if calm.cargo_mass.any() else 1
+    which = np.arange(loads * stances.shape[1]) if only is None else np.array([only])
+    rows, places = (each.ravel() for each in np.indices((len(robots.period), which.size)))
+    loaded, stance = np.divmod(which[places], stances.shape[1])
+    radii = _radii_of(walk, robots, rows, loaded.astype(float), stances[rows, stance])
+    return np.asarray(radii.reshape(*found.shape, which.size))
+
+
+class _Robots(NamedTuple):
+    """Robots of one batch axis: every gain has it, parameters where they vary."""
+
+    law: Law
+    parameters: mc.Parameters
+    axes: Any  # of law and parameters: how many the value of one robot has
+    period: np.ndarray  # (B,) time steps of a control period
+
+    def some(self, rows: np.ndarray, loaded: np.ndarray) -> tuple[Law, mc.Parameters]:
+        """Return law and parameters of some robots (B, 1, ...), `loaded` (B,) with their cargo."""
+
+        def of_rows(value: np.ndarray, own: int) -> np.ndarray:
+            return value[rows][:, None] if value.ndim > own else value
+
+        law, parameters = jax.tree.map(of_rows, (self.law, self.parameters), self.axes)
+        cargo = np.broadcast_to(self.parameters.cargo_mass, len(self.period))[rows] * loaded
+        return law, dataclasses.replace(parameters, cargo_mass=cargo[:, None])
+
+
+def _robots(found: Resolved, time_step: float, stages: Stages) -> _Robots:
+    count = math.prod(found.shape)
+
+    def flat(value: np.ndarray, own: int) -> np.ndarray:
+        tail = value.shape[value.ndim - own :]
+        if value.ndim == own:
+            return value
+        return np.broadcast_to(value, (*found.shape, *tail)).reshape(count, *tail)
+
+    law, parameters = jax.tree.map(flat, (found.law, found.parameters), found.axes)
+    period = np.ones(count, int)
+    if stages.control_period:
+        period[:] = np.asarray(period_steps(jnp.asarray(parameters.control_period), time_step))
+    return _Robots(law, parameters, found.axes, period)
+
+
+def _radii_of(walk: Structure, robots: _Robots, rows: np.ndarray, loaded: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Return the radii (N,) of robots by their `rows`, linearised over the period that begins at a `first` step."""
+    periods, count = robots.period[rows], len(rows)
+    # held: all steps after the first of a period are alike; on a line to the next target each is another
+    kinds = int(periods.max() if walk.stages.linear else min(periods.max(), 2))
+    states = _states(walk, *robots.some(rows[:1], loaded[:1]), robots.axes)
+    matrices = max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
+    column = np.arange(states, dtype=np.int32)
+
+    def jacobians(start: int) -> np.ndarray:
+        """Return the Jacobians (kinds, matrices, states, states) of the steps of a period, the last ones repeated."""
+        some = np.minimum(np.arange(start, start + matrices), count - 1)
+        law, parameters = robots.some(rows[some], loaded[some])
+        found = []
+        for kind in range(kinds):
+            step = (first[some] + kind).astype(np.int32)[:, None]
+            columns = execution.run(
+                _column, walk, (law, parameters, step, column), (*robots.axes, 0, 0), (matrices, states),
+                batch_size=matrices * states // 2, compile_briefly=True,
+            )["column"]  # fmt: skip
+            found.append(np.swapaxes(columns, 1, 2))
+        return np.stack(found)
+
+    with ThreadPoolExecutor(1) as beside:  # eigenvalues of these while the next are made
+        parts = [
+            beside.submit(_radii, jacobians(start), periods[start : start + matrices])
+            for start in range(0, count, matrices)
+        ]
+        return np.concatenate([part.result() for part in parts])
+
+
+def linearised_at(scenario: mc.Scenario, periods: np.ndarray, *, uneven: bool) -> np.ndarray:
+    """Return at which steps (B, N) of a walk the loop is linearised, at whole multiples of control periods (B,)."""
+    times, cycle = scenario.gait, scenario.gait.cycle / scenario.time_step
+    moments = [0.0, 1.0, *(share + swing for share in times.lift_off.values() for swing in (0.0, 1 - times.duty))]
+    switches = np.unique(np.round(np.multiply(moments, cycle)))
+    switches = switches[np.diff(switches, prepend=-np.inf) > _CLEAR]  # shares are rounded
+    if uneven:
+        cycles = math.ceil(scenario.steps / cycle)
+        switches = np.unique([switches + number * np.round(cycle) for number in range(cycles)])
+    begin, end, period = switches[:-1], switches[1:], periods[:, None]
+    first, last = np.ceil((begin + _CLEAR) / period), np.maximum(np.floor((end - _CLEAR + 1) / period) - 1, 0)
+    middle = np.clip(np.round((begin + end) / 2 / period), first, last)
+    return np.asarray(np.concatenate([np.minimum(first, last), middle, last], axis=1) * period)
+
+
+def _linear(stages: Stages) -> Stages:
+    """Return the stages that have a linear part."""
+    without = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "dry_friction",
+               "backlash", "capture")  # fmt: skip
+    return stages._replace(**dict.fromkeys(without, False))
+
+
+def _radii(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """Return radii (B,) of matrices (k, B or more, s, s) of the steps of a period, the last for all others."""
+    steps = steps[:, : len(periods)]
+    radius = np.full(len(periods), np.inf)
+    finite = np.isfinite(steps).all((0, 2, 3))
+    if not finite.any():
+        return radius
+    matrices = steps[:, finite]
+    core = _coupled((matrices != 0).any((0, 1)))
+    alone = np.diagonal(matrices, axis1=2, axis2=3)[..., ~core]
+    matrices = matrices[:, :, core][..., core]
+    values = np.empty(matrices.shape[1])
+    for period in np.unique(periods[finite]):
+        rows = periods[finite] == period
+        kinds = min(int(period), len(matrices))
+        whole, single = np.eye(int(core.sum())), np.ones(alone.shape[-1])
+        for k in range(kinds):
+            times = int(period) - k if k == len(matrices) - 1 else 1
+            whole = np.linalg.matrix_power(matrices[k, rows], times) @ whole
+            single = single * alone[k, rows] ** times
+        sizes = np.abs(np.concatenate([np.linalg.eigvals(whole), single], axis=-1))
+        values[rows] = sizes.max(-1) ** (1 / period)
+    radius[finite] = values
+    return radius
+
+
+def _coupled(acts: np.ndarray) -> np.ndarray:
+    """Return which states (s,) act on others that act back on them, where `acts` (s, s) says who acts on whom.
+
+    The eigenvalues are those of these states together and of each other state by itself.
+    """
+    reach = acts | np.eye(len(acts), dtype=bool)
+    farther = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
+    while (farther != reach).any():
+        reach, farther = farther, (farther.astype(np.float32) @ farther.astype(np.float32)) > 0
+    return np.asarray((reach & reach.T).sum(1) > 1)
+
+
+def over_map(
+    scenario: mc.Scenario, walks: xr.Dataset, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
+) -> xr.DataArray:
+    """Return the radius over the two gains (the same on all axes) of a grid of walks, as far as `over_axes` has it."""
+    axes = {str(name): walks[name].values for name in walks["diverged"].dims}
+    return on_map(over_axes(scenario, axes, law=law, engine=engine), walks)
+
+
+def over_axes(
+    scenario: mc.Scenario,
+    axes: Mapping[str, ArrayLike],
+    *,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+) -> xr.DataArray:
+    """Return the radius over values of two gains, the same on all axes of one.
+
+    Of more than 16 values along an axis (8 with delays in the loop) so many are taken.
+    """
+    stages = structure(scenario, engine, own_parameters(scenario)).stages
+    delays = stages.force_delay + stages.base_delay + stages.command_delay + stages.servo_delay
+    finest = _FINEST_WITH_MEMORY if delays else _FINEST
+    some = {name: _spread(np.asarray(values, float), finest) for name, values in axes.items()}
+    lengths = (law_of(scenario) if law is None else law).AXES
+    mesh = zip(some, np.meshgrid(*some.values(), indexing="ij"), strict=True)
+    gains = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
+    radius = spectral_radius(scenario, gains, law=law, engine=engine).reshape([v.size for v in some.values()])
+    return xr.DataArray(radius, some, list(some), attrs={"units": "1", "long_name": "largest eigenvalue of one step"})
+
+
+def _spread(values: np.ndarray, count: int) -> np.ndarray:
+    """Return so many of the values, first and last among them."""
+    some: np.ndarray = values[np.unique(np.linspace(0, values.size - 1, min(values.size, count)).round().astype(int))]
+    return some
+
+
+def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
+    """Return the radius at all gains of a grid of walks, NaN where it was not worked out."""
+    names = [str(name) for name in walks["diverged"].dims]
+    whole = radius.transpose(*names).reindex({name: walks[name] for name in names})
+    return whole.assign_coords({name: walks[name] for name in names})  # with their units
+
+
+def _calm(scenario: mc.Scenario, parameters: mc.Parameters | None) -> mc.Parameters:
+    """Return parameters, the scenario's own where None, without gravity and pushes, and with the cargo loaded."""
+    parameters = own_parameters(scenario) if parameters is None else jax.tree.map(np.asarray, parameters)
+    changed = {name: getattr(parameters, name) * 0 for name in ("gravity", "push_force", "push_moment")}
+    changed |= {"cargo_start": np.zeros(()), "cargo_stop": np.full((), np.inf)}
+    calm: mc.Parameters = dataclasses.replace(parameters, **changed)
+    return calm
+
+
+def _column(shape: Structure, law: Law, parameters: mc.Parameters, step: Array, column: Array) -> dict[str, Array]:
+    """Return by how much the state (s,) is off after a step where it was off in one value, `column`, before."""
+    values, after = _stepped(shape, law, parameters, step)
+    off = (jnp.arange(values.size) == column).astype(values.dtype)
+    return {"column": jax.jvp(after, (values,), (off,))[1]}
+
+
+def _stepped(
+    shape: Structure, law: Law, parameters: mc.Parameters, step: Array
+) -> tuple[Array, Callable[[Array], Array]]:
+    """Return what of a robot can be off by a little, (s,), and the function that gives its values after the step.
+
+    Whole numbers and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised
+    gains, is no state.
+    """
+    walk = prepare(shape, law, parameters)
+    carry = _stance(walk, step)
+    leaves, tree = jax.tree.flatten((carry.state, carry.memory))
+
+    def advanced(leaves: list[Array]) -> list[Array]:
+        state, memory = jax.tree.unflatten(tree, leaves)
+        after, _ = advance(walk, carry._replace(state=state, memory=memory), step)
+        return jax.tree.leaves((after.state, after.memory))
+
+    program = jax.make_jaxpr(advanced)(leaves).jaxpr
+    varied = [
+        jnp.issubdtype(leaf.dtype, jnp.floating) and after is not before
+        for leaf, before, after in zip(leaves, program.invars, program.outvars, strict=True)
+    ]
+    values, unravel = ravel_pytree(list(itertools.compress(leaves, varied)))
+
+    def after(values: Array) -> Array:
+        own = iter(unravel(values))
+        moved = advanced([next(own) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)])
+        return ravel_pytree(list(itertools.compress(moved, varied)))[0]
+
+    return values, after
+
+
+def _stance(walk: Walk, step: Array) -> Carry:
+    """Return a robot that stands as it should at a step, and has never been otherwise."""
+    plan, carry = walk.plan, begin(walk)
+    now = gait.schedule(plan, step)
+    base = gait.base_reference(plan, now, gait.planned_start(plan, now.cycle))
+    grip = plan.footholds + now.foothold[:, None] * plan.advance
+    grip = grip.at[:, 2].add(gait.ground_height(plan, now))
+    reference = Reference(base, plan.base_orientation, gait.foot_targets(plan, now, grip))
+    rotation = quaternion_to_matrix(plan.base_orientation)
+    target = (reference.foot_position - base) @ rotation
+    joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
+    state = dataclasses.replace(carry.state, base_position=base, joint_angles=joints)
+    contact = carry.contact._replace(grip_point=grip, touching=now.closed)
+    if walk.stages.rotational:  # grips hold the attitudes that feet have now
+        frames = limb_frames(walk.robot, rotation, joints)
+        contact = contact._replace(attitude=Attitude(frames.rotation[:, -1], now.closed))
+    return carry._replace(state=state, contact=contact, memory=control_loop.begin(walk.controller, state, reference))
+
+
+def _states(shape: Structure, law: Law, parameters: mc.Parameters, axes: Any) -> int:
+    """Return how many values of a robot can be off by a little; law and parameters are those of robots (1, 1, ...)."""
+
+    def one(value: np.ndarray, own: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(value.shape[value.ndim - own :], value.dtype)
+
+    with jax.enable_x64(True):
+        law, parameters = jax.tree.map(one, (law, parameters), axes)
+        step = jax.ShapeDtypeStruct((), np.int32)
+        return int(jax.eval_shape(lambda *given: _stepped(shape, *given)[0], law, parameters, step).size)

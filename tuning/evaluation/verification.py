@@ -1,0 +1,283 @@
+"""A result put to the test: walked alone in double precision, and its neighbours as the search walks."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.rollouts.resolve import AnyGains
+from mjx_climb.walk.metrics import FAILURES
+from tuning.evaluation import maps, margins, stability_limit
+from tuning.evaluation.margins import Margin
+from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
+from tuning.problem import objectives
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.objectives import Goal, Score
+from tuning.searches.methods.staged import CANDIDATES
+from tuning.searches.result import Tuned
+from tuning.searches.sweep import sweep
+from tuning.searches.tune import problem_of
+
+STEP = 0.2  # relative change of a gain
+PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
+UNRESPONSIVE = 1e-3  # largest relative change of any metric
+GRID = 12  # cells along each axis of the map
+
+
+@dataclasses.dataclass(frozen=True)
+class Verification:
+    """What the tests found; by coordinate of the space where there is one number per gain."""
+
+    metrics: dict[str, Any]  # of the walk alone, float64, hard detachment
+    value: float  # of that walk
+    search_value: float
+    broken_limits: list[str]  # in words
+    binding_limits: list[str]  # kept with hardly any room
+    less: dict[str, float | None]  # change of the value with a gain 20 % less; None: infeasible or diverged
+    more: dict[str, float | None]
+    shape: dict[str, str]  # plateau, slope or cliff
+    slopes: dict[str, float]  # of the value per natural logarithm of a gain
+    grid_value: float | None  # best of an isotropic grid
+    grid_gains: dict[str, float] | None
+    spectral_radius: float  # of the closed loop in its worst stance; above 1 a small disturbance grows
+    margins: dict[str, Margin]  # by quantity of hardware; empty where nobody looked for them
+    warnings: list[str]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the walk alone keeps every limit."""
+        return not self.broken_limits
+
+
+def map_of(
+    found: Tuned, problem: Problem | None = None, *, progress: Callable[[int, int], None] | None = None
+) -> xr.Dataset | None:
+    """Return the metrics over an isotropic grid of two gains, with the objective as `objective`; None with one gain.
+
+    They are stiffness and damping, where the law has them and they were searched, or else the first two that were.
+
+    A variable `spectral_radius` tells where the closed loop is unstable.
+
+    Arguments:
+        found: the result.
+        problem: that was searched, where it is at hand; else as the result's settings say, without an objective of
+            the user's own.
+        progress: called with walks done and in all.
+    """
+    problem = problem or _problem_of(found)
+    joint = {name: value for name, value in by_name(found.gains).items() if name in OPTIONAL}
+    return map_with(problem, applied(found.scenario, joint), found.law, progress=progress)
+
+
+def map_with(
+    problem: Problem,
+    scenario: mc.Scenario,
+    law: mc.Law | None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset | None:
+    """Return a problem's map as `map_of` does; gains that it does not sweep are as scenario and law have them."""
+    box = {}
+    for kind in problem.space.gains[:2]:
+        rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
+        low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
+        box[kind] = np.geomspace(low, high, GRID)
+    if len(box) < 2 or (law is None and set(box) != {"stiffness", "damping"}):
+        return None
+    how: dict[str, Any] = {"law": law, "engine": problem.engine}
+    walks = sweep(scenario, box, progress=progress, metrics=problem.metrics, **how).data
+    return maps.with_stability(maps.judged_by(walks, problem), scenario, **how)
+
+
+def _problem_of(found: Tuned) -> Problem:
+    return problem_of(found.scenario, found.search, metrics=found.problem.metrics, law=found.law)
+
+
+class Tests(NamedTuple):
+    """What walks close to a result tell of it."""
+
+    around: Evaluation  # of the result, and with each gain in turn 20 % less, then more
+    slopes: np.ndarray  # (n,) of the value, true extremes
+    radius: float  # of the closed loop in its worst stance
+
+
+def tests(found: Tuned, problem: Problem | None = None) -> Tests:
+    """Walk with gains close to those of a result."""
+    problem = problem or _problem_of(found)
+    nudges = np.log([1 - STEP, 1 + STEP])
+    axes = np.eye(problem.space.size)
+    points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in axes)]
+    # as many robots as searches have: they walk by programs that were compiled for it
+    around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), len(axes))))
+    slopes = slopes_at(problem, found.theta)
+    single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
+    alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
+    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=problem.engine)
+    return Tests(_first(len(points), around), slopes, float(limit[0]))
+
+
+def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Return the slopes (n,) of the value at a point, true extremes, by the program of a search's last start."""
+    return np.asarray(problem.evaluate(theta[None], np.eye(problem.space.size)).sharp[0])
+
+
+def verify(
+    found: Tuned,
+    problem: Problem | None = None,
+    *,
+    metrics: Mapping[str, Any] | None = None,
+    walks: xr.Dataset | None = None,
+    hardware: margins.Found | None = None,
+    tested: Tests | None = None,
+) -> Verification:
+    """Test a result.
+
+    Arguments:
+        found: the result.
+        problem: as of `map_of`.
+        metrics: of its walk alone in float64, where the caller has them already.
+        walks: what `map_of` gave, for the agreement with a grid.
+        hardware: what `tuning.evaluation.margins.find` gave for the result.
+        tested: what `tests` gave for it.
+    """
+    problem = problem or _problem_of(found)
+    space, objective = problem.space, problem.objective
+    if metrics is None:
+        alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=problem.engine)
+        metrics = mc.metrics(alone_walk, found.problem.metrics)
+    alone = maps.score_of(objective, metrics)
+    around, slopes, radius = tested or tests(found, problem)
+    judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
+    change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
+    shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
+    best = None if walks is None else maps.best_cell(walks)
+
+    def number(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    return Verification(
+        metrics=dict(metrics),
+        value=float(alone.value),
+        search_value=found.value,
+        broken_limits=broken_limits(objective, metrics),
+        binding_limits=binding_limits(objective, metrics),
+        less={name: number(v) for name, v in zip(space.names, change[0], strict=True)},
+        more={name: number(v) for name, v in zip(space.names, change[1], strict=True)},
+        shape=shape,
+        slopes={name: float(v) for name, v in zip(space.names, slopes, strict=True)},
+        grid_value=None if best is None else float(best["objective"]),
+        grid_gains=None if best is None else {n: float(best[n]) for n in _axes(best)},
+        spectral_radius=radius,
+        margins={} if hardware is None else hardware.margins,
+        warnings=_warnings(found, problem, around, shape, best, radius, alone)
+        + ([] if hardware is None else margins.warnings(hardware)),
+    )
+
+
+def _first(count: int, found: Evaluation) -> Evaluation:
+    """Return what is known about the first so many points."""
+    first: Evaluation = jax.tree.map(lambda values: values[:count], found)
+    return first
+
+
+def _axes(cell: xr.Dataset) -> list[str]:
+    """Return the gains that a cell of a map has."""
+    return [str(name) for name in cell.coords if not cell[name].ndim]
+
+
+def _shape(change: np.ndarray) -> str:
+    if not np.isfinite(change).all() or change.max() > CLIFF:
+        return "cliff"
+    return "plateau" if np.abs(change).max() < PLATEAU else "slope"
+
+
+def _cliff(goal: Goal, around: Evaluation, less: int, more: int) -> str:
+    """Return in words what breaks off on both sides of a gain: rows `less` and `more` further on."""
+    sides = []
+    for side, row in (("less", less), ("more", less + more)):
+        broken = [
+            mc.METRICS.in_words(limit.metric)
+            for limit in goal.limits
+            if np.max(objectives.violation(limit, around.metrics[limit.metric][row])) > 0
+        ]
+        jump = float(around.value[row] - around.value[0])
+        if not np.isfinite(around.value[row]):
+            sides.append(f"{side}: the walk diverges")
+        elif broken:
+            sides.append(f"{side}: {' and '.join(broken)} beyond the limit")
+        elif jump > CLIFF:
+            sides.append(f"{side}: objective {jump:+.2f}")
+    return ", ".join(sides)
+
+
+def broken_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+    """Return in words which limits a walk breaks, by its metrics as `mjx_climb.metrics` gives them."""
+    if metrics["diverged"]:
+        return ["the walk diverged"]
+    broken = []
+    if metrics["detached_limb"] is not None:
+        broken.append(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
+    for limit in objective.limits:
+        value = metrics[limit.metric]
+        if value is not None and objectives.violation(limit, value) > 0:
+            broken.append(f"{mc.METRICS.in_words(limit.metric)} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
+    return broken
+
+
+def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
+    """Return in words which limits hold a walk where it is: it keeps them, but lies where their penalty begins."""
+    if metrics["diverged"]:
+        return []
+    near = []
+    for limit in objective.limits:
+        value = metrics[limit.metric]
+        if value is not None and -objectives.BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
+            near.append(f"{mc.METRICS.in_words(limit.metric)} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
+    return near
+
+
+def _warnings(
+    found: Tuned,
+    problem: Problem,
+    around: Evaluation,
+    shape: Mapping[str, str],
+    best: xr.Dataset | None,
+    radius: float,
+    alone: Score,
+) -> list[str]:
+    space, lines = problem.space, []
+    if not found.feasible:
+        lines.append("no point of the search keeps every limit: these gains are the nearest to it")
+    for name in space.on_bound(found.theta):
+        lines.append(f"{name} lies on a bound: widen bounds.{name}")
+    moved = np.zeros(space.size)
+    for name in problem.metrics.names:
+        values = around.metrics[name].astype(float)
+        if name in FAILURES or not np.isfinite(values[0]) or not values[0]:
+            continue
+        moved = np.fmax(moved, np.abs(values[1:] / values[0] - 1).reshape(2, -1).max(0))
+    for name, much in zip(space.names, moved, strict=True):
+        if much < UNRESPONSIVE:
+            lines.append(f"{name}: no metric responds to it here (less than {UNRESPONSIVE:.1%} for {STEP:.0%})")
+    cliffs = [name for name, kind in shape.items() if kind == "cliff"]
+    if cliffs:
+        rows = {name: 1 + space.names.index(name) for name in cliffs}
+        why = [f"{name} ({_cliff(problem.objective, around, row, space.size)})" for name, row in rows.items()]
+        lines.append(f"cliff within {STEP:.0%} of {', '.join(why)}")
+    if best is not None and float(best["objective"]) < found.value - 1e-4:
+        where = ", ".join(f"{name} {float(best[name]):.4g}" for name in _axes(best))
+        lines.append(f"a coarse grid found better: {float(best['objective']):.4f} at {where}")
+    if radius > 1 + 1e-9:
+        lines.append(f"the closed loop is unstable in a stance of the gait: a disturbance grows by {radius:.6f} a step")
+    if abs(float(alone.value) - found.value) > 0.01:
+        lines.append(f"alone in float64 the objective is {float(alone.value):.4f}, in the search {found.value:.4f}")
+    return lines
+
+
+def tuned(found: Tuned) -> mc.Scenario:
+    """Return the scenario with the gains of a result, of another law than its own those of the joint loop."""
+    return replaced(found.scenario, found.law, found.gains)[0]

@@ -1,0 +1,94 @@
+"""What a grid or a search is compared with, independent of what it finds: works that may begin before it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.rollouts.resolve import AnyGains
+from tuning.background import Begin, Work
+from tuning.evaluation import margins, stability_limit, verification
+from tuning.gains.gains_file import replaced
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.search import Search
+from tuning.problem.spaces import JOINT
+from tuning.searches import retuned_pd
+from tuning.searches.result import Tuned
+from tuning.searches.sweep import Axes
+from tuning.searches.tune import start_of
+
+GIVEN = "gains file"  # the name of a walk with gains that are not the config's
+# inertia, damping and stiffness of cases 1.1, 1.2 and 2
+PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
+_BY_TANGENTS = {"gradient", "lbfgs"}  # methods
+
+
+class OfGrid(NamedTuple):
+    """What a grid is compared with."""
+
+    walks: Mapping[str, Work[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
+    limits: Work[tuple[retuned_pd.Rival | None, xr.DataArray]]  # pd retuned, and the limit of stability
+
+
+class OfSearch(NamedTuple):
+    """What a search is compared with."""
+
+    retuned: Work[Tuned | None]  # pd retuned
+    walks: Mapping[str, Work[mc.Trajectory]]  # pd, config
+    over: Work[xr.Dataset | None] | None  # the map; None where it depends on the result
+    on_hardware: Mapping[str, Work[xr.Dataset]]  # pd, config: the first walks on worse hardware
+
+
+def of_grid(
+    scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains | None, axes: Axes, engine: str, begin: Begin
+) -> OfGrid:
+    """Begin what a grid is compared with; the arguments are those of `tuning.sweep`."""
+    control = scenario.control
+    papers = law is None and (control.inertia, control.damping, control.stiffness) in PAPER
+    walkers = {"pd": (under_pd(scenario), None), "paper" if papers else "config": (scenario, law)}
+    simulated, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
+    if gains is not None:
+        walkers[GIVEN] = simulated, own
+    # one after the other: each keeps all cores busy, and side by side they take more than twice as long
+    limits = begin(
+        lambda _: (
+            retuned_pd.least(scenario, halvings=1, engine=engine),
+            stability_limit.over_axes(simulated, axes, law=own, engine=engine),
+        )
+    )
+    return OfGrid({name: begin(one_walk(*walker, engine)) for name, walker in walkers.items()}, limits)
+
+
+def of_search(problem: Problem, search: Search, begin: Begin, *, out: Path | None = None) -> OfSearch:
+    """Begin what a search is compared with.
+
+    `out` holds the rounds in which pd is retuned until the result has been written.
+    """
+    scenario, law, engine = problem.scenario, problem.law, problem.engine
+    on_the_map = law is None and JOINT.keys().isdisjoint(problem.space.gains)  # then one map serves all results
+    return OfSearch(
+        begin(
+            lambda report: retuned_pd.search(
+                problem, search, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
+            )
+        ),
+        {"pd": begin(one_walk(under_pd(scenario), None, engine)), "config": begin(one_walk(scenario, law, engine))},
+        begin(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
+        {
+            "pd": begin(lambda report: margins.on_the_grid(scenario, margins.pd_of(scenario), engine, report)),
+            "config": begin(lambda report: margins.on_the_grid(scenario, margins.Walker(law, {}), engine, report)),
+        },
+    )
+
+
+def load_tests(problem: Problem, search: Search, begin: Begin) -> None:
+    """Begin to load the executable of a result's tests, which takes long, where the search does not use it."""
+    if search.method not in _BY_TANGENTS:
+        begin(lambda _: verification.slopes_at(problem, start_of(problem)))
+
+
+def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.Trajectory]:
+    """Return a work that simulates one robot under the scenario's law, or another."""
+    return lambda _: mc.rollout(scenario, law=law, engine=engine)

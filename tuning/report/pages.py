@@ -1,0 +1,335 @@
+"""What stands on the page of each search: of a sweep, of a search for gains, of a front, of gains on an ensemble."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+import mjx_climb as mc
+from mjx_climb.rollouts.histories import LINES
+from tuning.evaluation.verification import Verification
+from tuning.gains.gains_file import by_name
+from tuning.problem.evaluation import Problem
+from tuning.report import comparison
+from tuning.report.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, grid_points, listed_points
+from tuning.report.numbers import axis_values, change, gain, number, unit
+from tuning.report.page import Origin, Page, Table
+from tuning.report.remarks import remarks
+from tuning.searches import sweep as sweeps
+from tuning.searches.pareto import Front, without_sensor
+from tuning.searches.result import Tuned
+
+if TYPE_CHECKING:
+    from tuning.output.sweep import Comparison as SweepComparison
+    from tuning.output.tune import Comparison as TuneComparison
+
+ROWS = 20  # of the table of a front
+SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
+         "base_deviation", "joint_limit_margin")  # fmt: skip
+
+Pictures = Mapping[str, Path]  # PNG files by their captions
+
+
+def sentences(lines: Iterable[str]) -> list[str]:
+    """Return lines with a capital in front and a full stop."""
+    return [f"{line[0].upper()}{line[1:].removesuffix('.')}." for line in lines]
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A sweep
+
+
+def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how: Any) -> xr.Dataset:
+    """Return a sweep that has time histories: itself, or of a larger one a coarser grid with the best cell in it."""
+    if all(name in result for name in LINES):
+        return result
+    # out of the cells that the page shows
+    kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, sweeps.HISTORIES)
+    return sweeps.sweep(scenario, {name: kept[name].values for name in axes_of(kept)}, **how).data
+
+
+def sweep_page(
+    problem: Problem,
+    compared: "SweepComparison",
+    histories: xr.Dataset,
+    marks: Mapping[str, tuple[float, float]],
+    notes: Sequence[str],
+    *,
+    origin: Origin,
+    pictures: Pictures,
+) -> Page:
+    """Return the page of a sweep.
+
+    Arguments:
+        problem: what was walked on the grid.
+        compared: the grid, its best walk and those beside it, see `tuning.output.sweep.compare`.
+        histories: what `with_histories` gave.
+        marks: gains to mark on the maps.
+        notes: what stands first.
+        origin: of the page.
+        pictures: PNG files by their captions.
+    """
+    grid, best, rows, about = compared.data, compared.best, compared.rows, problem.metrics
+    metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
+    count, kept, found = grid["diverged"].size, histories["diverged"].size, list(notes)
+    if best is not None:
+        found.append(f"{compared.failed} of the {count} walks lost a gripper or diverged")
+        found += _worse_than_pd(metrics["best"], metrics["pd"], about)
+    found += remarks(metrics)
+    if kept < count:
+        found.append(f"the page holds the time histories of {kept} of the cells; a click shows the nearest of them")
+    begin = best if best is not None else grid.isel(dict.fromkeys(axes_of(grid), 0))
+    points = grid_points(grid, histories, metrics["pd"], marks, begin)
+    walks = {name: compared.walks[name] for name in reversed(list(compared.walks))}
+    return Page(
+        title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes_of(grid))} gains",
+        origin=origin,
+        verdict=_verdict_on_grid(grid, best, metrics),
+        notes=sentences(found),
+        scenario=problem.scenario,
+        explorers=[explorer("Maps and walks", walks, metrics, shown=("pd",), points=points, about=about)],
+        tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
+        pictures=pictures,
+        facts={
+            "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)",
+            "engine": grid.attrs["engine"],
+            "robots at a time": grid.attrs["batch_size"],
+            "seed": "none: nothing is drawn at random",
+        },
+    )
+
+
+def _verdict_on_grid(grid: xr.Dataset, best: xr.Dataset | None, metrics: Mapping[str, comparison.Values]) -> str:
+    """Return in a sentence which cell is best, and by how much against the other walks."""
+    if best is None:
+        return f"None of the {grid['diverged'].size} walks held: every one lost a gripper or diverged."
+    won, name = metrics["best"], "force_variation"
+    others = {walk: numbers[name] for walk, numbers in metrics.items() if walk != "best"}
+    gains = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in axes_of(grid))
+    text = comparison.against(name, won[name], others)
+    return f"Of {grid['diverged'].size} walks, {gains} are best: force variation {text}; {comparison.held(won)}."
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A search for gains
+
+
+def tune_page(
+    found: Tuned,
+    compared: "TuneComparison",
+    outcome: Iterable[str],
+    tests: Iterable[str],
+    *,
+    origin: Origin,
+    pictures: Pictures,
+) -> Page:
+    """Return the page of a search.
+
+    Arguments:
+        found: the result.
+        compared: the walks beside it and what its tests found, see `tuning.output.tune.compare`.
+        outcome: what matters most, in lines.
+        tests: what else the tests found.
+        origin, pictures: as of `sweep_page`.
+    """
+    search, about, checked, rows = found.search, found.problem.metrics, compared.checked, compared.rows
+    metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
+    scores = []
+    for name in [name for name, weight in search.weights.items() if weight]:
+        others = {walk: metrics[walk][name] for walk in ("pd", "config")}
+        scores.append(f"{about.in_words(name)} {comparison.against(name, metrics['tuned'][name], others, about)}")
+    limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
+    points = None if compared.over is None else _points_of_map(found, compared.over, metrics["pd"])
+    objective = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
+    title = "Map: the same gains on all axes, around the result" if points else "Walks"
+    shown = {name: compared.walks[name] for name in reversed(list(rows))}
+    values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
+    return Page(
+        title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
+        origin=origin,
+        verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
+        notes=[*map(_capital, outcome), *sentences(_worse_than_pd(metrics["tuned"], metrics["pd"], about))],
+        more=[*map(_capital, tests)],
+        scenario=found.scenario,
+        explorers=[explorer(title, shown, values, opens_on="tuned", points=points, about=about)],
+        tables=[
+            comparison.table(rows, "Walks in double precision", about, found.law),
+            comparison.gains_table(rows, found.law),
+            _around_table(checked),
+        ],
+        pictures=pictures,
+        facts={"precision": "float32 (search, map), float64 (named walks, verification)", **_spent(found)},
+    )
+
+
+def _capital(line: str) -> str:
+    return line[0].upper() + line[1:]
+
+
+def _points_of_map(found: Tuned, over: xr.Dataset, baseline: comparison.Values) -> dict[str, Any]:
+    """Return the cells of the map around a result, which begins at its best one."""
+    x, y = axes_of(over)
+    walks = {"tuned": by_name(found.gains)} | ({"config": vars(found.scenario.control)} if found.law is None else {})
+    marks = {name: at for walk, gains in walks.items() for name, at in _marks(walk, gains[x], gains[y]).items()}
+    value = over["objective"].where(over["feasible"])
+    best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel({x: 0, y: 0})
+    return grid_points(over, over, {**baseline, "objective": 1.0}, marks, best)
+
+
+def _marks(walk: str, x: ArrayLike, y: ArrayLike) -> dict[str, tuple[float, float]]:
+    """Return where gains stand on the map; where axes differ, the means of translations and of rotations."""
+    both = np.stack([axis_values(x), axis_values(y)])
+    if np.ptp(both, axis=1).max() == 0:
+        return {walk: (both[0, 0].item(), both[1, 0].item())}
+    means = np.exp(np.log(both).reshape(2, 2, 3).mean(2))  # geometric
+    places = {"translations": means[:, 0].tolist(), "rotations": means[:, 1].tolist()}
+    return {f"{walk}, {name}": (at[0], at[1]) for name, at in places.items() if np.isfinite(at).all()}
+
+
+def _around_table(checked: Verification) -> Table:
+    caption = "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more"
+    rows = [
+        [name, _percent(checked.less[name]), _percent(checked.more[name]), shape, number(checked.slopes[name])]
+        for name, shape in checked.shape.items()
+    ]
+    return Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", rows)], 1)
+
+
+def _percent(value: float | None) -> str:
+    return "breaks a limit" if value is None else f"{100 * value:+.2f}"
+
+
+def _worse_than_pd(metrics: comparison.Values, baseline: comparison.Values, about: mc.MetricTable) -> list[str]:
+    worse, _ = comparison.differences(metrics, baseline, about)
+    return [f"worse than pd: {', '.join(worse)}"] if worse else []
+
+
+def _spent(found: Tuned) -> dict[str, Any]:
+    return {"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"}
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A search over an ensemble, and gains on the walks of one
+
+
+def robust_page(
+    found: Tuned, summed: xr.Dataset, outcome: Sequence[str], *, origin: Origin, pictures: Pictures
+) -> Page:
+    """Return the page of a search over an ensemble.
+
+    Arguments:
+        found: the result.
+        summed: of walks that the search never saw, see `tuning.searches.judge.summary`.
+        outcome: in lines: how it went on them, what a force sensor is worth, which limits bind or break.
+        origin, pictures: as of `sweep_page`.
+    """
+    control = found.scenario.control
+    rivals: comparison.Compared = {"robust": (by_name(found.gains), {})}
+    if not found.law:
+        rivals = {**rivals, "config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
+    verdict, *notes = sentences(outcome)
+    return Page(
+        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
+        origin=origin,
+        verdict=verdict,
+        notes=notes,
+        scenario=found.scenario,
+        explorers=[],
+        tables=[judged_table(summed, found.problem.metrics), comparison.gains_table(rivals, found.law)],
+        pictures=pictures,
+        facts=_spent(found),
+    )
+
+
+def shown(metrics: mc.MetricTable) -> list[str]:
+    """Return the names of the metrics that the table has: the main ones, and those of the user's own."""
+    return [*SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
+
+
+def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
+    """Return mean and worst of the main metrics, the first gains' with their change against the config's."""
+    names = summed["gains"].values.tolist()
+    columns = ["metric", "unit", "of the members", names[0], "vs config %", *names[1:]]
+
+    def row(values: xr.DataArray, *words: str) -> list[str]:
+        numbers = {name: float(values.sel(gains=name)) for name in names}
+        first, *others = map(number, numbers.values())
+        return [*words, first, change(numbers[names[0]], numbers["config"]), *others]
+
+    statistics = {"mean": "mean", "worst": f"worst {summed.attrs['worst_share']:.0%}"}
+    sections = [
+        ("", [row(summed[name].sel(statistic=s), metrics.in_words(name), unit(name, metrics), label)
+              for s, label in statistics.items()])
+        for name in shown(metrics)
+    ]  # fmt: skip
+    if "objective" in summed:
+        sections.insert(0, ("", [row(summed["objective"], "objective", "", "mean and worst")]))
+    return Table("On the walks of a fresh draw", columns, sections, 3)
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A front
+
+
+def pareto_page(
+    found: Front,
+    histories: Mapping[str, np.ndarray],
+    walks: Mapping[str, mc.Trajectory],
+    *,
+    origin: Origin,
+    pictures: Pictures,
+) -> Page:
+    """Return the page of a front.
+
+    Arguments:
+        found: the front.
+        histories: of the walks on it, as `mjx_climb.rollout_histories` gives them.
+        walks: config and pd in double precision.
+        origin, pictures: as of `sweep_page`.
+    """
+    about, front, knee = found.problem.metrics, found.data, found.knee
+    better, against = found.asked.better, found.asked.against
+    metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
+    texts = [
+        f"{about.in_words(name)} "
+        + comparison.against(name, front[name].values[knee].item(), {w: m[name] for w, m in metrics.items()}, about)
+        for name in (better, against)
+    ]
+    points = listed_points(front, histories, knee, trade=(against, better), about=about)
+    return Page(
+        title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}",
+        origin=origin,
+        verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
+        notes=sentences([found.worth]),
+        scenario=found.scenario,
+        explorers=[explorer("The front", walks, metrics, shown=("pd",), points=points, about=about)],
+        tables=[front_table(front, knee, about)],
+        pictures=pictures,
+        facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},
+    )
+
+
+def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS) -> Table:
+    """Return some twenty points of a front, the knee among them, with the config's gains, pd and pd retuned below."""
+    traded, names = (front.attrs["against"], front.attrs["better"]), front.attrs["searched"].split()
+    columns = ["", *(f"{about.in_words(name)} {unit(name, about)}".strip() for name in traded), *names]
+
+    def row(words: str, values: xr.Dataset, kind: str = "") -> list[str]:
+        return [words, *(number(values[f"{kind}{name}"].item()) for name in traded)]
+
+    count = front.sizes["front"]
+    shown_points = {*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), knee}
+    on = []
+    for i in sorted(shown_points):
+        point = front.isel(front=i)
+        gains = (gain({name: point[name].values}, name) for name in names)
+        on.append([*row("knee" if i == knee else "", point), *gains])
+    below = [row(name, front.sel(reference=name), "reference_") for name in ("config", "pd")]
+    rival = without_sensor(front, knee, about)
+    if rival is not None:
+        joint = ", ".join(f"{name} {number(rival[f'without_{name}'].item())}" for name in ("kp", "kd"))
+        below.append(row(f"pd, {joint}", rival, "without_"))
+    return Table("The front", columns, [("", on), ("", [[*cells, *("" for _ in names)] for cells in below])], 1)

@@ -1,0 +1,307 @@
+"""Gains on the walks of an ensemble that no search has seen, row by row, so that they can be kept and shared out."""
+
+import dataclasses
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.control import law_of
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.files import dataset
+from mjx_climb.quantities.batches import own_axes
+from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.rollouts.resolve import AnyGains, resolve_in
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import FAILURES
+from tuning.gains import gains_file
+from tuning.gains.gains_file import by_name
+from tuning.problem import ensemble as ensembles
+from tuning.problem.ensemble import Ensemble
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.search import Judge
+from tuning.searches.parts import identity_of
+from tuning.searches.result import Result
+from tuning.searches.shards import Counted, Kept, Rows
+from tuning.searches.sweep import default_batch_size
+
+KIND = "judge"  # of shards
+MEMBERS = Judge().members
+WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
+FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that no search sees
+PD = "pd"
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged(Result):
+    """The walks of several gains, and of pd, through members of an ensemble that no search of it has seen.
+
+    `data` holds every metric of every walk over `gains` (the names, `pd` last) and `member`; with what was drawn.
+    """
+
+    FILE = "judged.nc"
+    KIND = "judge"
+
+
+def judge(
+    scenario: mc.Scenario,
+    gains: Mapping[str, AnyGains],
+    ensemble: Ensemble,
+    *,
+    members: int = MEMBERS,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    out: str | os.PathLike[str] | None = None,
+    progress: Counted | None = None,
+) -> Judged:
+    """Simulate several gains with members that no search over the ensemble has seen, beside the scenario's own and pd.
+
+    Nothing is torn off, so that every walk counts to its end; where the peak pulling force passes the holding limit a
+    gripper would have let go, see `failed`. `judge(scenario, gains, ensemble).write(folder)` is `mjx-climb judge`.
+
+    Arguments:
+        scenario: what walks where, under an admittance law.
+        gains: by name.
+        ensemble: what the walks may meet; drawn again with another seed.
+        members: walks of each set of gains.
+        law: whose gains they are, where it is not the scenario's.
+        metrics, engine, out: as of `tuning.sweep`.
+        progress: called with the number of members that have walked and the number in all.
+
+    Raises:
+        ConfigError: an ensemble that the scenario does not allow.
+        OutputError: `out` cannot be written, or holds unfinished walks of something else.
+    """
+    problem = Problem(scenario, law=law, metrics=mc.MetricTable(metrics), engine=engine)
+    draw = draw_of(problem, gains, ensemble, members)
+    return draw.result(Rows(draw, out).walk(progress))
+
+
+def judge_shard(
+    scenario: mc.Scenario,
+    gains: Mapping[str, AnyGains],
+    ensemble: Ensemble,
+    shard: tuple[int, int],
+    *,
+    out: str | os.PathLike[str],
+    members: int = MEMBERS,
+    progress: Counted | None = None,
+    **walks: Any,
+) -> Path:
+    """Simulate a shard of what `judge` does, with the same arguments, for `merge`; `mjx-climb judge --shard 3/16`.
+
+    What `sweep_shard` says of `shard`, `out`, `progress` and its result holds here.
+
+    Raises:
+        ConfigError: no such shard, more shards than members, or an ensemble that the scenario does not allow.
+        OutputError: `out` cannot be written, or holds shards of something else.
+    """
+    walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
+    draw = draw_of(Problem(scenario, **walks), gains, ensemble, members)
+    rows = Rows(draw, out, shard, {"again": "the same call of tuning.judge_shard for {shard}"})
+    rows.walk(progress)
+    return Path(rows.folder or out)
+
+
+@dataclasses.dataclass(frozen=True)
+class Draw:
+    """Gains that walk through an ensemble. A row is one member, with all gains."""
+
+    problem: Problem  # with the ensemble that walks, and its parameters
+    gains: Mapping[str, AnyGains]  # by name
+    pd: Mapping[str, AnyGains]  # joint gains of pd, by name; the scenario's walk as "pd"
+    ensemble: Ensemble | None  # as its user gave it
+
+    @property
+    def rows(self) -> int:
+        """How many members."""
+        return self.problem.members
+
+    @property
+    def size(self) -> int:
+        """How many members walk at a time."""
+        return default_batch_size(self.rows, self.problem.scenario.steps)
+
+    def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the metrics of some members, (rows, gains)."""
+        scenario, law, drawn = self.problem.scenario, self.problem.law, self.problem.parameters
+        own = own_axes(drawn)
+        parameters = jax.tree.map(lambda value, axes: value[rows] if value.ndim > axes else value, drawn, own)
+        without = {**self.pd, PD: {"kp": scenario.control.kp, "kd": scenario.control.kd}}
+        walkers: list[Any] = [(scenario, law, gains) for gains in self.gains.values()]
+        walkers += [(under_pd(scenario), None, gains) for gains in without.values()]
+        found = []
+        for place, whose, gains in walkers:
+            how = {**self.problem.walks, "law": whose, "dtype": np.float32, "smooth": True}
+            found.append(mc.rollout_metrics(place, _single(place, whose, gains), parameters, **how))
+        names = self.problem.metrics.names
+        return {name: np.concatenate([each[name] for each in found], axis=1) for name in names}
+
+    def name(self, row: int) -> str:
+        """Return a member in words."""
+        return f"member {row}"
+
+    def dataset(self, arrays: Mapping[str, np.ndarray]) -> xr.Dataset:
+        """Return what all rows gave, labelled, with what was drawn."""
+        problem, scenario, members = self.problem, self.problem.scenario, self.problem.members
+        assert problem.ensemble is not None
+        data: dict[str, Any] = {
+            m.name: (("gains", "member"), arrays[m.name].T, dataset.metric_attributes(m)) for m in problem.metrics
+        }
+        for name, (values, units, text) in _drawn(problem).items():
+            values = np.broadcast_to(np.reshape(values, -1), members)
+            data[name] = ("member", values, {"units": units, "long_name": text})
+        attrs: dict[str, Any] = {"title": "gains on the walks of an ensemble", **dataset.provenance(scenario)}
+        attrs["ensemble"] = problem.ensemble.to_yaml()
+        attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
+        return xr.Dataset(data, {"gains": [*self.gains, *self.pd, PD], "member": np.arange(members)}, attrs)
+
+    def result(self, arrays: Mapping[str, np.ndarray]) -> Judged:
+        """Return what all rows gave."""
+        return Judged(self.dataset(arrays), self.problem, ensemble=self.ensemble)
+
+    def identity(self) -> dict[str, Any]:
+        """Return all that determines the numbers of a row, bit by bit."""
+        values = {
+            name: {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
+            for name, gains in self.gains.items()
+        }
+        return {"kind": KIND, **identity_of(self.problem), "gains": values, "batch_size": self.size}
+
+    def write_asked(self, folder: Path) -> None:
+        """Write scenario, law, ensemble and gains for `read_asked`."""
+        from tuning.output.folder import write_config
+
+        assert self.ensemble is not None
+        write_config(self.problem.scenario, folder, self.problem.law, self.problem.metrics)
+        dataset.write_text_atomically(folder / "ensemble.yaml", self.ensemble.to_yaml())
+        for number, own in enumerate(self.gains.values()):
+            gains_file.save(own, folder / f"gains-{number}.yaml", "evaluated in this folder", self.problem.law)
+
+
+def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable) -> Draw:
+    """Return the walks that a shard is of, from what `Draw.write_asked` left in its folder."""
+    gains = {
+        name: gains_file.load(kept.folder / f"gains-{number}.yaml", law)
+        for number, name in enumerate(kept.identity["gains"])
+    }
+    ensemble = Ensemble.load(kept.folder / "ensemble.yaml")
+    problem = Problem(scenario, law=law, metrics=metrics, engine=kept.identity["engine"])
+    return through(problem, gains, fresh(ensemble), asked=ensemble)
+
+
+def draw_of(problem: Problem, gains: Mapping[str, AnyGains], ensemble: Ensemble, members: int = MEMBERS) -> Draw:
+    """Return what `judge` walks, whose arguments these are.
+
+    Raises:
+        ConfigError: an ensemble that the scenario does not allow.
+    """
+    asked = ensemble.model_copy(update={"members": members})
+    own = problem.law or gains_of(problem.scenario)
+    return through(problem, {**gains, "config": own}, fresh(asked), asked=asked)
+
+
+def fresh(ensemble: Ensemble) -> Ensemble:
+    """Return the ensemble whose members no search of the given one has seen."""
+    return ensemble.model_copy(update={"seed": ensemble.seed + FRESH_SEED})
+
+
+def through(
+    problem: Problem,
+    gains: Mapping[str, AnyGains],
+    ensemble: Ensemble,
+    pd: Mapping[str, AnyGains] = MappingProxyType({}),
+    asked: Ensemble | None = None,
+) -> Draw:
+    """Return the walks of gains by name, of further joint gains of pd, and of pd through an ensemble.
+
+    Raises:
+        ConfigError: an ensemble that the scenario does not allow.
+    """
+    drawn = ensembles.draw(problem.scenario, ensemble)
+    walked = dataclasses.replace(problem, parameters=drawn, members=ensemble.members, ensemble=ensemble)
+    return Draw(walked, gains, pd, asked)
+
+
+def _single(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> dict[str, np.ndarray]:
+    """Return gains as a batch of one (1, ...), by name, the joint loop's among them."""
+    one = resolve_in(scenario, law_of(scenario) if law is None else law, gains, None, np.float64)
+    values = {name: getattr(one.law, name) for name in one.law.GAINS}
+    values |= {name: getattr(one.parameters, name) for name in ("kp", "kd")}
+    return {name: value[None] for name, value in values.items()}
+
+
+def _drawn(problem: Problem) -> dict[str, tuple[np.ndarray, str, str]]:
+    """Return what is said of each member: values, unit and words."""
+    parameters = problem.parameters
+    assert parameters is not None and problem.ensemble is not None
+    drawn = {
+        "cargo_mass": (parameters.cargo_mass, "kg", "mass of the cargo"),
+        "contact_stiffness": (parameters.contact_stiffness, "N/m", "contact stiffness"),
+        "mass_scale": (parameters.mass_scale, "1", "scale of the robot's masses and inertias"),
+        "gravity": (np.linalg.norm(parameters.gravity, axis=-1), "m/s^2", "gravity"),
+        "largest_push": (np.linalg.norm(parameters.push_force, axis=-1).max(-1, initial=0.0), "N", "largest push"),
+    }
+    if problem.ensemble.hardware is None:
+        return drawn
+    return drawn | {
+        "force_delay": (parameters.force_delay, "s", "delay of the force sensors"),
+        "command_delay": (parameters.command_delay, "s", "delay of the commands"),
+        "control_period": (parameters.control_period, "s", "control period"),
+        "force_noise": (parameters.force_noise, "N", "noise of the force sensors"),
+        "coulomb_friction": (parameters.coulomb_friction, "N m", "dry friction"),
+        "armature": (parameters.armature, "kg m^2", "armature"),
+    }
+
+
+def failed(walks: xr.Dataset) -> xr.DataArray:
+    """Return which walks would lose a gripper, or diverge, dimensions (`gains`, `member`)."""
+    lost: xr.DataArray = walks["peak_pull_force"] > walks.attrs["holding_limit"]
+    return lost | walks["diverged"].astype(bool)
+
+
+def plain(summed: xr.Dataset, metrics: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the share of walks that failed, mean and worst of some metrics by the names of the gains."""
+    return {
+        name: {
+            "failed": float(summed["failed"].sel(gains=name)),
+            **{s: {m: float(summed[m].sel(gains=name, statistic=s)) for m in metrics} for s in ("mean", "worst")},
+        }
+        for name in summed["gains"].values.tolist()
+    }
+
+
+def failed_in_words(summed: xr.Dataset) -> str:
+    """Return "would lose a gripper, or diverge: mine 0%, pd 3%"."""
+    lost = zip(summed["gains"].values.tolist(), summed["failed"].values, strict=True)
+    return "would lose a gripper, or diverge: " + ", ".join(f"{name} {share:.0%}" for name, share in lost)
+
+
+def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
+    """Return mean and worst of every metric, dimensions (`statistic`, `gains`), and the share of walks that failed.
+
+    Both are over the members in which nothing diverged; the worst is the mean over the worst `share` of them, for each
+    metric by itself. `failed` is the share of all members.
+
+    Raises:
+        ConfigError: some gains diverge in each member.
+    """
+    held = walks.isel(member=~walks["diverged"].astype(bool).any("gains").values)
+    if not held.sizes["member"]:
+        raise ConfigError("ensemble: expected a member of the draw in which nothing diverges, got none")
+    data: dict[str, Any] = {}
+    for name in [str(n) for n, v in walks.data_vars.items() if "larger_is_better" in v.attrs and n not in FAILURES]:
+        values = held[name].transpose("member", "gains").values.astype(float)
+        worst = ensembles.worst_mean(values, share, larger_is_better=dataset.larger_is_better(walks[name]))
+        data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), walks[name].attrs)
+    about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
+    data["failed"] = ("gains", failed(walks).mean("member").values, about)
+    attrs = {**walks.attrs, "worst_share": share, "members_compared": held.sizes["member"]}
+    return xr.Dataset(data, {"statistic": ["mean", "worst"], "gains": walks["gains"].values}, attrs)

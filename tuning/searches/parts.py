@@ -1,0 +1,184 @@
+"""Finished parts of a long computation, kept in a folder: what is interrupted goes on where it stopped."""
+
+import contextlib
+import hashlib
+import importlib.metadata
+import io
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Self
+
+import jax
+import numpy as np
+import yaml
+
+import mjx_climb as mc
+from mjx_climb.execution.contents import identity
+from mjx_climb.files import scenario_files
+from mjx_climb.files.dataset import PACKAGES
+from mjx_climb.files.writing import OutputError, write_bytes_atomically, write_text_atomically
+from mjx_climb.robot.constants import model_path
+from tuning.problem.evaluation import Problem
+
+FOLDER = "parts"
+IDENTITY = "identity.json"
+_DIGEST = 64  # characters
+
+
+class Parts:
+    """The parts that belong to one computation; in a `with` block they are saved beside what goes on in it.
+
+    Where `out` is None nothing is kept.
+    """
+
+    def __init__(self, out: Path | None, identity: Mapping[str, Any] | Callable[[], Mapping[str, Any]]):
+        """Claim `out`/parts for the computation that `identity` (plain JSON values) determines bit by bit.
+
+        Raises:
+            OutputError: the folder cannot be written, or holds parts of another computation.
+        """
+        self.out, self._disk, self._saving = out, None, None
+        if out is None:
+            return
+        self.folder = Path(out) / FOLDER
+        self._identity = json.dumps(identity() if callable(identity) else identity)
+        wanted = json.loads(self._identity)
+        stored = identity_in(self.folder)
+        if stored is not None and stored != wanted:
+            differs = ", ".join(differences(stored, wanted)) or "its keys"
+            raise OutputError(
+                f"{out}: expected no unfinished sweep but this one, got another that differs in {differs} "
+                f"(repeat its command to finish it, remove {self.folder}, or choose another --out)"
+            )
+        if stored is None:
+            sealed = {"sha256": _digest(self._identity), "of": wanted}
+            write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
+
+    _disk: ThreadPoolExecutor | None
+    _saving: Future[None] | None
+
+    def __enter__(self) -> Self:
+        self._disk = ThreadPoolExecutor(1)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Wait until all is saved, whatever ended the block; what went wrong then is raised where nothing else is."""
+        assert self._disk is not None
+        self._disk.shutdown()
+        saving, self._disk, self._saving = self._saving, None, None
+        if saving is not None and kind is None:
+            saving.result()
+
+    def load(self, number: int) -> dict[str, np.ndarray] | None:
+        """Return a part, None where it is not there, is damaged, or is another part or one of something else."""
+        if self.out is None:
+            return None
+        try:
+            content = self._file(number).read_bytes()
+        except OSError:
+            return None
+        if content != self._sealed(number, content[: -_DIGEST - 2] + b"\0\0"):
+            return None
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return dict(arrays)
+
+    def save(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep a part: it is there as a whole or not at all. In a `with` block this returns before it is there.
+
+        Raises:
+            OutputError: this part, or in a `with` block the one before it, cannot be written.
+        """
+        if self.out is None:
+            return
+        if self._disk is None:
+            self._write(number, arrays)
+            return
+        if self._saving is not None:
+            saving, self._saving = self._saving, None
+            saving.result()
+        self._saving = self._disk.submit(self._write, number, arrays)
+
+    def _write(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
+        buffer = io.BytesIO()
+        contents: dict[str, Any] = dict(arrays)
+        np.savez(buffer, **contents)
+        write_bytes_atomically(self._file(number), self._sealed(number, buffer.getvalue()))
+
+    def _file(self, number: int) -> Path:
+        return self.folder / f"part-{number:06d}.npz"
+
+    def _sealed(self, number: int, archive: bytes) -> bytes:
+        """Return an archive without a comment with the digest of it, its number and its computation as its comment."""
+        seal = _digest(self._identity, str(number), archive)
+        return archive[:-2] + _DIGEST.to_bytes(2, "little") + seal.encode()
+
+
+def clear(out: Path) -> None:
+    """Remove the parts of a computation whose result has been written."""
+    shutil.rmtree(Path(out) / FOLDER, ignore_errors=True)
+
+
+def identity_of(problem: Problem, packages: Mapping[str, str] = PACKAGES) -> dict[str, Any]:
+    """Return all that determines the walks of a problem, bit by bit, as plain JSON values.
+
+    Shipped metrics go by their names, as they change with the version; parameters that were drawn, by their ensemble.
+    `packages` are names of distributions by what they are called here.
+
+    Raises:
+        Unidentifiable: something of the user's own that cannot be told from another.
+    """
+    versions: dict[str, str | None] = dict.fromkeys(packages)
+    for name, distribution in packages.items():
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[name] = importlib.metadata.version(distribution)
+    drawn = problem.ensemble
+    parameters = problem.parameters if drawn is None else None
+    own = {"law": problem.law, "objective": problem.own_objective, "parameters": parameters}
+    return {
+        "scenario": yaml.safe_load(scenario_files.identity(problem.scenario)),
+        **{name: None if value is None else identity(value, name) for name, value in own.items()},
+        "ensemble": None if drawn is None else drawn.model_dump(mode="json"),
+        "metrics": [
+            m.name if m in mc.METRICS else f"{m.name} {identity(m, f'metric {m.name}')}" for m in problem.metrics
+        ],
+        "engine": problem.engine,
+        "platform": jax.default_backend(),
+        "robot_model": hashlib.sha256(model_path(problem.scenario.robot).read_bytes()).hexdigest(),
+        "versions": versions,
+    }
+
+
+def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """Return the keys that differ, and where they hold mappings of the same keys which of these, as axes.damping."""
+    found = []
+    for key, value in wanted.items():
+        other = stored.get(key)
+        if isinstance(value, Mapping) and isinstance(other, Mapping) and set(value) == set(other):
+            found += [f"{key}.{inner}" for inner in differences(other, value)]
+        elif other != value:
+            found.append(key)
+    return found
+
+
+def identity_in(folder: Path) -> dict[str, Any] | None:
+    """Return the identity that the parts in a folder have: None where there is none, empty where it is damaged."""
+    try:
+        stored = json.loads((folder / IDENTITY).read_text())
+        found = stored["of"]
+        whole = isinstance(found, dict) and stored["sha256"] == _digest(json.dumps(found))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return {}
+    return found if whole else {}
+
+
+def _digest(*contents: str | bytes) -> str:
+    """Return a digest of some contents, of length `_DIGEST`."""
+    digest = hashlib.sha256()
+    for content in contents:
+        digest.update((content.encode() if isinstance(content, str) else content) + b"\n")
+    return digest.hexdigest()

@@ -1,0 +1,122 @@
+"""Rounds of a search: batches of points are evaluated, kept on disk, recorded and reported.
+
+A method is a generator: it yields the points that it wants evaluated and receives what they are worth. It is
+deterministic, so a search that was killed goes on by running its method again from the start on the rounds that its
+folder holds, without walking them: the result is that of an undisturbed search, bit by bit.
+"""
+
+from collections.abc import Callable, Generator
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from mjx_climb.files.writing import OutputError
+from mjx_climb.walk.metrics import PREFIX
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.searches.methods.task import Request, check_request
+from tuning.searches.parts import Parts
+
+_Returned = TypeVar("_Returned")
+
+
+class Progress(NamedTuple):
+    """How far a search has come."""
+
+    rounds: int
+    rounds_in_all: int  # 0 where the method does not say
+    phase: str
+    best: float  # value of the best feasible point, NaN while there is none
+    gradient_norm: float  # at the best point of the last round, NaN without gradients
+    alive: int
+    batch: int
+    env_steps: int
+    walked: bool  # False for a round that was found on disk
+
+
+Callback = Callable[[Progress], None]
+
+
+def follow(points: Generator[Request, Evaluation, _Returned], evaluate: Callable[[Request], Evaluation]) -> _Returned:
+    """Run a method, or a part of one, to its end, and return what it returns."""
+    try:
+        request = next(points)
+        while True:
+            found = evaluate(request)
+            request = points.send(found)
+    except StopIteration as end:
+        returned: _Returned = end.value
+        return returned
+
+
+class Rounds:
+    """Evaluates batches; those that `parts` hold from an interrupted run of the same thing are not walked."""
+
+    def __init__(self, in_all: int, parts: Parts, progress: Callback | None = None):
+        self.done, self.in_all, self.env_steps, self.best = 0, in_all, 0, np.inf
+        self._parts, self._progress = parts, progress
+        self._columns: dict[str, list[np.ndarray]] = {}
+
+    @property
+    def evaluated(self) -> dict[str, np.ndarray]:
+        """Every point evaluated so far, in order: the columns of `tuning.searches.result.Tuned.data`."""
+        return {name: np.concatenate(values) for name, values in self._columns.items()}
+
+    def evaluate(self, problem: Problem, request: Request) -> Evaluation:
+        """Return what some points are worth.
+
+        Raises:
+            ConfigError: a request that holds no points of the problem's space.
+            OutputError: the round cannot be kept, or the folder holds another one in its place.
+        """
+        check_request(request, problem.space.size)
+        stored = self._parts.load(self.done)
+        if stored is None:
+            found = problem.evaluate(request.theta, request.directions)
+            self._parts.save(self.done, _stored(found, request.theta))
+        else:
+            found = self._restored(stored, request.theta)
+        self.env_steps += problem.env_steps(len(request.theta), request.tangents)
+        self._record(request, found)
+        self.done += 1
+        if self._progress is not None:
+            norm = float(self._columns["gradient_norm"][-1][np.argmin(found.merit)])
+            best, alive = self.best if np.isfinite(self.best) else np.nan, int(found.alive.sum())
+            spent, walked, batch = self.env_steps, stored is None, len(request.theta)
+            now = Progress(self.done, self.in_all, request.phase, best, norm, alive, batch, spent, walked)
+            self._progress(now)
+        return found
+
+    def _record(self, request: Request, found: Evaluation) -> None:
+        count = len(request.theta)
+        columns: dict[str, Any] = {name: getattr(found, name) for name in ("value", "descent", "penalty", "feasible")}
+        columns |= {"theta": np.asarray(request.theta, float), "row": np.arange(count)}
+        columns["gradient_norm"] = (
+            np.linalg.norm(found.gradient, axis=1) if request.tangents else np.full(count, np.nan)
+        )
+        for name, value in (("round", self.done), ("phase", request.phase), ("env_steps", self.env_steps)):
+            columns[name] = np.full(count, value)
+        columns |= {name: values for name, values in found.metrics.items() if not name.startswith(PREFIX)}
+        for name, values in columns.items():
+            self._columns.setdefault(name, []).append(values)
+        self.best = float(np.nanmin([self.best, *found.value[found.feasible]]))
+
+    def _restored(self, stored: dict[str, np.ndarray], theta: np.ndarray) -> Evaluation:
+        """Return what `_stored` took."""
+        if not np.array_equal(stored["theta"], theta):
+            out = self._parts.out
+            raise OutputError(
+                f"{out}: expected the rounds of this search, got others (remove {out}/parts to start again)"
+            )
+        metrics = {name.removeprefix("metric_"): v for name, v in stored.items() if name.startswith("metric_")}
+        fields: dict[str, Any] = {name: stored[name] for name in Evaluation._fields[:-1]}
+        return Evaluation(**fields, metrics=metrics)
+
+
+def _stored(found: Evaluation, theta: np.ndarray) -> dict[str, np.ndarray]:
+    """Return an evaluated batch as named arrays."""
+    *arrays, metrics = found
+    return {
+        "theta": theta,
+        **dict(zip(Evaluation._fields, arrays, strict=False)),
+        **{f"metric_{name}": value for name, value in metrics.items()},
+    }

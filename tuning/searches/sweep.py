@@ -1,0 +1,304 @@
+"""Grid search: every pair of values of two gains, the same on all axes, in batches of one program: `tuning.sweep`."""
+
+import dataclasses
+import math
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, DTypeLike
+
+import mjx_climb as mc
+from mjx_climb.control import law_of
+from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.execution import devices
+from mjx_climb.files.dataset import larger_is_better, sweep_dataset
+from mjx_climb.rollouts.histories import LINES, stretches
+from mjx_climb.rollouts.resolve import AnyGains
+from tuning.gains import gains_file
+from tuning.gains.gains_file import replaced
+from tuning.problem.evaluation import Problem
+from tuning.problem.spaces import JOINT
+from tuning.searches.parts import identity_of
+from tuning.searches.result import Result
+from tuning.searches.shards import Counted, Kept, Rows
+
+Axes = Mapping[str, ArrayLike]  # two gains by name
+
+KIND = "sweep"  # of shards
+MOST = 10**9  # walks: their metrics alone are some 80 GB
+HISTORIES = 256  # walks up to which a grid keeps time histories
+GAINS_FILE = "gains.yaml"  # beside a shard
+
+# robots per part and environment steps per part: some seconds on two cores, and on one accelerator
+_CPU = (64, 1024, 4_000_000)
+_ACCELERATOR = (1024, 262_144, 3_000_000_000)
+
+
+@dataclasses.dataclass(frozen=True)
+class Swept(Result):
+    """A grid of walks over two gains; `gains` are those in place of the scenario's or the law's own, where given.
+
+    `data` holds the metrics over both gains. A grid of up to `HISTORIES` walks keeps time histories as well: for each
+    name in `mjx_climb.rollouts.histories.LINES` the least and the largest value in each stretch of time, over both
+    gains, extreme and stretch.
+    """
+
+    FILE = "sweep.nc"
+    KIND = "sweep"
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of both gains, that of the horizontal axis first."""
+        return tuple(str(name) for name in self.data["diverged"].dims)
+
+    def walker(self, gains: AnyGains | None = None) -> tuple[mc.Scenario, mc.Law | None]:
+        """Return scenario and law of the grid, with further gains in place of theirs."""
+        walked = self.scenario, self.problem.law
+        for each in (self.gains, gains):
+            walked = walked if each is None else replaced(*walked, each)
+        return walked
+
+
+def sweep(
+    scenario: mc.Scenario,
+    axes: Axes,
+    *,
+    law: mc.Law | None = None,
+    gains: AnyGains | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    dtype: DTypeLike = np.float32,
+    batch_size: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    progress: Counted | None = None,
+) -> Swept:
+    """Simulate a grid of two gains, the same on all axes of one walk.
+
+    `sweep(scenario, {"stiffness": k, "damping": d}, out="results/mine").write("results/mine")` is `mjx-climb sweep`.
+
+    Arguments:
+        scenario: what walks where.
+        axes: a list of values for each of two gains of the law, SI units; that of the horizontal axis first.
+        law: the control law, the scenario's where None.
+        gains: in place of the scenario's or the law's own, for those that are not swept, and for a further walk to
+            compare with.
+        metrics: of the walks, as `mjx_climb.METRICS + (mine,)`.
+        engine: the dynamics, one of `mjx_climb.ENGINES`.
+        dtype: precision of the simulation.
+        batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
+        out: a folder that keeps each finished part, so that an interrupted sweep goes on from there, bit by bit. The
+            parts stay until the result is written there, or `tuning.searches.parts.clear(out)`.
+        progress: called with the number of walks done and the number in all: first with what `out` holds already,
+            then after each part.
+
+    Raises:
+        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
+        OutputError: `out` cannot be written, or holds an unfinished sweep of something else.
+    """
+    problem = Problem(
+        scenario, law=law, metrics=mc.MetricTable(metrics), engine=engine, dtype=np.dtype(dtype).type
+    )  # fmt: skip
+    grid = grid_of(problem, axes, gains, batch_size)
+    return grid.result(Rows(grid, out).walk(progress))
+
+
+def sweep_shard(
+    scenario: mc.Scenario,
+    axes: Axes,
+    shard: tuple[int, int],
+    *,
+    out: str | os.PathLike[str],
+    gains: AnyGains | None = None,
+    batch_size: int | None = None,
+    progress: Counted | None = None,
+    **walks: Any,
+) -> Path:
+    """Simulate a shard of what `sweep` does, for `merge`; `mjx-climb sweep --shard 3/16`.
+
+    The arguments that are not listed, `walks` among them, are those of `sweep`.
+
+    Arguments:
+        shard: which one, from 1, and how many there are.
+        out: the folder below which all shards are kept, each in a folder of its own. A shard that was interrupted goes
+            on from there.
+        progress: called with the number of walks of the shard that are done, and the number of its walks.
+
+    Returns:
+        The shard's own folder.
+
+    Raises:
+        ConfigError: no such shard, or more shards than walks.
+        ValueError, OutputError: as of `sweep`.
+    """
+    walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
+    grid = grid_of(Problem(scenario, **walks), axes, gains, batch_size)
+    rows = Rows(grid, out, shard, {"again": "the same call of tuning.sweep_shard for {shard}"})
+    rows.walk(progress)
+    return Path(rows.folder or out)
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """What a sweep walks; `grid_of` makes one. A row is one pair of gains."""
+
+    problem: Problem
+    gains: AnyGains | None  # in place of the scenario's or the law's own
+    walked: Problem  # with these
+    axes: Mapping[str, np.ndarray]
+    size: int  # robots that walk at a time
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many values each axis has."""
+        return tuple(values.size for values in self.axes.values())
+
+    @property
+    def rows(self) -> int:
+        """How many walks."""
+        return math.prod(self.shape)
+
+    def _values(self, rows: np.ndarray | int) -> dict[str, np.ndarray]:
+        places = np.unravel_index(rows, self.shape)
+        return {name: own[place] for (name, own), place in zip(self.axes.items(), places, strict=True)}
+
+    def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the metrics of some rows, and their time histories where they are kept."""
+        walked = self.walked
+        lengths = (walked.law or law_of(walked.scenario)).AXES
+        gains = {name: own[:, None] if lengths.get(name) else own for name, own in self._values(rows).items()}
+        walk = mc.rollout_histories if self.rows <= HISTORIES else mc.rollout_metrics
+        return walk(walked.scenario, gains, dtype=walked.dtype, **walked.walks)
+
+    def name(self, row: int) -> str:
+        """Return a pair of gains in words."""
+        return " ".join(f"{name} {value:.4g}" for name, value in self._values(row).items())
+
+    def result(self, arrays: Mapping[str, np.ndarray]) -> Swept:
+        """Return what all rows gave, labelled, over both gains."""
+        walked, metrics = self.walked, self.walked.metrics
+        cells = {name: value.reshape(*self.shape, *value.shape[1:]) for name, value in arrays.items()}
+        labelled: dict[str, np.ndarray | xr.DataArray] = dict(self.axes)
+        for name, field in ({} if walked.law is None else walked.law.GAINS).items():
+            if name in labelled:
+                about = {"units": field.unit, "long_name": field.long_name or name.replace("_", " ")}
+                labelled[name] = xr.DataArray(self.axes[name], dims=name, attrs=about)
+        data = sweep_dataset({name: cells[name] for name in metrics.names}, labelled, walked.scenario, metrics)
+        data = data.assign(_histories(cells, walked.scenario, tuple(self.axes)))
+        data = data.assign_attrs(engine=walked.engine, dtype=np.dtype(walked.dtype).name, batch_size=self.size)
+        return Swept(data, self.problem, gains=self.gains)
+
+    def identity(self) -> dict[str, Any]:
+        """Return all that determines the numbers of a sweep, bit by bit."""
+        return {
+            "kind": KIND,
+            **identity_of(self.walked),
+            "axes": {name: values.tolist() for name, values in self.axes.items()},
+            "dtype": np.dtype(self.walked.dtype).name,
+            "batch_size": self.size,
+            "histories": self.rows <= HISTORIES,
+        }
+
+    def write_asked(self, folder: Path) -> None:
+        """Write scenario, law and gains for `read_asked`."""
+        from tuning.output.folder import write_config
+
+        write_config(self.problem.scenario, folder, self.problem.law, self.problem.metrics)
+        if self.gains is not None:
+            gains_file.save(self.gains, folder / GAINS_FILE, "of the sweep in this folder", self.problem.law)
+
+
+def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable) -> Grid:
+    """Return the grid that a shard is of, from what `Grid.write_asked` left in its folder."""
+    file, asked = kept.folder / GAINS_FILE, kept.identity
+    gains = gains_file.load(file, law) if file.is_file() else None
+    dtype = np.dtype(asked["dtype"]).type
+    problem = Problem(scenario, law=law, metrics=metrics, engine=asked["engine"], dtype=dtype)
+    return grid_of(problem, asked["axes"], gains, asked["batch_size"])
+
+
+def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_size: int | None = None) -> Grid:
+    """Return what `sweep` walks, whose arguments these are.
+
+    Raises:
+        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
+    """
+    own = law_of(problem.scenario) if problem.law is None else problem.law
+    if not own.GAINS:
+        raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
+    known = [*own.GAINS, *JOINT]
+    for name in axes:
+        if name not in known:
+            raise ValueError(f"axes.{name}: expected a gain of the law, one of {', '.join(known)}")
+    if len(axes) != 2:
+        raise ValueError(f"axes: expected two gains, got {len(axes)}")
+    lists = {name: np.asarray(values, float) for name, values in axes.items()}
+    for name, values in lists.items():
+        if values.ndim != 1 or not values.size or not (np.isfinite(values).all() and (values > 0).all()):
+            raise ValueError(f"{name}: expected a list of finite numbers above 0")
+    if (walks := math.prod(values.size for values in lists.values())) > MOST:
+        raise ValueError(f"axes: expected at most {MOST} walks in all, got {walks}")
+    devices.check_batch_size(batch_size)
+    walked = problem
+    if gains is not None:
+        scenario, law = replaced(problem.scenario, problem.law, gains)
+        walked = dataclasses.replace(problem, scenario=scenario, law=law)
+    return Grid(problem, gains, walked, lists, batch_size or default_batch_size(walks, problem.scenario.steps))
+
+
+def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:
+    """Return how many robots walk at a time: equal parts of a few seconds each, so that progress is seen and kept.
+
+    Arguments:
+        walks: in all.
+        steps: of one walk.
+        platform: "cpu" or an accelerator's name; JAX's default where None.
+    """
+    least, most, budget = _CPU if (platform or jax.default_backend()) == "cpu" else _ACCELERATOR
+    parts = math.ceil(walks / min(max(budget // steps, least), most))
+    return math.ceil(walks / parts)
+
+
+def expected_duration(walks: int, steps: int, platform: str) -> float:
+    """Return about how long some walks take, in s, by the rates that docs/performance.md measured."""
+    rate = 2.2e6 * devices.usable_cores() if platform == "cpu" else 1e9  # environment steps a second
+    return walks * steps / rate
+
+
+def _histories(
+    arrays: Mapping[str, np.ndarray], scenario: mc.Scenario, axes: tuple[str, ...]
+) -> dict[str, xr.DataArray]:
+    """Return the time histories among the arrays, labelled; their coordinate `stretch` says when each one starts."""
+    count, steps = stretches(scenario.steps)
+    start = np.arange(count) * steps * scenario.time_step
+    coords = {
+        "extreme": ["least", "largest"],
+        "stretch": ("stretch", start, {"units": "s", "long_name": "start of a stretch of time"}),
+    }
+    dims = (*axes, "extreme", "stretch")
+    return {
+        name: xr.DataArray(arrays[name], coords, dims, attrs={"units": unit, "long_name": text})
+        for name, (unit, text, _) in LINES.items()
+        if name in arrays
+    }
+
+
+def holding(data: xr.Dataset, metric: str) -> xr.DataArray:
+    """Return a metric of those walks that neither let go nor diverge, NaN elsewhere."""
+    return data[metric].where((data["detached_limb"] < 0) & ~data["diverged"].astype(bool))
+
+
+def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset | None:
+    """Return the cell with the least `metric` among those that neither let go nor diverge, None where all fail.
+
+    The result has no axes; its coordinates are the best gains. Margins and other metrics that should be large are
+    maximised.
+    """
+    values = holding(data, metric)
+    if not np.isfinite(values).any():
+        return None
+    return data.isel((-values if larger_is_better(data[metric]) else values).argmin(dim=...))
