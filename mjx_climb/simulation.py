@@ -210,9 +210,9 @@ class Simulation:
         """Walk a batch of robots and return metrics as `metrics` does, and some histories over time beside them.
 
         Returns:
-            The metrics, and by the names of `rollouts.histories.LINES` arrays (*batch, 2, stretches) in their units:
-            the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the state
-            stopped being finite.
+            The metrics, and arrays (*batch, 2, stretches), by the names of `rollouts.histories.LINES`, in their units.
+            These are the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the
+            state stopped being finite.
         """
         resolved = self._resolved(gains, parameters, dtype)
         found: dict[str, np.ndarray] = self._run(histories_of, resolved, batch_size=batch_size, progress=progress)
@@ -318,8 +318,8 @@ class Simulation:
             action: for this step, in place of the law, which then stays as it is; None: what the law commands.
 
         Returns:
-            The state after the step; and the sample, fields as in `mjx_climb.Trajectory` without the axis of time: the
-            state at the start of the step, and the forces and accelerations that act in it.
+            The state after the step, and a sample with the fields of `mjx_climb.Trajectory` without the axis of time,
+            which is the state at the start of the step, and the forces and accelerations that act in it.
         """
         after: tuple[SimulationState, Sample] = _carried_out(_step, self.structure)(state, action)
         return after

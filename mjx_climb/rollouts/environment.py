@@ -89,8 +89,8 @@ class Environment:
                 batch axes of the state. Those not given stay; so does what the law remembers.
 
         Returns:
-            The state after the step; and the sample, fields as in `mjx_climb.Trajectory` with the batch axes in place
-            of time: the state at the start of the step, and the forces and accelerations that act in it.
+            The state after the step, and a sample with the fields of `mjx_climb.Trajectory`, batch axes in place of
+            time, which is the state at the start of the step, and the forces and accelerations that act in it.
 
         Raises:
             ValueError: gains as of `reset`, or for more robots than there are.
