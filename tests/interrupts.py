@@ -1,8 +1,8 @@
-"""Commands interrupted at random instants: `python -m tests.interrupts [COMMAND ...] [--count N] [--seed N]`.
+"""Commands interrupted at random instants: `python -m tests.interrupts [COMMAND ...] [--count N] [--jobs N]`.
 
 Each command runs twice undisturbed, then again and again, and gets SIGINT or SIGTERM at an instant drawn evenly from
-that time (or from `--length S`). It must end with code 130 and one last line that says what was kept, or have come to
-its end before. Prints how the tries ended and how long the commands took to obey. `--jobs N` tries so many at a time.
+that time. It must end with code 130 and one last line that says what was kept, or have come to its end before. Prints
+how the tries ended and how long the commands took to obey.
 """
 
 import argparse
@@ -61,7 +61,7 @@ class Attempt(NamedTuple):
     took: float  # s from the signal to the end
     code: int
     kind: str  # one of FINE, or what was wrong
-    said: str  # last line on standard error
+    said: str = ""  # last line on standard error
 
 
 def prepared(folder: Path) -> dict[str, Path]:
@@ -109,13 +109,12 @@ def _attempt(command: str, after: float, name: str, given: Mapping[str, Path], f
     process.send_signal(getattr(signal, name))
     _, errors = process.communicate()
     took = time.monotonic() - since
-    lines = errors.splitlines()
-    last = lines[-1] if lines else ""
+    last = errors.splitlines()[-1:]
     kind = _kind(process.returncode, errors, last, before)
-    return Attempt(command, name, after, took, process.returncode, kind, last)
+    return Attempt(command, name, after, took, process.returncode, kind, *last)
 
 
-def _kind(code: int, errors: str, last: str, before: bool) -> str:
+def _kind(code: int, errors: str, last: list[str], before: bool) -> str:
     if before:
         return "ended before" if code == 0 else f"code {code} undisturbed"
     if "mjx-climb" not in errors and "mjx_climb" not in errors and str(ROOT / "tuning") not in errors:
@@ -129,37 +128,28 @@ def _kind(code: int, errors: str, last: str, before: bool) -> str:
         return "ended before"
     if code != 130:
         return f"code {code}"
-    return "interrupted" if last.startswith("mjx-climb: interrupted") else "no last line"
+    return "interrupted" if "".join(last).startswith("mjx-climb: interrupted") else "no last line"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=list(COMMANDS))
     parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=None)
-    parser.add_argument("--length", type=float, default=None, help="of each command, s")
     parser.add_argument("--jobs", type=int, default=1, help="tries at a time")
-    chosen = parser.parse_args()
-    rng = np.random.default_rng(chosen.seed)
-    wrong = 0
+    chosen, rng, failed = parser.parse_args(), np.random.default_rng(), 0
     with tempfile.TemporaryDirectory() as name:
         given = prepared(Path(name))
         for command in chosen.commands:
             folder = Path(tempfile.mkdtemp(dir=name))
-            length = chosen.length or undisturbed(command, given, folder)
+            length = undisturbed(command, given, folder)
             tries = attempts(command, rng.uniform(0, length, chosen.count), rng, given, folder, chosen.jobs)
-            wrong += _told(command, length, tries)
-    sys.exit(wrong > 0)
-
-
-def _told(command: str, length: float, tries: list[Attempt]) -> int:
-    """Print how a command's tries ended, and return how many ended wrong."""
-    took = [attempt.took for attempt in tries if attempt.kind == "interrupted"] or [0.0]
-    kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(attempt.kind for attempt in tries).items())
-    obeyed = f"to the end {np.median(took):.2f} s in the median, {max(took):.2f} s at most"
-    wrong = [attempt for attempt in tries if attempt.kind not in FINE]
-    print(f"{command}, {length:.1f} s: {kinds}; {obeyed}", *wrong, sep="\n  ", flush=True)
-    return len(wrong)
+            took = [attempt.took for attempt in tries if attempt.kind == "interrupted"] or [0.0]
+            wrong = [attempt for attempt in tries if attempt.kind not in FINE]
+            obeyed = f"to the end {np.median(took):.2f} s in the median, {max(took):.2f} s at most"
+            kinds = dict(Counter(attempt.kind for attempt in tries))
+            print(f"{command}, {length:.1f} s: {kinds}; {obeyed}", *wrong, sep="\n  ", flush=True)
+            failed += len(wrong)
+    sys.exit(failed > 0)
 
 
 if __name__ == "__main__":
