@@ -1,5 +1,6 @@
 """A robot's own MJCF or URDF as its author wrote it, without what the dynamics do not need."""
 
+import collections
 import re
 import warnings
 from collections.abc import Collection
@@ -8,16 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.file_lines import line_in, line_of, line_with, repeated
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
 FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
 SPECK = 1e-10  # kg, of links without a mass, as many a file has them between two joints
 SPECK_MOMENT = 1e-14  # kg m^2, of these and of points: MuJoCo wants some, and an insect's leg has 1e-11
+_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # of an inertia, as MuJoCo writes it in a row
 _ROUNDING = 1e-6  # of the largest moment of inertia
 _POSITIONS = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}  # in a keyframe; of others 1
 _TURNED = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)  # by an actuator: a joint
+_OF_ACTUATORS = ("gaintype", "gainprm", "biastype", "forcerange", "forcelimited", "ctrlrange", "ctrllimited")
 _SIZES = {  # numbers that a plain shape's size has, and how many where its ends are given
     mujoco.mjtGeom.mjGEOM_SPHERE: (1, 1),
     mujoco.mjtGeom.mjGEOM_CAPSULE: (2, 1),
@@ -25,6 +27,10 @@ _SIZES = {  # numbers that a plain shape's size has, and how many where its ends
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: (3, 2),
     mujoco.mjtGeom.mjGEOM_BOX: (3, 2),
 }
+_INCLUDE = re.compile(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)[\"'][^>]*?(?:/>|>\s*</include\s*>)")
+_ROOT = re.compile(r"<\?.*?\?>|</?\s*mujoco(?:include)?\b[^>]*>")
+_NUMBER = re.compile(r"[Ll]ine (?:number=)?(\d+)")
+_NAME = r"[^<>]*?\bname\s*=\s*[\"']"
 _DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes", "hfields")
 
 
@@ -35,33 +41,27 @@ class RobotError(ValueError):
 def described(file: str, looks: bool = False) -> mujoco.MjSpec:
     """Return the description in a file, with a name for every body and joint and hinges in place of ball joints.
 
-    Of a URDF without what is only looked at, unless with `looks`.
-
     A body without a name is called after its parent and its place among the children, a joint after its body. A ball
-    joint `hip` becomes hinges `hip_x`, `hip_y`, `hip_z` about the body's own axes.
+    joint `hip` becomes hinges `hip_x`, `hip_y`, `hip_z` about the body's own axes. What a URDF has only to be looked
+    at is left out, unless with `looks`.
 
     Raises:
         RobotError: a file that MuJoCo does not read, or numbers that no joint and no body can have.
     """
     spec = _read(file, looks)
     _possible(file, spec)
-    taken = {body.name for body in spec.bodies}
+    bodies, joints = ({part.name for part in parts} for parts in (spec.bodies, spec.joints))
     for body in spec.bodies:
         for number, child in enumerate(body.bodies):
-            if not child.name:
-                child.name = _free(f"{body.name}_{number + 1}", taken)
-    taken = {joint.name for joint in spec.joints}
-    for body in spec.bodies:
+            _name(child, f"{body.name}_{number + 1}", bodies)
         for joint in body.joints:
-            if not joint.name:
-                free = joint.type == mujoco.mjtJoint.mjJNT_FREE
-                joint.name = _free(f"{body.name}_free" if free else body.name, taken)
+            _name(joint, body.name + ("_free" if joint.type == mujoco.mjtJoint.mjJNT_FREE else ""), joints)
     for ball in [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_BALL]:
         _as_hinges(spec, ball)
     return spec
 
 
-def _read(file: str, looks: bool = False) -> mujoco.MjSpec:
+def _read(file: str, looks: bool) -> mujoco.MjSpec:
     if not file.endswith((".xml", ".urdf")):
         raise RobotError(f"{file}: expected a file whose name ends in .xml or .urdf")
     text = _text(file)
@@ -113,62 +113,51 @@ def _possible(file: str, spec: mujoco.MjSpec) -> None:
         lower, upper = joint.range
         numbers = {"armature": joint.armature, "damping": joint.damping[0], "stiffness": joint.stiffness[0],
                    "frictionloss": joint.frictionloss}  # fmt: skip
+        wrong = {f"{name} of zero or more": f"{value:g}" for name, value in numbers.items() if not 0 <= value < np.inf}
+        if lower > upper and (urdf or joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE):
+            wrong = {"limits in ascending order": f"{lower:g} to {upper:g}"}
         if not np.isfinite([lower, upper]).all():
-            expected, got = "finite limits, or none", f"{lower:g} to {upper:g}"
-        elif lower > upper and (urdf or joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE):
-            expected, got = "limits in ascending order", f"{lower:g} to {upper:g}"
-        elif wrong := [name for name, value in numbers.items() if not 0 <= value < np.inf]:
-            expected, got = f"{wrong[0]} of zero or more", f"{numbers[wrong[0]]:g}"
-        else:
-            continue
-        raise RobotError(f"{line_of(file, joint.name)}: joint {joint.name!r}: expected {expected}, got {got}")
+            wrong = {"finite limits, or none": f"{lower:g} to {upper:g}"}
+        for expected, got in wrong.items():
+            raise RobotError(f"{line_of(file, joint.name)}: joint {joint.name!r}: expected {expected}, got {got}")
     for body in spec.bodies:
-        if not body.explicitinertial:
-            continue
         full = np.array(body.fullinertia)  # begins with nan where it is not given
         given = [body.mass, *(full if np.isfinite(full[0]) or full[1:].any() else body.inertia)]
-        if not np.isfinite(given).all() or body.mass < 0 or min(body.inertia) < 0:
+        if body.explicitinertial and (not np.isfinite(given).all() or body.mass < 0 or min(body.inertia) < 0):
             got = f"{given[0]:g} kg, {', '.join(f'{moment:g}' for moment in given[1:])} kg m^2"
-            place = line_of(file, body.name)
-            raise RobotError(f"{place}: link {body.name!r}: expected a mass and moments of zero or more, got {got}")
+            place = f"{line_of(file, body.name)}: link {body.name!r}"
+            raise RobotError(f"{place}: expected a mass and moments of zero or more, got {got}")
     known = {joint.name for joint in spec.joints}
     for actuator in spec.actuators:
         if actuator.trntype in _TURNED and actuator.target not in known:
-            place = line_with(file, actuator.target)
+            place = _line_with(file, actuator.target)
             raise RobotError(f"{place}: expected actuators of joints in the file, got one of {actuator.target!r}")
 
 
-def _free(name: str, taken: set[str]) -> str:
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
+def _name(part: mujoco.MjsBody | mujoco.MjsJoint, name: str, taken: set[str]) -> None:
+    if not part.name:
+        while name in taken:
+            name += "_"
+        part.name = name
+        taken.add(name)
 
 
 def _as_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> None:
-    """Put three hinges in the place of a ball joint."""
-    limit = float(ball.range[1]) if ball.range[1] > 0 else 0.0
-    how = dict(pos=ball.pos, stiffness=ball.stiffness, damping=ball.damping, armature=ball.armature)
-    name, parent, limited = ball.name, ball.parent, ball.limited
-    for actuator in spec.actuators:
-        if actuator.trntype in _TURNED and actuator.target == name:
-            _about_each_axis(spec, actuator)
+    """Put three hinges, and their actuators, in the place of a ball joint and its own."""
+    for actuator in [each for each in spec.actuators if each.trntype in _TURNED and each.target == ball.name]:
+        own = {key: getattr(actuator, key) for key in _OF_ACTUATORS}
+        for letter, gear in zip("xyz", actuator.gear[:3], strict=True):
+            if gear:
+                target = {"trntype": mujoco.mjtTrn.mjTRN_JOINT, "target": f"{ball.name}_{letter}"}
+                spec.add_actuator(**target, gear=[gear, 0, 0, 0, 0, 0], **own)
+        spec.delete(actuator)
+    own = {key: getattr(ball, key) for key in ("pos", "stiffness", "damping", "armature", "limited")}
+    if (limit := float(ball.range[1])) > 0:
+        own["range"] = [-limit, limit]
+    name, parent = ball.name, ball.parent
     spec.delete(ball)
     for letter, axis in zip("xyz", np.eye(3), strict=True):
-        hinge = parent.add_joint(name=f"{name}_{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, **how)
-        hinge.limited = limited
-        if limit:
-            hinge.range = [-limit, limit]
-
-
-def _about_each_axis(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
-    """Put actuators of the hinges in the place of one of a ball joint."""
-    same = ("gaintype", "gainprm", "biastype", "forcerange", "forcelimited", "ctrlrange", "ctrllimited")
-    for letter, gear in zip("xyz", actuator.gear[:3], strict=True):
-        if gear:
-            turned = {"trntype": mujoco.mjtTrn.mjTRN_JOINT, "target": f"{actuator.target}_{letter}"}
-            spec.add_actuator(**turned, gear=[gear, 0, 0, 0, 0, 0], **{key: getattr(actuator, key) for key in same})
-    spec.delete(actuator)
+        parent.add_joint(name=f"{name}_{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, **own)
 
 
 def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
@@ -185,16 +174,14 @@ def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
     """
     spec = described(file, looks=bool(shaped))
     _limit_torques(spec)
-    for part in [part for kind in _DROPPED for part in getattr(spec, kind)]:
+    tendons = [each for each in spec.equalities if each.type == mujoco.mjtEq.mjEQ_TENDON]
+    for part in [*tendons, *(part for kind in _DROPPED for part in getattr(spec, kind))]:
         spec.delete(part)
     positions = sum(_POSITIONS.get(int(joint.type), 1) for joint in spec.joints)
     for key in spec.keys:
         key.ctrl, key.act = [], []
         if len(key.qpos) not in (0, positions):  # MuJoCo would fill up what is missing
             spec.delete(key)
-    for equality in spec.equalities:
-        if equality.type == mujoco.mjtEq.mjEQ_TENDON:
-            spec.delete(equality)
     for body in spec.bodies:
         _mend(body)
     _drop_shapes(file, spec, shaped)
@@ -261,10 +248,10 @@ def impossible(body: mujoco.MjsBody) -> bool:
 
 def _mend(body: mujoco.MjsBody) -> None:
     """Make moments equal that no body can have, and lift those of points, rods and plates off what MuJoCo refuses."""
-    if not body.explicitinertial:
-        return
     moments = _moments(body)
     least, middle, most = np.linalg.eigvalsh(moments)
+    if not body.explicitinertial:
+        return
     if np.abs(moments).max() <= SPECK_MOMENT:
         mended = SPECK_MOMENT * np.eye(3)
     elif impossible(body):
@@ -274,26 +261,27 @@ def _mend(body: mujoco.MjsBody) -> None:
     else:
         return
     if np.isfinite(body.fullinertia[0]):
-        body.fullinertia = [*np.diag(mended), mended[0, 1], mended[0, 2], mended[1, 2]]
+        body.fullinertia = mended[_ROWS, _COLUMNS]
     else:
         body.inertia = np.diag(mended)
 
 
 def _moments(body: mujoco.MjsBody) -> np.ndarray:
     """Return the written inertia of a body, (3, 3) kg m^2; zeros where there is none."""
-    if not body.explicitinertial:
-        return np.zeros((3, 3))
-    xx, yy, zz, xy, xz, yz = body.fullinertia if np.isfinite(body.fullinertia[0]) else (*body.inertia, 0, 0, 0)
-    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return matrix if np.isfinite(matrix).all() else np.zeros((3, 3))
+    if np.isfinite(body.fullinertia[0]):
+        matrix = np.empty((3, 3))
+        matrix[_ROWS, _COLUMNS] = matrix[_COLUMNS, _ROWS] = body.fullinertia
+    else:
+        matrix = np.diag(body.inertia)
+    return matrix if body.explicitinertial and np.isfinite(matrix).all() else np.zeros((3, 3))
 
 
 def _limit_torques(spec: mujoco.MjSpec) -> None:
     """Write what the actuators can give, in sum, into the joints that they turn, where these have no limits."""
-    most: dict[str, float] = {}
+    most: dict[str, float] = collections.defaultdict(float)
     for actuator in spec.actuators:
         if actuator.trntype in _TURNED:
-            most[actuator.target] = most.get(actuator.target, 0.0) + _most(actuator)
+            most[actuator.target] += _most(actuator)
     for name, torque in most.items():
         joint = spec.joint(name)
         if joint.actfrcrange[1] <= 0 and 0 < torque < np.inf:
@@ -303,15 +291,13 @@ def _limit_torques(spec: mujoco.MjSpec) -> None:
 def _most(actuator: mujoco.MjsActuator) -> float:
     """Return the torque that an actuator can give, N m, both ways if it is not one that only pulls; inf: any."""
     off = mujoco.mjtLimited.mjLIMITED_FALSE
-    force, control = (np.array(range_, float) for range_ in (actuator.forcerange, actuator.ctrlrange))
+    force, control = np.array(actuator.forcerange), np.array(actuator.ctrlrange)
     direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
-    if force.any() and actuator.forcelimited != off:
-        reached = force
-    elif direct and control.any() and actuator.ctrllimited != off:
-        reached = control * actuator.gainprm[0]
-    else:
-        return np.inf
-    return one_limit(*np.sort(reached * float(actuator.gear[0])))
+    if not (force.any() and actuator.forcelimited != off):
+        if not (direct and control.any() and actuator.ctrllimited != off):
+            return np.inf
+        force = control * actuator.gainprm[0]
+    return one_limit(*np.sort(force * float(actuator.gear[0])))
 
 
 def one_limit(lower: float, upper: float) -> float:
@@ -344,16 +330,73 @@ def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise unreadable(file, error) from None
 
 
+# ------------------------------------------------------------------------------------------------------------
+# Where something stands in a file
+
+
+def _lines(file: Path, around: tuple[Path, ...] = ()) -> list[tuple[str, str]]:
+    """Return the lines of a file, and of those that it includes in their places: each line's file:number, and text."""
+    try:
+        text = file.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return []
+    found = []
+    for number, line in enumerate(text.split("\n"), 1):
+        for n, part in enumerate(_INCLUDE.split(line)):  # text, file, text, and so on
+            if n % 2 == 0:
+                found.append((f"{file}:{number}", _ROOT.sub("", part) if around else part))
+            elif (other := file.parent / part) not in (*around, file):
+                found += _lines(other, (*around, file))
+    return found
+
+
+def _first_line(file: str, *patterns: str) -> str | None:
+    """Return file:number of the line where the last group of the first pattern that is found begins."""
+    lines = _lines(Path(file))
+    text = "\n".join(line for _, line in lines)
+    found = next(filter(None, (re.search(pattern, text, re.DOTALL) for pattern in patterns)), None)
+    return found and lines[text.count("\n", 0, found.start(found.lastindex or 0))][0]
+
+
+def line_of(file: str, name: str) -> str:
+    """Return a file, and after a colon the line in which it, or one that it includes, first names an element so."""
+    named = rf"(name\s*=\s*[\"']{re.escape(name)}[\"'])"
+    return _first_line(file, r"<\s*(?:body|joint|freejoint|link|geom|site)\s[^<>]*?" + named, named) or file
+
+
+def _line_with(file: str, text: str) -> str:
+    return _first_line(file, rf"[\"']({re.escape(text)})[\"']") or file
+
+
+def _line_in(file: str, reason: str) -> str | None:
+    """Return the line that MuJoCo's reason is about; None where it tells none.
+
+    It tells 0 of what stands in an included file: the reason is then asked for again with all in one file.
+    """
+    if not (found := _NUMBER.search(reason)):
+        return None
+    if int(found[1]):
+        return f"{file}:{found[1]}"
+    lines = _lines(Path(file))
+    try:
+        mujoco.MjSpec.from_string("\n".join(text for _, text in lines)).compile()
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        again = " ".join(str(error).split())
+        found = _NUMBER.search(again)
+        if found and again.split("Element")[0] == reason.split("Element")[0] and 0 < int(found[1]) <= len(lines):
+            return lines[int(found[1]) - 1][0]
+    return None
+
+
 def unreadable(file: str, error: Exception) -> RobotError:
     """Return what MuJoCo says of a file in one line, beginning with the line of the file that it is about."""
     reason = " ".join((str(error) or "an empty one").split())
-    place = line_in(file, reason)
+    place = _line_in(file, reason)
     if place is None and (found := re.search(r"[Ee]lement name '([^']+)'", reason)):
         place = line_of(file, found[1])
     if place is None and (found := re.search(r"opening file '([^']+)'", reason)):
-        place = line_with(file, found[1])
+        place = _line_with(file, found[1])
     if place is None and "repeated URDF name" in reason:
-        place = repeated(file)
-    place = place or file
+        place = _first_line(file, rf"<\s*(link|joint)\s{_NAME}([^\"']*)[\"'].*?<\s*\1\s{_NAME}(\2)[\"']")
     reason = reason.removesuffix(" line 0").removesuffix(",")
-    return RobotError(f"{place}: expected an MJCF or URDF that MuJoCo loads, got {reason[:300]}")
+    return RobotError(f"{place or file}: expected an MJCF or URDF that MuJoCo loads, got {reason[:300]}")

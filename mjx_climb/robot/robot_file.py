@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError
-from mjx_climb.robot.file_lines import line_of
+from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, line_of
 from mjx_climb.robot.found_limbs import at_zero, beginning, foot_of, rigid_parts
 from mjx_climb.robot.posture import MET, limb_joints
 from mjx_climb.robot.rerooted import add_joint, quaternion, robot_in
