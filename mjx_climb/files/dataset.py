@@ -19,6 +19,7 @@ from mjx_climb.files.writing import OutputError as OutputError
 from mjx_climb.files.writing import check_folder as check_folder
 from mjx_climb.files.writing import write_bytes_atomically as write_bytes_atomically
 from mjx_climb.files.writing import write_text_atomically as write_text_atomically
+from mjx_climb.quantities.parameters import COORDINATES as COORDINATES
 from mjx_climb.quantities.parameters import Gains, Parameters, parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
@@ -69,46 +70,6 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "center_of_mass": (_VECTOR, "m", "centre of mass of robot and cargo"),
     "tsm": (("time",), "m", "tumble stability margin"),
     "gia_margin": (("time",), "m/s^2", "gravito-inertial acceleration margin"),
-}
-
-# what a sweep may run over: units, long name
-COORDINATES: dict[str, tuple[str, str]] = {
-    "inertia": ("kg, kg m^2", "virtual inertia M"),
-    "damping": ("N s/m, N m s/rad", "virtual damping D"),
-    "stiffness": ("N/m, N m/rad", "virtual stiffness K"),
-    "kp": ("N m/rad", "joint gain kp"),
-    "kd": ("N m s/rad", "joint gain kd"),
-    "contact_stiffness": ("N/m", "contact stiffness"),
-    "contact_damping": ("N s/m", "contact damping"),
-    "holding_limit": ("N", "holding limit of a gripper"),
-    "stride": ("m", "stride"),
-    "step_height": ("m", "step height"),
-    "cycle": ("s", "gait cycle"),
-    "duty": ("1", "duty"),
-    "heading": ("rad", "heading"),
-    "cargo_mass": ("kg", "mass of the cargo"),
-    "mass_scale": ("1", "scale of the robot's masses and inertias"),
-    "rotational_stiffness": ("N m/rad", "stiffness of a grip against turning"),
-    "rotational_damping": ("N m s/rad", "damping of a grip against turning"),
-    "capture_distance": ("m", "reach of a gripper"),
-    "control_period": ("s", "control period"),
-    "command_delay": ("s", "delay of commands"),
-    "force_delay": ("s", "delay of the force sensors"),
-    "force_noise": ("N", "noise of the force sensors"),
-    "force_bias": ("N", "offset of the force sensors"),
-    "force_resolution": ("N", "resolution of the force sensors"),
-    "force_filter": ("Hz", "cut-off of the force filter"),
-    "base_delay": ("s", "delay of the base estimate"),
-    "position_noise": ("m", "noise of the base's position"),
-    "velocity_noise": ("m/s", "noise of the base's velocity"),
-    "torque_limit": ("N m", "torque limit"),
-    "no_load_speed": ("rad/s", "speed without load"),
-    "armature": ("kg m^2", "armature"),
-    "coulomb_friction": ("N m", "dry friction"),
-    "viscous_friction": ("N m s/rad", "viscous friction"),
-    "load_friction": ("1", "friction under load"),
-    "backlash": ("rad", "backlash"),
-    "servo_delay": ("s", "delay of the servos"),
 }
 
 # ------------------------------------------------------------------------------------------------------------

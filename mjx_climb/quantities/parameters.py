@@ -1,22 +1,27 @@
 """The values of a scenario as a pytree: what may differ from one robot of a batch to the next."""
 
+# ruff: noqa: RUF009 (fields carry their keys and units)
+
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Real
+from pydantic import TypeAdapter, ValidationError
 
 from mjx_climb.execution.forked import check_process
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.quantities.low_reaction import swing_path
+from mjx_climb.scenario.messages import section
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.values import Number, Positive
 
 # batch axes of one gain need not be those of another: they broadcast
 _Values = Array | np.ndarray
@@ -28,6 +33,12 @@ _Footholds = Real[_Values, "... limbs N"]
 _SwingPaths = Real[_Values, "... limbs 3 K"]
 _Pushes = Real[_Values, "... pushes 3"]
 _PushTimes = Real[_Values, "... pushes"]
+_PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
+
+
+def _of(key: str | None, unit: str = "", long_name: str = "", **default: Any) -> Any:
+    """Return a field with the key of a scenario that it comes from; with a unit a sweep may run over it."""
+    return dataclasses.field(metadata={"key": key, "unit": unit, "long_name": long_name}, **default)
 
 
 @jax.tree_util.register_dataclass
@@ -41,11 +52,11 @@ class Gains:
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType({"inertia": 1, "damping": 1, "stiffness": 1})
 
-    inertia: _Gain  # kg, kg m^2
-    damping: _Gain  # N s/m, N m s
-    stiffness: _Gain  # N/m, N m
-    kp: _JointGain | None = None  # N m/rad
-    kd: _JointGain | None = None  # N m s/rad
+    inertia: _Gain = _of("control.inertia", "kg, kg m^2", "virtual inertia M")
+    damping: _Gain = _of("control.damping", "N s/m, N m s/rad", "virtual damping D")
+    stiffness: _Gain = _of("control.stiffness", "N/m, N m/rad", "virtual stiffness K")
+    kp: _JointGain | None = _of("control.kp", "N m/rad", "joint gain kp", default=None)
+    kd: _JointGain | None = _of("control.kd", "N m s/rad", "joint gain kd", default=None)
 
 
 @jax.tree_util.register_dataclass
@@ -58,125 +69,81 @@ class Parameters:
     """
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType(
-        {
-            "gravity": 1,
-            "foothold_height": 2,
-            "swing_path": 3,
-            "push_force": 2,
-            "push_moment": 2,
-            "push_start": 1,
-            "push_stop": 1,
-        }
-    )
+        {"gravity": 1, "foothold_height": 2, "swing_path": 3, "push_force": 2, "push_moment": 2, "push_start": 1,
+         "push_stop": 1}
+    )  # fmt: skip
 
-    gravity: _Vector  # (3,) m/s^2
-    contact_stiffness: _Scalar  # N/m
-    contact_damping: _Scalar  # N s/m
-    rotational_stiffness: _Scalar  # N m/rad, of a grip
-    rotational_damping: _Scalar  # N m s/rad
-    holding_limit: _Scalar  # N, infinite where a gripper cannot be torn off
-    kp: _Scalar  # N m/rad
-    kd: _Scalar  # N m s/rad
-    stride: _Scalar  # m
-    step_height: _Scalar  # m
-    cycle: _Scalar  # s
-    duty: _Scalar  # 1
-    heading: _Scalar  # rad
-    foothold_height: _Footholds  # (limb, N) m, of each limb's footholds in order; N = 0: flat ground
-    swing_path: _SwingPaths  # (limb, 3, K) step heights, added to each swing, see `low_reaction`; K = 0: nothing
-    cargo_mass: _Scalar  # kg
-    cargo_start: _Scalar  # s
-    cargo_stop: _Scalar  # s
-    push_force: _Pushes  # (pushes, 3) N
-    push_moment: _Pushes  # (pushes, 3) N m
-    push_start: _PushTimes  # (pushes,) s
-    push_stop: _PushTimes  # (pushes,) s
-    mass_scale: _Scalar  # 1, of all masses and inertias of the robot; the cargo's not
-    capture_distance: _Scalar  # m, infinite: a gripper holds however far off the ground it shuts
-    control_period: _Scalar  # s, rounded to time steps; 0: the time step
-    command_delay: _Scalar  # s
-    force_delay: _Scalar  # s
-    force_noise: _Scalar  # N
-    force_bias: _Scalar  # N
-    force_resolution: _Scalar  # N
-    force_filter: _Scalar  # Hz, infinite: none
-    base_delay: _Scalar  # s
-    position_noise: _Scalar  # m
-    velocity_noise: _Scalar  # m/s
-    torque_limit: _Scalar  # N m, infinite: none
-    no_load_speed: _Scalar  # rad/s, infinite: none
-    armature: _Scalar  # kg m^2, beside what the robot's file says
-    coulomb_friction: _Scalar  # N m
-    viscous_friction: _Scalar  # N m s/rad
-    load_friction: _Scalar  # 1
-    backlash: _Scalar  # rad
-    servo_delay: _Scalar  # s
-    seed: _Scalar  # whole, below 2^24 so that single precision holds it
+    gravity: _Vector = _of("gravity")  # (3,) m/s^2
+    contact_stiffness: _Scalar = _of("contact.stiffness", "N/m", "contact stiffness")
+    contact_damping: _Scalar = _of("contact.damping", "N s/m", "contact damping")
+    rotational_stiffness: _Scalar = _of("contact.rotational_stiffness", "N m/rad", "turning stiffness of a grip")
+    rotational_damping: _Scalar = _of("contact.rotational_damping", "N m s/rad", "turning damping of a grip")
+    holding_limit: _Scalar = _of("contact.holding_limit", "N", "holding limit of a gripper")  # infinite: never torn off
+    kp: _Scalar = _of("control.kp", "N m/rad", "joint gain kp")
+    kd: _Scalar = _of("control.kd", "N m s/rad", "joint gain kd")
+    stride: _Scalar = _of("gait.stride", "m", "stride")
+    step_height: _Scalar = _of("gait.step_height", "m", "step height")
+    cycle: _Scalar = _of("gait.cycle", "s", "gait cycle")
+    duty: _Scalar = _of("gait.duty", "1", "duty")
+    heading: _Scalar = _of("gait.heading", "rad", "heading")
+    foothold_height: _Footholds = _of(None)  # (limb, N) m, in order; N = 0: flat ground
+    swing_path: _SwingPaths = _of(None)  # (limb, 3, K) step heights, added to each swing; K = 0: nothing
+    cargo_mass: _Scalar = _of("disturbance.cargo.mass", "kg", "mass of the cargo")
+    cargo_start: _Scalar = _of("disturbance.cargo.start", "s", "loading of the cargo")
+    cargo_stop: _Scalar = _of("disturbance.cargo.stop", "s", "unloading of the cargo")
+    push_force: _Pushes = _of("disturbance.pushes.force")  # (pushes, 3) N
+    push_moment: _Pushes = _of("disturbance.pushes.moment")  # (pushes, 3) N m
+    push_start: _PushTimes = _of("disturbance.pushes.start")  # (pushes,) s
+    push_stop: _PushTimes = _of("disturbance.pushes.stop")  # (pushes,) s
+    mass_scale: _Scalar = _of(None, "1", "scale of the robot's masses and inertias")  # the cargo's not
+    capture_distance: _Scalar = _of("contact.capture_distance", "m", "reach of a gripper")  # infinite: any distance
+    control_period: _Scalar = _of("hardware.control_period", "s", "control period")  # 0: the time step
+    command_delay: _Scalar = _of("hardware.command_delay", "s", "delay of commands")
+    force_delay: _Scalar = _of("hardware.force_sensor.delay", "s", "delay of the force sensors")
+    force_noise: _Scalar = _of("hardware.force_sensor.noise", "N", "noise of the force sensors")
+    force_bias: _Scalar = _of("hardware.force_sensor.bias", "N", "offset of the force sensors")
+    force_resolution: _Scalar = _of("hardware.force_sensor.resolution", "N", "resolution of the force sensors")
+    force_filter: _Scalar = _of("hardware.force_sensor.filter", "Hz", "cut-off of the force filter")  # infinite: none
+    base_delay: _Scalar = _of("hardware.base_estimate.delay", "s", "delay of the base estimate")
+    position_noise: _Scalar = _of("hardware.base_estimate.position_noise", "m", "noise of the base's position")
+    velocity_noise: _Scalar = _of("hardware.base_estimate.velocity_noise", "m/s", "noise of the base's velocity")
+    torque_limit: _Scalar = _of("hardware.servo.torque_limit", "N m", "torque limit")  # infinite: none
+    no_load_speed: _Scalar = _of("hardware.servo.no_load_speed", "rad/s", "speed without load")  # infinite: none
+    armature: _Scalar = _of("hardware.servo.armature", "kg m^2", "armature")  # beside what the robot's file says
+    coulomb_friction: _Scalar = _of("hardware.servo.coulomb_friction", "N m", "dry friction")
+    viscous_friction: _Scalar = _of("hardware.servo.viscous_friction", "N m s/rad", "viscous friction")
+    load_friction: _Scalar = _of("hardware.servo.load_friction", "1", "friction under load")
+    backlash: _Scalar = _of("hardware.servo.backlash", "rad", "backlash")
+    servo_delay: _Scalar = _of("hardware.servo.delay", "s", "delay of the servos")
+    seed: _Scalar = _of("hardware.seed")  # whole, below 2^24 so that single precision holds it
 
 
-KEYS = {  # of a scenario, whose values and ranges these are
-    "gravity": "gravity",
-    "contact_stiffness": "contact.stiffness",
-    "contact_damping": "contact.damping",
-    "rotational_stiffness": "contact.rotational_stiffness",
-    "rotational_damping": "contact.rotational_damping",
-    "holding_limit": "contact.holding_limit",
-    "kp": "control.kp",
-    "kd": "control.kd",
-    "stride": "gait.stride",
-    "step_height": "gait.step_height",
-    "cycle": "gait.cycle",
-    "duty": "gait.duty",
-    "heading": "gait.heading",
-    "cargo_mass": "disturbance.cargo.mass",
-    "cargo_start": "disturbance.cargo.start",
-    "cargo_stop": "disturbance.cargo.stop",
-    "push_force": "disturbance.pushes.force",
-    "push_moment": "disturbance.pushes.moment",
-    "push_start": "disturbance.pushes.start",
-    "push_stop": "disturbance.pushes.stop",
-    "capture_distance": "contact.capture_distance",
-    "control_period": "hardware.control_period",
-    "command_delay": "hardware.command_delay",
-    "force_delay": "hardware.force_sensor.delay",
-    "force_noise": "hardware.force_sensor.noise",
-    "force_bias": "hardware.force_sensor.bias",
-    "force_resolution": "hardware.force_sensor.resolution",
-    "force_filter": "hardware.force_sensor.filter",
-    "base_delay": "hardware.base_estimate.delay",
-    "position_noise": "hardware.base_estimate.position_noise",
-    "velocity_noise": "hardware.base_estimate.velocity_noise",
-    "torque_limit": "hardware.servo.torque_limit",
-    "no_load_speed": "hardware.servo.no_load_speed",
-    "armature": "hardware.servo.armature",
-    "coulomb_friction": "hardware.servo.coulomb_friction",
-    "viscous_friction": "hardware.servo.viscous_friction",
-    "load_friction": "hardware.servo.load_friction",
-    "backlash": "hardware.servo.backlash",
-    "servo_delay": "hardware.servo.delay",
-    "seed": "hardware.seed",
+KEYS: dict[str, str] = {  # of a scenario, whose values and ranges these are
+    field.name: field.metadata["key"] for field in dataclasses.fields(Parameters) if field.metadata["key"]
+}
+# what a sweep may run over: units, long name
+COORDINATES: dict[str, tuple[str, str]] = {
+    field.name: (field.metadata["unit"], field.metadata["long_name"])
+    for kind in (Gains, Parameters)
+    for field in dataclasses.fields(kind)
+    if field.metadata["unit"]
 }
 
 
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
     """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
-    return parameters_by(functools.partial(jnp.asarray, dtype=dtype or jnp.result_type(float)), scenario)
+    known = vars(own_parameters(scenario))
+    return Parameters(**{n: jnp.asarray(value, dtype or jnp.result_type(float)) for n, value in known.items()})
 
 
 def own_parameters(scenario: Scenario) -> Parameters:
     """Return the parameters of a scenario in double precision, as arrays of NumPy."""
-    return parameters_by(functools.partial(np.asarray, dtype=float), scenario)
-
-
-def parameters_by(array: Callable[[Any], Any], scenario: Scenario) -> Parameters:
-    """Return the parameters of a scenario as arrays that a function makes."""
     check_process()
     values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
     values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
-    arrays = {name: array(value) for name, value in values.items()}
-    if not scenario.disturbance.pushes:
-        arrays |= {name: arrays[name].reshape(0, 3) for name in ("push_force", "push_moment")}
-    return Parameters(**arrays)
+    arrays = {name: np.asarray(value, float) for name, value in values.items()}
+    pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
+    return Parameters(**arrays | pushes)
 
 
 def _value(section: Any, name: str, *rest: str) -> Any:
@@ -191,3 +158,50 @@ def gains(scenario: Scenario) -> Gains:
     """Return the admittance gains that the scenario's own control section gives."""
     control = scenario.control
     return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
+
+
+def check_ranges(parameters: Parameters) -> None:
+    """Refuse parameters that no scenario could have, as far as their values are known.
+
+    Raises:
+        ValueError: in one line, which one, what was expected and the first value that is wrong.
+    """
+    for name, value in vars(parameters).items():
+        if isinstance(value, jax.core.Tracer):
+            continue
+        values = np.asarray(value)
+        if values.dtype.kind in "cOSU":
+            raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
+        for end in (values.min(), values.max()) if values.size else ():  # of NaN among them both are
+            _check(name, float(end))
+    pushes = {name: np.shape(getattr(parameters, name))[axis] for name, axis in _PUSHES.items()}
+    if len(set(pushes.values())) > 1:
+        counts = ", ".join(f"{count} of {name}" for name, count in pushes.items())
+        raise ValueError(f"parameters.push_start: expected as many of each for the pushes, got {counts}")
+
+
+def _check(name: str, value: float) -> None:
+    kind, validator = _type(name)
+    given: Any = value
+    if value == math.inf and type(None) in get_args(kind):
+        given = None
+    elif get_origin(kind) is tuple:
+        given = (value,) * len(get_args(kind))
+    elif kind is int and value.is_integer():
+        given = int(value)
+    try:
+        validator.validate_python(given)
+    except ValidationError as invalid:
+        expected = invalid.errors()[0]["ctx"]["expected"].replace("or null", "or infinite")
+        raise ValueError(f"parameters.{name}: expected {expected}, got {value:g}") from None
+
+
+@functools.cache
+def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
+    """Return the type of the key that a parameter comes from, and what validates its values."""
+    if name not in KEYS:
+        return float, TypeAdapter(Positive if name == "mass_scale" else Number)
+    *place, key = KEYS[name].split(".")
+    field = section(Scenario, place).model_fields[key]
+    kind: Any = Annotated[field.annotation, *field.metadata]
+    return field.annotation, TypeAdapter(kind)

@@ -10,8 +10,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.quantities.parameters import KEYS, own_parameters
-from mjx_climb.quantities.ranges import check_ranges
+from mjx_climb.quantities.parameters import KEYS, check_ranges, own_parameters
 from mjx_climb.rollouts.resolve import resolve_in
 
 
