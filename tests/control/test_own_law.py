@@ -15,7 +15,7 @@ import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance, law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.walk.metrics import total
-from tuning.gains import gains_file, law_file
+from tuning.gains import gains_file, own_section
 from tuning.searches.sweep import sweep
 from tuning.tune import tune
 
@@ -169,11 +169,11 @@ def test_gains_that_cannot_be_are_refused_in_one_line(scenario, law, gains, said
 )
 def test_a_law_that_is_none_is_refused_in_one_line(text, said):
     with pytest.raises(mc.ConfigError, match=re.escape(said)):
-        law_file.load(text)
+        own_section.load_law(text)
 
 
 def test_a_law_is_known_by_its_file_and_name():
-    assert law_file.reference(law_file.load(f"{SCRIPT}:Filtered")) == "filtered_law.py:Filtered"
+    assert own_section.reference(own_section.load_law(f"{SCRIPT}:Filtered")) == "filtered_law.py:Filtered"
 
 
 def test_equal_arguments_give_the_same_simulator(scenario, law):

@@ -239,10 +239,10 @@ def own_objects(law: str | None, metrics: tuple[str, ...]) -> "tuple[mc.Law | No
     Raises:
         ConfigError: no such law or metric.
     """
-    from tuning.gains import law_file
+    from tuning.gains.own_section import load_law
     from tuning.problem import own_file
 
-    return None if law is None else law_file.load(law), own_file.metrics(metrics)
+    return None if law is None else load_law(law), own_file.metrics(metrics)
 
 
 def _taken_by(law: "mc.Law", changes: dict[str, Any]) -> "tuple[dict[str, Any], mc.Law]":

@@ -76,8 +76,7 @@ def write(gains: mc.Gains, period: float, motion: Motion | None = None, *, force
         own = {n: float(v[3 * place]) for n, v in zip(("mass", "damping", "stiffness"), six(gains), strict=True)}
         bounds = {n: float(getattr(motion, n)[place]) for n in ("deadband", "max_offset", "max_velocity")}
         tree[kind] = own | bounds
-    comments = "".join(f"# {line}\n" for line in _HEADER.format(period=period).splitlines())
-    return comments + yaml.safe_dump({"admittance_control": tree}, sort_keys=False, default_flow_style=False)
+    return ros2_control.commented(_HEADER.format(period=period), {"admittance_control": tree}, flow=False)
 
 
 def read(text: str) -> tuple[mc.Gains, float, Motion]:

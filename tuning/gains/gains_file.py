@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-import yaml
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import write_text_atomically
@@ -17,7 +16,8 @@ from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
 from mjx_climb.scenario.messages import ConfigError, config_error
 from mjx_climb.scenario.model import overridden
 from mjx_climb.scenario.yaml_text import parse, read
-from tuning.gains import law_file
+from tuning.gains import own_section
+from tuning.gains.ros2_control import commented
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
 OPTIONAL = ("kp", "kd")
@@ -45,32 +45,30 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> mc.Gains | 
     source = os.fsdecode(path)
     data = parse(read(source), source)
     required = REQUIRED if law is None else tuple(law.GAINS)
+    keys = ", ".join((*required, *OPTIONAL))
     if not isinstance(data, dict):
-        raise ConfigError(f"{source}: expected a mapping with keys {', '.join((*required, *OPTIONAL))}")
-    law_file.check_reference(law, data.pop(LAW, None), source)
+        raise ConfigError(f"{source}: expected a mapping with keys {keys}")
+    own_section.check_reference(law, data.pop(LAW, None), source)
     for key in data:
         if key not in (*required, *OPTIONAL):
-            raise config_error(source, key, f"only the keys {', '.join((*required, *OPTIONAL))}", "another")
+            raise config_error(source, key, f"only the keys {keys}", "another")
     for key in required:
         if key not in data:
             raise config_error(source, key, "a value", "none")
+    # what the scenario has too is checked as there
     joint = data if law is None else {key: value for key, value in data.items() if key in OPTIONAL}
     try:
         control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in joint.items()}, source).control
     except ConfigError as error:
         raise ConfigError(str(error).replace(f"{source}: control.", f"{source}: ", 1)) from None
     values = {key: np.asarray(getattr(control, key), float) for key in joint}
-    return mc.Gains(**values) if law is None else values | _own(law, data, source)
-
-
-def _own(law: mc.Law, data: dict[str, Any], source: str) -> dict[str, Any]:
-    """Return the values of a law's own gains, checked."""
+    if law is None:
+        return mc.Gains(**values)
     try:
-        values = {key: np.asarray(data[key], float) for key in law.GAINS}
-        changed = checked_gains(law, values)
+        changed = checked_gains(law, {key: np.asarray(data[key], float) for key in law.GAINS})
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{source}: {str(error).removeprefix('gains.')}") from None
-    return {key: getattr(changed, key) for key in values}
+    return values | {key: getattr(changed, key) for key in law.GAINS}
 
 
 def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: mc.Law | None = None) -> Path:
@@ -79,10 +77,9 @@ def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: 
     Raises:
         OutputError: the file cannot be written.
     """
-    plain: dict[str, Any] = {} if law is None else {LAW: law_file.reference(law)}
+    plain: dict[str, Any] = {} if law is None else {LAW: own_section.reference(law)}
     plain |= {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
-    lines = "".join(f"# {line}\n" for line in comment.splitlines())
-    return write_text_atomically(path, lines + yaml.safe_dump(plain, sort_keys=False, default_flow_style=None))
+    return write_text_atomically(path, commented(comment, plain))
 
 
 def by_name(gains: AnyGains) -> dict[str, Any]:

@@ -1,25 +1,59 @@
-"""Gains as plain JSON and CSV, every number with its axis and unit."""
+"""Gains as labelled arrays, and as plain JSON and CSV: every number with its axis and unit."""
 
 import csv
 import io
 import json
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import COORDINATES, SIX
 from tuning.gains.ros2_control import six
 
-# of translations and of rotations
-UNITS = {name: tuple(COORDINATES[name][0].split(", ")) for name in mc.Gains.AXES}
+AXES = {3: "three", 6: "six"}  # the dimension of a gain of so many axes
 JOINT_UNITS = {name: COORDINATES[name][0] for name in ("kp", "kd")}
-COLUMNS = ("gain", "axis", "value", "unit")
 
 
-def rows(gains: mc.Gains) -> list[tuple[str, str, float, str]]:
+class Labelled(NamedTuple):
+    """A variable of a dataset, as xarray takes it."""
+
+    dims: tuple[str, ...]
+    values: np.ndarray
+    attrs: dict[str, str]
+
+
+def labels(law: mc.Law | None = None) -> dict[str, tuple[str, str]]:
+    """Return unit and long name of every gain; where rotations have another unit, it follows after a comma."""
+    own = {} if law is None else law.GAINS
+    known = {name: COORDINATES[name] for name in (*mc.Gains.AXES, *JOINT_UNITS)}
+    return known | {n: (field.unit, field.long_name or n.replace("_", " ")) for n, field in own.items()}
+
+
+def labelled(
+    gains: Mapping[str, np.ndarray], leading: tuple[str, ...], law: mc.Law | None = None
+) -> dict[str, Labelled]:
+    """Return gains (*leading) or (*leading, axes) as variables."""
+    known, variables = labels(law), {}
+    for name, values in gains.items():
+        axes = () if values.ndim == len(leading) else (AXES[values.shape[-1]],)
+        unit, text = known[name]
+        variables[name] = Labelled((*leading, *axes), values, {"units": unit, "long_name": text})
+    return variables
+
+
+def axes_of(variables: Mapping[str, Labelled]) -> dict[str, list[str]]:
+    """Return the coordinates of the axes that some gains have."""
+    used = {variable.dims[-1] for variable in variables.values()}
+    return {name: list(SIX[:length]) for length, name in AXES.items() if name in used}
+
+
+def _rows(gains: mc.Gains) -> list[tuple[str, str, float, str]]:
     """Return one row per number: gain, axis ("joints" for kp and kd), value, unit."""
     table = [
-        (name, axis, float(value), UNITS[name][axis.startswith("r")])
-        for name, values in zip(UNITS, six(gains), strict=True)
+        (name, axis, float(value), COORDINATES[name][0].split(", ")[axis.startswith("r")])
+        for name, values in zip(mc.Gains.AXES, six(gains), strict=True)
         for axis, value in zip(SIX, values, strict=True)
     ]
     joint = {name: getattr(gains, name) for name in JOINT_UNITS}
@@ -27,17 +61,16 @@ def rows(gains: mc.Gains) -> list[tuple[str, str, float, str]]:
 
 
 def write_csv(gains: mc.Gains) -> str:
-    """Return the gains as CSV in long form: a header, then `rows`."""
+    """Return the gains as CSV in long form."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([COLUMNS, *rows(gains)])
+    csv.writer(text, lineterminator="\n").writerows([("gain", "axis", "value", "unit"), *_rows(gains)])
     return text.getvalue()
 
 
 def write_json(gains: mc.Gains) -> str:
     """Return the gains as JSON: each gain with its unit and a value for each axis."""
     tree: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, axis, value, unit in rows(gains):
+    for name, axis, value, unit in _rows(gains):
         entry = tree.setdefault(name, {"units": {}, "values": {}})
         entry["units"][axis], entry["values"][axis] = unit, value
     return json.dumps(tree, indent=2) + "\n"

@@ -1,5 +1,7 @@
-"""The section `own` of a config.yaml: law, metrics and objective of the user's, written with results and read again."""
+"""Laws, metrics and objectives of the user's: FILE.py:NAME, and the section `own` of a config.yaml that names them."""
 
+import dataclasses
+import inspect
 import operator
 import sys
 from collections.abc import Iterable, Mapping
@@ -16,10 +18,43 @@ from mjx_climb.files import scenario_files
 from mjx_climb.rollouts.resolve import checked_gains
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnObject
-from tuning.gains import law_file
 from tuning.problem import own_file
 
+THE_CONFIG = "the config's law"
 _SHIPPED = {law.__name__: law for law in LAWS.values()}
+
+
+def load_law(text: str) -> mc.Law:
+    """Return the law that FILE.py:NAME names, an instance or a class whose gains have defaults; the file is run.
+
+    Raises:
+        ConfigError: in one line, no such file or name, a file that fails, or something else than a law.
+    """
+    found, file, name = own_file.load(text, "law")
+    if isinstance(found, type) and issubclass(found, mc.Law):
+        try:
+            found = found()
+        except TypeError as error:
+            raise ConfigError(f"{file}: expected {name} to have a default for every gain: {error}") from None
+    if not isinstance(found, mc.Law):
+        raise ConfigError(f"{file}: expected {name} to be a law that inherits from mjx_climb.Law, got {found!r}")
+    return found
+
+
+def reference(law: mc.Law) -> str:
+    """Return FILE.py:NAME of a law's class, without the folder, as it stands in files; NAME where it has no file."""
+    kind = type(law)
+    # by its methods: a class of a file that was run by hand is in no module that Python knows
+    codes = [function.__code__ for function in vars(kind).values() if inspect.isfunction(function)]
+    files = [code.co_filename for code in codes if code.co_filename not in ("<string>", dataclasses.__file__)]
+    return f"{Path(files[0]).name}:{kind.__qualname__}" if files else kind.__qualname__
+
+
+def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None:
+    """Raise ConfigError where something was stored for another law."""
+    own = None if law is None else reference(law)
+    if own != stored:
+        raise ConfigError(f"{source}: law: expected gains of {own or THE_CONFIG}, got those of {stored or THE_CONFIG}")
 
 
 def section(law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: Any = None) -> dict[str, Any] | None:
@@ -52,10 +87,8 @@ def taken(
     if own is None:
         return scenario, law, metrics
     if law is None and own.law is not None:
-        if own.law.file is None and own.law.name in _SHIPPED:
-            law = _SHIPPED[own.law.name]()
-        else:
-            law = law_file.load(_text(own.law, "law", source))
+        shipped = own.law.file is None and own.law.name in _SHIPPED
+        law = _SHIPPED[own.law.name]() if shipped else load_law(_text(own.law, "law", source))
         try:
             law = of_one(law, dict(own.law.gains.items()))
         except (TypeError, ValueError) as error:
@@ -66,11 +99,7 @@ def taken(
 
 
 def of_one(law: mc.Law, values: Mapping[str, Any]) -> mc.Law:
-    """Return a law with some gains of one robot replaced, all of their full length.
-
-    Raises:
-        TypeError, ValueError: no such values.
-    """
+    """Return a law with some gains of one robot replaced, all of full length; TypeError, ValueError: no such values."""
     changed = checked_gains(law, values)
     for name in values:
         if (shape := np.shape(getattr(changed, name)))[: len(shape) - law.AXES[name]]:
@@ -83,8 +112,8 @@ def without(scenario: mc.Scenario) -> mc.Scenario:
     if scenario.own is None:
         return scenario
     objective = scenario.own.objective
-    bare = scenario.with_overrides({"own": None})
-    return bare if objective is None else bare.with_overrides({"own": {"objective": objective.model_dump()}})
+    kept = None if objective is None else {"objective": objective.model_dump()}
+    return scenario.with_overrides({"own": None}).with_overrides({"own": kept})
 
 
 def _text(named: OwnObject, key: str, source: str) -> str:
@@ -102,8 +131,7 @@ def _text(named: OwnObject, key: str, source: str) -> str:
 
 def _named(value: Any, name: str) -> dict[str, Any]:
     """Return file, name and digest of an object that a module of the user's holds; else its name alone."""
-    loaded = [(module, digest) for module, digest in reversed(own_file.RUN)]
-    for module, digest in [*loaded, *((module, None) for module in list(sys.modules.values()))]:
+    for module, digest in [*reversed(own_file.RUN), *((module, None) for module in list(sys.modules.values()))]:
         file, title = getattr(module, "__file__", None), getattr(module, "__name__", "__main__")
         if file is None or not file.endswith(".py") or title == "__main__":  # which would do all its work again
             continue

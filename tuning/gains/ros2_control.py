@@ -6,6 +6,7 @@ Eq. 3 is integrated exactly and is stable for any positive gains; there it is st
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import yaml
@@ -71,36 +72,27 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
         ConfigError: in one line, the axis, and the update rate or virtual inertia that would do.
     """
     inertia, _, stiffness = six(gains)
-    low, high = MASS_BOUNDS
-    for name, values, bounds in (("inertia", inertia, MASS_BOUNDS), ("stiffness", stiffness, (0, MAX_STIFFNESS))):
+    for name, values, (low, high) in (("inertia", inertia, MASS_BOUNDS), ("stiffness", stiffness, (0, MAX_STIFFNESS))):
         for axis, value in zip(SIX, values, strict=True):
-            if not bounds[0] <= value <= bounds[1]:
-                raise ConfigError(
-                    f"{source}: {name}: expected {bounds[0]:g} to {bounds[1]:g}, which admittance_controller takes, "
-                    f"got {value:g} ({axis})"
-                )
-    holds = stable(gains, rate)
+            if not low <= value <= high:
+                expected = f"expected {low:g} to {high:g}, which admittance_controller takes"
+                raise ConfigError(f"{source}: {name}: {expected}, got {value:g} ({axis})")
+    holds, size = stable(gains, rate), np.abs(poles(gains, rate)).max(1)
     if holds.all():
         return
-    worst = int(np.argmax(np.where(holds, 0, np.abs(poles(gains, rate)).max(1))))
-    pole = poles(gains, rate)[worst]
-    largest = pole[np.argmax(np.abs(pole))]
     cures = []
     if (faster := _rounded_up(_ROOM * lowest_rate(gains).max())) <= MAX_RATE:
         cures.append(f"--update-rate {faster:.0f}")
-    if low <= (heavier := _rounded_up(_ROOM * smallest_inertia(gains, rate)[~holds].max())) <= high:
-        axes = "" if not holds.any() else f" ({', '.join(np.array(SIX)[~holds])})"
+    heavier = _rounded_up(_ROOM * smallest_inertia(gains, rate)[~holds].max())
+    if MASS_BOUNDS[0] <= heavier <= MASS_BOUNDS[1]:
+        axes = f" ({', '.join(np.array(SIX)[~holds])})" if holds.any() else ""
         cures.append(f"a virtual inertia of {heavier:g}{axes}")
     cure = f"{' or '.join(cures)} would do" if cures else "no update rate or virtual inertia within bounds would do"
+    worst = int(np.argmax(np.where(holds, 0, size)))
     raise ConfigError(
         f"{source}: expected gains that are stable in admittance_controller at {rate:g} Hz, "
-        f"got a discrete pole of magnitude {abs(largest):.4g} ({SIX[worst]}): {cure}"
+        f"got a discrete pole of magnitude {size[worst]:.4g} ({SIX[worst]}): {cure}"
     )
-
-
-def filter_coefficient(cutoff: float | None, rate: float) -> float:
-    """Return the share of a new sample that makes a first-order low pass of a cut-off in Hz, 1 for none."""
-    return 1.0 if cutoff is None else -math.expm1(-2 * math.pi * cutoff / rate)
 
 
 def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutoff: float | None = None) -> str:
@@ -115,7 +107,8 @@ def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutof
     inertia, damping, stiffness = six(gains)
     parameters = {
         "update_rate": rate,
-        "ft_sensor": {"filter_coefficient": filter_coefficient(cutoff, rate)},
+        # the share of a new sample in a first-order low pass; 1 filters nothing
+        "ft_sensor": {"filter_coefficient": 1.0 if cutoff is None else -math.expm1(-2 * math.pi * cutoff / rate)},
         "admittance": {
             "selected_axes": [True] * 6,
             "mass": inertia.tolist(),
@@ -130,8 +123,13 @@ def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutof
     joint = {key: float(value) for key in ("kp", "kd") if (value := getattr(gains, key)) is not None}
     if joint:
         header += "\nThe joint loop is the hardware's: " + ", ".join(f"{key} {value:g}" for key, value in joint.items())
-    comments = "".join(f"# {line}\n" for line in header.splitlines())
-    return comments + yaml.safe_dump({name: {"ros__parameters": parameters}}, sort_keys=False, default_flow_style=None)
+    return commented(header, {name: {"ros__parameters": parameters}})
+
+
+def commented(header: str, tree: dict[str, Any], flow: bool | None = None) -> str:
+    """Return a tree as YAML below a comment; `flow` as PyYAML's `default_flow_style`."""
+    lines = "".join(f"# {line}\n" for line in header.splitlines())
+    return lines + yaml.safe_dump(tree, sort_keys=False, default_flow_style=flow)
 
 
 def read(text: str) -> mc.Gains:

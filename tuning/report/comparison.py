@@ -8,8 +8,7 @@ import numpy as np
 from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
 from mjx_climb.files.dataset import SIX
 from tuning.gains.gains_file import by_name
-from tuning.gains.gains_tables import JOINT_UNITS
-from tuning.gains.labels import labels
+from tuning.gains.gains_tables import JOINT_UNITS, labels
 from tuning.report.numbers import axis_values, change, gain, is_number, number, plain_unit, unit
 from tuning.report.page import Table
 from tuning.report.remarks import failed

@@ -20,7 +20,7 @@ from mjx_climb.files import dataset
 from mjx_climb.rollouts.resolve import AnyGains
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
-from tuning.gains.labels import axes_of, labelled
+from tuning.gains.gains_tables import axes_of, labelled
 from tuning.problem import objectives
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective

@@ -19,7 +19,7 @@ from mjx_climb.rollouts.resolve import AnyGains, has_gains_of_the_paper, with_ga
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Stage, silent
 from tuning.gains.gains_file import by_name
-from tuning.gains.law_file import check_reference, reference
+from tuning.gains.own_section import check_reference, reference
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Judge, Search

@@ -23,7 +23,7 @@ from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.rollouts.resolve import AnyGains
 from tuning.gains.gains_file import by_name
-from tuning.gains.labels import axes_of, labelled
+from tuning.gains.gains_tables import axes_of, labelled
 from tuning.problem import objectives, spaces
 from tuning.problem import search as search_settings
 from tuning.problem.evaluation import Evaluation, Problem, under_pd

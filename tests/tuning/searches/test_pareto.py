@@ -9,7 +9,7 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
-from tuning.gains import law_file
+from tuning.gains.own_section import load_law
 from tuning.problem import spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
@@ -79,7 +79,7 @@ def test_one_metric_twice_is_refused():
 @pytest.mark.nightly
 def test_a_front_of_a_law_of_ones_own(few):
     """Its gains, of six axes and of one, are those of the walks on the front."""
-    law = law_file.load(f"{LAW}:Filtered")
+    law = load_law(f"{LAW}:Filtered")
     scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.2", "disturbance.cargo.start=0.05"])
     front = pareto.pareto(scenario, points=2, law=law).data
     assert front.attrs["searched"].split() == ["stiffness", "damping", "cutoff", "share"]

@@ -14,7 +14,7 @@ from mjx_climb.files import dataset
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
-from tuning.gains import law_file
+from tuning.gains.own_section import load_law
 from tuning.problem.search import Schedule, Search
 from tuning.report import ensemble_pictures
 from tuning.searches import schedule
@@ -72,7 +72,7 @@ def test_metrics_are_those_of_the_operating_point(scenario, table):
 @pytest.mark.slow
 @pytest.mark.nightly
 def test_a_schedule_of_a_law_of_ones_own(scenario, few):
-    law = law_file.load(f"{LAW}:Filtered")
+    law = load_law(f"{LAW}:Filtered")
     table = made(scenario, law=law)
     assert table["cutoff"].dims == ("gravity", "cargo", "six") and table["share"].dims == ("gravity", "cargo")
     there = scenario.with_overrides({"gravity": [0, 0, -9.81], "disturbance.cargo.mass": 1.0})
