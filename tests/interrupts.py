@@ -23,30 +23,27 @@ from tests.shell import ROOT, finish, start
 
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 ROBOT = str(ROOT / "mjx_climb" / "robot" / "models" / "hubrobo_v3_2.xml")
-SHORT = [CASE, "--set", "duration=0.1"]
+SHORT, OUT = [CASE, "--set", "duration=0.1"], ["--out", "out"]
 GRID = ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2"]
 COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} for that of its shards
-    "run": ["run", *SHORT, "--compare", "pd"],
-    "sweep": [*GRID, "--batch-size", "1"],
-    "shard": [*GRID, "--shard", "1/2"],
-    "tune": ["tune", *SHORT, "--starts", "2", "--iterations", "3"],
-    "ensemble": ["tune", *SHORT, "--ensemble", "ensemble", "--members", "2", "--starts", "2", "--iterations", "2"],
-    "pareto": ["pareto", *SHORT, "--points", "2"],
-    "schedule": ["schedule", *SHORT, "--gravity", "0.1,1", "--cargo", "0.5"],
-    "reproduce": ["reproduce"],
-    "margins": ["margins", *SHORT, "--gains", "{gains}"],
-    "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4"],
+    "run": ["run", *SHORT, "--compare", "pd", *OUT],
+    "sweep": [*GRID, "--batch-size", "1", *OUT],
+    "shard": [*GRID, "--shard", "1/2", *OUT],
+    "tune": ["tune", *SHORT, "--starts", "2", "--iterations", "3", *OUT],
+    "ensemble": ["tune", *SHORT, "--ensemble", "ensemble", *"--members 2 --starts 2 --iterations 2".split(), *OUT],
+    "pareto": ["pareto", *SHORT, "--points", "2", *OUT],
+    "schedule": ["schedule", *SHORT, "--gravity", "0.1,1", "--cargo", "0.5", *OUT],
+    "reproduce": ["reproduce", *OUT],
+    "margins": ["margins", *SHORT, "--gains", "{gains}", *OUT],
+    "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4", *OUT],
     "export": ["export", "{gains}", "--update-rate", "500"],
-    "merge": ["merge", "{shards}"],
-    "plot": ["plot", "{swept}"],
+    "merge": ["merge", "{shards}", *OUT],
+    "plot": ["plot", "{swept}", *OUT],
     "robot": ["robot", ROBOT],
     "schema": ["schema"],
     "doctor": ["doctor"],
     "bench": ["bench", "--quick", "--batch", "64"],
 }
-IN_A_FOLDER = (
-    "run", "sweep", "shard", "tune", "ensemble", "pareto", "schedule", "margins", "judge", "reproduce", "merge", "plot",
-)  # fmt: skip
 GAINS = "inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n"
 
 FINE = ("interrupted", "ended before", "before the program's first line")
@@ -75,9 +72,7 @@ def prepared(folder: Path) -> dict[str, Path]:
 
 def begin(command: str, given: Mapping[str, Path], folder: Path) -> subprocess.Popen[str]:
     """Start a command that writes below a folder."""
-    arguments = [argument.format(**given) for argument in COMMANDS[command]]
-    arguments += ["--out", str(folder / "out")] if command in IN_A_FOLDER else []
-    return start(*arguments, folder=folder)
+    return start(*(argument.format(**given) for argument in COMMANDS[command]), folder=folder)
 
 
 def undisturbed(command: str, given: Mapping[str, Path], folder: Path) -> float:
@@ -96,33 +91,30 @@ def attempts(
     command: str, instants: np.ndarray, rng: np.random.Generator, given: Mapping[str, Path], folder: Path, jobs: int = 1
 ) -> list[Attempt]:
     """Return how a command ends at some instants in s after its start, so many tried at a time."""
-    signals = rng.choice(["SIGINT", "SIGTERM"], len(instants))
+
+    def attempt(after: float, name: str) -> Attempt:
+        process = begin(command, given, Path(tempfile.mkdtemp(dir=folder)))
+        time.sleep(after)
+        since = time.monotonic()
+        before = process.poll() is not None
+        process.send_signal(getattr(signal, name))
+        _, errors = process.communicate()
+        took, last = time.monotonic() - since, errors.splitlines()[-1:]
+        kind = _kind(process.returncode, errors, last, before)
+        return Attempt(command, name, after, took, process.returncode, kind, *last)
+
     with ThreadPoolExecutor(jobs) as pool:
-        return list(pool.map(lambda after, name: _attempt(command, after, name, given, folder), instants, signals))
-
-
-def _attempt(command: str, after: float, name: str, given: Mapping[str, Path], folder: Path) -> Attempt:
-    process = begin(command, given, Path(tempfile.mkdtemp(dir=folder)))
-    time.sleep(after)
-    since = time.monotonic()
-    before = process.poll() is not None
-    process.send_signal(getattr(signal, name))
-    _, errors = process.communicate()
-    took = time.monotonic() - since
-    last = errors.splitlines()[-1:]
-    kind = _kind(process.returncode, errors, last, before)
-    return Attempt(command, name, after, took, process.returncode, kind, *last)
+        return list(pool.map(attempt, instants, rng.choice(["SIGINT", "SIGTERM"], len(instants))))
 
 
 def _kind(code: int, errors: str, last: list[str], before: bool) -> str:
-    if before:
-        return "ended before" if code == 0 else f"code {code} undisturbed"
-    if "mjx-climb" not in errors and "mjx_climb" not in errors and str(ROOT / "tuning") not in errors:
-        if code == 0:
-            return "ended before"
-        if code in (-signal.SIGTERM, -signal.SIGINT, 1, 130):  # Python itself starts, its import of `site` among others
-            return "before the program's first line"
-    if "Traceback" in errors:
+    if before and code:
+        return f"code {code} undisturbed"
+    begun = any(name in errors for name in ("mjx-climb", "mjx_climb", str(ROOT / "tuning")))
+    # Python itself starts, its import of `site` among others
+    if not begun and code in (-signal.SIGTERM, -signal.SIGINT, 1, 130):
+        return "before the program's first line"
+    if begun and "Traceback" in errors and not before:
         return "traceback"
     if code == 0:  # came to its end as the signal came
         return "ended before"

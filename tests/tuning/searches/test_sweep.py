@@ -13,6 +13,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
+from mjx_climb.rollouts.histories import LINES
 from tuning.problem.evaluation import Problem
 from tuning.searches import parts
 from tuning.searches import sweep as sweeps
@@ -50,6 +51,11 @@ def test_every_cell_is_the_walk_with_its_gains(scenario, whole):
         cell = whole.sel(stiffness=k, damping=d)
         for name in ("peak_foot_force", "force_variation", "base_deviation", "min_tsm"):
             assert cell[name].item() == pytest.approx(alone[name], rel=5e-3), name
+
+
+def test_a_small_grid_keeps_histories_with_the_peaks_of_its_walks(whole):
+    for name, (*_, metric) in LINES.items():
+        np.testing.assert_allclose(whole[name].sel(extreme="largest").max("stretch"), whole[metric], rtol=1e-6)
 
 
 def test_progress_counts_walks_not_padding(scenario):

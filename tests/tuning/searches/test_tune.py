@@ -351,7 +351,7 @@ def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path)
         (3.0, "expected a name, a Method, or a function"),
         (lambda task: iter([np.zeros((2, 2))]), "finite theta .B, 2., got a ndarray"),
         (lambda task: iter([Request(np.zeros((2, 5)), None, "")]), r"finite theta .B, 2., got .2, 5."),
-        (lambda task: iter([Request(np.full((2, 2), np.nan), None, "")]), "got .2, 2. with values that are not finite"),
+        (lambda task: iter([Request(np.diag([0.0, np.nan]), None, "")]), "got .2, 2. with values that are not finite"),
         (lambda task: iter([Request(np.zeros((2, 2)), np.ones((1, 3)), "")]), "expected directions .k, 2."),
     ],
 )
