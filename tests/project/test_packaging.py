@@ -109,27 +109,23 @@ def test_the_installed_program_works_outside_the_repository(programs, tmp_path):
     assert (tmp_path / "walk" / "walk.png").stat().st_size > 10_000
 
 
+INSTALLED = """
+from mjx_climb.checks import self_check
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario import load, shipped
+from tuning.problem import ensemble
+from tuning.report import page
+print(self_check.__file__, page.__file__, shipped.config_path("case_2.yaml"), self_check.STORED, sep="\\n")
+[load_robot(load.load_scenario(name).robot) for name in shipped.names()]
+ensemble.Ensemble.load(shipped.config_path("ensemble.yaml"))
+self_check.load()["walk"], page._ENVIRONMENT.get_template("page.html.jinja")
+[(page.HERE / name).read_text() for name in ("page.css", "page.js")]
+"""
+
+
 def test_installed_code_finds_its_own_files(programs, tmp_path):
-    program = (
-        "from pathlib import Path\n"
-        "import mjx_climb, tuning\n"
-        "from mjx_climb.checks import self_check\n"
-        "from mjx_climb.robot.constants import load_robot\n"
-        "from mjx_climb.scenario import shipped\n"
-        "from tuning.problem import ensemble\n"
-        "from tuning.report import page\n"
-        f"home = Path({str(programs.parent)!r})\n"
-        "places = [mjx_climb.__file__, tuning.__file__, shipped.config_path('case_2.yaml'), self_check.STORED]\n"
-        "assert all(home in Path(place).parents for place in places), places\n"
-        "assert 'case_1_1' in shipped.names() and 'lemur_like_cliff' in shipped.names()\n"
-        "load_robot(mjx_climb.load_scenario(shipped.config_path('lemur_like_cliff.yaml')).robot)\n"
-        "ensemble.Ensemble.load(shipped.found(Path('ensemble')))\n"
-        "[load_robot(name) for name in ('hubrobo_v3_2', 'hubrobo_v2_2')]\n"
-        "assert self_check.load()['walk']\n"
-        "page._ENVIRONMENT.get_template('page.html.jinja')\n"
-        "assert all((page.HERE / name).read_text() for name in ('page.css', 'page.js'))\n"
-    )
-    done(programs / "python", "-c", program, cwd=tmp_path, env=plain())
+    places = done(programs / "python", "-c", INSTALLED, cwd=tmp_path, env=plain()).splitlines()
+    assert len(places) == 4 and all(programs.parent in Path(place).parents for place in places)
 
 
 def test_pip_installs_a_checkout(checkout, tmp_path):
