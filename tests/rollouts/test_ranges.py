@@ -96,6 +96,13 @@ def test_bad_arguments_have_one_line_each(scenario, arguments, said):
 def test_so_they_have_elsewhere(scenario):
     with pytest.raises(ValueError, match=r"^dtype: "):
         mc.Environment(scenario, dtype=jnp.float16)
+    six = mc.Gains(*[np.ones((1, 6))] * 3)
+    for ask in (
+        lambda: mc.rollout_jvp(scenario, six, six, batch_size=0),
+        lambda: mc.rollout_histories(scenario, batch_size=0),
+    ):
+        with pytest.raises(ValueError, match=r"^batch_size: expected 1 or more, got 0$"):
+            ask()
     with pytest.raises(ValueError, match="expected one robot or more"):
         mc.Environment(scenario).reset(batch=(0,))
     with pytest.raises(ValueError, match=r"^dtype: "):

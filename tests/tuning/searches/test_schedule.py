@@ -48,7 +48,9 @@ def test_each_operating_point_has_its_gravity_and_its_cargo(scenario, monkeypatc
     """The cargo runs fastest, in what is walked as in the tables."""
     pd = dict.fromkeys(mc.METRICS.names, np.ones(6)) | {"diverged": np.zeros(6)}
     monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: pd)
-    points = schedule.operating_points(scenario, Search(), Schedule(gravity=(0.1, 1.0), cargo=(0.0, 0.5, 2.0)))
+    asked = Schedule(gravity=(0.1, 1.0), cargo=(0.0, 0.5, 2.0))
+    points = schedule.operating_points(scenario, Search(precision="float64"), asked)
+    assert points.problem.dtype is np.float64
     np.testing.assert_allclose(points.problem.parameters.gravity[:, 2], [-0.981] * 3 + [-9.81] * 3)
     assert points.problem.parameters.cargo_mass.tolist() == [0.0, 0.5, 2.0] * 2
 

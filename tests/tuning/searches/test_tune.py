@@ -253,6 +253,7 @@ def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenar
 
 def test_a_dead_start_does_not_poison_the_others(scenario):
     found, _ = searched(scenario, start=lambda bowl: bowl.space.lower, starts=4)  # own gains in the dead corner
+    assert [len(request.theta) for request, _ in found[1:]] == [4] * (len(found) - 1)
     assert all(np.isfinite(request.theta).all() for request, _ in found)
     alive = [answer.alive for _, answer in found]
     assert not alive[1][0] and alive[-1].all()
