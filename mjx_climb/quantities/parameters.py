@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mjx_climb.execution.forked import check_process
 from mjx_climb.quantities.ground import foothold_heights
-from mjx_climb.quantities.low_reaction import swing_path
+from mjx_climb.quantities.swing import swing_path
 from mjx_climb.scenario.messages import section
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.scenario.values import Number, Positive
