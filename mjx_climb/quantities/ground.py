@@ -2,7 +2,9 @@
 
 import functools
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +12,10 @@ from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.quantities.swing import rest_to_rest
 from mjx_climb.robot.constants import Robot, load_robot
-from mjx_climb.robot.posture import limb_joints
+from mjx_climb.robot.posture import MET, limb_joints
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import HeightMap, Scenario
 
-_MISSED = 1e-9  # m
 _LITTLE = 1e-2  # of a stride: a limb that misses even that cannot follow at all
 _HALVINGS = 7  # of the stride, in search of the longest one
 
@@ -72,16 +73,17 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
     heights = heights[:, : _foothold_count(scenario)]
     for n in np.sort(np.unique(heights, axis=1, return_index=True)[1]):
         height = heights[:, n]
+        above = height - height.mean()
         feet = _stance_feet(robot)
-        feet[:, 2] += height - height.mean()
+        feet[:, 2] += above
         missed = limb_joints(robot.model, feet).errors
-        if missed.max() > _MISSED:
-            limb = int(np.argmax(np.where(missed > _MISSED, np.abs(height - height.mean()), -1)))
-            key = f"ground.footholds.{robot.limbs[limb]}.{n}" if scenario.ground.footholds is not None else "ground.map"
+        if missed.max() > MET:
+            limb = int(np.argmax(np.where(missed > MET, np.abs(above), -1)))
+            name = robot.limbs[limb]
+            key = f"ground.footholds.{name}.{n}" if scenario.ground.footholds is not None else "ground.map"
             raise ConfigError(
-                f"{source}: {key}: expected footholds within reach and joint limits, got one of {robot.limbs[limb]} at "
-                f"{height[limb]:g} m, {height[limb] - height.mean():+.3g} m from the mean, missed by "
-                f"{missed[limb] * 1e3:.2g} mm"
+                f"{source}: {key}: expected footholds within reach and joint limits, got one of {name} at "
+                f"{height[limb]:g} m, {above[limb]:+.3g} m from the mean, missed by {missed[limb] * 1e3:.2g} mm"
             )
 
 
@@ -96,17 +98,13 @@ def _check_stride(scenario: Scenario, source: str) -> None:
     extremes = -rest_to_rest(lift_off), 1 - rest_to_rest(lift_off + 1 - gait.duty)  # strides from foot to base, ahead
 
     def missed(stride: float) -> np.ndarray:
-        planned = (feet + stride * np.outer(along, [1, 0, 0]) for along in extremes)
-        errors: np.ndarray = np.max(
-            [limb_joints(robot.model, each, robot.stance_joints).errors for each in planned], axis=0
-        )
-        return errors > _MISSED
+        planned = [feet + stride * np.outer(along, [1, 0, 0]) for along in extremes]
+        errors = [limb_joints(robot.model, each, robot.stance_joints).errors for each in planned]
+        return np.array(errors).max(0) > MET
 
     low, high = 0.0, min(gait.stride, 10 * float(np.abs(feet).max()))  # no limb is as long as that
-    if not missed(high).any():
-        return
-    free = ~missed(_LITTLE * high)
-    if not (missed(high) & free).any():
+    far = missed(high)
+    if not far.any() or not (far & (free := ~missed(_LITTLE * high))).any():
         return
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
@@ -148,30 +146,24 @@ def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> n
 @functools.lru_cache(maxsize=8)
 def _grid(file: str) -> np.ndarray:
     """Return the samples of a map: rows along y, columns along x, both ascending."""
-    readers = {".csv": _csv, ".npy": _npy, ".png": _png}
-    suffix = Path(file).suffix.lower()
+    readers: dict[str, Callable[[str], Any]] = {".csv": _csv, ".npy": np.load, ".png": _png}
+    suffix, key = Path(file).suffix.lower(), f"{file}: ground.map.file"
     if suffix not in readers:
-        raise ConfigError(f"{file}: ground.map.file: expected a .csv, .npy or .png, got {suffix or 'no suffix'}")
+        raise ConfigError(f"{key}: expected a .csv, .npy or .png, got {suffix or 'no suffix'}")
     try:
         grid = np.asarray(readers[suffix](file), float)
     except (OSError, ValueError, SyntaxError, EOFError) as error:  # SyntaxError: a broken PNG
         reason = (getattr(error, "strerror", None) or str(error) or "a damaged one").splitlines()[0]
-        raise ConfigError(f"{file}: ground.map.file: expected a grid of numbers, got {reason}") from None
+        raise ConfigError(f"{key}: expected a grid of numbers, got {reason}") from None
     if grid.ndim != 2 or min(grid.shape) < 2 or not np.isfinite(grid).all():
         got = "values that are not finite" if grid.ndim == 2 and min(grid.shape) > 1 else f"shape {grid.shape}"
-        raise ConfigError(
-            f"{file}: ground.map.file: expected two rows and columns or more of finite numbers, got {got}"
-        )
+        raise ConfigError(f"{key}: expected two rows and columns or more of finite numbers, got {got}")
     return grid
 
 
 def _csv(file: str) -> np.ndarray:
     rows = [line.split(",") for line in Path(file).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     return np.array([[float(cell) for cell in row] for row in rows])
-
-
-def _npy(file: str) -> np.ndarray:
-    return np.asarray(np.load(file, allow_pickle=False))
 
 
 def _png(file: str) -> np.ndarray:

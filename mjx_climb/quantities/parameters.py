@@ -16,6 +16,7 @@ from jax import Array
 from jaxtyping import Real
 from pydantic import TypeAdapter, ValidationError
 
+from mjx_climb.dynamics.spatial import namespace
 from mjx_climb.execution.forked import check_process
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.quantities.swing import swing_path
@@ -34,6 +35,8 @@ _SwingPaths = Real[_Values, "... limbs 3 K"]
 _Pushes = Real[_Values, "... pushes 3"]
 _PushTimes = Real[_Values, "... pushes"]
 _PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
+ROUNDING = 2.0**-21  # of a number of steps: what single precision may be off
+_TIMES = ("cycle", "cargo_start", "cargo_stop", "push_start", "push_stop", "control_period")
 
 
 def _of(key: str | None, unit: str = "", long_name: str = "", **default: Any) -> Any:
@@ -205,3 +208,40 @@ def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
     field = section(Scenario, place).model_fields[key]
     kind: Any = Annotated[field.annotation, *field.metadata]
     return field.annotation, TypeAdapter(kind)
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Times as whole numbers of time steps, the same in single and in double precision
+
+
+def whole_steps(seconds: Any, time_step: float) -> Any:
+    """Return the whole number of time steps nearest to each time in s, of two the larger; arrays of JAX or of NumPy.
+
+    What lies below half a step by no more than the rounding of single precision counts as half a step.
+    """
+    steps = seconds / time_step + 0.5
+    return namespace(steps).floor(steps + _slack(steps))
+
+
+def stance_steps(duty: Any, cycle_steps: Any) -> Any:
+    """Return for how many steps of a cycle a limb stands: rounded up, so that limbs in turn never swing together."""
+    steps = duty * cycle_steps
+    return namespace(steps).ceil(steps - _slack(steps))
+
+
+def _slack(steps: Any) -> Any:
+    return namespace(steps).minimum(steps * ROUNDING, 0.125)
+
+
+def with_whole_steps(parameters: Parameters, time_step: float) -> Parameters:
+    """Return parameters whose gait, windows and control period are whole time steps, counted in double precision.
+
+    A walk in any precision finds the same numbers of steps in them. Values that JAX traces stay as they are.
+    """
+    known = {name: getattr(parameters, name) for name in (*_TIMES, "duty")}
+    known = {n: np.asarray(v, np.float64) for n, v in known.items() if not isinstance(v, jax.core.Tracer)}
+    steps = {name: whole_steps(known[name], time_step) for name in _TIMES if name in known}
+    changed = {name: count * time_step for name, count in steps.items()}
+    if "duty" in known and "cycle" in known:
+        changed["duty"] = stance_steps(known["duty"], steps["cycle"]) / np.maximum(steps["cycle"], 1)
+    return dataclasses.replace(parameters, **changed)

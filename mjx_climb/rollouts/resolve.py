@@ -13,8 +13,7 @@ from numpy.typing import DTypeLike
 
 from mjx_climb.control import PD, Law
 from mjx_climb.quantities.batches import batch_shape, own_axes
-from mjx_climb.quantities.parameters import Gains, Parameters, check_ranges, own_parameters
-from mjx_climb.quantities.whole_steps import with_whole_steps
+from mjx_climb.quantities.parameters import Gains, Parameters, check_ranges, own_parameters, with_whole_steps
 from mjx_climb.scenario.model import Scenario
 
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name

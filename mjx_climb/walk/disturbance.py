@@ -5,8 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.quantities.parameters import Parameters
-from mjx_climb.quantities.whole_steps import whole_steps
+from mjx_climb.quantities.parameters import Parameters, whole_steps
 
 
 class Window(NamedTuple):

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.dynamics.spatial import quaternion_about_z, quaternion_multiply, rotation_about_z
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.quantities.parameters import Parameters, stance_steps, whole_steps
 from mjx_climb.quantities.swing import added_shapes, lift, rest_to_rest
-from mjx_climb.quantities.whole_steps import stance_steps, whole_steps
 from mjx_climb.robot.constants import Robot
 
 
