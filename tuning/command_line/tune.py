@@ -1,7 +1,6 @@
 """`mjx-climb tune`: a search for gains."""
 
 import dataclasses
-import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,8 +72,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
     """
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
-        from tuning.output import comparisons
-        from tuning.output.folder import check_own
+        from tuning.output import comparisons, folder
         from tuning.searches import robust
         from tuning.searches import tune as searches
 
@@ -88,7 +86,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
         wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), walk.engine, loaded.law)
         kind = "tune" if drawn is None else "robust"
         out = team.folder(output.folder(walk.config.stem, kind, wanted.method, wanted.space))
-        check_own(out, "search.nc")
+        folder.check_own(out, "search.nc")
         shell.opening(loaded.scenario)
         shell.say(*filter(None, [team.said]))
         team.begin(out, loaded.scenario)
@@ -98,7 +96,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
             else:
                 problem = robust.problem_of(loaded.scenario, drawn, wanted, **loaded.how)
         with kept_in(out, "rounds") as kept, background(busy=1) as begin:
-            begin(lambda _: importlib.import_module(f"tuning.output.{kind}"))  # matplotlib takes half a second
+            begin(lambda _: folder.writer(kind))  # matplotlib takes half a second
             compared = None
             if drawn is None:
                 comparisons.load_tests(problem, wanted, begin)

@@ -22,6 +22,7 @@ from tuning.searches.tune import start_of
 GIVEN = "gains file"  # the name of a walk with gains that are not the config's
 # inertia, damping and stiffness of cases 1.1, 1.2 and 2
 PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
+CONVERGENCE = "How the search converged."
 _BY_TANGENTS = {"gradient", "lbfgs"}  # methods
 
 
@@ -62,10 +63,7 @@ def of_grid(
 
 
 def of_search(problem: Problem, search: Search, begin: Begin, *, out: Path | None = None) -> OfSearch:
-    """Begin what a search is compared with.
-
-    `out` holds the rounds in which pd is retuned until the result has been written.
-    """
+    """Begin what a search is compared with; `out` holds the rounds in which pd is retuned until the result is there."""
     scenario, law, engine = problem.scenario, problem.law, problem.engine
     on_the_map = law is None and JOINT.keys().isdisjoint(problem.space.gains)  # then one map serves all results
     return OfSearch(
@@ -92,3 +90,27 @@ def load_tests(problem: Problem, search: Search, begin: Begin) -> None:
 def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.Trajectory]:
     """Return a work that simulates one robot under the scenario's law, or another."""
     return lambda _: mc.rollout(scenario, law=law, engine=engine)
+
+
+class Retuned(NamedTuple):
+    """Pd with joint gains of its own, and what it is compared with, at as short a time step as it needs."""
+
+    walk: Work[mc.Trajectory]
+    step: float | None  # None: the scenario's
+    level: Work[mc.Trajectory] | None  # the other at this time step
+
+
+def beside_retuned(
+    scenario: mc.Scenario,
+    joint: Mapping[str, float],
+    ours: tuple[mc.Scenario, mc.Law | None] | None,
+    engine: str,
+    begin: Begin,
+) -> Retuned:
+    """Begin the walks by which pd with its joint gains is compared with ours, where there are such."""
+    alone = retuned_pd.walker(scenario, joint)
+    step, level = None, None
+    if ours is not None and alone.time_step != scenario.time_step:
+        step = alone.time_step
+        level = begin(one_walk(ours[0].with_overrides({"time_step": step}), ours[1], engine))
+    return Retuned(begin(one_walk(alone, None, engine)), step, level)

@@ -1,11 +1,12 @@
 """The folder of a result: the one place that knows what it holds, and that writes it."""
 
-import contextlib
 import dataclasses
+import importlib
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from types import MappingProxyType, ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import xarray as xr
 
@@ -15,27 +16,41 @@ from tuning.background import Stage, silent
 from tuning.gains import gains_file
 from tuning.gains.own_section import section
 from tuning.report import page
-from tuning.report.page import Origin
+from tuning.report.page import Origin, Page
 from tuning.searches import parts
-from tuning.searches.result import Result
+from tuning.searches.result import Result, Written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _Found = TypeVar("_Found", bound=Result)
+Pictures = Mapping[str, tuple[str, "Callable[[], Figure]"]]  # by name: caption, and what draws it
 
 # by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
 RESULTS = (
     "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json", "judged.nc",
 )  # fmt: skip
 _WITHOUT_PARTS = ("trajectory.nc", "margins.json", "reproduce.json")
+_OF_THEIR_OWN = ("tune", "sweep")  # kinds with a module in this package; the others share one
+
+
+class Contents(NamedTuple):
+    """What a kind of result leaves in its folder beside what was asked for, its gains and its data."""
+
+    written: Written
+    files: Mapping[str, str | xr.Dataset] = MappingProxyType({})  # by name
+    pictures: Pictures = MappingProxyType({})
+    page: Callable[[Origin, Mapping[str, Path]], Page] | None = None  # from PNG files by caption
+    again: str = ""  # the command or call that repeats it in the folder
+
+
+def writer(kind: str) -> ModuleType:
+    """Return the module whose function `kind` gives the contents; it imports matplotlib."""
+    return importlib.import_module(f"tuning.output.{kind if kind in _OF_THEIR_OWN else 'ensembles'}")
 
 
 class Folder:
-    """A folder that a result is written to, and what has been written there.
-
-    Every method that writes raises OutputError where it cannot.
-    """
+    """A folder that a result is written to, and what has been written there; OutputError where it cannot be."""
 
     def __init__(
         self,
@@ -45,69 +60,63 @@ class Folder:
         figures: Collection[str] = ("png",),
         stage: Stage = silent,
     ):
-        """Make the folder; `result` is the file by which it is known, the others are as of `Result.write`.
-
-        Raises:
-            OutputError: it cannot be written to, or holds another command's result.
-        """
+        """Make the folder; `result` is the file by which it is known, the others are as of `Result.write`."""
         check_own(path, result)
-        self.path, self.stage = path, stage
-        self.name = "from Python" if origin is None else origin.name
-        self.pictures: dict[str, Path] = {}  # PNG by caption
-        self._result, self._origin, self._figures, self._files = result, origin, figures, list[str]()
+        self.path, self.stage, self._result = path, stage, result
+        self._origin, self._figures = origin, {"png", *figures}
+        self._pictures: dict[str, Path] = {}  # PNG by caption
+        self._files: list[str] = []
+
+    def write(self, found: Result, begun: Any = None) -> Written:
+        """Write a result as its kind declares it, remove the parts that its search kept, and say what was written."""
+        made: Contents = getattr(writer(found.KIND), found.KIND)(found, self, begun)
+        for name, content in made.files.items():
+            self.add(name, content)
+        self.draw(made.pictures)
+        if made.page is not None:
+            with self.stage("report", compiles=False):
+                call = f"tuning.{found.KIND}(...)"
+                origin = self._origin or Origin("the scenario", call, made.again or call)
+                config = without_folders((self.path / "config.yaml").read_text(encoding="utf-8"))
+                named = page.write(made.page(origin._replace(config=config), self._pictures), self.path).name
+                self._files.insert(0, named)
+        parts.clear(self.path)
+        return dataclasses.replace(made.written, files=", ".join(dict.fromkeys([*self._files, "config.yaml"])))
 
     def found(self, found: _Found) -> _Found:
-        """Write what was asked, gains and data; return the result of the scenario with its files copied here."""
+        """Write what was asked for, gains and data; return the result of the scenario with its files copied here."""
         problem = found.problem
         scenario = write_config(problem.scenario, self.path, problem.law, problem.metrics, problem.own_objective)
-        found = dataclasses.replace(found, problem=dataclasses.replace(problem, scenario=scenario))
-        settings = {"search.yaml": found.search, "ensemble.yaml": found.ensemble}
         if found.gains is not None and found.search is not None:
-            gains_file.save(found.gains, self.path / "gains.yaml", found.comment(self.name), problem.law)
+            name = "from Python" if self._origin is None else self._origin.name
+            gains_file.save(found.gains, self.path / "gains.yaml", found.comment(name), problem.law)
             self._files.append("gains.yaml")
-        found = dataclasses.replace(found, data=made_from(found.data, scenario))
-        self.data(found.data)
-        for name, each in settings.items():
-            if each is not None:
-                self.text(name, each.to_yaml())
-        return found
+        data = made_from(found.data, scenario)
+        self.add(self._result, data)
+        for name, settings in (("search.yaml", found.search), ("ensemble.yaml", found.ensemble)):
+            if settings is not None:
+                self.add(name, settings.to_yaml())
+        return dataclasses.replace(found, data=data, problem=dataclasses.replace(problem, scenario=scenario))
 
-    def data(self, data: xr.Dataset, name: str | None = None) -> None:
-        """Write a dataset: that of the result where no name is given."""
-        name = name or self._result
-        dataset.save(data, self.path / name)
+    def add(self, name: str, content: str | xr.Dataset) -> None:
+        """Write a text or a dataset."""
+        if isinstance(content, str):
+            dataset.write_text_atomically(self.path / name, content)
+        else:
+            dataset.save(content, self.path / name)
         self._files.append(name)
 
-    def text(self, name: str, text: str) -> None:
-        """Write a text."""
-        dataset.write_text_atomically(self.path / name, text)
-        self._files.append(name)
-
-    def draw(self, pictures: Mapping[str, tuple[str, Callable[[], "Figure"]]]) -> None:
-        """Draw pictures, each with its caption and by what makes it, into files of all formats that are wanted."""
+    def draw(self, pictures: Pictures) -> None:
+        """Draw pictures into files of all formats that are wanted."""
+        if not pictures:
+            return
         from mjx_climb import plots  # which imports matplotlib
 
         with self.stage("drawing", compiles=False):
             for name, (caption, picture) in pictures.items():
-                plots.save_figure(picture(), self.path / name, {"png", *self._figures})
-                self.pictures[caption] = self.path / f"{name}.png"
+                plots.save_figure(picture(), self.path / name, self._figures)
+                self._pictures[caption] = self.path / f"{name}.png"
                 self._files.append(f"{name}.png")
-
-    def origin(self, call: str, again: str | None = None) -> Origin:
-        """Return where the report comes from, with the folder's config.yaml; where None was given, from `call`."""
-        origin = self._origin or Origin("the scenario", call, again or call)
-        return origin._replace(config=without_folders((self.path / "config.yaml").read_text(encoding="utf-8")))
-
-    @contextlib.contextmanager
-    def report(self, *, compiles: bool = False) -> Iterator[Callable[[page.Page], None]]:
-        """Give what writes the report, in a stage of its own."""
-        with self.stage("report", compiles=compiles):
-            yield lambda made: self._files.insert(0, page.write(made, self.path).name)
-
-    def finished(self) -> str:
-        """Remove the parts that the search kept, and return the names of all files."""
-        parts.clear(self.path)
-        return ", ".join(dict.fromkeys([*self._files, "config.yaml"]))
 
 
 def check_own(folder: Path, result: str) -> None:
@@ -137,9 +146,6 @@ def write_config(
     """Write config.yaml, and return the scenario with the files that it names copied to the folder.
 
     `law`, `metrics` and `objective` are the user's own, where there are any: config.yaml names them.
-
-    Raises:
-        OutputError: a file cannot be written.
     """
     own = section(law, metrics, objective)
     written = scenario_files.copied(scenario if own is None else scenario.with_overrides({"own": own}), folder)

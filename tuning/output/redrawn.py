@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,9 @@ from tuning.report.explorer import axes_of
 from tuning.searches import result
 
 Drawn = Iterator[tuple[str, Figure]]
+RESULTS = ("trajectory.nc", "sweep.nc", "map.nc", "search.nc", "judged.nc", "front.nc", "schedule.nc")
+OF_METRICS = ("sweep.nc", "map.nc", "judged.nc")
+SUMMARIES = {"sweep.nc": "comparison.json", "map.nc": "summary.json"}
 
 
 def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
@@ -32,39 +35,46 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
     Raises:
         ConfigError: no result there, or none of a metric.
     """
-    there = [name for name in _DRAWN if os.path.isfile(folder / name)]
+    there = [name for name in RESULTS if os.path.isfile(folder / name)]
     if not there:
-        raise ConfigError(f"{folder}: expected a folder with a result ({', '.join(_DRAWN)}), got none")
-    of_metrics = [name for name in there if name in _OF_METRICS]
+        raise ConfigError(f"{folder}: expected a folder with a result ({', '.join(RESULTS)}), got none")
+    of_metrics = [name for name in there if name in OF_METRICS]
     if metrics and not of_metrics:
         raise ConfigError(f"{folder}: expected a result with maps or an ensemble to draw metrics of, got {there[0]}")
     for name in of_metrics if metrics else there:
-        yield from _DRAWN[name](folder, metrics)
+        if name == "trajectory.nc":
+            trajectory = dataset.load_trajectory(folder / name)
+            yield "walk", plots.plot_walk(trajectory)
+            yield "feet", plots.plot_feet(trajectory)
+            continue
+        data = dataset.load(folder / name)
+        if name in SUMMARIES:
+            yield from _maps(data, _compared(folder / SUMMARIES[name]), metrics, "map" if name == "map.nc" else "maps")
+        elif name == "search.nc":
+            yield from _search(folder, data)
+        elif name == "judged.nc":
+            _check(metrics, data, ("gains", "member"))
+            yield "judged", ensemble_pictures.plot_judged(data, *([metrics] if metrics else []))
+        elif name == "front.nc":
+            yield "front", ensemble_pictures.plot_front(data)
+        else:
+            yield "schedule", ensemble_pictures.plot_schedule(data)
 
 
-def _walk(folder: Path, _: Sequence[str]) -> Drawn:
-    trajectory = dataset.load_trajectory(folder / "trajectory.nc")
-    yield "walk", plots.plot_walk(trajectory)
-    yield "feet", plots.plot_feet(trajectory)
-
-
-def _maps(folder: Path, file: str, summary: str, metrics: Sequence[str], sheet: str) -> Drawn:
+def _maps(data: xr.Dataset, compared: Compared, metrics: Sequence[str], sheet: str) -> Drawn:
     """Yield the sheet of all maps, or a map of each metric."""
-    data, compared = dataset.load(folder / file), _compared(folder / summary)
     if not metrics:
         yield sheet, sweep.sheet(data, compared)
     x, y = axes_of(data)
+    _check(metrics, data, (x, y))
+    marks = sweep.marks(data, compared)
     for name in metrics:
-        _check(name, data, (x, y))
         baseline = compared["pd"][1].get(name) if "pd" in compared else None
-        yield (
-            f"{sheet}-{name}",
-            plots.plot_map(data, name, sweep.marks(data, compared), baseline=baseline, x=x, y=y),
-        )
+        yield f"{sheet}-{name}", plots.plot_map(data, name, marks, baseline=baseline, x=x, y=y)
 
 
-def _search(folder: Path, _: Sequence[str]) -> Drawn:
-    if "law" in dataset.load(folder / "search.nc").attrs:
+def _search(folder: Path, data: xr.Dataset) -> Drawn:
+    if "law" in data.attrs:
         return  # its file is not here
     found = result.load(folder / "search.nc")
     yield "convergence", search_pictures.plot_convergence(found)
@@ -72,34 +82,11 @@ def _search(folder: Path, _: Sequence[str]) -> Drawn:
         yield "path", search_pictures.plot_path(found, dataset.load(folder / "map.nc"))
 
 
-def _judged(folder: Path, metrics: Sequence[str]) -> Drawn:
-    walks = dataset.load(folder / "judged.nc")
-    for name in metrics:
-        _check(name, walks, ("gains", "member"))
-    yield "judged", ensemble_pictures.plot_judged(walks, *([metrics] if metrics else []))
-
-
-def _one(name: str, draw: Callable[[xr.Dataset], Figure]) -> Callable[[Path, Sequence[str]], Drawn]:
-    """Return what draws the only picture of a result, whose data has its name."""
-    return lambda folder, _: iter([(name, draw(dataset.load(folder / f"{name}.nc")))])
-
-
-_DRAWN: dict[str, Callable[[Path, Sequence[str]], Drawn]] = {
-    "trajectory.nc": _walk,
-    "sweep.nc": lambda folder, metrics: _maps(folder, "sweep.nc", "comparison.json", metrics, "maps"),
-    "map.nc": lambda folder, metrics: _maps(folder, "map.nc", "summary.json", metrics, "map"),
-    "search.nc": _search,
-    "judged.nc": _judged,
-    "front.nc": _one("front", ensemble_pictures.plot_front),
-    "schedule.nc": _one("schedule", ensemble_pictures.plot_schedule),
-}
-_OF_METRICS = ("sweep.nc", "map.nc", "judged.nc")
-
-
-def _check(metric: str, data: xr.Dataset, dims: tuple[str, str]) -> None:
+def _check(metrics: Sequence[str], data: xr.Dataset, dims: tuple[str, str]) -> None:
     known = [str(name) for name, values in data.items() if set(values.dims) == set(dims) and values.dtype.kind in "fi"]
-    if metric not in known:
-        raise ConfigError(f"--metric: expected one of {', '.join(known)}, got {metric!r}")
+    for metric in metrics:
+        if metric not in known:
+            raise ConfigError(f"--metric: expected one of {', '.join(known)}, got {metric!r}")
 
 
 def _compared(file: Path) -> Compared:

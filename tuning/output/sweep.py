@@ -14,10 +14,10 @@ import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.execution import devices
 from mjx_climb.files import scenario_files
-from tuning.background import Stage, background, ignore
+from tuning.background import Stage, Work, background, ignore
 from tuning.evaluation import stability_limit
-from tuning.output.comparisons import GIVEN, OfGrid, of_grid, one_walk
-from tuning.output.folder import Folder, made_from, write_config
+from tuning.output.comparisons import GIVEN, OfGrid, beside_retuned, of_grid, one_walk
+from tuning.output.folder import Contents, Folder, made_from, write_config
 from tuning.report import pages
 from tuning.report.comparison import Compared, differences, gains_of
 from tuning.report.explorer import axes_of
@@ -32,44 +32,41 @@ HATCHED = ("detached_limb", "diverged")  # shown on every map
 CAPTION = "All metrics over both gains; brighter is better."
 
 
-def write(found: Swept, folder: Folder, begun: OfGrid | None = None) -> Written:
-    """Simulate the best, the scenario's own gains and pd, and write what `mjx-climb sweep` writes."""
+def sweep(found: Swept, folder: Folder, begun: OfGrid | None = None) -> Contents:
+    """Simulate the best, the scenario's own gains and pd, with the contents that `mjx-climb sweep` writes."""
     problem, (scenario, law) = found.problem, found.walker()
     walked = write_config(scenario, folder.path, law, problem.metrics)
-    own = scenario_files.copied(problem.scenario, folder.path)
-    problem = dataclasses.replace(problem, scenario=own)
+    problem = dataclasses.replace(problem, scenario=scenario_files.copied(problem.scenario, folder.path))
     found = dataclasses.replace(found, problem=problem, data=made_from(found.data, walked))
     compared = compare(found, folder.stage, begun)
     data, best, (scenario, law) = compared.data, compared.best, found.walker()
-    folder.data(data)
+    folder.add("sweep.nc", data)
+    count, edges = data["diverged"].size, compared.at_edge
     with background() as begin:
-        many = data["diverged"].size > HISTORIES
         how = {**problem.walks, "law": law}
-        walking = begin(lambda _: pages.with_histories(data, scenario, best, **how) if many else data)
+        walking = begin(lambda _: pages.with_histories(data, scenario, best, **how) if count > HISTORIES else data)
         folder.draw({"maps": (CAPTION, lambda: sheet(data, compared.rows))})
-        with folder.stage("histories") if many else contextlib.nullcontext():
+        with folder.stage("histories") if count > HISTORIES else contextlib.nullcontext():
             histories = walking(ignore)
-    failures, edges = compared.failed, compared.at_edge
-    counts = {"walks": data["diverged"].size, "failed": failures, "best_at_edge_of": edges}
-    summary = _summary(compared, counts)
-    folder.text("comparison.json", summary + "\n")
+    summary = _summary(compared, {"walks": count, "failed": compared.failed, "best_at_edge_of": edges})
     widen = [f"the best lies on the edge of the grid: widen {name}" for name in edges]
     worth = [] if compared.worth is None else [compared.worth.in_words]
-    with folder.report() as write_page:
-        listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
-        again = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed}).write("again")'
-        made = pages.sweep_page(
-            dataclasses.replace(problem, scenario=scenario), compared, histories, marks(data, compared.rows),
-            [*worth, *widen], origin=folder.origin("tuning.sweep(...)", again), pictures=folder.pictures,
-        )  # fmt: skip
-        write_page(made)
     if best is None:
-        outcome = [f"no walk of the grid held: all {counts['walks']} detached or diverged"]
+        outcome = [f"no walk of the grid held: all {count} detached or diverged"]
     else:
         at = ", ".join(f"{name} {best[name].item():.4g}" for name in found.axes)
-        outcome = [f"best: {at} ({failures} of {counts['walks']} walks detached or diverged)", *widen]
+        outcome = [f"best: {at} ({compared.failed} of {count} walks detached or diverged)", *widen]
     outcome += worth + remarks({name: metrics for name, (_, metrics) in compared.rows.items()})
-    return Written(walks=compared.walks, compared=compared.rows, data=data, outcome=outcome, summary=summary)
+    listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
+    return Contents(
+        Written(walks=compared.walks, compared=compared.rows, data=data, outcome=outcome, summary=summary),
+        {"comparison.json": summary + "\n"},
+        page=lambda origin, pictures: pages.sweep_page(
+            dataclasses.replace(problem, scenario=scenario), compared, histories, marks(data, compared.rows),
+            [*worth, *widen], origin=origin, pictures=pictures,
+        ),
+        again=f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed}).write("again")',
+    )  # fmt: skip
 
 
 class Comparison(NamedTuple):
@@ -91,23 +88,26 @@ def compare(found: Swept, stage: Stage, begun: OfGrid | None = None) -> Comparis
     others = begun or of_grid(problem.scenario, problem.law, found.gains, axes, problem.engine, lambda work: work)
     # side by side: most of the time goes to the compiler, which has a program of its own for each
     with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
-        limits = pool.submit(others.limits, ignore)
+
+        def begin(work: Work[Any]) -> Work[Any]:
+            future = pool.submit(work, ignore)
+            return lambda _: future.result()
+
+        limits = begin(others.limits)
         asked = dict(others.walks)
         if best is not None:
             walker = found.walker({name: best[name].item() for name in found.axes})
             asked["best"] = one_walk(*walker, problem.engine)
-        walking = {name: pool.submit(walk, ignore) for name, walk in reversed(asked.items())}
-        (rival, limit), level = limits.result(), None
+        walking = {name: begin(walk) for name, walk in reversed(asked.items())}
+        rival, limit = limits(ignore)
         if best is not None and (rival is None or (rival.lacks and best["force_variation"] < rival.value)):
             rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
         if rival is not None:
-            alone = retuned_pd.walker(problem.scenario, rival.joint)
-            walking[retuned_pd.NAME] = pool.submit(one_walk(alone, None, problem.engine), ignore)
-            if best is not None and alone.time_step != problem.scenario.time_step:  # as short for both
-                rival = rival._replace(step=alone.time_step)
-                shorter = walker[0].with_overrides({"time_step": alone.time_step})
-                level = pool.submit(one_walk(shorter, walker[1], problem.engine), ignore)
-        walked = {name: each.result() for name, each in walking.items()}
+            ours = None if best is None else walker
+            walking[retuned_pd.NAME], step, level = beside_retuned(
+                problem.scenario, rival.joint, ours, problem.engine, begin
+            )
+        walked = {name: each(ignore) for name, each in walking.items()}
         radius = stability_limit.on_map(limit, found.data)
     config = next(name for name in others.walks if name not in ("pd", GIVEN))
     walks = {name: walked[name] for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walked}
@@ -116,8 +116,8 @@ def compare(found: Swept, stage: Stage, begun: OfGrid | None = None) -> Comparis
     if rival is not None:
         rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
         if best is not None:
-            ours = rows["best"][1] if level is None else mc.metrics(level.result(), problem.metrics)
-            worth = _worth(found, ours, theirs, rival)
+            metrics = rows["best"][1] if level is None else mc.metrics(level(ignore), problem.metrics)
+            worth = _worth(found, metrics, theirs, rival._replace(step=step))
     data = found.data.assign(spectral_radius=radius)
     failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
     edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]

@@ -13,8 +13,8 @@ from mjx_climb.control import PD
 from tuning.background import Callback, background, ignore
 from tuning.evaluation import maps, margins, verification
 from tuning.evaluation.verification import Verification
-from tuning.output.comparisons import OfSearch, of_search
-from tuning.output.folder import Folder
+from tuning.output.comparisons import CONVERGENCE, OfSearch, Retuned, beside_retuned, of_search, one_walk
+from tuning.output.folder import Contents, Folder
 from tuning.problem.objectives import Goal
 from tuning.report import pages, search_pictures
 from tuning.report.comparison import Compared, differences, gains_of
@@ -26,29 +26,30 @@ from tuning.searches.result import Tuned, Written
 from tuning.searches.retuned_pd import Worth
 
 Metrics = Mapping[str, Any]  # of one walk, as `mjx_climb.metrics` gives them
-CONVERGENCE = "How the search converged."
 WALKS = "The walks over time: red crosses mark a torn gripper, shading a disturbance."
 PATH = "The way of the search over the map; the red line is the limit of stability."
 MARGINS = "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges."
 
 
-def write(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Written:
-    """Simulate, test and draw the result, and write what `mjx-climb tune` writes; pd is retuned for the same goal."""
+def tune(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Contents:
+    """Simulate, test and draw the result, with the contents that `mjx-climb tune` writes."""
     found = folder.found(found)
     compared = compare(found, folder, begun)
     over, rows, checked = compared.over, compared.rows, compared.checked
     outcome, tests = compared.outcome(found), outcome_of(checked, found) + _turns(found, compared.walks["tuned"])
     summary = _summary(found, checked, rows, compared.worth)
-    folder.text("summary.json", summary + "\n")
+    files: dict[str, Any] = {"summary.json": summary + "\n"}
     pictures: dict[str, Any] = {"margins": (MARGINS, lambda: plot_margins(compared.hardware, "tuned"))}
     if over is not None:
-        folder.data(over, "map.nc")
+        files["map.nc"] = over
         pictures["path"] = PATH, lambda: search_pictures.plot_path(found, over)
-    folder.draw(pictures)
-    with folder.report() as write_page:
-        origin = folder.origin("tune(...)", "mjx-climb tune config.yaml --search search.yaml --out again")
-        write_page(pages.tune_page(found, compared, outcome, tests, origin=origin, pictures=folder.pictures))
-    return Written(walks=compared.walks, compared=rows, data=over, outcome=outcome + tests, summary=summary)
+    return Contents(
+        Written(walks=compared.walks, compared=rows, data=over, outcome=outcome + tests, summary=summary),
+        files,
+        pictures,
+        lambda origin, drawn: pages.tune_page(found, compared, outcome, tests, origin=origin, pictures=drawn),
+        "mjx-climb tune config.yaml --search search.yaml --out again",
+    )
 
 
 class Comparison(NamedTuple):
@@ -72,43 +73,40 @@ class Comparison(NamedTuple):
 
 
 def compare(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Comparison:
-    """Simulate a result, what it is compared with and the map around it, and test it; draw the walks meanwhile.
-
-    The folder keeps the rounds in which pd is retuned.
-    """
-    scenario, problem, stage, tuned = found.scenario, found.problem, folder.stage, verification.tuned(found)
-    how: dict[str, Any] = {"law": found.law, "engine": problem.engine}
+    """Simulate a result, what it is compared with and the map around it, and test it; draw the walks meanwhile."""
+    scenario, problem, stage = found.scenario, found.problem, folder.stage
+    ours, engine = (verification.tuned(found), found.law), problem.engine
     with background() as begin:
         tested = begin(lambda _: verification.tests(found, problem))  # the longest to compile
         others = begun or of_search(problem, found.search, begin, out=folder.path)
         mapped = others.over or begin(lambda told: verification.map_of(found, problem, progress=told))
-        walking = {**others.walks, "tuned": begin(lambda _: mc.rollout(tuned, **how))}
+        walking = {**others.walks, "tuned": begin(one_walk(*ours, engine))}
         with stage("retuned pd", unit="rounds") as told:
             retuned = others.retuned(told)
-        rivals, level, step = {"config": margins.Walker(problem.law, {})}, None, None
+        rivals, beside = {"config": margins.Walker(problem.law, {})}, None
         if retuned is not None:
             joint = retuned_pd.joint_of(retuned)
-            alone = retuned_pd.walker(scenario, joint)
-            walking[retuned_pd.NAME] = begin(lambda _: mc.rollout(alone, engine=problem.engine))
-            if alone.time_step == scenario.time_step:
+            beside = beside_retuned(scenario, joint, ours, engine, begin)
+            walking[retuned_pd.NAME] = beside.walk
+            if beside.step is None:
                 rivals["retuned pd"] = margins.Walker(PD(), joint)
-            else:  # as short for both that are compared
-                step = alone.time_step
-                level = begin(lambda _: mc.rollout(tuned.with_overrides({"time_step": step}), **how))
 
         def find_margins(told: Callback) -> margins.Found:
             walked = {name: asked(ignore) for name, asked in others.on_hardware.items()}  # begun before this
+            how: dict[str, Any] = {"law": found.law, "engine": engine}
             return margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
 
-        margin = begin(find_margins)
-        walks = {}
+        margin, walks = begin(find_margins), {}
         for name, walk in walking.items():
             with stage(name) as told:
                 walks[name] = walk(told)
         metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
-        ours = metrics["tuned"] if level is None else mc.metrics(level(ignore), problem.metrics)
-        folder.draw({"convergence": (CONVERGENCE, lambda: search_pictures.plot_convergence(found))})
-        folder.draw({"walks": (WALKS, lambda: plots.plot_comparison(walks))})
+        folder.draw(
+            {
+                "convergence": (CONVERGENCE, lambda: search_pictures.plot_convergence(found)),
+                "walks": (WALKS, lambda: plots.plot_comparison(walks)),
+            }
+        )
         with stage("map") as told:
             over = mapped(told)
         with stage("margins") as told:
@@ -117,19 +115,20 @@ def compare(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Comp
             checked = verification.verify(
                 found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested(ignore)
             )
+        worth = None if retuned is None or beside is None else _worth(found, retuned, metrics, beside)
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
-    rows = {name: (_with_joint_gains(walks[name]), metrics[name]) for name in order}
-    worth = None
-    if retuned is not None:
-        rows[retuned_pd.NAME] = joint, metrics[retuned_pd.NAME]
-        worth = _worth(found, retuned, ours, metrics[retuned_pd.NAME], step)
-    return Comparison(walks, rows, over, hardware, checked, worth)
+    gains = {name: _with_joint_gains(walks[name]) for name in order} | (
+        {} if worth is None else {retuned_pd.NAME: joint}
+    )
+    return Comparison(walks, {name: (gains[name], metrics[name]) for name in order}, over, hardware, checked, worth)
 
 
-def _worth(found: Tuned, retuned: Tuned, ours: Metrics, theirs: Metrics, step: float | None) -> Worth:
-    values, without = (_scored(found.problem.objective, metrics) for metrics in (ours, theirs))
-    others = differences(ours, theirs, found.problem.metrics, but=("force_variation",))
-    return retuned_pd.worth(values, without, retuned_pd.rival_of(found, retuned, step), others=others)
+def _worth(found: Tuned, retuned: Tuned, metrics: Mapping[str, Metrics], beside: Retuned) -> Worth:
+    problem, theirs = found.problem, metrics[retuned_pd.NAME]
+    ours = metrics["tuned"] if beside.level is None else mc.metrics(beside.level(ignore), problem.metrics)
+    values, without = (_scored(problem.objective, each) for each in (ours, theirs))
+    others = differences(ours, theirs, problem.metrics, but=("force_variation",))
+    return retuned_pd.worth(values, without, retuned_pd.rival_of(found, retuned, beside.step), others=others)
 
 
 def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
@@ -159,12 +158,9 @@ def _scored(target: Goal, metrics: Metrics) -> dict[str, float]:
 
 
 def _summary(found: Tuned, checked: Verification, compared: Compared, worth: Worth | None) -> str:
+    goal = found.problem.objective
     summary: dict[str, Any] = {
-        name: {
-            "gains": gains,
-            "metrics": metrics,
-            "broken_limits": verification.broken_limits(found.problem.objective, metrics),
-        }
+        name: {"gains": gains, "metrics": metrics, "broken_limits": verification.broken_limits(goal, metrics)}
         for name, (gains, metrics) in compared.items()
     }
     summary["search"] = {

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import importlib
 import json
 import os
 from collections.abc import Collection, Iterable, Mapping
@@ -48,7 +47,7 @@ class Result:
     """What was found, and for what; its kinds say what else is known of it."""
 
     FILE: ClassVar[str]  # of the data; by it the folder of a result is known
-    KIND: ClassVar[str]  # the command; `tuning/output/KIND.py` writes it
+    KIND: ClassVar[str]  # the command; a function of this name in `tuning/output/` gives what it writes
 
     data: xr.Dataset
     problem: Problem
@@ -91,9 +90,7 @@ class Result:
         """
         from tuning.output.folder import Folder
 
-        place = Folder(Path(folder), self.FILE, origin, {*figures}, stage)
-        written: Written = importlib.import_module(f"tuning.output.{self.KIND}").write(self, place, compared)
-        return dataclasses.replace(written, files=place.finished())
+        return Folder(Path(folder), self.FILE, origin, figures, stage).write(self, compared)
 
     def write_found(self, folder: Path, origin: "Origin | None" = None) -> None:
         """Write what was asked, gains and data, without walking anything."""

@@ -1,5 +1,7 @@
 """The folder of a result: what it holds is said, the parts of the search go, another command's result stays."""
 
+import types
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,11 +9,12 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
 from tuning.gains import gains_file
+from tuning.output import folder
 from tuning.output.folder import Folder
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.searches.parts import Parts
-from tuning.searches.result import Tuned, load
+from tuning.searches.result import Tuned, Written, load
 
 
 def found_in(scenario):
@@ -24,13 +27,16 @@ def found_in(scenario):
     return Tuned(data.assign_attrs(attrs), Problem(scenario), Search(seed=3), gains=mc.Gains(1.0, 2e2, 2e3))
 
 
-def test_a_folder_names_what_it_holds_and_a_result_comes_back(tmp_path):
+def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_path):
+    def tune(found, place, begun):
+        place.found(found)
+        return folder.Contents(Written(), {"more.txt": "more"})
+
+    monkeypatch.setattr(folder, "writer", lambda _: types.SimpleNamespace(tune=tune))
     found = found_in(mc.load_scenario("case_1_2"))
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
-    folder = Folder(tmp_path, found.FILE)
-    folder.found(found)
-    folder.text("more.txt", "more")
-    assert set(folder.finished().split(", ")) == {file.name for file in tmp_path.iterdir()}
+    written = Folder(tmp_path, found.FILE).write(found)
+    assert set(written.files.split(", ")) == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
     read = load(tmp_path / "search.nc")
     for name in ("scenario", "search", "value", "best_at", "env_steps", "feasible", "interrupted"):
         assert getattr(read, name) == getattr(found, name), name
