@@ -17,8 +17,8 @@ from jax import Array
 from jax.numpy import cross
 
 from mjx_climb.dynamics.kinematics import LinkPose, by_kind, link_poses
-from mjx_climb.dynamics.spatial import AnyArray, quaternion_to_matrix
-from mjx_climb.dynamics.state import Acceleration, State
+from mjx_climb.dynamics.spatial import AnyArray, quaternion_to_matrix, skew, symmetric
+from mjx_climb.dynamics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot
 
 _AXIS = np.array([0.0, 0.0, 1.0], np.float32)  # of a joint in its link's frame
@@ -31,6 +31,7 @@ class Limb(NamedTuple):
     center: AnyArray  # (N, 3) m, link frame
     inertia: AnyArray  # (N, 3, 3) kg m^2 about the centre, link frame
     foot: AnyArray  # (3,) m, frame of the last link
+    armature: AnyArray  # (N,) kg m^2; None: there is none
 
 
 class JointMotion(NamedTuple):
@@ -49,10 +50,15 @@ class BodyMotion(NamedTuple):
     turning: Array  # (3,) rad/s^2, angular acceleration
     linear: Array  # (3,) m/s^2, acceleration of the frame's origin less gravity
 
+    @property
+    def tensor(self) -> Array:
+        """What the acceleration of a point gains with its place, (3, 3) 1/s^2: `[turning] + [velocity]^2`."""
+        outer = symmetric(jnp.outer(self.velocity, self.velocity))
+        return skew(self.turning) + outer - jnp.trace(outer) * jnp.eye(3, dtype=outer.dtype)
+
     def at(self, point: Array) -> Array:
         """Return the acceleration less gravity (3,) of a point of the body."""
-        omega = self.velocity
-        return self.linear + cross(self.turning, point) + cross(omega, cross(omega, point))
+        return self.linear + self.tensor @ point
 
 
 class Needed(NamedTuple):
@@ -68,47 +74,42 @@ class Forces(NamedTuple):
     """Generalised forces of a robot, in the base's axes and about its centre of mass."""
 
     joint: Array  # (limb, joint) N m, N of sliding joints
-    force: Array  # (3,) N
+    limb_force: Array  # (limb, 3) N, of the limbs on the base
+    limb_moment: Array  # (limb, 3) N m
+    force: Array  # (3,) N, on the base beside these
     moment: Array  # (3,) N m
 
 
 def limbs_of(robot: Robot) -> Limb:
     """Return the bodies of all limbs, limb axis first."""
-    return Limb(robot.link_mass, robot.link_center, robot.link_inertia, robot.foot_center)
+    return Limb(robot.link_mass, robot.link_center, robot.link_inertia, robot.foot_center, robot.armature)
 
 
-def missing_forces(
-    robot: Robot,
-    state: State,
-    acceleration: Acceleration,
-    joint_torque: Array,
-    foot_force: Array,
-    base_wrench: Array,
-    cargo_mass: Array,
-    gravity: Array,
-) -> Forces:
-    """Return what acts less what the accelerations need: zero at those that obey the equations of motion.
-
-    Arguments as those of `mjx_climb.dynamics.ForwardDynamics`.
-    """
+def missing_forces(robot: Robot, state: State, acceleration: Acceleration, loads: Loads) -> Forces:
+    """Return what acts less what the accelerations need: zero at those that obey the equations of motion."""
     to_base = quaternion_to_matrix(state.base_orientation).T
     base = BodyMotion(
         to_base @ state.base_angular_velocity,
         to_base @ acceleration.base_angular,
-        to_base @ (acceleration.base_linear - gravity),
+        to_base @ (acceleration.base_linear - loads.gravity),
     )
     poses = link_poses(robot, state.joint_angles)
     needed = jax.vmap(_newton_euler, in_axes=(0, 0, 0, None, 0))(
-        limbs_of(robot), poses, _joint_motion(robot, state, acceleration), base, foot_force @ to_base.T
+        limbs_of(robot), poses, _joint_motion(robot, state, acceleration), base, loads.foot_force @ to_base.T
     )
     slides = robot.sliding
-    joint = joint_torque - (needed.about if slides is None else jnp.where(slides, needed.along, needed.about))
+    joint = loads.joint_torque - (needed.about if slides is None else jnp.where(slides, needed.along, needed.about))
     if robot.armature is not None:
         joint = joint - robot.armature * acceleration.joints
-    mass, spin = robot.base_mass + cargo_mass, robot.base_inertia @ base.velocity
-    force = mass * base.linear + needed.force.sum(0)
-    moment = robot.base_inertia @ base.turning + cross(base.velocity, spin) + needed.moment.sum(0)
-    return Forces(joint, to_base @ base_wrench[:3] - force, to_base @ base_wrench[3:] - moment)
+    mass, spin = robot.base_mass + loads.cargo_mass, robot.base_inertia @ base.velocity
+    moment = robot.base_inertia @ base.turning + cross(base.velocity, spin)
+    return Forces(
+        joint=joint,
+        limb_force=-needed.force,
+        limb_moment=-needed.moment,
+        force=to_base @ loads.base_wrench[:3] - mass * base.linear,
+        moment=to_base @ loads.base_wrench[3:] - moment,
+    )
 
 
 def _joint_motion(robot: Robot, state: State, acceleration: Acceleration) -> JointMotion:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.dynamics.spatial import AnyArray, namespace, turn_about_z
+from mjx_climb.dynamics.spatial import AnyArray, namespace, quaternion_to_matrix, turn_about_z
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot.constants import Robot
 
@@ -111,18 +111,20 @@ def foot_jacobian(robot: Robot, frames: LimbFrames) -> AnyArray:
 
 
 def foot_kinematics(robot: Robot, frames: LimbFrames, state: State) -> Feet:
-    """Return positions, velocities and Jacobians of the feet."""
-    jacobian = foot_jacobian(robot, frames)
-    velocity = state.base_linear_velocity + jnp.cross(state.base_angular_velocity, frames.foot)
-    velocity = velocity + jnp.matvec(jacobian, state.joint_rates)
-    return Feet(state.base_position + frames.foot, velocity, frames.foot, jacobian)
+    """Return positions, velocities and Jacobians of the feet, from frames in the base's axes."""
+    rotation, jacobian = quaternion_to_matrix(state.base_orientation), foot_jacobian(robot, frames)
+    lever = frames.foot @ rotation.T  # each row times R^T is R p
+    velocity = state.base_linear_velocity + jnp.cross(state.base_angular_velocity, lever)
+    velocity = velocity + jnp.matvec(jacobian, state.joint_rates) @ rotation.T
+    return Feet(state.base_position + lever, velocity, lever, rotation @ jacobian)
 
 
 def foot_turning(robot: Robot, frames: LimbFrames, state: State) -> Turning:
-    """Return the attitudes of the last links and how they change."""
-    jacobian = joint_axes(robot, frames).angular.mT
+    """Return the attitudes of the last links and how they change, from frames in the base's axes."""
+    rotation = quaternion_to_matrix(state.base_orientation)
+    jacobian = rotation @ joint_axes(robot, frames).angular.mT
     velocity = state.base_angular_velocity + jnp.matvec(jacobian, state.joint_rates)
-    return Turning(frames.rotation[:, -1], velocity, jacobian)
+    return Turning(rotation @ frames.rotation[:, -1], velocity, jacobian)
 
 
 def turn_between(one: AnyArray, other: AnyArray) -> AnyArray:
@@ -130,11 +132,16 @@ def turn_between(one: AnyArray, other: AnyArray) -> AnyArray:
     return 0.5 * namespace(one, other).cross(one.mT, other.mT).sum(-2)
 
 
-def center_of_mass(robot: Robot, frames: LimbFrames, base_position: Array, cargo_mass: Array) -> Array:
-    """Return the centre of mass (3,) m, world, of the robot with `cargo_mass` () kg at the base's own."""
+def center_of_mass(robot: Robot, frames: LimbFrames, state: State, cargo_mass: Array) -> Array:
+    """Return the centre of mass (3,) m, world, of the robot with `cargo_mass` () kg at the base's own.
+
+    Frames are in the base's axes.
+    """
     center = frames.position + jnp.matvec(frames.rotation, robot.link_center)
-    moment: Array = (robot.link_mass[..., None] * center).sum((0, 1))
-    return base_position + moment / (cargo_mass + robot.total_mass)
+    moment = (robot.link_mass[..., None] * center).sum((0, 1))
+    rotation: Array = quaternion_to_matrix(state.base_orientation)
+    center_of_mass: Array = state.base_position + rotation @ moment / (cargo_mass + robot.total_mass)
+    return center_of_mass
 
 
 def base_wrench_of_foot_force(lever: Array, foot_force: Array) -> Array:

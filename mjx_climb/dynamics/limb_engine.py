@@ -2,9 +2,9 @@
 
 The limbs meet in the base alone, so the mass matrix is an arrow: a 6 x 6 block of the base, an N x N block for each
 limb of N joints and 6 x N couplings between them. Each limb is eliminated by its own block, and a 6 x 6 Schur
-complement is left for the base. The bias comes from recursive Newton-Euler, the mass matrix from composite rigid
-bodies. All in world axes, as the kinematics of a step, which are then worked out once; moments about the base's centre
-of mass.
+complement is left for the base. The mass matrix comes from composite rigid bodies, the bias from recursive
+Newton-Euler at zero acceleration. All in the base's axes, in which the mass matrix depends on the joints alone; moments
+about the base's centre of mass.
 
 References:
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008: chapters 5 and 6.
@@ -23,22 +23,9 @@ from jax.numpy import cross
 
 from mjx_climb.dynamics.inverse_dynamics import Forces, Limb, limbs_of, missing_forces
 from mjx_climb.dynamics.kinematics import JointAxes, LimbFrames, joint_axes, limb_frames
-from mjx_climb.dynamics.spatial import AnyArray, inverse_3x3, quaternion_to_matrix, skew, solve_symmetric
-from mjx_climb.dynamics.state import Acceleration, State
+from mjx_climb.dynamics.spatial import AnyArray, inverse_3x3, quaternion_to_matrix, skew, solve_symmetric, symmetric
+from mjx_climb.dynamics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot
-
-
-class Symmetric(NamedTuple):
-    """A symmetric matrix (3, 3) by its six elements."""
-
-    diagonal: Array  # (3,): xx, yy, zz
-    mixed: Array  # (3,): xy, yz, zx
-
-    @property
-    def matrix(self) -> Array:
-        """The matrix (3, 3)."""
-        (xx, yy, zz), (xy, yz, zx) = self.diagonal, self.mixed
-        return jnp.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz]).reshape(3, 3)
 
 
 class Inertia(NamedTuple):
@@ -46,136 +33,84 @@ class Inertia(NamedTuple):
 
     mass: Array  # () kg
     moment: Array  # (3,) kg m
-    rotational: Symmetric  # kg m^2
+    rotational: Array  # (3, 3) kg m^2
 
 
-class LimbDynamics(NamedTuple):
-    """A limb's part of the equations of motion: `M qdd + bias`."""
+class BaseBlock(NamedTuple):
+    """A part of the base's block `[A C; C^T D]` in the mass matrix."""
 
-    inertia: Inertia  # of all its links
-    joints: Array  # (N, N), block of its joints in the mass matrix
-    force: Array  # (3, N), coupling: force on the base per acceleration of a joint
+    linear: Array  # (3, 3) kg, A
+    mixed: Array  # (3, 3) kg m, C
+    angular: Array  # (3, 3) kg m^2, D
+
+
+class Joints(NamedTuple):
+    """A limb's joints in the factorised mass matrix."""
+
+    inverse: Array  # (N, N), of the block of its joints
+    force: Array  # (3, N), coupling times that inverse: force on the base
     moment: Array  # (3, N)
-    joint_bias: Array  # (N,) N m, forces at zero acceleration, those on the foot among them
-    force_bias: Array  # (3,) N, on the base
-    moment_bias: Array  # (3,) N m
 
 
 class Factors(NamedTuple):
     """The mass matrix, factorised: joints first, then the base by blocks `[A C; C^T D]`."""
 
-    joints: Array  # (limb, N, N), inverses of the limbs' blocks
-    force: Array  # (limb, 3, N), couplings
-    moment: Array  # (limb, 3, N)
+    joints: Joints  # of every limb
     linear: Array  # (3, 3), A^-1
     columns: Array  # (3, 3), A^-1 C
     angular: Array  # (3, 3), (D - C^T A^-1 C)^-1
 
 
-def limb_dynamics(
-    limb: Limb,
-    frames: LimbFrames,
-    axes: JointAxes,
-    rates: Array,
-    foot_force: Array,
-    armature: AnyArray,
-    base_angular_velocity: Array,
-    gravity: Array,
-) -> LimbDynamics:
-    """Return what one limb contributes, for joint rates (N,) and a force on its foot (3,) N."""
-    links = range(len(limb.mass))
-    omega, alpha, acceleration = base_angular_velocity, jnp.zeros_like(gravity), -gravity
-    inertias, forces, moments = [], [], []
-    for i in links:  # outward: recursive Newton-Euler with all accelerations at zero
-        arm = frames.position[i] - (frames.position[i - 1] if i else 0.0)
-        acceleration = acceleration + cross(alpha, arm) + cross(omega, cross(omega, arm))
-        if axes.linear is not None:
-            acceleration = acceleration + cross(omega, 2 * rates[i] * axes.linear[i])
-        spin = axes.angular[i] * rates[i]
-        alpha = alpha + cross(omega, spin)
-        omega = omega + spin
+def factorized(robot: Robot, joint_angles: Array, cargo_mass: Array) -> Factors:
+    """Return the factors of the mass matrix, for joint angles (limb, joint) rad and a cargo () kg."""
+    frames = limb_frames(robot, None, joint_angles)
+    joints, blocks = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
+    base: BaseBlock = jax.tree.map(lambda part: part.sum(0), blocks)
+    linear = inverse_3x3((robot.base_mass + cargo_mass) * jnp.eye(3, dtype=joint_angles.dtype) + base.linear)
+    columns = linear @ base.mixed
+    angular = inverse_3x3(robot.base_inertia + base.angular - base.mixed.T @ columns)
+    return Factors(joints, linear, columns, angular)
 
-        offset = frames.rotation[i] @ limb.center[i]
-        own = rotated(limb.inertia[i], frames.rotation[i])
-        center = frames.position[i] + offset
-        force = limb.mass[i] * (acceleration + cross(alpha, offset) + cross(omega, cross(omega, offset)))
-        forces.append(force)
-        moments.append(own.matrix @ alpha + cross(omega, own.matrix @ omega) + cross(center, force))
-        inertias.append(about_base(limb.mass[i], center, own))
 
-    body, force, moment = inertias[-1], forces[-1] - foot_force, moments[-1] - cross(frames.foot, foot_force)
-    angular, linear = axes.angular, cross(frames.position, axes.angular)  # motion at the base's centre per rate
+def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[Joints, BaseBlock]:
+    """Return the joints of a limb, and what is left for the base: its inertia less what its joints give way."""
+    links, angular = range(len(limb.mass)), axes.angular
+    linear = cross(frames.position, angular)  # motion at the base's centre of mass per rate, as `angular`
     if axes.linear is not None:
         linear = linear + axes.linear
-    bias, mass, force_column, moment_column = {}, {}, {}, {}
-    for j in reversed(links):  # inward: composite rigid bodies, and the bias on each joint
-        if j < links[-1]:
-            body, force, moment = jax.tree.map(jnp.add, (body, force, moment), (inertias[j], forces[j], moments[j]))
-        bias[j] = jnp.dot(angular[j], moment) + jnp.dot(linear[j], force)
-        force_column[j] = body.mass * linear[j] + cross(angular[j], body.moment)
-        moment_column[j] = body.rotational.matrix @ angular[j] + cross(body.moment, linear[j])
+    body: Any = None
+    forces, moments, mass = {}, {}, {}
+    for j in reversed(links):  # composite rigid bodies: all that is beyond a joint moves as one
+        center = frames.position[j] + frames.rotation[j] @ limb.center[j]
+        link = about_base(limb.mass[j], center, rotated(limb.inertia[j], frames.rotation[j]))
+        body = link if body is None else jax.tree.map(jnp.add, body, link)
+        forces[j] = body.mass * linear[j] + cross(angular[j], body.moment)
+        moments[j] = body.rotational @ angular[j] + cross(body.moment, linear[j])
         for i in range(j + 1):
-            mass[i, j] = mass[j, i] = jnp.dot(angular[i], moment_column[j]) + jnp.dot(linear[i], force_column[j])
-        if armature is not None:
-            mass[j, j] = mass[j, j] + armature[j]
-    joints = jnp.stack([mass[i, j] for i in links for j in links]).reshape(len(links), len(links))
-    force_columns, moment_columns = (jnp.stack([c[j] for j in links], axis=1) for c in (force_column, moment_column))
-    joint_bias = jnp.stack([bias[j] for j in links])
-    return LimbDynamics(body, joints, force_columns, moment_columns, joint_bias, force, moment)
+            mass[i, j] = mass[j, i] = jnp.dot(angular[i], moments[j]) + jnp.dot(linear[i], forces[j])
+        if limb.armature is not None:
+            mass[j, j] = mass[j, j] + limb.armature[j]
+    block = jnp.stack([mass[i, j] for i in links for j in links]).reshape(len(links), len(links))
+    force, moment = (jnp.stack([column[j] for j in links], axis=1) for column in (forces, moments))
+    inverse = _inverse(block)
+    force_way, moment_way = force @ inverse, moment @ inverse
+    left = BaseBlock(
+        linear=body.mass * jnp.eye(3, dtype=force.dtype) - symmetric(force_way @ force.T),
+        mixed=-skew(body.moment) - force_way @ moment.T,
+        angular=body.rotational - symmetric(moment_way @ moment.T),
+    )
+    return Joints(inverse, force_way, moment_way), left
 
 
-def rotated(inertia: AnyArray, rotation: Array) -> Symmetric:
+def rotated(inertia: AnyArray, rotation: Array) -> Array:
     """Return `R I R^T` of an inertia (3, 3)."""
-    product = rotation @ inertia
-    return Symmetric(jnp.vecdot(product, rotation), jnp.vecdot(product, jnp.roll(rotation, -1, axis=0)))
+    return symmetric(rotation @ inertia @ rotation.T)
 
 
-def about_base(mass: Array, center: Array, inertia: Symmetric) -> Inertia:
+def about_base(mass: Array, center: Array, inertia: Array) -> Inertia:
     """Return the inertia about the base of a body at `center`, by the parallel-axis theorem."""
     moment = mass * center
-    diagonal = inertia.diagonal + jnp.dot(moment, center) - moment * center
-    return Inertia(mass, moment, Symmetric(diagonal, inertia.mixed - moment * jnp.roll(center, -1)))
-
-
-def equations(
-    robot: Robot,
-    state: State,
-    joint_torque: Array,
-    foot_force: Array,
-    base_wrench: Array,
-    cargo_mass: Array,
-    gravity: Array,
-) -> tuple[Factors, Forces]:
-    """Return the mass matrix, factorised, and what acts less the bias. Arguments as those of `ForwardDynamics`."""
-    rotation, omega = quaternion_to_matrix(state.base_orientation), state.base_angular_velocity
-    frames = limb_frames(robot, rotation, state.joint_angles)
-    limbs = jax.vmap(limb_dynamics, in_axes=(0, 0, 0, 0, 0, 0, None, None))(
-        limbs_of(robot),
-        frames,
-        joint_axes(robot, frames),
-        state.joint_rates,
-        foot_force,
-        robot.armature,
-        omega,
-        gravity,
-    )
-    base_mass, base_inertia = robot.base_mass + cargo_mass, rotated(robot.base_inertia, rotation).matrix
-    forces = Forces(
-        joint=joint_torque - limbs.joint_bias,
-        force=base_wrench[:3] + base_mass * gravity - limbs.force_bias.sum(0),
-        moment=base_wrench[3:] - cross(omega, base_inertia @ omega) - limbs.moment_bias.sum(0),
-    )
-
-    # Schur complement on the base: what each limb adds, less what its joints give way
-    inverse, inertia = jax.vmap(_inverse)(limbs.joints), jax.tree.map(lambda part: part.sum(0), limbs.inertia)
-    force, moment = limbs.force @ inverse, limbs.moment @ inverse
-    mass = (base_mass + inertia.mass) * jnp.eye(3, dtype=force.dtype)
-    linear = inverse_3x3(mass - (force @ limbs.force.mT).sum(0))
-    mixed = -skew(inertia.moment) - (force @ limbs.moment.mT).sum(0)
-    angular = base_inertia + inertia.rotational.matrix - (moment @ limbs.moment.mT).sum(0)
-    columns = linear @ mixed
-    angular = inverse_3x3(angular - mixed.T @ columns)
-    return Factors(inverse, limbs.force, limbs.moment, linear, columns, angular), forces
+    return Inertia(mass, moment, symmetric(inertia - skew(moment) @ skew(center)))
 
 
 def _inverse(matrix: Array) -> Array:
@@ -184,14 +119,13 @@ def _inverse(matrix: Array) -> Array:
 
 
 def accelerations(factors: Factors, forces: Forces) -> tuple[Array, Array, Array]:
-    """Return what generalised forces accelerate: the fields of an `Acceleration`."""
-    freed = jnp.matvec(factors.joints, forces.joint)
-    force = forces.force - jnp.matvec(factors.force, freed).sum(0)
-    moment = forces.moment - jnp.matvec(factors.moment, freed).sum(0)
+    """Return what generalised forces accelerate, in the base's axes: the fields of an `Acceleration`."""
+    joints = factors.joints
+    force = forces.force + (forces.limb_force - jnp.matvec(joints.force, forces.joint)).sum(0)
+    moment = forces.moment + (forces.limb_moment - jnp.matvec(joints.moment, forces.joint)).sum(0)
     angular = factors.angular @ (moment - factors.columns.T @ force)
     linear = factors.linear @ force - factors.columns @ angular
-    given_way = linear @ factors.force + angular @ factors.moment
-    return linear, angular, jnp.matvec(factors.joints, forces.joint - given_way)
+    return linear, angular, jnp.matvec(joints.inverse, forces.joint) - linear @ joints.force - angular @ joints.moment
 
 
 def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], Acceleration]:
@@ -203,10 +137,22 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
     return forward_dynamics
 
 
+def solved(robot: Robot, state: State, loads: Loads) -> tuple[Factors, tuple[Array, ...]]:
+    """Return the factors of the mass matrix and the accelerations (paper Eq. 1), in world axes."""
+    still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
+    factors = factorized(robot, state.joint_angles, loads.cargo_mass)
+    return factors, _in_world_axes(state, *accelerations(factors, missing_forces(robot, state, still, loads)))
+
+
+def _in_world_axes(state: State, linear: Array, angular: Array, joints: Array) -> tuple[Array, Array, Array]:
+    rotation = quaternion_to_matrix(state.base_orientation)
+    return rotation @ linear, rotation @ angular, joints
+
+
 # of a plain tuple: JAX makes trees of texts like the result, which no `Acceleration` can hold while types are checked
 @jax.custom_jvp
 def _forward_dynamics(robot: Robot, state: State, *acting: Array) -> tuple[Array, ...]:
-    return accelerations(*equations(robot, state, *acting))
+    return solved(robot, state, Loads(*acting))[1]
 
 
 @functools.partial(_forward_dynamics.defjvp, symbolic_zeros=True)
@@ -215,8 +161,8 @@ def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Arr
 
     So the mass matrix and its factors need no derivatives (Carpentier and Mansard). Orientations stay of unit length.
     """
-    factors, forces = equations(*primals)
-    acceleration = accelerations(factors, forces)
+    robot, state, *acting = primals
+    factors, acceleration = solved(robot, state, Loads(*acting))
     leaves, tree = jax.tree.flatten(primals)
     directions = jax.tree.leaves(tangents, is_leaf=_is_zero)
     moving = [place for place, direction in enumerate(directions) if not _is_zero(direction)]
@@ -226,12 +172,11 @@ def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Arr
         for place, value in zip(moving, values, strict=True):
             every[place] = value
         robot, state, *acting = jax.tree.unflatten(tree, every)
-        return missing_forces(robot, state, Acceleration(*acceleration), *acting)
+        return missing_forces(robot, state, Acceleration(*acceleration), Loads(*acting))
 
+    # what is missing is zero: so is what the turn of the base's axes adds to it
     _, change = jax.jvp(missing, ([leaves[place] for place in moving],), ([directions[place] for place in moving],))
-    to_world = quaternion_to_matrix(primals[1].base_orientation)  # what is missing is zero: so is what its turn adds
-    change = Forces(change.joint, to_world @ change.force, to_world @ change.moment)
-    return acceleration, accelerations(factors, change)
+    return acceleration, _in_world_axes(state, *accelerations(factors, change))
 
 
 def _is_zero(tangent: Any) -> bool:

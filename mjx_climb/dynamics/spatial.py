@@ -36,6 +36,15 @@ def skew(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
 
 
+def symmetric(matrix: Float[AnyArray, "n n"]) -> Float[Array, "n n"]:
+    """Return a matrix that is symmetric but for rounding with its lower triangle above the diagonal too.
+
+    Nothing then depends on the upper one, and it is left out where a function is written element by element.
+    """
+    mirrored: Array = jnp.where(np.tri(len(matrix), dtype=bool), matrix, matrix.T)
+    return mirrored
+
+
 def turn_about_z(rotation: Float[AnyArray, "... 3 3"], angle: Float[AnyArray, "..."]) -> Float[AnyArray, "... 3 3"]:
     """Return rotations, each followed by a turn about its own z axis by an angle in rad."""
     xp = namespace(rotation, angle)
@@ -100,7 +109,7 @@ def inverse_3x3(matrix: Float[AnyArray, "3 3"]) -> Float[Array, "3 3"]:
     (a, b, c), (_, d, e), (_, _, f) = matrix
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
-    inverse: Array = jnp.stack([aa, ab, ac, ab, bb, bc, ac, bc, cc]).reshape(3, 3) / (a * aa + b * ab + c * ac)
+    inverse: Array = jnp.stack([aa, ab, ac, ab, bb, bc, ac, bc, cc]).reshape(3, 3) * (1 / (a * aa + b * ab + c * ac))
     return inverse
 
 

@@ -1,6 +1,7 @@
 """The mechanical state, its accelerations, and a step of time."""
 
 import dataclasses
+from typing import NamedTuple
 
 import jax
 from jax import Array
@@ -34,6 +35,16 @@ class Acceleration:
     base_linear: _Vector  # m/s^2, world axes, of the base's centre of mass
     base_angular: _Vector  # rad/s^2, world axes
     joints: _Joints  # rad/s^2, or m/s^2
+
+
+class Loads(NamedTuple):
+    """What acts on a robot, beside the bias."""
+
+    joint_torque: Array  # (limb, joint) N m, N of sliding joints
+    foot_force: Array  # (limb, 3) N, of the ground, world axes
+    base_wrench: Array  # (6,) N, N m, at the base's centre of mass, world axes
+    cargo_mass: Array  # () kg, at the base's centre of mass
+    gravity: Array  # (3,) m/s^2, world axes
 
 
 def integrate(state: State, acceleration: Acceleration, time_step: float) -> State:

@@ -176,7 +176,7 @@ def _frame(axis: np.ndarray, reference: np.ndarray) -> np.ndarray:
 def _exact(value: np.ndarray) -> np.ndarray:
     """Return an array with 0, 1 and -1 where rounding has missed them: a kernel leaves out what these multiply."""
     whole = value.round()
-    return np.where((np.abs(value - whole) < 1e-14) & (np.abs(whole) < 2), whole, value)
+    return np.where((np.abs(value - whole) < 1e-14) & (np.abs(whole) < 2), whole + 0.0, value)  # no -0.0
 
 
 def _flags(mask: np.ndarray) -> tuple[tuple[bool, ...], ...]:
@@ -243,7 +243,7 @@ def _links(model: mujoco.MjModel, data: mujoco.MjData, chains: list[list[int]], 
             axes = _frame(data.xaxis[joint], data.xmat[body].reshape(3, 3))
             position[limb, link] = _exact(parent.T @ (anchor - at))
             rotation[limb, link] = _exact(parent.T @ axes)
-            center[limb, link] = axes.T @ (data.xipos[body] - anchor)
+            center[limb, link] = _exact(axes.T @ (data.xipos[body] - anchor))
             inertia[limb, link] = _inertia(model, data, body, axes)
             at = anchor
         sites = np.flatnonzero(model.site_bodyid == chain[-1])

@@ -131,7 +131,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     `step` counts them, (). An action takes the place of the law, which then stays as it is.
     """
     robot, parameters, state = walk.robot, walk.parameters, carry.state
-    frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
+    frames = limb_frames(robot, None, state.joint_angles)
     feet = foot_kinematics(robot, frames, state)
     turning = foot_turning(robot, frames, state) if walk.stages.rotational else None
 
@@ -160,7 +160,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     loads = _Loads(torque, held.force, push + grip_wrench, cargo)
     acceleration = _accelerations(walk, state, loads, output.drive.armature)
 
-    com = center_of_mass(robot, frames, state.base_position, cargo / parameters.mass_scale)
+    com = center_of_mass(robot, frames, state, cargo / parameters.mass_scale)
     net_wrench = net_external_wrench(wrench + push, state.base_position)
     tsm, gia = _stability_margins(walk, feet.position, held.support, net_wrench, com, cargo)
     sample = Sample(

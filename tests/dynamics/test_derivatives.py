@@ -10,7 +10,7 @@ import pytest
 
 from mjx_climb.dynamics import limb_engine
 from mjx_climb.dynamics.inverse_dynamics import missing_forces
-from mjx_climb.dynamics.state import State
+from mjx_climb.dynamics.state import Loads, State
 from mjx_climb.robot.constants import load_robot, robot_from_model
 from tests.dynamics.test_shapes import SHAPES, mjcf
 
@@ -22,7 +22,7 @@ ROBOTS |= {name: SHAPES[name] for name in ("three of four, one slides", "four bo
 
 def by_the_equations(robot, state, *acting):
     """Return the accelerations with the derivatives of every operation."""
-    return limb_engine.accelerations(*limb_engine.equations(robot, state, *acting))
+    return limb_engine.solved(robot, state, Loads(*acting))[1]
 
 
 def by_the_engine(robot, *given):
@@ -88,9 +88,11 @@ def test_nothing_is_missing_at_the_accelerations_of_the_equations():
     robot = read(QUICK)
 
     def missing(state, *acting):
-        return missing_forces(robot, state, by_the_engine(robot, state, *acting), *acting)
+        return missing_forces(robot, state, by_the_engine(robot, state, *acting), Loads(*acting))
 
-    for left in jax.jit(jax.vmap(missing))(*drawn(robot)):
+    joint, *of_limbs, force, moment = jax.jit(jax.vmap(missing))(*drawn(robot))
+    on_base = [own + limbs.sum(1) for own, limbs in zip((force, moment), of_limbs, strict=True)]
+    for left in (joint, *on_base):
         np.testing.assert_allclose(left, 0, atol=1e-11)
 
 

@@ -13,7 +13,6 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.dynamics.kinematics import center_of_mass, foot_kinematics, limb_frames
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot import constants
 from mjx_climb.robot.constants import load_model, load_robot, model_path
@@ -69,8 +68,8 @@ def by_limb(states, robot):
 
 def in_the_world(robot, state, cargo=0.0):
     """Return the feet and the centre of mass of one robot."""
-    frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
-    return foot_kinematics(robot, frames, state), center_of_mass(robot, frames, state.base_position, cargo)
+    frames = limb_frames(robot, None, state.joint_angles)
+    return foot_kinematics(robot, frames, state), center_of_mass(robot, frames, state, cargo)
 
 
 def test_feet_are_where_climblab_has_them(states):

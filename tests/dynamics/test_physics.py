@@ -10,7 +10,6 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.dynamics.kinematics import center_of_mass, foot_kinematics, limb_frames
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot.constants import load_model, load_robot
 from tests.dynamics.mujoco_dynamics import set_state
@@ -116,10 +115,10 @@ def static_shift(gravity, stiffness=None):
     state = State(
         robot.stance_position, robot.stance_orientation, still, still, robot.stance_joints, 0 * robot.stance_joints
     )
-    frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
+    frames = limb_frames(robot, None, state.joint_angles)
     feet = jax.tree.map(np.asarray, foot_kinematics(robot, frames, state))
     mass = robot.total_mass
-    lever = np.asarray(center_of_mass(robot, frames, state.base_position, 0.0)) - state.base_position
+    lever = np.asarray(center_of_mass(robot, frames, state, 0.0)) - state.base_position
     weight = np.concatenate([mass * gravity, np.cross(lever, mass * gravity)])
     # MuJoCo's bias at rest is minus the generalised force of gravity
     model = MODEL.__copy__()
