@@ -56,7 +56,7 @@ def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(few, monk
         pass
 
     def dataset(problem, asked, walked, widest):
-        raise Given(walked)
+        raise Given(walked, widest)
 
     monkeypatch.setattr(pareto, "_dataset", dataset)
     limits = tuple(Limit(name, 0.5, 0.5, 0.02, "") for name in ("base_deviation", "peak_foot_force"))
@@ -64,7 +64,8 @@ def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(few, monk
     problem = Shares(mc.Scenario(), spaces.space(mc.Scenario(), Search()), goal)
     with pytest.raises(Given) as given:
         pareto.run(problem, Search(), Pareto(points=2))
-    (walked,) = given.value.args
+    walked, widest = given.value.args
+    assert widest == pytest.approx(0.5)  # the limit itself, where the least variation is below it
     theta, held = walked.theta, walked.held
     deviation, force = ((theta - problem.space.lower) / (problem.space.upper - problem.space.lower)).T
     assert held.tolist() == (force <= 0.5).tolist() and 0 < held.sum() < held.size and deviation[held].max() > 0.5

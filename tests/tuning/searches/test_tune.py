@@ -48,6 +48,12 @@ def test_a_space_goes_to_gains_and_back(scenario, layout, inertia):
     assert space.ties.sum() == space.size
 
 
+def test_a_shared_gain_begins_at_the_geometric_mean_of_its_axes(scenario):
+    space = spaces.space(scenario, search.Search())
+    point = space.from_gains(mc.Gains(1.0, np.array([100.0, 400.0] * 3), 4e3))
+    np.testing.assert_allclose(space.to_gains(jnp.asarray(point)).damping, 200.0, rtol=1e-5)
+
+
 def test_pins_bounds_and_joint_gains(scenario):
     wanted = {
         "space": "diagonal",
