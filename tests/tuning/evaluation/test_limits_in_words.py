@@ -1,9 +1,17 @@
-"""Which limits a walk breaks, and which hold it where it is."""
+"""Which limits a walk breaks, which hold it where it is, and what breaks off beside it."""
 
+import types
+
+import numpy as np
 import pytest
 
-from tuning.evaluation.verification import binding_limits, broken_limits
-from tuning.problem.objectives import Limit, Objective
+import mjx_climb as mc
+from tuning.evaluation import verification
+from tuning.evaluation.verification import binding_limits, broken_limits, verify
+from tuning.problem import spaces
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.problem.search import Search
 
 PULL = Limit("peak_pull_force", 40.0, 40.0, 0.02, "holding limit of the grippers")
 MARGIN = Limit("joint_limit_margin", 0.0, 0.1, 0.02, "joint limits", larger_is_better=True)
@@ -32,3 +40,24 @@ def test_a_torn_gripper_and_a_walk_that_diverged_are_named():
     torn = {"diverged": False, "detached_limb": "LF", "detached_at": 1.5, "peak_pull_force": 1, "joint_limit_margin": 1}
     assert broken_limits(TARGET, torn) == ["limb LF let go at 1.500 s"]
     assert broken_limits(TARGET, torn | {"diverged": True}) == ["the walk diverged"]
+
+
+def test_a_cliff_is_named_by_what_breaks_off():
+    """Less of the first gain breaks a limit, of the second it costs much; more of the third makes the walk diverge."""
+    goal = Objective((Term("force_variation", 1.0, 2.0, 2.0),), (PULL,))
+    problem = Problem(mc.Scenario(), spaces.space(mc.Scenario(), Search(space="split")), goal)
+    names, n = problem.space.names, problem.space.size
+    value, pull = np.full((2, 1 + 2 * n), [[0.5], [30.0]])
+    pull[1], value[2], value[n + 3] = 45.0, 0.9, np.nan
+    feasible, none = np.isfinite(value) & (pull < 40), np.zeros((1 + 2 * n, 0))
+    metrics = dict.fromkeys(mc.METRICS.names, np.zeros(1 + 2 * n)) | {"peak_pull_force": pull}
+    around = Evaluation(value, value, np.zeros(1 + 2 * n), feasible, none, none, metrics)
+    theta = (problem.space.lower + problem.space.upper) / 2
+    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5)
+    walk = {**HELD, "peak_pull_force": 30.0, "force_variation": 1.0}
+    checked = verify(found, problem, metrics=walk, tested=verification.Tests(around, np.zeros(n), 0.99))
+    assert [checked.shape[name] for name in names] == ["cliff", "cliff", "cliff", "plateau"]
+    said = f"{names[0]} (less: peak pull force beyond the limit), {names[1]} (less: objective +0.40), "
+    assert [line for line in checked.warnings if "cliff" in line] == [
+        f"cliff within 20% of {said}{names[2]} (more: the walk diverges)"
+    ]

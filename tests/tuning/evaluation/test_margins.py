@@ -128,6 +128,16 @@ def test_the_linear_margin_is_bisected(limits, values, step, expected):
     assert found is None or (found <= expected + 1e-12 and asked.count(None) <= 3)
 
 
+def test_a_linear_margin_of_the_control_period_is_whole_steps(case, monkeypatch):
+    def radii(scenario, gains, parameters, **_):
+        return 1 + 10 * (np.reshape(parameters.control_period, (-1, 1)) - 7.4e-3)
+
+    monkeypatch.setattr(stability_limit, "by_stance", radii)
+    asked = {"control_period": margins.Margin(1e-3, 9e-3, 9e-3, 0.03)}
+    found = linear_margins.find(case("case_1_2", "virtual_model"), GAINS, asked)["control_period"]
+    assert found.up_to == pytest.approx(7e-3, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("own", "holds", "stable", "warned"),
     [
