@@ -100,7 +100,7 @@ def _check_stride(scenario: Scenario, source: str) -> None:
     def missed(stride: float) -> np.ndarray:
         planned = [feet + stride * np.outer(along, [1, 0, 0]) for along in extremes]
         errors = [limb_joints(robot.model, each, robot.stance_joints).errors for each in planned]
-        return np.array(errors).max(0) > MET
+        return np.asarray(np.array(errors).max(0) > MET)
 
     low, high = 0.0, min(gait.stride, 10 * float(np.abs(feet).max()))  # no limb is as long as that
     far = missed(high)

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 from mjx_climb.scenario import values as v
 from mjx_climb.scenario.hardware import MAX_DELAY, Hardware
 from mjx_climb.scenario.messages import failure, refusal
+from mjx_climb.scenario.values import setting
 from mjx_climb.scenario.yaml_text import dump, override, parse
 
 MAX_STEPS = 10_000_000
@@ -46,34 +47,34 @@ class Phases(_ByName):
 class Gait(v.Section):
     """Periodic gait: which limbs swing when, how far and how high."""
 
-    cycle: v.Positive = Field(default=4.0, description="period of the gait, s; a whole number of time steps")
-    duty: v.Duty = Field(default=0.75, description="share of the cycle that each limb is gripped, 1")
-    stride: v.Way = Field(default=0.05, description="way of the base per cycle, m")
-    step_height: v.Height = Field(default=0.03, description="height of a swing foot's arc over the ground, m")
-    sequence: v.Swings = Field(
-        default=("LH", "LF", "RH", "RF"),
-        description="order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",
+    cycle: v.Positive = setting(4.0, "period of the gait, s; a whole number of time steps")
+    duty: v.Duty = setting(0.75, "share of the cycle that each limb is gripped, 1")
+    stride: v.Way = setting(0.05, "way of the base per cycle, m")
+    step_height: v.Height = setting(0.03, "height of a swing foot's arc over the ground, m")
+    sequence: v.Swings = setting(
+        ("LH", "LF", "RH", "RF"),
+        "order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",
     )
-    phases: Phases | None = Field(
-        default=None, description="share of the cycle at which each limb lifts off, 1; null: as the sequence says"
+    phases: Phases | None = setting(None, "share of the cycle at which each limb lifts off, 1; null: by the sequence")
+    swing: Literal["cubic", "low_reaction"] = setting(
+        "cubic", "path of a swinging foot: cubics, or the one near them that disturbs the base least"
     )
-    swing: Literal["cubic", "low_reaction"] = Field(
-        default="cubic",
-        description="path of a swinging foot: cubics, or the one near them that disturbs the base least",
+    base_reference: Literal["nominal", "actual"] = setting(
+        "nominal", "where each cycle's base reference starts: where planned, or where the base is"
     )
-    base_reference: Literal["nominal", "actual"] = Field(
-        default="nominal",
-        description="where each cycle's base reference starts: where planned, or where the base is",
-    )
-    heading: v.Angle = Field(default=0.0, description="direction of walking and initial yaw about world z, rad")
+    heading: v.Angle = setting(0.0, "direction of walking and initial yaw about world z, rad")
+
+    @property
+    def places(self) -> list[tuple[str, ...]]:
+        """The limbs that swing together, in the order of the sequence."""
+        return [(place,) if isinstance(place, str) else place for place in self.sequence]
 
     @property
     def lift_off(self) -> dict[str, float]:
         """Share of the cycle at which each limb lifts off, 1, by its name."""
         if self.phases is not None:
             return dict(self.phases.items())
-        places = [(place,) if isinstance(place, str) else place for place in self.sequence]
-        return {limb: n / len(places) for n, place in enumerate(places) for limb in place}
+        return {limb: n / len(self.places) for n, place in enumerate(self.places) for limb in place}
 
 
 class Footholds(_ByName):
@@ -90,15 +91,15 @@ class HeightMap(v.Section):
 
     file: v.FileName = Field(description="grid, .csv, .npy or .png (grey, 0 to 1); beside the config, if relative")
     resolution: v.Positive = Field(description="distance between neighbouring samples, m")
-    origin: v.Pair = Field(default=(-0.5, -0.5), description="x and y of the sample with the smallest x and y, m")
-    scale: v.Number = Field(default=1.0, description="height of one unit of the file, m")
+    origin: v.Pair = setting((-0.5, -0.5), "x and y of the sample with the smallest x and y, m")
+    scale: v.Number = setting(1.0, "height of one unit of the file, m")
 
 
 class Ground(v.Section):
     """Uneven ground; flat at height zero unless one of these is given."""
 
-    footholds: Footholds | None = Field(default=None, description="a height for each foothold")
-    map: HeightMap | None = Field(default=None, description="a height map, read at the planned footholds")
+    footholds: Footholds | None = setting(None, "a height for each foothold")
+    map: HeightMap | None = setting(None, "a height map, read at the planned footholds")
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Ground:
@@ -110,51 +111,41 @@ class Ground(v.Section):
 class Contact(v.Section):
     """Spring-damper between a gripped foot and its grip point."""
 
-    stiffness: v.Positive = Field(default=1.0e4, description="contact stiffness per axis, N/m")
-    damping: v.NonNegative = Field(default=20.0, description="contact damping per axis, N s/m")
-    rotational_stiffness: v.NonNegative = Field(
-        default=0.0, description="stiffness of a grip against turning, N m/rad; 0: a foot is held as a point"
+    stiffness: v.Positive = setting(1.0e4, "contact stiffness per axis, N/m")
+    damping: v.NonNegative = setting(20.0, "contact damping per axis, N s/m")
+    rotational_stiffness: v.NonNegative = setting(
+        0.0, "stiffness of a grip against turning, N m/rad; 0: a foot is held as a point"
     )
-    rotational_damping: v.NonNegative = Field(
-        default=0.0, description="damping of a grip against turning, N m s/rad; felt with a rotational_stiffness"
+    rotational_damping: v.NonNegative = setting(
+        0.0, "damping of a grip against turning, N m s/rad; felt with a rotational_stiffness"
     )
-    holding_limit: v.Limit = Field(
-        default=15.0, description="force above which a pulled gripper lets go, N; null: grippers never let go"
-    )
-    capture_distance: v.Limit = Field(
-        default=None,
-        description="how far off the ground a foot may be for its shutting gripper to hold, m; null: any distance",
+    holding_limit: v.Limit = setting(15.0, "force above which a pulled gripper lets go, N; null: grippers never let go")
+    capture_distance: v.Limit = setting(
+        None, "how far off the ground a foot may be for its shutting gripper to hold, m; null: any distance"
     )
 
 
 class Control(v.Section):
     """Joint loop and an admittance law around it. Six values: translations x, y, z, then rotations."""
 
-    controller: Literal["pd", "base_admittance", "end_effector_admittance"] = Field(
-        default="base_admittance",
-        description="pd (gait alone), base_admittance (paper Eq. 3), or end_effector_admittance (Eq. 2)",
+    controller: Literal["pd", "base_admittance", "end_effector_admittance"] = setting(
+        "base_admittance", "pd (gait alone), base_admittance (paper Eq. 3), or end_effector_admittance (Eq. 2)"
     )
-    reading: Literal["virtual_model", "measured_pose"] = Field(
-        default="virtual_model",
-        description="form of Eq. 3 in discrete time: own state, or measured base motion",
+    reading: Literal["virtual_model", "measured_pose"] = setting(
+        "virtual_model", "form of Eq. 3 in discrete time: own state, or measured base motion"
     )
-    inertia: v.Gain = Field(default=1.0, description="virtual inertia M, kg (translations), kg m^2 (rotations)")
-    damping: v.Gain = Field(default=5.0e3, description="virtual damping D, N s/m (translations), N m s/rad (rotations)")
-    stiffness: v.Gain = Field(default=5.0e4, description="virtual stiffness K, N/m (translations), N m/rad (rotations)")
-    kp: v.Positive = Field(default=50.0, description="proportional gain of the joint loop, N m/rad")
-    kd: v.NonNegative = Field(default=0.2, description="derivative gain of the joint loop, N m s/rad")
-    integration: Literal["exact", "semi_implicit"] = Field(
-        default="exact",
-        description="of the virtual mass: exact, or semi-implicit Euler in substeps of at most 2 ms, as on the robot",
+    inertia: v.Gain = setting(1.0, "virtual inertia M, kg (translations), kg m^2 (rotations)")
+    damping: v.Gain = setting(5.0e3, "virtual damping D, N s/m (translations), N m s/rad (rotations)")
+    stiffness: v.Gain = setting(5.0e4, "virtual stiffness K, N/m (translations), N m/rad (rotations)")
+    kp: v.Positive = setting(50.0, "proportional gain of the joint loop, N m/rad")
+    kd: v.NonNegative = setting(0.2, "derivative gain of the joint loop, N m s/rad")
+    integration: Literal["exact", "semi_implicit"] = setting(
+        "exact", "of the virtual mass: exact, or semi-implicit Euler in substeps of at most 2 ms, as on the robot"
     )
-    deadband: v.Threshold = Field(
-        default=0.0, description="forces and moments below it count as zero, N, N m; a number, or one of each"
-    )
-    max_offset: v.Bound = Field(
-        default=None, description="largest shift by the virtual mass, m, rad; a number, one of each, or null: any"
-    )
-    max_velocity: v.Bound = Field(
-        default=None, description="largest rate of the virtual mass, m/s, rad/s; a number, one of each, or null: any"
+    deadband: v.Threshold = setting(0.0, "forces, moments below it count as zero, N, N m; a number, or one of each")
+    max_offset: v.Bound = setting(None, "largest shift by the virtual mass, m, rad; a number, one of each, null: any")
+    max_velocity: v.Bound = setting(
+        None, "largest rate of the virtual mass, m/s, rad/s; a number, one of each, null: any"
     )
 
     @model_validator(mode="after")
@@ -188,25 +179,25 @@ class _Window(v.Section):
 class Cargo(_Window):
     """Point mass that sits at the base's centre of mass for a while."""
 
-    mass: v.NonNegative = Field(default=0.0, description="mass, kg; 0: no cargo")
-    start: v.NonNegative = Field(default=2.0, description="time of loading, s")
-    stop: v.Limit = Field(default=None, description="time of unloading, s; null: stays until the end")
+    mass: v.NonNegative = setting(0.0, "mass, kg; 0: no cargo")
+    start: v.NonNegative = setting(2.0, "time of loading, s")
+    stop: v.Limit = setting(None, "time of unloading, s; null: stays until the end")
 
 
 class Push(_Window):
     """Constant wrench on the base for a while."""
 
     force: v.Vector = Field(description="force on the base, world axes, N")
-    moment: v.Vector = Field(default=(0.0, 0.0, 0.0), description="moment on the base, world axes, N m")
+    moment: v.Vector = setting((0.0, 0.0, 0.0), "moment on the base, world axes, N m")
     start: v.NonNegative = Field(description="first instant, s")
-    stop: v.Limit = Field(default=None, description="last instant, s; null: until the end")
+    stop: v.Limit = setting(None, "last instant, s; null: until the end")
 
 
 class Disturbance(v.Section):
     """What happens to the robot on its way."""
 
-    cargo: Cargo = Field(default=Cargo(), description="cargo on the base")
-    pushes: tuple[Push, ...] = Field(default=(), description="pushes on the base; they add up where they overlap")
+    cargo: Cargo = setting(Cargo(), "cargo on the base")
+    pushes: tuple[Push, ...] = setting((), "pushes on the base; they add up where they overlap")
 
 
 class Limb(v.Section):
@@ -214,7 +205,7 @@ class Limb(v.Section):
 
     joints: v.JointNames = Field(description="names of its joints, two to seven, from the base outwards")
     foot: v.Word = Field(description="name of the site, body or link that is the foot")
-    at: v.Vector = Field(default=(0.0, 0.0, 0.0), description="where on it the foot is, in its own frame, m")
+    at: v.Vector = setting((0.0, 0.0, 0.0), "where on it the foot is, in its own frame, m")
     foothold: v.Pair = Field(
         description="where the foot stands in the rest stance: x ahead, y left, base link's frame, m"
     )
@@ -243,8 +234,8 @@ class Spring(v.Section):
     """A joint that nothing drives."""
 
     stiffness: v.NonNegative = Field(description="stiffness, N m/rad, or N/m of a sliding joint")
-    damping: v.NonNegative = Field(default=0.0, description="damping beside the file's, N m s/rad, or N s/m")
-    rest: v.Number = Field(default=0.0, description="where the spring is slack, rad, or m")
+    damping: v.NonNegative = setting(0.0, "damping beside the file's, N m s/rad, or N s/m")
+    rest: v.Number = setting(0.0, "where the spring is slack, rad, or m")
 
 
 class Springs(_ByName):
@@ -258,12 +249,12 @@ class RobotFile(v.Section):
 
     file: v.FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
     height: v.Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
-    base: v.Word | None = Field(
-        default=None, description="body that the limbs begin at, where the file's root is a foot; null: as in the file"
+    base: v.Word | None = setting(
+        None, "body that the limbs begin at, where the file's root is a foot; null: as in the file"
     )
     limbs: Limbs = Field(description="joints and feet")
-    locked: Locked = Field(default=Locked(), description="joints of the file that belong to no limb, held at a value")
-    springs: Springs = Field(default=Springs(), description="joints of limbs that nothing drives, each on a spring")
+    locked: Locked = setting(Locked(), "joints of the file that belong to no limb, held at a value")
+    springs: Springs = setting(Springs(), "joints of limbs that nothing drives, each on a spring")
 
 
 def _kind_of_robot(value: Any) -> str:
@@ -279,13 +270,11 @@ AnyRobot = Annotated[
 class OwnObject(v.Section):
     """What a file of the user's defines, and the options that name it as FILE.py:NAME."""
 
-    file: v.FileName | None = Field(
-        default=None, description="file of Python, beside the config, if relative; null: it was defined in a session"
+    file: v.FileName | None = setting(
+        None, "file of Python, beside the config, if relative; null: it was defined in a session"
     )
     name: v.OwnName = Field(description="its name in the file")
-    digest: v.OwnName | None = Field(
-        default=None, description="SHA-256 of file and imports beside it; null: any will do"
-    )
+    digest: v.OwnName | None = setting(None, "SHA-256 of file and imports beside it; null: any will do")
 
 
 class OwnGains(_ByName):
@@ -297,31 +286,31 @@ class OwnGains(_ByName):
 class OwnLaw(OwnObject):
     """A control law of one's own, in place of the control section's."""
 
-    gains: OwnGains = Field(default=OwnGains(), description="in place of its own, SI units")
+    gains: OwnGains = setting(OwnGains(), "in place of its own, SI units")
 
 
 class Own(v.Section):
     """What walked, or judged the walks, beside what comes with the program."""
 
-    law: OwnLaw | None = Field(default=None, description="control law in place of the control section's")
-    metrics: tuple[OwnObject, ...] = Field(default=(), description="metrics beside the shipped ones")
-    objective: OwnObject | None = Field(default=None, description="objective of a search from Python")
+    law: OwnLaw | None = setting(None, "control law in place of the control section's")
+    metrics: tuple[OwnObject, ...] = setting((), "metrics beside the shipped ones")
+    objective: OwnObject | None = setting(None, "objective of a search from Python")
 
 
 class Scenario(v.Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
-    robot: AnyRobot = Field(default="hubrobo_v3_2", description="name of the robot, or one's own from a file")
-    gravity: v.Gravity = Field(default=(0.0, 0.0, -9.81), description="gravity, world axes, m/s^2; a slope tilts it")
-    duration: v.Positive = Field(default=8.0, description="length of the walk, s; a whole number of time steps")
-    time_step: v.Positive = Field(default=0.001, description="time step of the simulation, s")
-    gait: Gait = Field(default=Gait(), description="how the limbs move")
-    ground: Ground = Field(default=Ground(), description="heights of the footholds")
-    contact: Contact = Field(default=Contact(), description="how the grippers hold the ground")
-    control: Control = Field(default=Control(), description="controller and gains")
-    disturbance: Disturbance = Field(default=Disturbance(), description="cargo and pushes")
-    hardware: Hardware = Field(default=Hardware(), description="sensors, rate, bus and servos; ideal ones by default")
-    own: Own | None = Field(default=None, description="law, metrics and objective of one's own: their files are run")
+    robot: AnyRobot = setting("hubrobo_v3_2", "name of the robot, or one's own from a file")
+    gravity: v.Gravity = setting((0.0, 0.0, -9.81), "gravity, world axes, m/s^2; a slope tilts it")
+    duration: v.Positive = setting(8.0, "length of the walk, s; a whole number of time steps")
+    time_step: v.Positive = setting(0.001, "time step of the simulation, s")
+    gait: Gait = setting(Gait(), "how the limbs move")
+    ground: Ground = setting(Ground(), "heights of the footholds")
+    contact: Contact = setting(Contact(), "how the grippers hold the ground")
+    control: Control = setting(Control(), "controller and gains")
+    disturbance: Disturbance = setting(Disturbance(), "cargo and pushes")
+    hardware: Hardware = setting(Hardware(), "sensors, rate, bus and servos; ideal ones by default")
+    own: Own | None = setting(None, "law, metrics and objective of one's own: their files are run")
 
     @model_validator(mode="after")
     def _whole_steps(self) -> Scenario:
@@ -348,16 +337,13 @@ class Scenario(v.Section):
 
     @model_validator(mode="after")
     def _limbs_are_the_robots(self) -> Scenario:
-        limbs = SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(name for name, _ in self.robot.limbs.items())
-        count = NUMBERS[len(limbs)]
-        if self.gait.phases is None:
-            named = [limb for place in self.gait.sequence for limb in ([place] if isinstance(place, str) else place)]
-            if sorted(named) != sorted(limbs):
-                expected = f"the {count} limbs {', '.join(limbs)}, each once, in any order"
-                raise failure(expected, key="gait.sequence", got=self.gait.sequence)
-        elif sorted(self.gait.lift_off) != sorted(limbs):
-            expected = f"a phase for each of the {count} limbs {', '.join(limbs)}"
-            raise failure(expected, key="gait.phases", got=self.gait.lift_off)
+        gait, limbs = self.gait, SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(dict(self.robot.limbs.items()))
+        known = f"the {NUMBERS[len(limbs)]} limbs {', '.join(limbs)}"
+        swings = list(gait.lift_off) if gait.phases is not None else [limb for place in gait.places for limb in place]
+        if sorted(swings) != sorted(limbs):
+            if gait.phases is None:
+                raise failure(f"{known}, each once, in any order", key="gait.sequence", got=gait.sequence)
+            raise failure(f"a phase for each of {known}", key="gait.phases", got=gait.lift_off)
         for name, _ in self.ground.footholds.items() if self.ground.footholds is not None else ():
             if name not in limbs:
                 raise failure(f"one of the limbs {', '.join(limbs)}", key=f"ground.footholds.{name}", got=name)
@@ -366,13 +352,11 @@ class Scenario(v.Section):
     @model_validator(mode="after")
     def _stands_on_a_limb(self) -> Scenario:
         gait, swing = self.gait, 1 - self.gait.duty
-        if gait.phases is None:
-            least = 1 - 1 / len(gait.sequence)
-            if gait.duty < least - _ROUNDING:
-                expected = f"a number from {least:g} to below 1, so that one swing ends as the next begins"
-                raise failure(expected, key="gait.duty", got=gait.duty)
-            return self
-        for limb, phase in gait.lift_off.items():
+        least = 1 - 1 / len(gait.sequence)
+        if gait.phases is None and gait.duty < least - _ROUNDING:
+            expected = f"a number from {least:g} to below 1, so that one swing ends as the next begins"
+            raise failure(expected, key="gait.duty", got=gait.duty)
+        for limb, phase in gait.lift_off.items() if gait.phases is not None else ():
             if phase + swing > 1 + _ROUNDING:
                 expected = f"a swing that ends within the cycle, phase {gait.duty:g} or less"
                 raise failure(expected, key=f"gait.phases.{limb}", got=phase)

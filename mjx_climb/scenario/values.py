@@ -30,6 +30,11 @@ class Section(BaseModel, metaclass=_OneLine):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+def setting(default: Any, description: str) -> Any:
+    """Return the field of a key of a scenario, with its default, and what it is, unit included."""
+    return Field(default=default, description=description)
+
+
 def _expects(text: str) -> WrapValidator:
     def validate(value: Any, handler: Callable[[Any], Any]) -> Any:
         try:

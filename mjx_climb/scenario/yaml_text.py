@@ -17,6 +17,10 @@ MAX_FILE_BYTES = 1_000_000
 MAX_NESTING = 20
 
 
+def _problem(text: str, at: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=text, problem_mark=at.start_mark)
+
+
 class Loader(yaml.SafeLoader):
     """Reads the core schema of YAML 1.2."""
 
@@ -26,11 +30,9 @@ class Loader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         event = yaml.SafeLoader.peek_event(self)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) or getattr(event, "tag", None):
-            raise yaml.MarkedYAMLError(
-                problem="tags, anchors and aliases are not used here", problem_mark=event.start_mark
-            )
+            raise _problem("tags, anchors and aliases are not used here", event)
         if self.depth == MAX_NESTING:
-            raise yaml.MarkedYAMLError(problem=f"nested deeper than {MAX_NESTING}", problem_mark=event.start_mark)
+            raise _problem(f"nested deeper than {MAX_NESTING}", event)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -40,9 +42,9 @@ class Loader(yaml.SafeLoader):
         seen: set[str] = set()
         for key, _ in node.value:
             if key.tag != "tag:yaml.org,2002:str":
-                raise yaml.MarkedYAMLError(problem="a key is not a word", problem_mark=key.start_mark)
+                raise _problem("a key is not a word", key)
             if key.value in seen:
-                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} comes twice", problem_mark=key.start_mark)
+                raise _problem(f"key {key.value!r} comes twice", key)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
@@ -113,12 +115,7 @@ def dump(data: Any) -> str:
 
 
 def override(data: dict[str, Any], overrides: Sequence[str] | Mapping[str, Any], source: str) -> None:
-    """Set keys of nested data, in place.
-
-    Arguments:
-        data: mappings and lists.
-        overrides: strings "dotted.key=value" with the value in YAML, or a mapping from dotted keys to values.
-        source: names the data in errors.
+    """Set keys of nested data, in place, as `pairs` reads them.
 
     Raises:
         ConfigError: an override of another form, or of a place that is not there.
@@ -131,7 +128,13 @@ def override(data: dict[str, Any], overrides: Sequence[str] | Mapping[str, Any],
 
 
 def pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tuple[Any, Any]]:
-    """Return dotted keys and values of overrides, a mapping's keys one by one; arguments and errors as `override`."""
+    """Return dotted keys and values of overrides, a mapping's keys one by one.
+
+    Overrides are strings "dotted.key=value" with the value in YAML, or a mapping from dotted keys to values.
+
+    Raises:
+        ConfigError: an override of another form.
+    """
     if isinstance(overrides, Mapping):
         given = list(overrides.items())
     else:
@@ -140,10 +143,10 @@ def pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tup
 
 
 def _parted(text: Any, source: str) -> tuple[str, Any]:
-    key, equals, value = text.partition("=") if isinstance(text, str) else ("", "", "")
-    if not (key.strip() and equals and value.strip()):  # an empty value would be a silent null
+    key, _, value = map(str.strip, text.partition("=")) if isinstance(text, str) else ("", "", "")
+    if not key or not value:  # an empty value would be a silent null
         raise config_error(source, "", "an override of the form dotted.key=value", show(text))
-    return key.strip(), parse(value, source, key.strip())
+    return key, parse(value, source, key)
 
 
 def _single(key: Any, value: Any, source: str) -> list[tuple[Any, Any]]:
@@ -156,29 +159,25 @@ def _single(key: Any, value: Any, source: str) -> list[tuple[Any, Any]]:
 
 def _assign(data: dict[str, Any], key: Any, value: Any, source: str) -> None:
     """Set `key` (dotted) of the nested mapping `data` to `value`."""
-    if not isinstance(key, str) or not all(key.split(".")):
+    if not isinstance(key, str) or not all(parts := key.split(".")):
         raise config_error(source, "", "an override of the form dotted.key=value", show(key))
-    parts = key.split(".")
     target: Any = data
     for level, part in enumerate(parts):
         place = ".".join(parts[:level])
-        last = level == len(parts) - 1
+        index: Any = part
         if isinstance(target, list):
             if not (part.isascii() and part.isdecimal() and len(part) < 9 and int(part) < len(target)):
                 raise config_error(source, place, f"an index below {len(target)}", show(part))
-            index: Any = int(part)
-        elif isinstance(target, dict):
-            index = part
-            if not last:
-                target.setdefault(part, {})
-                if target[part] is None or (place == "" and part == "robot" and isinstance(target[part], str)):
-                    target[part] = {}  # a section takes the place of none, a robot's file that of a name
-        else:
+            index = int(part)
+        elif not isinstance(target, dict):
             raise config_error(source, place, "no further keys below this one", show(part))
-        if last:
+        if level == len(parts) - 1:
             target[index] = _plain(value)
-        else:
-            target = target[index]
+        elif isinstance(target, dict):
+            names_robot = part == "robot" and not level and isinstance(target.get(part), str)
+            if names_robot or target.get(part) is None:
+                target[part] = {}  # a section takes the place of none, a robot's file that of a name
+        target = target[index]
 
 
 def _plain(value: Any) -> Any:
