@@ -8,7 +8,7 @@ from mjx_climb.rendering.camera import AZIMUTH, View
 from mjx_climb.rendering.canvas import Canvas
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.description import bare, compiled, described
-from mjx_climb.robot.found_limbs import foot_of
+from mjx_climb.robot.limbs import foot_of
 from mjx_climb.scenario.model import RobotFile
 
 SIZE = (800, 600)

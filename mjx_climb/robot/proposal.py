@@ -8,8 +8,7 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, described, driven_joints, impossible, one_limit
-from mjx_climb.robot.found_limbs import Chain, Note, Notes, base_of, limbs_of, middle_of, stood_on
-from mjx_climb.robot.rerooted import robot_in
+from mjx_climb.robot.limbs import Chain, Note, Notes, base_of, limbs_of, middle_of, robot_in, stood_on
 from mjx_climb.robot.robot_file import REACH
 from mjx_climb.robot.stance import STANDING, Hip, Stance, checked, keyframe, of_keyframe, searched, stretched, worth_of
 
@@ -67,7 +66,6 @@ def propose(
     held = _held(model, trunk, limbs, notes)
     springs = _springs(model, limbs, driven_joints(full), proportions["control"], notes)
     _looks(full, model, trunk, notes)
-    _kept_upright(model, trunk, notes)
     if written := len(full.keys) - model.nkey:
         why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
         notes.ignored(f"{written} keyframes", why if base is None else "they begin at the file's own root")
@@ -78,7 +76,7 @@ def propose(
     for limb, foothold in zip(section["limbs"].values(), stance.footholds, strict=True):
         limb["foothold"] = [float(v) for v in foothold]
 
-    gait = _gait(section, stance, limbs, reach, notes)
+    gait = _gait(section, stance, reach, notes)
     stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
     notes.changed("contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
     if len(limbs) <= STANDING:
@@ -118,6 +116,11 @@ def _stance(
 # What became of the rest of the file
 
 
+def _resting(model: mujoco.MjModel, joint: int, value: float) -> float:
+    """Return a value of a joint, or the limit that is nearest to it, to six digits."""
+    return round(float(np.clip(value, *model.jnt_range[joint])) if model.jnt_limited[joint] else value, 6)
+
+
 def _held(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], notes: Notes) -> dict[str, float]:
     """Return the joints of no limb and where they are held: at the keyframe's value, or as near to zero as they go."""
     ours = {joint for chain in limbs.values() for joint in chain.joints}
@@ -127,36 +130,28 @@ def _held(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], notes: Note
         if joint in ours or int(model.jnt_type[joint]) not in JOINTS or elsewhere:
             continue
         value = 0.0 if key is None else float(model.key_qpos[key][model.jnt_qposadr[joint]])
-        if model.jnt_limited[joint]:
-            value = float(np.clip(value, *model.jnt_range[joint]))
-        held[model.joint(joint).name] = round(value, 6)
-        notes.changed(f"joint {model.joint(joint).name!r}", f"of no limb: held at {value:.3g}")
+        name, held_at = model.joint(joint).name, _resting(model, joint, value)
+        held[name] = held_at
+        notes.changed(f"joint {name!r}", f"of no limb: held at {held_at:.3g}")
     return held
 
 
 def _springs(
-    model: mujoco.MjModel,
-    limbs: dict[str, Chain],
-    driven: set[str],
-    control: dict[str, float],
-    notes: Notes,
+    model: mujoco.MjModel, limbs: dict[str, Chain], driven: set[str], control: dict[str, float], notes: Notes
 ) -> dict[str, dict[str, float]]:
-    """Return the joints of limbs that nothing drives, where something drives others, each with a spring.
+    """Return a spring for each joint of a limb that nothing drives, where something drives others.
 
     It is the file's, or else as stiff as a driven joint.
     """
     springs = {}
     for joint in (joint for chain in limbs.values() for joint in chain.joints):
         name, stiffness = model.joint(joint).name, float(model.jnt_stiffness[joint])
-        if not driven or name in driven:
-            continue
-        rest = float(model.qpos_spring[model.jnt_qposadr[joint]]) if stiffness else 0.0
-        if model.jnt_limited[joint]:
-            rest = float(np.clip(rest, *model.jnt_range[joint]))
-        own = {"stiffness": stiffness} if stiffness else {"stiffness": control["kp"], "damping": control["kd"]}
-        springs[name] = own | {"rest": round(rest, 6)}
-        why = "the file's" if stiffness else "as stiff as the joint loop, for the file has none"
-        notes.changed(f"joint {name!r}", f"nothing drives it: on a spring, {why}")
+        if driven and name not in driven:
+            rest = float(model.qpos_spring[model.jnt_qposadr[joint]]) if stiffness else 0.0
+            own = {"stiffness": stiffness} if stiffness else {"stiffness": control["kp"], "damping": control["kd"]}
+            springs[name] = own | {"rest": _resting(model, joint, rest)}
+            why = "the file's" if stiffness else "as stiff as the joint loop, for the file has none"
+            notes.changed(f"joint {name!r}", f"nothing drives it: on a spring, {why}")
     return springs
 
 
@@ -185,69 +180,59 @@ def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: Notes) 
     if names := [repr(body.name) for body in full.bodies if impossible(body)]:
         which = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
         notes.changed("moments of inertia", f"no body can have those of {which}: made equal")
-
-
-def _kept_upright(model: mujoco.MjModel, base: int, notes: Notes) -> None:
-    """Note a base that the file stands on another of its axes than z."""
     up = np.empty(3)
     mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.body_quat[base])
     if up[2] < _UPRIGHT:
-        why = "is taken as up, although the file stands it otherwise"
-        notes.changed(f"z axis of {model.body(base).name!r}", why)
+        notes.changed(f"z axis of {model.body(base).name!r}", "is taken as up, although the file stands it otherwise")
 
 
 def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: Notes) -> None:
     """Note what is taken with the joints, and what they lack."""
     joints = [joint for chain in limbs.values() for joint in chain.joints]
     dofs = model.jnt_dofadr[joints]
-    limited = [joint for joint in joints if model.jnt_actfrclimited[joint]]
-    limits = np.array([one_limit(*model.jnt_actfrcrange[joint]) for joint in limited])
-    for values, what in (
-        (model.dof_armature[dofs], "armature of the joints"), (model.dof_damping[dofs], "damping of the joints"),
-        (model.dof_frictionloss[dofs], "dry friction of the joints"), (limits, "torque limits"),
-    ):  # fmt: skip
+    limits = np.array([one_limit(*model.jnt_actfrcrange[joint]) for joint in joints if model.jnt_actfrclimited[joint]])
+    some = "" if len(limits) == len(joints) else f", of {len(limits)} joints"
+    for values, what, of in (
+        (model.dof_armature[dofs], "armature of the joints", ""),
+        (model.dof_damping[dofs], "damping of the joints", ""),
+        (model.dof_frictionloss[dofs], "dry friction of the joints", ""),
+        (limits, "torque limits", some),
+    ):
         if values.any():
-            of = "" if what != "torque limits" or len(limited) == len(joints) else f", of {len(limited)} joints"
             notes.taken(what, f"{values.min():.3g} to {values.max():.3g}{of}")
     if model.dof_dampingpoly[dofs].any() or model.jnt_stiffnesspoly[joints].any():
         notes.ignored("damping and stiffness", "beyond the part that is linear")
-    free = [joint for joint in joints if not model.jnt_limited[joint]]
-    if free:
+    if free := int((model.jnt_limited[joints] == 0).sum()):
         how = f"half a turn either way, or {REACH:g} m where they slide"
-        notes.changed(f"limits of {len(free)} joints", f"the file has none: {how}")
+        notes.changed(f"limits of {free} joints", f"the file has none: {how}")
 
 
 # ------------------------------------------------------------------------------------------------------------
 # Gait, grip and gains
 
 
-def _gait(
-    section: dict[str, Any], stance: Stance, limbs: dict[str, Chain], reach: float, notes: Notes
-) -> dict[str, Any]:
+def _gait(section: dict[str, Any], stance: Stance, reach: float, notes: Notes) -> dict[str, Any]:
     """Return a crawl: up one side from behind, then up the other, strides and steps that all limbs can reach."""
-    footholds, height = stance.footholds, stance.height
-    order = sorted(range(len(limbs)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
-    stride, step = _STRIDE * reach / _REACH, _STEP_HEIGHT * reach / _REACH
+    (height, footholds), names = stance, list(section["limbs"])
+    order = sorted(range(len(names)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
+    longest, highest = _STRIDE * reach / _REACH, _STEP_HEIGHT * reach / _REACH
     worth = worth_of(section, footholds, _MISSED * reach)
-    for _ in range(_HALVINGS):
-        moves = [np.array([x, 0.0]) for x in (-stride, stride)]
-        stances = [Stance(height, footholds + move) for move in moves] + [Stance(height - step, footholds)]
-        if all(worth(stance) > 0 for stance in stances):
+    for shorter in (2**halvings for halvings in range(_HALVINGS + 1)):
+        stride, step = longest / shorter, highest / shorter
+        stances = [Stance(height, footholds + np.array([x, 0.0])) for x in (-stride, stride)]
+        stances.append(Stance(height - step, footholds))
+        if shorter == 2**_HALVINGS:
+            why = "limbs do not reach footholds even so near to those where they stand: look at the stance"
+            notes.changed(f"stride {_two_digits(stride):g} m", why)
+        elif all(worth(stance) > 0 for stance in stances):
             break
-        stride, step = stride / 2, step / 2
-    else:
-        why = "limbs do not reach footholds even so near to those where they stand: look at the stance"
-        notes.changed(f"stride {_two_digits(stride):g} m", why)
-    share = 1 - 1 / len(limbs)
-    duty = max(0.75, -(-share * 100 // 1) / 100)
-    names = list(limbs)
-    shorter = round(_STRIDE * reach / _REACH / stride)
     within = f", the stride 1/{shorter} of that for joint limits" if shorter > 1 else ""
     notes.changed("gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}")
-    load = max(1.0, (_CRAWLING - 1) / (len(limbs) - 1))  # of each foot on the ground, in that of a robot of four
+    share = 1 - 1 / len(names)
+    load = max(1.0, (_CRAWLING - 1) / (len(names) - 1))  # of each foot on the ground, in that of a robot of four
     return {
-        "cycle": len(limbs) * load,
-        "duty": duty,
+        "cycle": len(names) * load,
+        "duty": max(0.75, -(-share * 100 // 1) / 100),
         "stride": _two_digits(stride),
         "step_height": _two_digits(step),
         "sequence": [names[n] for n in order],
@@ -265,18 +250,15 @@ def _hold_turns(
     contact, control = proportions["contact"], proportions["control"]
     contact |= {key: value * size for key, value in _HOLDS_TURNS.items()}
     springs = section.get("springs", {})
-    driven = min(sum(joint not in springs for joint in limb["joints"]) for limb in section["limbs"].values())
-    why = "transmits moments: on one or two feet held as points the robot swings"
-    if driven >= _ATTITUDE:
+    if min(sum(joint not in springs for joint in limb["joints"]) for limb in section["limbs"].values()) >= _ATTITUDE:
         for part in (contact, control):
             part |= {key: value * part[key] for key, value in _FIRM.items() if key in part}
-        notes.changed("grip", why + "; it and the joint loop are firm enough for one foot")
+        why = "it and the joint loop are firm enough for one foot"
     else:
         gait["stride"] = _two_digits(gait["stride"] / _SHORT_STRIDE)
-        why += (
-            f"; it resists limbs of under {_ATTITUDE} joints, which turn their feet: short strides, and it may let go"
-        )
-        notes.changed("grip", why)
+        turn = f"it resists limbs of under {_ATTITUDE} joints, which turn their feet"
+        why = f"{turn}: short strides, and it may let go"
+    notes.changed("grip", f"transmits moments: on one or two feet held as points the robot swings; {why}")
     for part in (contact, control):
         part |= {key: _two_digits(part[key]) for key in (*_HOLDS_TURNS, "kp", "kd") if key in part}
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, line_of
-from mjx_climb.robot.found_limbs import at_zero, beginning, foot_of, rigid_parts
+from mjx_climb.robot.limbs import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
 from mjx_climb.robot.posture import MET, limb_joints
-from mjx_climb.robot.rerooted import add_joint, quaternion, robot_in
 from mjx_climb.scenario.model import Limb, RobotFile
 
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
@@ -112,7 +111,7 @@ class _File:
         self.source, self.model = source, robot_in(source.file, source.base)
         self.held = {self._joint(f"locked.{name}", name): value for name, value in source.locked.items()}
         self.data = at_zero(self.model, self.held)
-        self.part = rigid_parts(self.model, self.held)
+        self.part = rigid_parts(self.model, set(self.held))
         self.limbs = _around(source)
         self.springs = dict(source.springs.items())
         self.chains = {name: self._chain(name, limb) for name, limb in self.limbs.items()}

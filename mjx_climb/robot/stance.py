@@ -9,7 +9,7 @@ import numpy as np
 from mjx_climb.dynamics.kinematics import foot_jacobian, limb_frames
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import RobotError
-from mjx_climb.robot.found_limbs import Chain, at_zero, foot_of
+from mjx_climb.robot.limbs import Chain, at_zero, foot_of
 from mjx_climb.robot.posture import (
     MET,
     SINGULAR,

@@ -10,9 +10,8 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import growth
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import bare, compiled, described, driven_joints
-from mjx_climb.robot.found_limbs import Notes, base_of, limbs_of, stood_on
+from mjx_climb.robot.limbs import Notes, base_of, limbs_of, rerooted, stood_on
 from mjx_climb.robot.proposal import propose
-from mjx_climb.robot.rerooted import rerooted
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
 

@@ -1,16 +1,19 @@
-"""The limbs of a robot in its file: rows of joints from one base outwards, each ending in a foot."""
+"""The limbs of a robot in its file: rows of joints from one base outwards, each ending in a foot.
+
+A file that begins at a foot is turned round first, so that it begins at the base.
+"""
 
 import collections
 import itertools
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, RobotError, bare, compiled, driven_joints
+from mjx_climb.robot.description import JOINTS, RobotError, bare, compiled, driven_joints, one_limit
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS, Limb
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
@@ -26,7 +29,7 @@ _FOOT = re.compile(
 class Note(NamedTuple):
     """What became of something in the file."""
 
-    kind: str  # taken, changed or ignored
+    kind: str  # taken as it is, changed (or not in the file), or ignored
     what: str
     why: str
 
@@ -35,15 +38,12 @@ class Notes(list[Note]):
     """Notes in the order in which they are made."""
 
     def taken(self, what: str, why: str) -> None:
-        """Note what is as the file has it."""
         self.append(Note("taken", what, why))
 
     def changed(self, what: str, why: str) -> None:
-        """Note what is otherwise than in the file, or not in it."""
         self.append(Note("changed", what, why))
 
     def ignored(self, what: str, why: str) -> None:
-        """Note what is left out."""
         self.append(Note("ignored", what, why))
 
 
@@ -127,10 +127,13 @@ def limbs_of(path: str, described: mujoco.MjSpec, model: mujoco.MjModel, base: i
     rows = _chains(model, base)
     part = rigid_parts(model)
     last = {row[-1]: {model.body(b).name for b in range(model.nbody) if part[b] == row[-1]} for row in rows}
-    shaped = _with_shapes(path, model, set().union(*last.values()), notes)
+    try:
+        shaped = compiled(path, bare(path, set().union(*last.values())))
+    except RobotError as error:  # a mesh that cannot be read
+        shaped = model
+        notes.ignored("meshes of the last links", str(error))
     chains = [_footed(model, row, shaped) for row in rows]
-    driven = driven_joints(described)
-    if driven:
+    if driven := driven_joints(described):
         chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
     limbs = _named(model, _limbs(path, model, chains, notes))
     if guessed := [repr(chain.foot) for chain in limbs.values() if chain.guessed]:
@@ -142,21 +145,12 @@ def limbs_of(path: str, described: mujoco.MjSpec, model: mujoco.MjModel, base: i
     return limbs
 
 
-def _with_shapes(path: str, model: mujoco.MjModel, bodies: set[str], notes: Notes) -> mujoco.MjModel:
-    """Return the robot with the shapes of some bodies, meshes among them; without these where one cannot be read."""
-    try:
-        return compiled(path, bare(path, bodies))
-    except RobotError as error:
-        notes.ignored("meshes of the last links", str(error))
-        return model
-
-
-def rigid_parts(model: mujoco.MjModel, held: Collection[int] = ()) -> np.ndarray:
+def rigid_parts(model: mujoco.MjModel, held: Set[int] = frozenset()) -> np.ndarray:
     """Return for each body the first body of the rigid part that it belongs to, where some joints are held."""
     part = np.arange(model.nbody)
     for body in range(1, model.nbody):
-        parent, first = model.body_parentid[body], model.body_jntadr[body]
-        if parent != 0 and all(joint in held for joint in range(first, first + model.body_jntnum[body])):
+        parent = model.body_parentid[body]
+        if parent != 0 and held >= set(_joints(model, body)):
             part[body] = part[parent]
     return part
 
@@ -187,7 +181,7 @@ def _footed(model: mujoco.MjModel, bodies: list[int], shaped: mujoco.MjModel) ->
 
     `shaped` is the robot with the shapes of its last links.
     """
-    joints = [int(model.body_jntadr[b]) + n for b in bodies for n in range(model.body_jntnum[b])]
+    joints = [joint for body in bodies for joint in _joints(model, body)]
     part = rigid_parts(model)
     data = at_zero(model)
     last = [b for b in range(model.nbody) if part[b] == bodies[-1]]
@@ -318,3 +312,88 @@ def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
         if all(names) and len(set(names)) == len(names) and not any("." in name for name in names):
             return dict(zip(names, limbs, strict=True))
     return {f"limb{n + 1}": chain for n, chain in enumerate(limbs)}
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A file that begins at a foot
+
+
+def robot_in(file: str, base: str | None = None) -> mujoco.MjModel:
+    """Return the robot in a file, with `base` as its root where that is given.
+
+    Raises:
+        RobotError: a file that MuJoCo does not load, or no such body.
+    """
+    model = compiled(file, bare(file))
+    if base is None:
+        return model
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, base) < 1:
+        known = ", ".join(model.body(body).name for body in range(1, model.nbody)) or "none"
+        raise RobotError(f"{file}: robot.base: expected a body of the file ({known[:200]}), got {base!r}")
+    if model.neq:
+        raise RobotError(f"{file}: robot.base: expected a file without equality constraints, got {model.neq}")
+    return compiled(file, rerooted(model, base))
+
+
+def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
+    """Return a robot with another of its bodies as the root: masses, joints and sites, no shapes.
+
+    With the joints at zero all bodies are where they were; a joint that is passed the other way round turns about the
+    opposite axis, so that its angle stays what it was. Joints between the old root and the world are left out.
+    """
+    data, spec = at_zero(model), mujoco.MjSpec()
+    spec.compiler.degree = False
+    first = model.body(base).id
+    todo = [(first, 0, spec.worldbody, np.zeros(3), np.eye(3))]
+    while todo:
+        body, before, parent, origin, axes = todo.pop()
+        place, turn = data.xpos[body], data.xmat[body].reshape(3, 3)
+        made = parent.add_body(
+            name=model.body(body).name, pos=axes.T @ (place - origin), quat=quaternion(axes.T @ turn)
+        )
+        made.explicitinertial = True
+        made.mass, made.ipos, made.iquat = model.body_mass[body], model.body_ipos[body], model.body_iquat[body]
+        made.inertia = model.body_inertia[body]
+        outwards = model.body_parentid[body] == before
+        between = () if body == first else _joints(model, body) if outwards else _joints(model, before)[::-1]
+        for joint in between:
+            moved = add_joint(made, model, joint, model.joint(joint).name)
+            moved.pos = turn.T @ (data.xanchor[joint] - place)
+            moved.axis = (1.0 if outwards else -1.0) * (turn.T @ data.xaxis[joint])
+        for site in np.flatnonzero(model.site_bodyid == body):
+            if model.site(site).name:
+                made.add_site(name=model.site(site).name, pos=model.site_pos[site], quat=model.site_quat[site])
+        around = [*np.flatnonzero(model.body_parentid == body), model.body_parentid[body]]
+        todo += [(int(other), body, made, place, turn) for other in around if other not in (0, before, body)]
+    return spec
+
+
+def _joints(model: mujoco.MjModel, body: int) -> list[int]:
+    return [int(joint) for joint in np.flatnonzero(model.jnt_bodyid == body)]
+
+
+def add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int, name: str) -> mujoco.MjsJoint:
+    """Add to a body a joint with the drive, spring and limits of one of a model, and return it."""
+    dof = model.jnt_dofadr[joint]
+    made = body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint(model.jnt_type[joint]),
+        armature=model.dof_armature[dof],
+        damping=[model.dof_damping[dof], 0, 0],
+        frictionloss=model.dof_frictionloss[dof],
+        stiffness=[model.jnt_stiffness[joint], 0, 0],
+        springref=model.qpos_spring[model.jnt_qposadr[joint]],
+    )
+    if model.jnt_limited[joint]:
+        made.range, made.limited = model.jnt_range[joint], mujoco.mjtLimited.mjLIMITED_TRUE
+    if model.jnt_actfrclimited[joint]:
+        most = one_limit(*model.jnt_actfrcrange[joint])
+        made.actfrcrange, made.actfrclimited = [-most, most], mujoco.mjtLimited.mjLIMITED_TRUE
+    return made
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Return the unit quaternion (4,) wxyz of a rotation matrix (3, 3)."""
+    found = np.empty(4)
+    mujoco.mju_mat2Quat(found, rotation.ravel())
+    return found
