@@ -8,7 +8,7 @@ from typing import Any
 from mjx_climb.scenario import shipped
 from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.messages import config_error, show
-from mjx_climb.scenario.model import Scenario, at, overridden, paths, validated
+from mjx_climb.scenario.model import Scenario, overridden, validated
 from mjx_climb.scenario.values import Section
 from mjx_climb.scenario.yaml_text import parse, read
 
@@ -29,16 +29,8 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] | Mappi
     **Raises:** `ConfigError`, also for overrides. The file must be valid before the overrides apply.
     """
     source = os.fsdecode(path if "\0" in os.fsdecode(path) else shipped.found(Path(path)))
-    return overridden(validated(Scenario, _beside(parse(read(source), source), source), source), overrides, source)
-
-
-def _beside(data: Any, source: str) -> Any:
-    """The data of a file with the relative paths in it as seen from here: they start at the file's folder."""
-    for *sections, key in paths(data):
-        values = at(data, sections)
-        if isinstance(values, dict) and isinstance(values.get(key), str) and "\0" not in values[key]:
-            values[key] = str(Path(source).parent.absolute() / values[key])
-    return data
+    scenario = validated(Scenario, parse(read(source), source), source).beside(Path(source).parent)
+    return overridden(scenario, overrides, source)
 
 
 class _Profile(Section):
@@ -46,10 +38,7 @@ class _Profile(Section):
 
 
 def load_hardware(path: str | os.PathLike[str]) -> Hardware:
-    """Read a profile.
-
-    Arguments:
-        path: a YAML file with the one section `hardware`, or the bare name of a profile that comes with the program.
+    """Read a profile: a YAML file with the one section `hardware`, or the bare name of one that is shipped.
 
     Raises:
         ConfigError: no such file, another section, or a bad value; in one line with the key.

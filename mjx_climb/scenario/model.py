@@ -380,10 +380,12 @@ class Scenario(v.Section):
 
     def with_files(self, change: Callable[[str, str], str]) -> Scenario:
         """A copy with the paths in it changed; `change` is given a dotted key and its path."""
-        data = self.model_dump(mode="json")
-        found = {".".join(keys): at(data, keys) for keys in paths(data)}
-        changed = {key: change(key, file) for key, file in found.items() if file is not None}
-        return self.with_overrides(changed)
+        named: dict[str, Any] = {"robot": self.robot, "ground.map": self.ground.map}
+        if self.own is not None:
+            named |= {"own.law": self.own.law, "own.objective": self.own.objective}
+            named |= {f"own.metrics.{n}": metric for n, metric in enumerate(self.own.metrics)}
+        files = {f"{key}.file": getattr(section, "file", None) for key, section in named.items()}
+        return self.with_overrides({key: change(key, file) for key, file in files.items() if file is not None})
 
     def relative_to(self, folder: str | os.PathLike[str]) -> Scenario:
         """A copy in which paths of files inside a folder are relative to it."""
@@ -399,24 +401,6 @@ class Scenario(v.Section):
     def with_overrides(self, overrides: Sequence[str] | Mapping[str, Any]) -> Scenario:
         """A revalidated copy with some keys changed; `overrides` as in `load_scenario`."""
         return overridden(self, overrides, "scenario")
-
-
-def at(data: Any, keys: Sequence[str]) -> Any:
-    """Return the value at some keys of nested mappings, None where there is none."""
-    for key in keys:
-        if isinstance(data, list) and key.isdecimal():
-            data = data[int(key)]
-        else:
-            data = data.get(key) if isinstance(data, dict) else None
-    return data
-
-
-def paths(data: Any) -> list[tuple[str, ...]]:
-    """Return the keys of a scenario's data whose values are paths."""
-    metrics = at(data, ("own", "metrics"))
-    own = [("metrics", str(n)) for n in range(len(metrics))] if isinstance(metrics, list) else []
-    places = [("law",), ("objective",), *own]
-    return [("robot", "file"), ("ground", "map", "file"), *(("own", *place, "file") for place in places)]
 
 
 def validated(kind: type[AnySection], data: Any, source: str) -> AnySection:
