@@ -18,6 +18,17 @@ def finite_rows(trajectory: Trajectory) -> int:
     return int(finite.size if finite.all() else finite.argmin())
 
 
+def whole(trajectory: Trajectory) -> int:
+    """Return how many rows can be shown: those before the state stops being finite, at least one."""
+    return max(finite_rows(trajectory), 1)
+
+
+def row_at(trajectory: Trajectory, time: float) -> int:
+    """Return the row nearest to a time, s; the last finite one where the walk ended or diverged before."""
+    row = round((time - float(trajectory.time[0])) / trajectory.scenario.time_step)
+    return min(max(row, 0), whole(trajectory) - 1)
+
+
 def end_of(trajectory: Trajectory) -> float:
     """Return where the time axis ends, s: with the walk, or soon after it diverged."""
     end = float(trajectory.time[-1]) + trajectory.scenario.time_step
@@ -63,11 +74,9 @@ def disturbances(trajectory: Trajectory) -> list[tuple[float, float, str, str]]:
 def _component(vector: Sequence[float], unit: str) -> str:
     """Return a vector in few characters: its component along an axis, or its length."""
     used = [axis for axis in range(3) if vector[axis]]
-    if not used:
-        return ""
     if len(used) == 1:
         return f"{vector[used[0]]:+g} {unit} {AXES[used[0]]}".replace("-", "\N{MINUS SIGN}")
-    return f"{math.hypot(*vector):.3g} {unit}"
+    return f"{math.hypot(*vector):.3g} {unit}" if used else ""
 
 
 def largest_foot_force(trajectory: Trajectory) -> np.ndarray:
@@ -79,3 +88,17 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths (...) of vectors (..., 3)."""
     with np.errstate(over="ignore", invalid="ignore"):  # a walk that diverges
         return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def thin(time: np.ndarray, values: np.ndarray, points: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """Return about `points` samples of a line that look like all of it: both extremes of every stretch."""
+    if time.size <= points:
+        return time, values
+    size = math.ceil(2 * time.size / points)
+    rows = np.arange(time.size + -time.size % size).clip(max=time.size - 1).reshape(-1, size)
+    stretches = values[rows]
+    low = np.where(np.isfinite(stretches), stretches, np.inf).argmin(1)
+    high = np.where(np.isfinite(stretches), stretches, -np.inf).argmax(1)
+    first = np.arange(len(rows))
+    chosen = np.unique(np.concatenate([[0, time.size - 1], rows[first, low], rows[first, high]]))
+    return time[chosen], values[chosen]

@@ -1,6 +1,7 @@
 """Maps of a metric over two gains."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,46 +11,41 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from mjx_climb.files.dataset import larger_is_better
-from mjx_climb.plots.styling import BLACK, COLUMN, GREY, HELD, LIMB_COLORS, RED, SAME, legend_below, style
+from mjx_climb.plots.styling import BLACK, COLUMN, GREY, HELD, LIMB_COLORS, RED, SAME, key, legend_below, style
 from mjx_climb.walk.metrics import FAILURES
 
 _LEAST_SPAN = 0.05  # of a scale, relative to its values
 _MARKERS = ("*", "o", "D", "^", "s", "P", "v")
 _HATCHES = {"gripper torn off": "/////", "diverged": "xxxxx"}
 
+Marks = Mapping[str, tuple[float, float]]  # points (x, y) by their name in the legend
+
 
 @style()
 def plot_map(
     dataset: xr.Dataset,
     metric: str,
-    marks: Mapping[str, tuple[float, float]] | None = None,
+    marks: Marks | None = None,
     *,
     baseline: float | None = None,
-    baseline_name: str = "pd",
-    x: str = "stiffness",
-    y: str = "damping",
     title: str | None = None,
 ) -> Figure:
     """Draw a metric over two gains, both on logarithmic axes; brighter is better.
 
     Arguments:
-        dataset: a grid of metrics over `x` and `y`, as of `dataset.sweep_dataset`.
+        dataset: a grid of metrics over two gains, as of `dataset.sweep_dataset`; the first one of the metric's
+            dimensions runs along the horizontal axis.
         metric: the variable to draw.
         marks: points (x, y) by their name in the legend, as of the paper's gains.
-        baseline: value of another controller, a line on the colour bar.
-        baseline_name: what stands at that line.
-        x: the dimension along the horizontal axis.
-        y: the dimension along the vertical axis.
+        baseline: value of pd, a line on the colour bar.
         title: above the figure.
 
     Walks that failed are hatched, by lines where a gripper was torn off (`detached_at` set), whatever became of the
@@ -57,8 +53,7 @@ def plot_map(
     `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
-    grid = _Grid(dataset, x, y, marks or {}, baseline_name, stability_lines(dataset, x, y))
-    handles, bar = grid.draw(figure.subplots(), metric, baseline)
+    handles, bar = _Grid(dataset, marks or {}, _axes(dataset, metric)).draw(figure.subplots(), metric, baseline)
     bar.set_label(_label(dataset[metric], metric))
     legend_below(figure, handles, 3)
     if title:
@@ -70,12 +65,9 @@ def plot_map(
 def plot_maps(
     dataset: xr.Dataset,
     metrics: Sequence[str],
-    marks: Mapping[str, tuple[float, float]] | None = None,
+    marks: Marks | None = None,
     *,
     baselines: Mapping[str, float] | None = None,
-    baseline_name: str = "pd",
-    x: str = "stiffness",
-    y: str = "damping",
     columns: int = 2,
     title: str | None = None,
 ) -> Figure:
@@ -88,7 +80,7 @@ def plot_maps(
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
     figure, axes = _sheet(rows, columns)
     handles = {}
-    grid = _Grid(dataset, x, y, marks or {}, baseline_name, stability_lines(dataset, x, y))
+    grid = _Grid(dataset, marks or {}, _axes(dataset, metrics[0]))
     for metric, panel in zip(metrics, axes.flat, strict=False):
         found, _ = grid.draw(panel, metric, (baselines or {}).get(metric))
         panel.set_title(_label(dataset[metric], metric), y=1.0)  # where it is anyway, without a search for it
@@ -118,14 +110,10 @@ def _sheet(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
     cell_width = (width - left - right - (columns - 1) * beside) / columns
     cell_height = (height - bottom - top - (rows - 1) * between) / rows
     figure = Figure(figsize=(width, height))
-    axes = figure.subplots(
-        rows, columns, squeeze=False, sharex=True, sharey=True,
-        gridspec_kw={
-            "left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height,
-            "wspace": beside / cell_width, "hspace": between / cell_height,
-        },
-    )  # fmt: skip
-    return figure, axes
+    figure.subplots_adjust(
+        left / width, bottom / height, 1 - right / width, 1 - top / height, beside / cell_width, between / cell_height
+    )
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,36 +121,37 @@ class _Grid:
     """Walks over two gains, and what all maps of them show."""
 
     dataset: xr.Dataset
-    x: str
-    y: str
-    marks: Mapping[str, tuple[float, float]]
-    baseline_name: str
-    limit: Sequence[np.ndarray]  # of stability, lines (N, 2)
+    marks: Marks
+    axes: tuple[str, str]  # horizontal, vertical
+
+    @functools.cached_property
+    def limit(self) -> list[np.ndarray]:
+        """Lines (N, 2) of the limit of stability."""
+        return stability_lines(self.dataset, *self.axes)
 
     def draw(self, panel: Axes, metric: str, baseline: float | None) -> tuple[list[Artist], Colorbar]:
         """Draw the map of a metric with its colour bar; return the handles of its legend, and the bar."""
-        variable = _variable(self.dataset, metric, self.x, self.y)
-        failed = failed_walks(self.dataset, self.x, self.y)
-        values = comparable(self.dataset, metric).transpose(self.y, self.x).values.astype(float)
-        edges = _log_edges(self.dataset[self.x].values), _log_edges(self.dataset[self.y].values)
-        colormap, norm, extend = _colors(variable, values, failed, baseline)
+        if {*self.axes} != {*_axes(self.dataset, metric)}:
+            raise ValueError(f"{metric}: expected dimensions {' and '.join(self.axes)}")
+        x, y = (self.dataset[name] for name in self.axes)
+        failed, torn = failed_walks(self.dataset, *self.axes), _torn_off(self.dataset, *self.axes)
+        values = comparable(self.dataset, metric).transpose(*self.axes[::-1]).values.astype(float)
+        edges = _log_edges(x.values), _log_edges(y.values)
+        colormap, norm, extend = _colors(self.dataset[metric], values, failed, baseline)
         panel.set_facecolor(GREY)
         mesh = panel.pcolormesh(
             *edges, np.ma.masked_invalid(values), cmap=colormap, norm=norm, linewidth=0,
             rasterized=values.size > 1e4,
         )  # fmt: skip
-        panel.set(xscale="log", yscale="log")
-        panel.set_xlabel(_label(self.dataset[self.x], self.x))
-        panel.set_ylabel(_label(self.dataset[self.y], self.y))
+        panel.set(xscale="log", yscale="log", xlabel=_label(x, self.axes[0]), ylabel=_label(y, self.axes[1]))
 
         shades = colormap(norm(np.nan_to_num(values, nan=norm.vmin or 0.0)))[..., :3] @ [0.299, 0.587, 0.114]
-        dark = (shades < 0.4) & np.isfinite(values)
-        torn = _torn_off(self.dataset, self.x, self.y)
+        empty = np.isnan(values)
+        dark = (shades < 0.4) & ~empty
         handles = [
             *_hatch(panel, edges, torn, dark, "gripper torn off"),
             *_hatch(panel, edges, failed & ~torn, dark, "diverged"),
         ]
-        empty = np.isnan(values)
         if metric == "detached_at" and (held := empty & ~failed).any():
             panel.pcolormesh(*edges, np.ma.masked_where(~held, held), cmap=ListedColormap([HELD]), linewidth=0)
             handles.append(Patch(facecolor=HELD, label="held all the way"))
@@ -174,32 +163,10 @@ class _Grid:
         panel.set_xlim(*_span(edges[0], [mark[0] for mark in self.marks.values()]))
         panel.set_ylim(*_span(edges[1], [mark[1] for mark in self.marks.values()]))
 
-        return handles, self._draw_bar(panel, mesh, variable, baseline, extend)
-
-    def _draw_bar(
-        self, panel: Axes, mesh: ScalarMappable, variable: xr.DataArray, baseline: float | None, extend: str
-    ) -> Colorbar:
-        """Draw the colour bar of a map: names, values or, where all are equal, nothing but the value on the map."""
         bar = panel.figure.colorbar(mesh, ax=panel, extend=extend, fraction=0.05, pad=0.02, aspect=25)
         bar.outline.set_linewidth(0.6)
-        known: np.ndarray = np.unique(np.ma.asarray(mesh.get_array()).compressed())
-        low, high = bar.mappable.get_clim()
-        if flags := variable.attrs.get("flag_meanings", "").split():
-            bar.set_ticks(np.asarray(variable.attrs["flag_values"], float).tolist(), labels=flags)
-            bar.ax.minorticks_off()
-        elif known.size == 1:
-            bar.set_ticks([])
-            text = f"all cells: {known[0]:.4g}"
-            panel.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", gid="constant")
-        else:
-            if isinstance(bar.norm, LogNorm) and high < 1e3 * low:  # so few decades want ticks between them
-                bar.locator = LogLocator(subs=(1, 2, 5))
-                bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
-                bar.minorformatter = NullFormatter()
-                bar.update_ticks()
-            if baseline is not None:
-                _mark_on_bar(bar, float(baseline), self.baseline_name)
-        return bar
+        _name_values(bar, self.dataset[metric], panel, baseline)
+        return handles, bar
 
     def _draw_marks(self, panel: Axes) -> list[Artist]:
         """Draw the marks and the limit of stability, and return the handles of their legend."""
@@ -212,9 +179,28 @@ class _Grid:
             )
         for line in self.limit:
             panel.plot(*line.T, color=RED, linewidth=1.0, zorder=3, gid="stability limit")
-        if self.limit:
-            handles.append(Line2D([], [], color=RED, linewidth=1.0, label="stability limit"))
-        return handles
+        return [*handles, key("stability limit", color=RED, linewidth=1.0)] if self.limit else handles
+
+
+def _name_values(bar: Colorbar, variable: xr.DataArray, panel: Axes, baseline: float | None) -> None:
+    """Name values on a colour bar, and the baseline, or, where all cells are equal, the one value on the map."""
+    known: np.ndarray = np.unique(np.ma.asarray(bar.mappable.get_array()).compressed())
+    low, high = bar.mappable.get_clim()
+    if flags := variable.attrs.get("flag_meanings", "").split():
+        bar.set_ticks(np.asarray(variable.attrs["flag_values"], float).tolist(), labels=flags)
+        bar.ax.minorticks_off()
+    elif known.size == 1:
+        bar.set_ticks([])
+        text = f"all cells: {known[0]:.4g}"
+        panel.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", gid="constant")
+    else:
+        if isinstance(bar.norm, LogNorm) and high < 1e3 * low:  # so few decades want ticks between them
+            bar.locator = LogLocator(subs=(1, 2, 5))
+            bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
+            bar.minorformatter = NullFormatter()
+            bar.update_ticks()
+        if baseline is not None:
+            _mark_on_bar(bar, float(baseline))
 
 
 def _colors(
@@ -264,7 +250,7 @@ def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping
     """
     if "spectral_radius" not in dataset:
         return []
-    radius = _variable(dataset, "spectral_radius", x, y).dropna(x, how="all").dropna(y, how="all")
+    radius = dataset["spectral_radius"].transpose(y, x).dropna(x, how="all").dropna(y, how="all")
     excess = np.clip((radius.values - 1) * 1e3, -1, 1)  # beyond the limit it grows without bounds
     if min(excess.shape) < 2 or not (excess > 0).any() or not (excess <= 0).any():
         return []
@@ -272,14 +258,14 @@ def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping
     return [np.exp(line) for line in lines if len(line) > 1]
 
 
-def _mark_on_bar(bar: Colorbar, value: float, name: str) -> None:
-    """Draw a line across a colour bar, or an arrow at the end beyond which the value lies."""
+def _mark_on_bar(bar: Colorbar, value: float) -> None:
+    """Draw the line of pd across a colour bar, or an arrow at the end beyond which its value lies."""
     low, high = np.asarray(bar.mappable.get_clim(), float)
     arrow = " \N{UPWARDS ARROW}" if value > high else " \N{DOWNWARDS ARROW}" if value < low else ""
     place = min(max(value, low), high)
     bar.ax.axhline(place, color=RED, linewidth=1.4, gid="baseline")
     bar.ax.annotate(
-        name + arrow, (0, place), xycoords=bar.ax.get_yaxis_transform(), xytext=(-2, 0), textcoords="offset points",
+        f"pd{arrow}", (0, place), xycoords=bar.ax.get_yaxis_transform(), xytext=(-2, 0), textcoords="offset points",
         ha="right", va="center", fontsize=6.5, color=RED, bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6},
         zorder=6,
     )  # fmt: skip
@@ -293,26 +279,27 @@ def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     return variable.where(~dataset["diverged"].astype(bool))
 
 
-def _variable(dataset: xr.Dataset, name: str, x: str, y: str) -> xr.DataArray:
-    """Return a variable as (y, x).
+def _axes(dataset: xr.Dataset, metric: str) -> tuple[str, str]:
+    """Return the two dimensions of a metric.
 
     Raises:
-        ValueError: no such variable, or other dimensions.
+        ValueError: no such variable, or not two of them.
     """
-    if name not in dataset:
-        raise ValueError(f"{name}: expected one of {', '.join(map(str, dataset.data_vars))}")
-    if set(dataset[name].dims) != {x, y}:
-        raise ValueError(f"{name}: expected dimensions {x} and {y}, got {', '.join(map(str, dataset[name].dims))}")
-    return dataset[name].transpose(y, x)
+    if metric not in dataset:
+        raise ValueError(f"{metric}: expected one of {', '.join(map(str, dataset.data_vars))}")
+    dims = [str(name) for name in dataset[metric].dims]
+    if len(dims) != 2:
+        raise ValueError(f"{metric}: expected two dimensions, got {', '.join(dims)}")
+    return dims[0], dims[1]
 
 
 def _torn_off(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
     """Return which walks lost a gripper, (y, x), be it that they diverged later."""
     torn = np.zeros((dataset.sizes[y], dataset.sizes[x]), bool)
     if "detached_at" in dataset:
-        torn |= np.isfinite(_variable(dataset, "detached_at", x, y).values)
+        torn |= np.isfinite(dataset["detached_at"].transpose(y, x).values)
     if "detached_limb" in dataset:
-        torn |= _variable(dataset, "detached_limb", x, y).values >= 0
+        torn |= dataset["detached_limb"].transpose(y, x).values >= 0
     return torn
 
 
@@ -320,7 +307,7 @@ def failed_walks(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
     """Return which walks failed, (y, x): a gripper was torn off, or the state stopped being finite."""
     failed = _torn_off(dataset, x, y)
     if "diverged" in dataset:
-        failed |= _variable(dataset, "diverged", x, y).values.astype(bool)
+        failed |= dataset["diverged"].transpose(y, x).values.astype(bool)
     return failed
 
 

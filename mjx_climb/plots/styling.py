@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
 from matplotlib.text import Text
 
@@ -73,6 +74,11 @@ def over_style(settings: Mapping[str, Any]) -> Iterator[None]:
     finally:
         _STYLE.clear()
         _STYLE.update(before)
+
+
+def key(label: str, **look: Any) -> Line2D:
+    """Return a line of a legend, which looks as what it stands for."""
+    return Line2D([], [], label=label, **look)
 
 
 def legend(figure: Figure, handles: Sequence[Artist], title: str | None = None) -> None:

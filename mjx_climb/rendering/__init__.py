@@ -7,8 +7,6 @@ strip = rendering.snapshots(trajectory, count=4)
 """
 
 from mjx_climb.rendering.backend import RenderingError
-from mjx_climb.rendering.film import encode, frames, pictures, save_image, save_video, snapshots
-from mjx_climb.rendering.stance import stance
-from mjx_climb.rendering.viewer import view
+from mjx_climb.rendering.film import encode, frames, pictures, save_image, save_video, snapshots, stance, view
 
 __all__ = ["RenderingError", "encode", "frames", "pictures", "save_image", "save_video", "snapshots", "stance", "view"]

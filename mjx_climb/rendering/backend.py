@@ -30,11 +30,7 @@ class RenderingError(ValueError):
 
 
 def candidates() -> list[str]:
-    """Return the names of the contexts to try, first choice first: the user's MUJOCO_GL, or all that may work.
-
-    Raises:
-        RenderingError: MUJOCO_GL is something else.
-    """
+    """Return the names of the contexts to try, first choice first: the user's MUJOCO_GL, or all that may work."""
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     if wanted in OFF:
         return []
@@ -59,20 +55,16 @@ def require_display() -> None:
     Raises:
         RenderingError: it cannot.
     """
-    if not has_display():
-        raise RenderingError(
-            "viewer: expected a display, got neither DISPLAY nor WAYLAND_DISPLAY; a video needs none (--video)"
-        )
-    import glfw
+    wanted, got = "a display", "neither DISPLAY nor WAYLAND_DISPLAY"
+    if has_display():
+        import glfw
 
-    with warnings.catch_warnings(action="ignore"):  # GLFW's own words
-        opened = glfw.init()
-    if not opened:
+        with warnings.catch_warnings(action="ignore"):  # GLFW's own words
+            if glfw.init():
+                return
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        raise RenderingError(
-            f"viewer: expected a display that opens windows, got {display}, which does not; "
-            "a video needs none (--video)"
-        )
+        wanted, got = "a display that opens windows", f"{display}, which does not"
+    raise RenderingError(f"viewer: expected {wanted}, got {got}; a video needs none (--video)")
 
 
 def works(name: str) -> bool:
@@ -80,10 +72,9 @@ def works(name: str) -> bool:
     environment = {**os.environ, "MUJOCO_GL": "disable"}
     trial = [sys.executable, "-c", TRIAL, name]
     try:
-        ended = subprocess.run(trial, env=environment, capture_output=True, timeout=TRIAL_SECONDS)
+        return subprocess.run(trial, env=environment, capture_output=True, timeout=TRIAL_SECONDS).returncode == 0
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return ended.returncode == 0
 
 
 @functools.cache

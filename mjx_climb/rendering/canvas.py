@@ -1,21 +1,103 @@
-"""Pictures of a MuJoCo model from a context without a window."""
+"""Pictures of a MuJoCo model from a context without a window, and the camera that follows a walk."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.plots.events import whole
 from mjx_climb.rendering import backend
-from mjx_climb.rendering.camera import View
+from mjx_climb.rollouts.trajectory import Trajectory
 
+AZIMUTH, ELEVATION = 98.0, -38.0  # degrees, at heading zero: to the robot's right, so high that no limb hides
+MICROGRAVITY = 0.02  # m/s^2; below, there is no down
+MARGIN = 1.12
+TALLEST = 0.6  # m, a robot that flies off leaves the picture
 MAX_GEOMS = 4000
 OPAQUE = 70  # of 255: a mark at least this bright hides what is behind it
 
 Draw = Callable[[mujoco.MjvScene], None]
 
 
-def nothing(scene: mujoco.MjvScene) -> None:
-    """Add no geoms to a scene."""
+def pose(model: mujoco.MjModel, data: mujoco.MjData, trajectory: Trajectory, row: int) -> None:
+    """Put the model where the robot was."""
+    data.qpos[:3] = trajectory.base_position[row]
+    data.qpos[3:7] = trajectory.base_orientation[row]
+    data.qpos[7:] = trajectory.joint_angles[row].ravel()
+    data.time = trajectory.time[row]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+
+
+def up(gravity: np.ndarray) -> np.ndarray:
+    """Return which way is up, (3,) world: against gravity (3,) m/s^2, or the ground's normal where there is none."""
+    strength = np.linalg.norm(gravity)
+    return np.array([0.0, 0.0, 1.0]) if strength < MICROGRAVITY else -np.asarray(gravity) / strength
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """A camera: MuJoCo's free one, and which way is up in the picture."""
+
+    target: np.ndarray  # (3,) m, world
+    distance: float  # m
+    azimuth: float  # degrees
+    up: np.ndarray  # (3,) world, unit
+
+    def camera(self) -> mujoco.MjvCamera:
+        """Return MuJoCo's camera, whose up is always the world's z."""
+        made = mujoco.MjvCamera()
+        made.type = mujoco.mjtCamera.mjCAMERA_FREE
+        made.lookat[:], made.distance = self.target, self.distance
+        made.azimuth, made.elevation = self.azimuth, ELEVATION
+        return made
+
+    def axes(self) -> np.ndarray:
+        """Return right, up and forward of the picture as rows, (3, 3) world."""
+        azimuth, elevation = np.deg2rad([self.azimuth, ELEVATION])
+        flat = np.cos(elevation)
+        forward = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+        up = self.up - (self.up @ forward) * forward
+        up /= np.linalg.norm(up)
+        return np.stack([np.cross(forward, up), up, forward])
+
+
+class Follower:
+    """The view over time: it glides with the gait's base reference, far enough to show all feet and bases."""
+
+    def __init__(self, trajectories: Sequence[Trajectory], fovy: float, aspect: float):
+        first = max(trajectories, key=whole)
+        scenario, rows = first.scenario, whole(first)
+        self._time = first.time[:rows]
+        self._path = _smoothed(first.base_reference[:rows], round(scenario.gait.cycle / scenario.time_step))
+        self._up = up(np.asarray(scenario.gravity))
+        self._azimuth = AZIMUTH + float(np.rad2deg(scenario.gait.heading))
+        # the ball around what is to be seen must fit the narrower side of the picture
+        half = np.deg2rad(fovy) / 2
+        half = min(half, np.arctan(np.tan(half) * aspect * 0.8))
+        self._distance = MARGIN * max(map(self._radius, trajectories)) / np.sin(half)
+
+    def _radius(self, trajectory: Trajectory) -> float:
+        """Return how far feet and base are from where the camera looks, m, at most."""
+        rows = slice(0, whole(trajectory), 20)
+        points = np.concatenate([trajectory.foot_position[rows], trajectory.base_position[rows, None]], axis=1)
+        distance = np.linalg.norm(points - self._target(trajectory.time[rows])[:, None], axis=-1)
+        return float(distance[np.isfinite(distance) & (distance < TALLEST)].max(initial=0.2))
+
+    def _target(self, time: np.ndarray | float) -> np.ndarray:
+        return np.stack([np.interp(time, self._time, line) for line in self._path.T], axis=-1)
+
+    def at(self, time: float) -> View:
+        """Return the view at a time, s."""
+        return View(self._target(time) * [1, 1, 0.55], self._distance, self._azimuth, self._up)
+
+
+def _smoothed(path: np.ndarray, window: int) -> np.ndarray:
+    """Return the moving average of a path (T, 3) over `window` rows, its ends held."""
+    padded = np.pad(path, ((window // 2, window - window // 2), (0, 0)), mode="edge")
+    sums = np.cumsum(padded, axis=0)
+    return np.asarray((sums[window:] - sums[:-window]) / window)
 
 
 class Canvas:
@@ -39,14 +121,10 @@ class Canvas:
         self._context.free()
         self._gl.free()
 
-    def draw(self, data: mujoco.MjData, view: View, inside: Draw = nothing, on_top: Draw = nothing) -> np.ndarray:
-        """Return the picture, (height, width, 3) uint8.
+    def draw(self, data: mujoco.MjData, view: View, on_top: Draw, inside: Draw | None = None) -> np.ndarray:
+        """Return the picture of a pose, (height, width, 3) uint8.
 
-        Arguments:
-            data: pose of the model.
-            view: where the camera stands.
-            inside: adds geoms among the model's.
-            on_top: adds geoms that nothing hides, such as an arrow inside a leg or below the ground.
+        `inside` adds geoms among the model's, `on_top` such that nothing hides: an arrow inside a leg or the ground.
         """
         scene = self.scene
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -58,15 +136,15 @@ class Canvas:
         up = view.axes()[1]
         for eye in scene.camera:
             eye.up[:] = up
-        inside(scene)
+        if inside is not None:
+            inside(scene)
         picture = self._render()
 
         scene.ngeom = 0
         on_top(scene)
         if scene.ngeom:
             flags = scene.flags.copy()
-            for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_SKYBOX):
-                scene.flags[flag] = 0
+            scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
             _lay_on(picture, self._render())
             scene.flags[:] = flags
         return picture
@@ -81,11 +159,9 @@ class Canvas:
 
 def _lay_on(picture: np.ndarray, marks: np.ndarray) -> None:
     """Lay marks on black over a picture, in place; their soft edges stay soft."""
-    rows = np.flatnonzero(marks.any((1, 2)))
-    columns = np.flatnonzero(marks.any((0, 2)))
-    if not rows.size:
-        return
-    part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    over = marks[part].astype(np.float32)
-    share = np.minimum(over.max(-1, keepdims=True) / OPAQUE, 1)
-    picture[part] = np.minimum(picture[part] * (1 - share) + over, 255)
+    rows, columns = (np.flatnonzero(marks.any(axes)) for axes in ((1, 2), (0, 2)))
+    if rows.size:
+        part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        over = marks[part].astype(np.float32)
+        share = np.minimum(over.max(-1, keepdims=True) / OPAQUE, 1)
+        picture[part] = np.minimum(picture[part] * (1 - share) + over, 255)

@@ -1,25 +1,27 @@
 """Words and scales on pictures: controller, case, time, forces, a legend, and the largest foot force over time."""
 
 import functools
+import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
-from mjx_climb.plots.events import detachments, disturbances, failure_time, largest_foot_force
-from mjx_climb.plots.time_panels import thin
+from mjx_climb.plots.events import detachments, disturbances, failure_time, largest_foot_force, row_at, thin, whole
 from mjx_climb.rendering import marks
-from mjx_climb.rendering.camera import MICROGRAVITY, View, row_at, whole
+from mjx_climb.rendering.canvas import MICROGRAVITY, View
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import Scenario
 
 BEYOND = 1e4  # N
-WHITE, DIM, DARK, ALARM = (255, 255, 255), (205, 208, 212), (16, 18, 22, 168), (255, 120, 110)
-GROUND, SHADE, OTHERS, OWN = (22, 25, 30), (44, 50, 60), (118, 124, 132), (120, 190, 255)  # of a trace of forces
-FINER = 2  # times the pixels while the lines of a trace are drawn
+WHITE, DIM, DARK, ALARM = "#FFFFFF", "#CDD0D4", "#101216A8", "#FF786E"
+GROUND, SHADE, OTHERS, OWN = "#16191E", "#2C323C", "#767C84", "#78BEFF"  # of a trace of forces
 
 
 @functools.cache
@@ -112,7 +114,7 @@ class Caption:
             (f"largest so far {newtons(peak)}", DIM, plain),
         ]
         if push := float(np.linalg.norm(trajectory.push[row, :3])):
-            lines.append((f"push {newtons(push)}", _bytes(marks.PUSH), bold))
+            lines.append((f"push {newtons(push)}", to_hex(marks.PUSH), bold))
         if torn := [name for time, name in self._torn if time <= trajectory.time[row]]:
             lines.append((f"{', '.join(torn)} torn off", ALARM, bold))
         if row == whole(trajectory) - 1 < trajectory.time.size - 1:
@@ -141,7 +143,7 @@ class Caption:
         if limit:
             bar = round(width - 1.4 * unit)
             for pixel in range(bar):
-                draw.line((x + pixel, y, x + pixel, y + 0.55 * unit), _bytes(marks.pulled(pixel / bar)))
+                draw.line((x + pixel, y, x + pixel, y + 0.55 * unit), to_hex(marks.pulled(pixel / bar)))
             for share, anchor in ((0.0, "lt"), (0.5, "mt"), (1.0, "rt")):
                 draw.text((x + share * bar, y + 0.7 * unit), f"{100 * share:.0f} %", DIM, text, anchor=anchor)
             y += 1.65 * unit
@@ -155,9 +157,9 @@ class Caption:
             draw.line(line, WHITE, max(round(0.12 * unit), 1))
         draw.text((end + 0.6 * unit, y + 0.1 * unit), f"{force:g} N", WHITE, text)
 
-    def _entry(self, draw: ImageDraw.ImageDraw, place: tuple[float, float], rgb: Iterable[float], words: str) -> None:
+    def _entry(self, draw: ImageDraw.ImageDraw, place: tuple[float, float], rgb: marks.RGB, words: str) -> None:
         """Draw an arrow and what it stands for."""
-        unit, (x, y), fill = self._unit, place, _bytes(rgb)
+        unit, (x, y), fill = self._unit, place, to_hex(rgb)
         middle, tip, head = y + 0.6 * unit, x + 2.2 * unit, x + 1.32 * unit
         draw.line((x, middle, x + 1.43 * unit, middle), fill, max(round(0.32 * unit), 2))
         draw.polygon([(tip, middle), (head, middle - 0.45 * unit), (head, middle + 0.45 * unit)], fill)
@@ -184,53 +186,42 @@ class ForceTrace:
     """The largest foot force of one walk over time, that of the walks beside it in grey, and a line that moves on."""
 
     def __init__(self, trajectories: Sequence[Trajectory], number: int, size: tuple[int, int]):
-        self._walk = trajectories[number]
-        self._forces = largest_foot_force(self._walk)
-        self._end = max(float(walk.time[-1]) for walk in trajectories)
-        self._top = 1.08 * max(max(map(_highest, trajectories)), 1e-9)
+        self._walk, self._size = trajectories[number], size
         self._unit = max(size[1] / 6, 7.0)  # pixels, the height of a line of text
-        self._left, self._size = 3.1 * self._unit, size
-        self._picture = self._drawn([walk for walk in trajectories if walk is not self._walk])
+        self._forces = largest_foot_force(self._walk)
+        self._top = 1.08 * max(max(map(_highest, trajectories)), 1e-9)
+        (width, height), unit, left = size, self._unit, 3.1 * self._unit
+        figure = Figure(figsize=(width / 72, height / 72), dpi=72, facecolor=GROUND)  # a point is a pixel
+        frame = (left / width, 0.5 * unit / height, (width - 1.3 * left) / width, 1 - 1.9 * unit / height)
+        self._panel = figure.add_axes(frame, frame_on=False, xticks=[], ylim=(0, self._top))
+        self._panel.set_xlim(0, max(*(float(walk.time[-1]) for walk in trajectories), 1e-9))
+        for start, stop, *_ in disturbances(self._walk):
+            self._panel.axvspan(start, stop, color=SHADE, linewidth=0)
+        others = [walk for walk in trajectories if walk is not self._walk]
+        for walk, color in [*((walk, OTHERS) for walk in others), (self._walk, OWN)]:
+            time, forces = thin(walk.time[: whole(walk)], largest_foot_force(walk)[: whole(walk)])
+            self._panel.plot(time, np.minimum(forces, self._top), color=color, linewidth=0.1 * unit, clip_on=False)
+        highest = self._top / 1.08
+        letters: dict[str, Any] = {"color": DIM, "fontsize": 0.85 * unit}
+        self._panel.set_yticks([0, highest], ["0", f"{highest:.2g} N"], **letters)
+        self._panel.tick_params(length=0, pad=0.35 * unit)
+        words = "largest foot force" + (", the other walk's in grey" if others else "")
+        figure.text(frame[0], 1 - 0.2 * unit / height, words, va="top", **letters)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="rgba", dpi=72)
+        self._picture = np.frombuffer(buffer.getvalue(), np.uint8).reshape(height, width, 4)[..., :3]
 
     def at(self, time: float) -> np.ndarray:
         """Return the strip (H, W, 3) at a time, s."""
-        picture = self._picture.copy()
-        draw = ImageDraw.Draw(picture)
         row = row_at(self._walk, time)
-        x, y = self._place(float(self._walk.time[row]), float(self._forces[row]))
+        force = np.nan_to_num(self._forces[row], nan=np.inf).clip(max=self._top)
+        x, y = self._panel.transData.transform((self._walk.time[row], force))
+        y, reach = self._size[1] - y, 0.22 * self._unit
+        picture = Image.fromarray(self._picture)
+        draw = ImageDraw.Draw(picture)
         draw.line((x, 0, x, self._size[1]), WHITE, max(round(self._unit / 14), 1))
-        reach = 0.22 * self._unit
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), OWN, WHITE)
         return np.asarray(picture)
-
-    def _place(self, time: float, force: float) -> tuple[float, float]:
-        """Return the pixel of a force, N, at a time, s."""
-        width, height = self._size
-        above = min(force / self._top, 1.0) if np.isfinite(force) else 1.0
-        x = self._left + (width - 1.3 * self._left) * time / max(self._end, 1e-9)
-        return x, height - 0.5 * self._unit - (height - 1.9 * self._unit) * above
-
-    def _drawn(self, others: Sequence[Trajectory]) -> Image.Image:
-        """Return the strip without the line that moves on."""
-        width, height = self._size
-        image = Image.new("RGB", (FINER * width, FINER * height), GROUND)
-        draw = ImageDraw.Draw(image)
-        for start, stop, *_ in disturbances(self._walk):
-            left, right = (FINER * self._place(time, 0.0)[0] for time in (start, min(stop, self._end)))
-            draw.rectangle((left, FINER * 1.4 * self._unit, right, FINER * (height - 0.5 * self._unit)), SHADE)
-        for walk, color in [*((walk, OTHERS) for walk in others), (self._walk, OWN)]:
-            rows = whole(walk)
-            time, forces = thin(walk.time[:rows], largest_foot_force(walk)[:rows])
-            line = [FINER * pixel for point in zip(time, forces, strict=True) for pixel in self._place(*point)]
-            draw.line(line, color, max(round(FINER * self._unit / 10), 1), joint="curve")
-        image = image.resize(self._size, Image.Resampling.LANCZOS)
-        draw, text = ImageDraw.Draw(image), font(0.85 * self._unit)
-        words = "largest foot force" + (", the other walk's in grey" if others else "")
-        draw.text((self._left, 0.2 * self._unit), words, DIM, text)
-        for force in (0.0, self._top / 1.08):
-            place = (self._left - 0.35 * self._unit, self._place(0.0, force)[1])
-            draw.text(place, f"{force:.2g} N" if force else "0", DIM, text, anchor="rm")
-        return image
 
 
 def _highest(walk: Trajectory) -> float:
@@ -239,12 +230,6 @@ def _highest(walk: Trajectory) -> float:
     forces = largest_foot_force(walk)[:rows]
     before = forces[walk.time[:rows] <= failure_time(walk)]
     return float(min(forces.max(), 3 * before.max() if before.size else np.inf))
-
-
-def _bytes(rgb: Iterable[float]) -> tuple[int, int, int]:
-    """Return a colour of numbers in [0, 1] as Pillow has it."""
-    red, green, blue = (int(255 * channel) for channel in rgb)
-    return red, green, blue
 
 
 def _nice(value: float) -> float:

@@ -1,27 +1,39 @@
-"""Pictures of one walk, or of several side by side in sync: frames, snapshots, and their files (PNG, H.264 in MP4)."""
+"""Walks shown: frames, snapshots, films (PNG, H.264 in MP4), MuJoCo's viewer; and a robot from a file as it stands."""
 
+import contextlib
 import functools
 import io
 import os
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from mjx_climb.files.writing import whole, write_bytes_atomically
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.plots.events import row_at
 from mjx_climb.rendering import marks, surroundings
-from mjx_climb.rendering.camera import Follower, pose, row_at
-from mjx_climb.rendering.canvas import Canvas
+from mjx_climb.rendering.backend import require_display
+from mjx_climb.rendering.canvas import AZIMUTH, Canvas, Follower, View, pose
 from mjx_climb.rendering.captions import Caption, ForceTrace, controller
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot.description import bare, compiled, described
+from mjx_climb.robot.limbs import foot_of
 from mjx_climb.rollouts.trajectory import Trajectory
+from mjx_climb.scenario.model import RobotFile
 
 TRACE = 0.16  # of a film's height
 FPS, SIZE, PAIR_SIZE = 25, (1280, 720), (960, 720)
 SNAPSHOTS, SNAPSHOT_SIZE = 4, (800, 600)
 QUALITY = "20"  # x264's constant rate factor: smaller is better and larger
+PAUSE = 1.0  # s, in the viewer, at the end of a walk, before the next one starts
+GROUND_ALPHA = 0.6  # there, for pulling forces point into the ground
+STANCE_MARK, STANCE_AWAY = 0.04, 3.4  # half widths of a robot: the radius of a mark, and how far the camera is
 
 
 def pictures(
@@ -34,31 +46,28 @@ def pictures(
 ) -> Iterator[np.ndarray]:
     """Yield the pictures of walks at some times (s), as `frames` does; `trace` is the share of the force's trace."""
     check(trajectories, labels, size)
-    count, strip = len(trajectories), 2 * round(trace * size[1] / 2)
-    traces = [ForceTrace(trajectories, number, (size[0], strip)) for number in range(count) if strip]
+    strip = 2 * round(trace * size[1] / 2)
+    traces = [ForceTrace(trajectories, number, (size[0], strip)) for number in range(len(trajectories)) if strip]
     size = size[0], size[1] - strip
     model = surroundings.of(trajectories)
-    data = mujoco.MjData(model)
-    fovy = float(model.vis.global_.fovy)
+    data, fovy = mujoco.MjData(model), float(model.vis.global_.fovy)
     follower, scale = Follower(trajectories, fovy, size[0] / size[1]), marks.scale(trajectories)
     focal = size[1] / (2 * np.tan(np.deg2rad(fovy) / 2))  # pixels
-    captions = [
-        Caption(trajectory, controller(trajectory) if labels is None else labels[number], size, scale)
-        for number, trajectory in enumerate(trajectories)
-    ]
+    named = zip(trajectories, labels or map(controller, trajectories), strict=True)
+    captions = [Caption(trajectory, label, size, scale) for trajectory, label in named]
     with Canvas(model, *size) as canvas:
-        for time in map(float, times):
-            view, panels = follower.at(time), []
+        for instant in map(float, times):
+            view, panels = follower.at(instant), []
             for number, trajectory in enumerate(trajectories):
-                row = row_at(trajectory, time)
+                row = row_at(trajectory, instant)
                 pose(model, data, trajectory, row)
-                around = functools.partial(marks.around, trajectory=trajectory, row=row)
                 forces = functools.partial(marks.forces, trajectory=trajectory, row=row, scale=scale)
-                picture = canvas.draw(data, view, around, forces)
-                legend = None if number < count - 1 else focal / view.distance
+                around = functools.partial(marks.around, trajectory=trajectory, row=row)
+                picture = canvas.draw(data, view, forces, around)
+                legend = focal / view.distance if number == len(trajectories) - 1 else None
                 panel = captions[number].draw(picture, row, view, legend)
                 if traces:
-                    panel = np.concatenate([panel, traces[number].at(time)])
+                    panel = np.concatenate([panel, traces[number].at(instant)])
                 if number:
                     panel[:, :2] = 255  # a line between walks
                 panels.append(panel)
@@ -211,3 +220,123 @@ def save_image(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
     buffer = io.BytesIO()
     Image.fromarray(picture).save(buffer, format="PNG", optimize=True)
     return write_bytes_atomically(path, buffer.getvalue())
+
+
+def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[], bool] = lambda: False) -> None:
+    """Show walks one after the other in MuJoCo's viewer, in real time and over and over, until its window is closed.
+
+    Arguments:
+        trajectories: walks of one robot; they share the scale of the forces.
+        rounds: how often they are shown; None: until the window is closed.
+        until: asked for every frame; the window closes where it says so.
+
+    Raises:
+        RenderingError: no display, or no window can be opened on it.
+        ValueError: no walk, or walks of different robots.
+    """
+    check(trajectories, None, SIZE)
+    require_display()
+    model = surroundings.of(trajectories)
+    model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
+    model.light("sun").castshadow = False  # such a ground takes none
+    data, scale = mujoco.MjData(model), marks.scale(trajectories)
+    start = Follower(trajectories, float(model.vis.global_.fovy), 1.5).at(0.0)
+    pose(model, data, trajectories[0], 0)
+    with _window(model, data) as window:
+        with window.lock():
+            window.cam.lookat[:], window.cam.distance = start.target, start.distance
+            window.cam.azimuth, window.cam.elevation = start.azimuth, start.camera().elevation
+        begin = time.perf_counter()
+        while window.is_running() and not until():
+            shown, now = divmod(time.perf_counter() - begin, length(trajectories) + PAUSE)
+            if rounds is not None and shown >= rounds * len(trajectories):
+                break
+            trajectory = trajectories[int(shown) % len(trajectories)]
+            row = row_at(trajectory, now)
+            with window.lock():
+                pose(model, data, trajectory, row)
+                window.user_scn.ngeom = 0
+                marks.around(window.user_scn, trajectory, row)
+                marks.forces(window.user_scn, trajectory, row, scale)
+            window.set_texts((None, None, *viewer_words(trajectory, row)))
+            window.sync()
+            time.sleep(1 / 60)
+
+
+@contextlib.contextmanager
+def _window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
+    """Open MuJoCo's viewer without its panels; on leaving, wait until its thread has ended.
+
+    A process that ends before the thread that draws dies of a segmentation fault.
+    """
+    from mujoco.viewer import launch_passive
+
+    others = set(threading.enumerate())
+    try:
+        with launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+            yield window
+    finally:
+        for thread in set(threading.enumerate()) - others:
+            thread.join()
+
+
+def viewer_words(trajectory: Trajectory, row: int) -> tuple[str, str]:
+    """Return names and values to write into the window."""
+    forces = np.linalg.norm(trajectory.foot_force[row], axis=-1)
+    limb = int(forces.argmax())
+    at = f" at {trajectory.limbs[limb]}" if forces[limb] else ""
+    shown = {
+        "controller": controller(trajectory),
+        "time": f"{trajectory.time[row]:.2f} s",
+        "largest force": f"{forces[limb]:.1f} N{at}",
+    }
+    if torn := [name for name, lost in zip(trajectory.limbs, trajectory.detached[row], strict=True) if lost]:
+        shown["torn off"] = ", ".join(torn)
+    return "\n".join(shown), "\n".join(shown.values())
+
+
+def stance(robot: str | RobotFile) -> np.ndarray:
+    """Return the picture of a robot from a file in its rest stance, (600, 800, 3) uint8.
+
+    Raises:
+        ValueError: a robot that is known by name.
+        RenderingError: no OpenGL on this machine.
+    """
+    if isinstance(robot, str):
+        raise ValueError(f"expected a robot from a file, got {robot!r}")
+    spec = bare(robot.file, {body.name for body in described(robot.file).bodies})
+    sky, plane = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtGeom.mjGEOM_PLANE
+    flat, head = mujoco.mjtBuiltin.mjBUILTIN_FLAT, spec.visual.headlight
+    head.ambient, head.diffuse, head.active = [0.4] * 3, [0.5] * 3, 1
+    spec.add_texture(name="sky", type=sky, builtin=flat, rgb1=[0.95] * 3, rgb2=[0.95] * 3, width=64, height=384)
+    ground = spec.worldbody.add_geom(type=plane, pos=[0, 0, 1], size=[10, 10, 0.1], rgba=[0.8, 0.78, 0.75, 1])
+    ground.name = "ground of the picture"
+    model = compiled(robot.file, spec)
+    data, loaded = mujoco.MjData(model), load_robot(robot)
+    limbs = [dict(robot.limbs.items())[name] for name in loaded.limbs]
+    held = dict(robot.locked.items())
+    for limb, angles in zip(limbs, loaded.stance_joints, strict=True):
+        held |= zip(limb.joints, angles, strict=False)  # padded to the longest limb
+    data.qpos[:] = model.qpos0
+    for name, value in held.items():
+        data.joint(name).qpos[:] = value
+    mujoco.mj_kinematics(model, data)
+    if robot.base is not None:  # the file has the foot upright that it begins at
+        base = model.body(robot.base).id
+        root = model.body_rootid[base]
+        upright = data.xmat[base].reshape(3, 3).T @ data.xmat[root].reshape(3, 3)
+        mujoco.mju_mat2Quat(model.body_quat[root], upright.ravel())
+        mujoco.mj_kinematics(model, data)
+    feet = np.array([foot_of(model, data, limb) for limb in limbs])
+    model.geom(ground.name).pos[2] = feet[:, 2].mean()
+    middle = (feet.mean(0) + data.xpos[1:].mean(0)) / 2
+    half = float(np.linalg.norm(feet - middle, axis=1).max())
+
+    def mark(scene: mujoco.MjvScene) -> None:
+        for number, (limb, foot) in enumerate(zip(limbs, feet, strict=True)):
+            points = np.array([*(data.xanchor[model.joint(joint).id] for joint in limb.joints), foot])
+            marks.limb(scene, points, STANCE_MARK * half, marks.PATHS[number % len(marks.PATHS)])
+
+    mujoco.mj_forward(model, data)
+    with Canvas(model, *SNAPSHOT_SIZE) as canvas:
+        return canvas.draw(data, View(middle, STANCE_AWAY * half, AZIMUTH, np.array([0.0, 0, 1])), mark)

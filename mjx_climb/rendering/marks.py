@@ -1,16 +1,18 @@
 """What is drawn into the scene beside the robot: forces, grips, foot paths, cargo and pushes, as MuJoCo's geoms."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.plots.events import whole
 from mjx_climb.plots.styling import LIMB_COLORS, ORANGE, RED, SKY, VERMILLION
-from mjx_climb.rendering.camera import whole
 from mjx_climb.rollouts.trajectory import Trajectory
+
+RGB = tuple[float, float, float]  # a colour, in [0, 1]
 
 LONGEST = 0.24  # m, of the largest arrow
 SHORTEST = 0.004  # m, shorter ones are left out
@@ -18,11 +20,11 @@ SHAFT = 0.0045  # m, radius
 PIECE = 0.004  # m, of a foot's path
 PATH_STEP = 0.04  # s, between points of a foot's path
 PATHS = LIMB_COLORS
-PRESSED = np.array(to_rgb(SKY))
+PRESSED = to_rgb(SKY)
 # from barely pulled to the holding limit; darker all the way, so that it also reads without colours
 PULLED = (to_rgb("#FFF3A0"), to_rgb("#F0C020"), to_rgb(ORANGE), to_rgb(VERMILLION), to_rgb("#B00020"))
-PUSH = np.array(to_rgb("#E24FB0"))
-GRIP = np.array([0.95, 0.95, 0.95])
+PUSH = to_rgb("#E24FB0")
+GRIP = (0.95, 0.95, 0.95)
 CARGO_DENSITY = 2600.0  # kg/m^3, of the box that stands for the cargo
 
 _ARROW, _CAPSULE, _CYLINDER, _BOX = (
@@ -42,20 +44,16 @@ def scale(trajectories: Sequence[Trajectory]) -> float:
     return LONGEST / float(largest)
 
 
-def load(force: np.ndarray, limit: float | None) -> float:
-    """Return how near a foot's force (3,) N is to the holding limit, 1 at the limit; 0 where the foot is pressed."""
-    return float(np.linalg.norm(force)) / limit if limit and force[2] < 0 else 0.0
+def color(force: np.ndarray, limit: float | None) -> RGB:
+    """Return the colour of a foot's force (3,) N: one where the ground presses, a scale where it pulls."""
+    return pulled(float(np.linalg.norm(force)) / limit if limit else 0.0) if force[2] < 0 else PRESSED
 
 
-def color(force: np.ndarray, limit: float | None) -> np.ndarray:
-    """Return the colour (3,) of a foot's force (3,) N: one where the ground presses, a scale where it pulls."""
-    return pulled(load(force, limit)) if force[2] < 0 else PRESSED
-
-
-def pulled(share: float) -> np.ndarray:
-    """Return the colour (3,) of a pull at this share of the holding limit."""
+def pulled(share: float) -> RGB:
+    """Return the colour of a pull at this share of the holding limit."""
     places = np.linspace(0, 1, len(PULLED))
-    return np.array([np.interp(share, places, channel) for channel in zip(*PULLED, strict=True)])
+    red, green, blue = (float(np.interp(share, places, channel)) for channel in zip(*PULLED, strict=True))
+    return red, green, blue
 
 
 def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: float) -> None:
@@ -78,12 +76,16 @@ def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
     """Add the grip points and foot paths up to this row, and the cargo."""
     every = max(round(PATH_STEP / trajectory.scenario.time_step), 1)
     rows = np.unique([*range(0, row + 1, every), row])
-    for limb in range(len(trajectory.limbs)):
-        _grips(scene, trajectory, rows, limb)
-    for limb in range(len(trajectory.limbs)):
-        _path(scene, trajectory.foot_position[rows, limb], to_rgb(PATHS[limb % len(PATHS)]))
-    mass = float(trajectory.cargo_mass[row])
-    if mass > 0:
+    rims = [(limb, to_rgb(PATHS[limb % len(PATHS)])) for limb in range(len(trajectory.limbs))]
+    for limb, rim in rims:
+        _grips(scene, trajectory, rows, limb, rim)
+    for limb, rgb in rims:
+        start, *points = trajectory.foot_position[rows, limb]
+        for point in points:
+            if np.linalg.norm(point - start) > PIECE:
+                _connect(scene, _CYLINDER, 0.0022, (start, point), rgb, emission=0.5)
+                start = point
+    if (mass := float(trajectory.cargo_mass[row])) > 0:
         _cargo(scene, trajectory, row, (mass / CARGO_DENSITY) ** (1 / 3) / 2)
 
 
@@ -94,22 +96,13 @@ def grip_points(trajectory: Trajectory) -> np.ndarray:
     return np.unique(gripped.round(3), axis=0) if gripped.size else trajectory.grip_point[0]
 
 
-def _grips(scene: mujoco.MjvScene, trajectory: Trajectory, rows: np.ndarray, limb: int) -> None:
+def _grips(scene: mujoco.MjvScene, trajectory: Trajectory, rows: np.ndarray, limb: int, rim: RGB) -> None:
     """Add a disc for each point that a limb gripped, a larger one for what it holds in the last of the rows."""
     held = trajectory.support[rows, limb]
     for point in np.unique(trajectory.grip_point[rows[held], limb].round(3), axis=0):
         current = held[-1] and np.abs(point - trajectory.grip_point[rows[-1], limb]).max() < 1e-3
-        rim = to_rgb(PATHS[limb % len(PATHS)])
         _add(scene, _CYLINDER, [0.031 if current else 0.026, 0.0012, 0], point, rim)
         _add(scene, _CYLINDER, [0.025 if current else 0.022, 0.0016, 0], point, GRIP)
-
-
-def _path(scene: mujoco.MjvScene, points: np.ndarray, rgb: tuple[float, float, float]) -> None:
-    start = points[0]
-    for point in points[1:]:
-        if np.linalg.norm(point - start) > PIECE:
-            _connect(scene, _CYLINDER, 0.0022, (start, point), rgb, emission=0.5)
-            start = point
 
 
 def _cargo(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, half: float) -> None:
@@ -128,22 +121,18 @@ def limb(scene: mujoco.MjvScene, points: np.ndarray, radius: float, color: str) 
     _connect(scene, _CAPSULE, radius, (points[-1], points[-1] + 1e-5), to_rgb(color), emission=0.8)
 
 
-def arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: ArrayLike, width: float = 1) -> None:
+def arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: RGB, width: float = 1) -> None:
     """Add an arrow between two points, (3,) m, so many times as thick as others."""
     if SHORTEST < np.linalg.norm(end - start) < 10 * LONGEST:  # longer: the walk has long failed
         # half of the light is its own: shaded, and still of the legend's colour
-        _connect(scene, _ARROW, width * SHAFT, (start, end), 0.5 * np.asarray(rgb), emission=1.3)
+        red, green, blue = rgb
+        _connect(scene, _ARROW, width * SHAFT, (start, end), (red / 2, green / 2, blue / 2), emission=1.3)
 
 
 def _connect(
-    scene: mujoco.MjvScene,
-    kind: mujoco.mjtGeom,
-    width: float,
-    ends: tuple[np.ndarray, np.ndarray],
-    rgb: Iterable[float],
-    *,
-    emission: float,
-) -> None:
+    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, width: float, ends: Sequence[np.ndarray], rgb: RGB,
+    *, emission: float,
+) -> None:  # fmt: skip
     """Add a geom between two points, (3,) m, that shines by itself."""
     start, end = ends
     if (geom := _add(scene, kind, np.zeros(3), np.zeros(3), rgb)) is None:
@@ -155,19 +144,14 @@ def _connect(
 
 
 def _add(
-    scene: mujoco.MjvScene,
-    kind: mujoco.mjtGeom,
-    size: ArrayLike,
-    position: ArrayLike,
-    rgb: Iterable[float],
-    rotation: np.ndarray | None = None,
-) -> mujoco.MjvGeom | None:
+    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, size: ArrayLike, position: ArrayLike, rgb: RGB,
+    rotation: ArrayLike = (1, 0, 0, 0, 1, 0, 0, 0, 1),
+) -> mujoco.MjvGeom | None:  # fmt: skip
     """Add a geom and return it; none once the scene is full."""
     if scene.ngeom == scene.maxgeom:
         return None
     geom, rgba = scene.geoms[scene.ngeom], np.array([*rgb, 1.0], np.float32)
-    matrix = np.eye(3).ravel() if rotation is None else rotation
-    mujoco.mjv_initGeom(geom, kind, np.asarray(size, float), np.asarray(position, float), matrix, rgba)
+    mujoco.mjv_initGeom(geom, kind, *(np.asarray(values, float) for values in (size, position, rotation)), rgba)
     geom.category = mujoco.mjtCatBit.mjCAT_DECOR
     scene.ngeom += 1
     return geom

@@ -294,16 +294,27 @@ def test_map_of_walks_without_values():
 
 
 @pytest.mark.parametrize(
-    ("metric", "y", "lowest", "message"),
+    ("metric", "lowest", "message"),
     [
-        ("speed", "damping", 1.0, "speed: expected one of peak_foot_force"),
-        ("peak_foot_force", "inertia", 1.0, "peak_foot_force: expected dimensions stiffness and inertia"),
-        ("peak_foot_force", "damping", 0.0, "above 0"),
+        ("speed", 1.0, "speed: expected one of peak_foot_force"),
+        ("history", 1.0, "history: expected two dimensions, got stiffness, damping, time"),
+        ("peak_foot_force", 0.0, "above 0"),
     ],
 )
-def test_map_rejects_what_it_cannot_draw(metric, y, lowest, message):
+def test_map_rejects_what_it_cannot_draw(metric, lowest, message):
+    data = grid().assign(history=(("stiffness", "damping", "time"), np.zeros((4, 3, 2))))
     with pytest.raises(ValueError, match=message):
-        plots.plot_map(grid().assign_coords(damping=[lowest, 2.0, 3.0]), metric, y=y)
+        plots.plot_map(data.assign_coords(damping=[lowest, 2.0, 3.0]), metric)
+    if lowest:
+        with pytest.raises(ValueError, match=message):
+            plots.plot_maps(data, ["peak_foot_force", metric])
+
+
+def test_the_first_dimension_of_a_metric_runs_along_the_horizontal_axis():
+    upright, turned = (plots.plot_map(data, "peak_foot_force") for data in (grid(), grid().transpose()))
+    assert (upright.axes[0].get_xlabel(), turned.axes[0].get_xlabel()) == ("stiffness", "damping")
+    np.testing.assert_array_equal(np.ma.filled(cells(turned)[0], 0), np.ma.filled(cells(upright)[0], 0).T)
+    assert turned.axes[0].get_xlim() == upright.axes[0].get_ylim()
 
 
 def test_sheet_of_maps(tmp_path):

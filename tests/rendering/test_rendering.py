@@ -17,16 +17,8 @@ from matplotlib.colors import to_rgb
 import mjx_climb as mc
 from mjx_climb import plots, rendering
 from mjx_climb.files.dataset import OutputError
-from mjx_climb.rendering import (
-    backend,
-    camera,
-    canvas,
-    captions,
-    film,
-    marks,
-    surroundings,
-    viewer,
-)
+from mjx_climb.plots.events import whole
+from mjx_climb.rendering import backend, canvas, captions, film, marks, surroundings
 from mjx_climb.robot.constants import load_model
 from tests.robot import climbers
 from tests.trajectories import still
@@ -100,11 +92,10 @@ def test_forces_appear_in_their_colour(force, rgb, gl):
 
 
 def test_a_pull_reddens_towards_the_holding_limit_and_a_press_does_not():
-    assert marks.load(np.array([0, 0, -7.5]), 15.0) == pytest.approx(0.5)
-    assert marks.load(np.array([0, 0, 30.0]), 15.0) == 0
-    assert marks.load(np.array([0, 0, -7.5]), None) == 0
+    for limit, share in ((15.0, 0.5), (None, 0.0)):
+        np.testing.assert_array_equal(marks.color(np.array([0, 0, -7.5]), limit), marks.pulled(share))
     np.testing.assert_array_equal(marks.color(np.array([0, 0, 30.0]), 15.0), marks.PRESSED)
-    lightness = [marks.pulled(share) @ [0.2126, 0.7152, 0.0722] for share in np.linspace(0, 1, 9)]
+    lightness = [np.dot(marks.pulled(share), [0.2126, 0.7152, 0.0722]) for share in np.linspace(0, 1, 9)]
     assert (np.diff(lightness) < 0).all()  # reads without colours
 
 
@@ -112,11 +103,11 @@ def test_an_arrow_is_as_long_as_its_force(gl):
     model = surroundings.model("hubrobo_v3_2", np.zeros(3), FEET, np.zeros(2))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    view = camera.View(np.zeros(3), 4.0, camera.AZIMUTH, camera.up(np.zeros(3)))
+    view = canvas.View(np.zeros(3), 4.0, canvas.AZIMUTH, canvas.up(np.zeros(3)))
     start, end = np.array([0, 0, -0.3]), np.array([0, 0, 0.4])
     with canvas.Canvas(model, 480, 480) as made:
         shown, bare = (
-            made.draw(data, view, lambda scene: None, draw).astype(int)
+            made.draw(data, view, draw).astype(int)
             for draw in (lambda scene: marks.arrow(scene, start, end, marks.PUSH), lambda scene: None)
         )
     rows = np.flatnonzero((np.abs(shown - bare).max(-1) > 40).any(1))
@@ -129,14 +120,14 @@ def test_an_arrow_is_as_long_as_its_force(gl):
 def test_the_ground_has_no_specks_of_its_own_shadow(gl):
     model = surroundings.model("hubrobo_v3_2", np.array([0, 0, -1.6]), FEET, np.zeros(2))
     data = mujoco.MjData(model)
-    view = camera.View(np.zeros(3), 1.6, camera.AZIMUTH, camera.up(np.zeros(3)))
+    view = canvas.View(np.zeros(3), 1.6, canvas.AZIMUTH, canvas.up(np.zeros(3)))
     pictures = []
     with canvas.Canvas(model, 480, 360) as made:
         for height, shadow in ((0.11, 1), (0.11, 0), (9.0, 1), (9.0, 0)):  # at 9 m the robot is above the sun
             data.qpos[2] = height
             mujoco.mj_forward(model, data)
             made.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadow
-            pictures.append(made.draw(data, view, lambda scene: None, lambda scene: None).astype(int))
+            pictures.append(made.draw(data, view, lambda scene: None).astype(int))
     with_robot, alone = ((unshaded - shaded).min(-1) > 5 for shaded, unshaded in (pictures[:2], pictures[2:]))
     assert with_robot.sum() > 500
     assert alone.sum() == 0
@@ -151,7 +142,7 @@ def test_a_torn_limb_and_a_walk_that_diverged_are_shown(gl):
     walk = walk_of(PRESSED)
     walk.torn_off[10, 1], walk.detached[11:, 1] = True, True
     walk.base_position[30:] = np.nan
-    assert camera.whole(walk) == 30
+    assert whole(walk) == 30
     before, after = picture(walk, time=0.05), picture(walk, time=0.2)
     assert amount(after, np.array([0.82, 0, 0])) > amount(before, np.array([0.82, 0, 0]))
     np.testing.assert_array_equal(picture(walk, time=0.29), picture(walk, time=0.39))
@@ -162,9 +153,9 @@ def test_the_trace_of_forces_peaks_where_the_walk_does_and_a_line_runs_with_the_
     forces = np.zeros_like(walk.foot_force)
     forces[30, 2, 0], forces[:, 0, 2] = 8.0, 1.0
     trace = captions.ForceTrace([dataclasses.replace(walk, foot_force=forces)], 0, (320, 60))
-    line = np.all(trace.at(0.0) == captions.WHITE, axis=2).sum(0).argmax()
+    line = np.all(trace.at(0.0) == 255, axis=2).sum(0).argmax()
     for time in (0.1, 0.15):
-        now = np.all(trace.at(time) == captions.WHITE, axis=2).sum(0).argmax()
+        now = np.all(trace.at(time) == 255, axis=2).sum(0).argmax()
         assert now == pytest.approx(line + (320 - 1.3 * line) * time / walk.time[-1], abs=1.5)
     blue = (trace.at(0.0).astype(int)[..., 2] - trace.at(0.0)[..., 0])[:, line + 5 :]
     peak = np.flatnonzero(blue.max(1) > 60).min()
@@ -213,7 +204,7 @@ def test_the_ground_passes_just_below_every_grip():
 
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (-4.9, 0.0, -8.5), (-9.81, 0.0, 0.0), (0.0, 0.0, 0.0)])
 def test_down_is_down_in_the_picture(gravity):
-    view = camera.View(np.zeros(3), 1.0, camera.AZIMUTH, camera.up(np.array(gravity)))
+    view = canvas.View(np.zeros(3), 1.0, canvas.AZIMUTH, canvas.up(np.array(gravity)))
     right, up, forward = view.axes()
     np.testing.assert_allclose(view.axes() @ view.axes().T, np.eye(3), atol=1e-12)
     assert np.cross(right, up) @ forward == pytest.approx(-1)
@@ -289,12 +280,12 @@ def test_a_robot_from_a_file_is_shown_with_its_feet(gl, tmp_path):
     file = tmp_path / "climber.xml"
     file.write_text(climbers.mjcf(4, 3, on_base='<geom type="box" size="0.08 0.08 0.02"/>'))
     robot = mc.Scenario.model_validate(climbers.config(file, 4, 3)).robot
-    whole = rendering.stance(robot)
+    long_limbs = rendering.stance(robot)
     limbs = {name: limb.model_dump() for name, limb in robot.limbs.items()}
     limbs["limb0"]["at"] = (-0.08, 0, 0)
     shorter = rendering.stance(robot.model_validate(robot.model_dump() | {"limbs": limbs}))
     for number, color in enumerate(marks.PATHS[:4]):
-        long, short = (amount(picture, to_rgb(color)) for picture in (whole, shorter))
+        long, short = (amount(picture, to_rgb(color)) for picture in (long_limbs, shorter))
         assert long > 50
         assert (short < 0.9 * long) == (number == 0)
 
@@ -448,7 +439,7 @@ def test_view_and_compare_show_both_walks(monkeypatch, tmp_path):
 
 
 def test_the_viewer_says_whose_walk_it_shows():
-    names, values = viewer.words(walk_of(PRESSED), 0)
+    names, values = film.viewer_words(walk_of(PRESSED), 0)
     assert dict(zip(names.splitlines(), values.splitlines(), strict=True))["controller"] == "base admittance"
 
 

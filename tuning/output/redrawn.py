@@ -65,12 +65,10 @@ def _maps(data: xr.Dataset, compared: Compared, metrics: Sequence[str], sheet: s
     """Yield the sheet of all maps, or a map of each metric."""
     if not metrics:
         yield sheet, sweep.sheet(data, compared)
-    x, y = axes_of(data)
-    _check(metrics, data, (x, y))
-    marks = sweep.marks(data, compared)
+    _check(metrics, data, axes_of(data))
     for name in metrics:
         baseline = compared["pd"][1].get(name) if "pd" in compared else None
-        yield f"{sheet}-{name}", plots.plot_map(data, name, marks, baseline=baseline, x=x, y=y)
+        yield f"{sheet}-{name}", plots.plot_map(data, name, sweep.marks(data, compared), baseline=baseline)
 
 
 def _search(folder: Path, data: xr.Dataset) -> Drawn:

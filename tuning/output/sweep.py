@@ -143,11 +143,10 @@ def _summary(compared: Comparison, counts: Mapping[str, Any]) -> str:
 
 def sheet(data: xr.Dataset, compared: Compared) -> Figure:
     """Draw the maps of all metrics that have values, with the gains and with pd's values to compare with."""
-    x, y = axes_of(data)
     metrics = [str(n) for n, v in data.items() if "larger_is_better" in v.attrs and n not in HATCHED]
     known = [name for name in metrics if np.isfinite(data[name]).any()]
     baselines = {name: value for name, value in compared["pd"][1].items() if value is not None}
-    return plots.plot_maps(data, known, marks(data, compared), baselines=baselines, columns=3, x=x, y=y)
+    return plots.plot_maps(data, known, marks(data, compared), baselines=baselines, columns=3)
 
 
 def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]]:

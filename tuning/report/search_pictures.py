@@ -60,7 +60,7 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
     if config and not apart:
         marks["config"] = config
     title = "map and limit: the same gains on all axes" if apart else None
-    figure = plots.plot_map(walks, "objective", marks, baseline=1.0, x=x, y=y, title=title)
+    figure = plots.plot_map(walks, "objective", marks, baseline=1.0, title=title)
     handles: list[Artist] = []
     for legend in figure.legends:
         handles += [handle for handle in legend.legend_handles if handle is not None]
