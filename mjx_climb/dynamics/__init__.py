@@ -15,7 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from mjx_climb.dynamics import limb_engine
-from mjx_climb.dynamics.state import Acceleration, State
+from mjx_climb.dynamics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 
@@ -31,7 +31,6 @@ def _mjx(robot: Robot) -> ForwardDynamics:
 
 ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": _mjx, "limb": limb_engine.build}
 DEFAULT_ENGINE = "limb"
-ELEMENTWISE = {"limb"}  # engines made of elementwise operations throughout, which compile well in pieces
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 
@@ -74,37 +73,31 @@ def forward_dynamics(
     """
     checked_engine(engine)
     robot = load_robot(robot) if isinstance(robot, str) else robot
-    result: Acceleration = _forward_dynamics(state, tau, foot_force, base_wrench, cargo_mass, gravity, robot, engine)
+    loads = Loads(*(jnp.asarray(load) for load in (tau, foot_force, base_wrench, cargo_mass, gravity)))
+    result: Acceleration = _forward_dynamics(state, loads, robot, engine)
     return result
 
 
 @functools.partial(jax.jit, static_argnames="engine")
-def _forward_dynamics(
-    state: State,
-    tau: ArrayLike,
-    foot_force: ArrayLike,
-    base_wrench: ArrayLike,
-    cargo_mass: ArrayLike,
-    gravity: ArrayLike | tuple[float, float, float],
-    robot: Robot,
-    engine: str,
-) -> Acceleration:
+def _forward_dynamics(state: State, loads: Loads, robot: Robot, engine: str) -> Acceleration:
     dtype, shape = jnp.result_type(state.base_position), jnp.shape(state.base_position)[:-1]
     joints = (len(robot.limbs), robot.joints)
     solve = ENGINES[engine](robot)
 
-    def alone(state: State, tau: Array, *acting: Array) -> Acceleration:
+    def alone(state: State, loads: Loads) -> Acceleration:
         angles, rates = state.joint_angles.reshape(joints), state.joint_rates.reshape(joints)
-        result = solve(dataclasses.replace(state, joint_angles=angles, joint_rates=rates), tau.reshape(joints), *acting)
+        state = dataclasses.replace(state, joint_angles=angles, joint_rates=rates)
+        result = solve(state, loads.joint_torque.reshape(joints), *loads[1:])
         return dataclasses.replace(result, joints=result.joints.ravel())
 
-    def in_batch(value: ArrayLike | tuple[float, ...], *own: int) -> Array:
+    def in_batch(value: Array, *own: int) -> Array:
         return jnp.broadcast_to(jnp.asarray(value, dtype), (*shape, *own)).reshape(-1, *own)
 
     batch = jax.tree.map(lambda value: in_batch(value, value.shape[-1]), state)
-    acting = (in_batch(tau, math.prod(joints)), in_batch(foot_force, joints[0], 3), in_batch(base_wrench, 6))
+    own: list[tuple[int, ...]] = [(math.prod(joints),), (joints[0], 3), (6,), (), (3,)]  # shapes of one robot's
+    acting = Loads(*(in_batch(load, *size) for load, size in zip(loads, own, strict=True)))
     # XLA's default for float32 on a GPU is TF32, of ten bits
     with jax.default_matmul_precision("highest"):
-        result = jax.vmap(alone)(batch, *acting, in_batch(cargo_mass), in_batch(gravity, 3))
+        result = jax.vmap(alone)(batch, acting)
     in_shape: Acceleration = jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), result)
     return in_shape

@@ -144,6 +144,6 @@ def center_of_mass(robot: Robot, frames: LimbFrames, state: State, cargo_mass: A
     return center_of_mass
 
 
-def base_wrench_of_foot_force(lever: Array, foot_force: Array) -> Array:
-    """Return `J_b^T F_e` (6,): sum of the foot forces (limb, 3), N, and of their moments about the base, N m."""
-    return jnp.concatenate([foot_force.sum(0), jnp.cross(lever, foot_force).sum(0)])
+def base_wrench_of_foot_force(lever: Array, foot_force: Array, foot_moment: Array | float = 0.0) -> Array:
+    """Return `J_b^T F_e` (6,): sums of the foot forces (limb, 3), N, and of their moments about the base, N m."""
+    return jnp.concatenate([foot_force.sum(0), (jnp.cross(lever, foot_force) + foot_moment).sum(0)])

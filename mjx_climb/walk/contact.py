@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.dynamics.kinematics import Feet, Turning, turn_between
@@ -37,8 +38,8 @@ class Contact(NamedTuple):
 class Grip(NamedTuple):
     """Contacts of one step."""
 
-    force: Array  # (limb, 3) N, of the ground on the foot, world axes
-    moment: Array  # (limb, 3) N m, of the ground on the foot, world axes; zero unless grips transmit moments
+    foot_force: Array  # (limb, 3) N, of the ground on the foot, world axes
+    foot_moment: Array  # (limb, 3) N m, of the ground on the foot, world axes; zero unless grips transmit moments
     support: Array  # (limb,) bool: the gripper holds
     torn_off: Array  # (limb,) bool: the holding limit was passed in this step
     missed: Array  # (limb,) bool: it shut out of reach in this step
@@ -52,7 +53,8 @@ def grip(
     A shut gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while its
     foot is at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or the
     foot first touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down and the
-    whole force is larger than the holding limit (ClimbLab's rule).
+    whole force is larger than the holding limit (ClimbLab's rule); `closed` (limb,) says which grippers are commanded
+    shut, `ground` (limb,) m how high it is below each foot.
 
     With a `Reach` and a finite capture distance a gripper that shuts further off the ground than the capture
     distance holds nothing and stays open until its next swing, and the ground only pushes a foot whose gripper is
@@ -60,18 +62,10 @@ def grip(
 
     With an `Attitude` a gripper that holds also keeps its foot from turning, by the sine of the angle from the attitude
     in which it shut (the gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
-
-    Arguments:
-        contact: what the last step left.
-        feet: positions and velocities.
-        closed: (limb,) which grippers are commanded shut.
-        ground: (limb,) m, height of the ground below each foot.
-        parameters: of contacts and grippers.
-        turning: attitudes and angular velocities of the feet, where grips transmit moments.
     """
     height = feet.position[:, 2]
     support, missed, caught = closed & ~contact.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
-    reach = contact.reach
+    reach, attitude = contact.reach, contact.attitude
     if reach:
         limited = jnp.isfinite(parameters.capture_distance)
         caught = support & ~reach.shut & limited
@@ -83,14 +77,13 @@ def grip(
     fresh = (touching & ~contact.touching) | caught
     below = jnp.concatenate([feet.position[:, :2], ground[:, None]], axis=1)
     grip_point = jnp.where(fresh[:, None], below, contact.grip_point)
-    stretched = feet.position - grip_point
-    force = -parameters.contact_stiffness * stretched - parameters.contact_damping * feet.velocity
+    force = parameters.contact_stiffness * (grip_point - feet.position) - parameters.contact_damping * feet.velocity
     force = jnp.where(touching[:, None], force, 0.0)
     if reach:
-        push = jnp.concatenate([jnp.zeros_like(force[:, :2]), jnp.maximum(force[:, 2:], 0.0)], axis=1)
+        push = jnp.where(np.array([False, False, True]), jnp.maximum(force, 0.0), 0.0)
         force = jnp.where((support | ~limited)[:, None], force, push)
     torn_off = support & (force[:, 2] < 0) & (norm(force) > parameters.holding_limit)
-    attitude, moment = contact.attitude, jnp.zeros_like(force)
+    moment = jnp.zeros_like(force)
     if attitude and turning is not None:
         attitude, moment = _resisted(attitude, turning, support, parameters)
     after = Contact(grip_point, touching, contact.detached | torn_off, reach, attitude)

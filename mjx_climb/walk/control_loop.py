@@ -15,6 +15,7 @@ from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import sensors, servo, signals
 from mjx_climb.hardware.stages import Hardware
+from mjx_climb.walk.contact import Grip
 
 
 class JointTargets(NamedTuple):
@@ -68,10 +69,8 @@ class Actual(NamedTuple):
 
     state: State
     lever: Array  # (limb, 3) m, from the base to the feet
-    foot_force: Array  # (limb, 3) N
-    support: Array  # (limb,) bool
+    grip: Grip
     wrench: Array  # (6,) N, N m, of all that the feet transmit
-    grip_moment: Array | None = None  # (3,) N m, what of the wrench are moments of grips; None where they bear none
 
 
 class Output(NamedTuple):
@@ -156,12 +155,10 @@ def _measure(
 ) -> tuple[Memory, Measurement]:
     """Return the memory with what the sensors remember, and what they measure."""
     stages, share = hardware.stages, hardware.pace.filter_share
-    sensor, force, wrench = memory.force_sensor, actual.foot_force, actual.wrench
+    sensor, force, wrench = memory.force_sensor, actual.grip.foot_force, actual.wrench
     if stages.force:
         sensor, force = sensors.measured_force(sensor, force, step, hardware)
-        wrench = base_wrench_of_foot_force(actual.lever, force)
-        if actual.grip_moment is not None:
-            wrench = wrench + jnp.concatenate([jnp.zeros_like(actual.grip_moment), actual.grip_moment])
+        wrench = base_wrench_of_foot_force(actual.lever, force, actual.grip.foot_moment)
     filtered = memory.filtered
     if stages.sampled_filter:
         force, wrench = (
@@ -172,7 +169,7 @@ def _measure(
         filtered = force, wrench
     buffers, base = sensors.estimated_base(memory.base_estimate, sensors.true_base(actual.state), step, hardware)
     memory = memory._replace(force_sensor=sensor, filtered=filtered, base_estimate=buffers)
-    return memory, Measurement(*base, force, wrench, actual.support)
+    return memory, Measurement(*base, force, wrench, actual.grip.support)
 
 
 def _solve(

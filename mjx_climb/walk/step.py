@@ -19,6 +19,9 @@ from mjx_climb.control import Law, Reference
 from mjx_climb.dynamics import ENGINES
 from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import (
+    Feet,
+    LimbFrames,
+    Turning,
     base_wrench_of_foot_force,
     center_of_mass,
     foot_kinematics,
@@ -26,14 +29,15 @@ from mjx_climb.dynamics.kinematics import (
     limb_frames,
 )
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix
-from mjx_climb.dynamics.state import Acceleration, State, integrate
+from mjx_climb.dynamics.state import Acceleration, Loads, State, integrate
+from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import Hardware, Stages, hardware_of
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.walk import control_loop, disturbance, gait
-from mjx_climb.walk.contact import Attitude, Contact, Reach, grip
+from mjx_climb.walk.contact import Attitude, Contact, Grip, Reach, grip
 from mjx_climb.walk.sample import Sample
-from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
+from mjx_climb.walk.stability import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
 from mjx_climb.walk.structure import Structure
 
 
@@ -130,39 +134,21 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
 
     `step` counts them, (). An action takes the place of the law, which then stays as it is.
     """
-    robot, parameters, state = walk.robot, walk.parameters, carry.state
-    frames = limb_frames(robot, None, state.joint_angles)
-    feet = foot_kinematics(robot, frames, state)
-    turning = foot_turning(robot, frames, state) if walk.stages.rotational else None
-
-    now = gait.schedule(walk.plan, step)
-    ground = gait.ground_height(walk.plan, now)
-    contact, held = grip(carry.contact, feet, now.closed, ground, _grip_parameters(walk), turning)
-    grip_wrench = jnp.concatenate([jnp.zeros_like(state.base_position), held.moment.sum(0)])
-    wrench = base_wrench_of_foot_force(feet.lever, held.force) + grip_wrench
-
-    find_start = gait.CYCLE_STARTS[walk.structure.base_reference]
-    cycle_start, start = find_start(walk.plan, now, carry.cycle_start, state.base_position)
-    reference = Reference(
-        base_position=gait.base_reference(walk.plan, now, start),
-        base_orientation=walk.plan.base_orientation,
-        foot_position=gait.foot_targets(walk.plan, now, contact.grip_point),
-    )
-    grip_moment = grip_wrench[3:] if turning is not None else None
-    actual = control_loop.Actual(state, feet.lever, held.force, held.support, wrench, grip_moment)
+    state, parameters = carry.state, walk.parameters
+    frames, now = limb_frames(walk.robot, None, state.joint_angles), gait.schedule(walk.plan, step)
+    stand = _stand(walk, carry, frames, now)
+    cycle_start, reference = _reference(walk, carry, now, stand.contact.grip_point)
+    actual = control_loop.Actual(state, stand.feet.lever, stand.grip, stand.wrench)
     memory, output = control_loop.control(walk.controller, carry.memory, actual, reference, step, action)
 
     cargo = disturbance.cargo_mass(parameters, walk.windows, step)
     push = disturbance.push(parameters, walk.windows, step)
-    torque = output.drive.joint_torque
-    if turning is not None:
-        torque = torque + jnp.vecmat(held.moment, turning.jacobian)
-    loads = _Loads(torque, held.force, push + grip_wrench, cargo)
-    acceleration = _accelerations(walk, state, loads, output.drive.armature)
+    acceleration = _accelerations(walk, state, stand, output.drive, push, cargo)
 
-    com = center_of_mass(robot, frames, state, cargo / parameters.mass_scale)
-    net_wrench = net_external_wrench(wrench + push, state.base_position)
-    tsm, gia = _stability_margins(walk, feet.position, held.support, net_wrench, com, cargo)
+    com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
+    tsm, gia = _stability_margins(
+        walk, stand, net_external_wrench(stand.wrench + push, state.base_position), com, cargo
+    )
     sample = Sample(
         time=step * jnp.asarray(walk.structure.time_step, com.dtype),
         **vars(state),
@@ -171,74 +157,88 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         joint_accelerations=acceleration.joints,
         joint_targets=output.joints.joint_angles,
         joint_torque=output.drive.motor_torque,
-        foot_position=feet.position,
-        foot_velocity=feet.velocity,
+        foot_position=stand.feet.position,
+        foot_velocity=stand.feet.velocity,
         foot_target=output.command.foot_position,
-        foot_force=held.force,
-        foot_moment=held.moment,
-        grip_point=contact.grip_point,
-        support=held.support,
-        contact=contact.touching,
+        **stand.grip._asdict(),
+        grip_point=stand.contact.grip_point,
+        contact=stand.contact.touching,
         detached=carry.contact.detached,
-        torn_off=held.torn_off,
-        missed=held.missed,
         reachable=output.joints.reachable,
         base_reference=reference.base_position,
         base_displacement=output.command.base_displacement,
-        base_wrench=wrench,
+        base_wrench=stand.wrench,
         push=push,
         cargo_mass=cargo,
         center_of_mass=com,
         tsm=tsm,
         gia_margin=gia,
     )
-    return Carry(integrate(state, acceleration, walk.structure.time_step), contact, cycle_start, memory), sample
+    return Carry(integrate(state, acceleration, walk.structure.time_step), stand.contact, cycle_start, memory), sample
 
 
-def _grip_parameters(walk: Walk) -> Parameters:
-    """Return the parameters of contacts and grippers: with an infinite holding limit where nothing is torn off."""
-    if not walk.structure.smooth:
-        return walk.parameters
-    return dataclasses.replace(walk.parameters, holding_limit=jnp.full_like(walk.parameters.holding_limit, jnp.inf))
+class _Stand(NamedTuple):
+    """How the robot stands on the ground in a step."""
+
+    feet: Feet
+    turning: Turning | None  # where grips transmit moments
+    contact: Contact  # after the step
+    grip: Grip
+    wrench: Array  # (6,) N, N m, on the base, of all that the feet transmit
 
 
-class _Loads(NamedTuple):
-    """What acts on the robot."""
+def _stand(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> _Stand:
+    parameters, ground = walk.parameters, gait.ground_height(walk.plan, now)
+    if walk.structure.smooth:  # nothing is torn off
+        parameters = dataclasses.replace(parameters, holding_limit=jnp.full_like(parameters.holding_limit, jnp.inf))
+    feet = foot_kinematics(walk.robot, frames, carry.state)
+    turning = foot_turning(walk.robot, frames, carry.state) if walk.stages.rotational else None
+    contact, held = grip(carry.contact, feet, now.closed, ground, parameters, turning)
+    wrench = base_wrench_of_foot_force(feet.lever, held.foot_force, held.foot_moment)
+    return _Stand(feet, turning, contact, held, wrench)
 
-    joint_torque: Array  # (limb, joint) N m
-    foot_force: Array  # (limb, 3) N
-    base_wrench: Array  # (6,) N, N m, beside that of the foot forces
-    cargo_mass: Array  # () kg
+
+def _reference(walk: Walk, carry: Carry, now: gait.Schedule, grip_point: Array) -> tuple[Array, Reference]:
+    """Return what the gait remembers of the base, and what it asks for."""
+    find_start = gait.CYCLE_STARTS[walk.structure.base_reference]
+    cycle_start, start = find_start(walk.plan, now, carry.cycle_start, carry.state.base_position)
+    feet = gait.foot_targets(walk.plan, now, grip_point)
+    return cycle_start, Reference(gait.base_reference(walk.plan, now, start), walk.plan.base_orientation, feet)
 
 
-def _accelerations(walk: Walk, state: State, loads: _Loads, sticking: Any) -> Acceleration:
-    """Return what the equations of motion give; `sticking` is the armature (limb, joint) that friction adds, if any.
+def _accelerations(
+    walk: Walk, state: State, stand: _Stand, drive: servo.Drive, push: Array, cargo: Array
+) -> Acceleration:
+    """Return what the equations of motion give.
 
     With all masses times s, s (H qdd + c) = f has the accelerations of H qdd + c = f / s: the engine is given the
     robot as its file says, and forces, armature and cargo over s.
     """
-    robot, parameters, torque = walk.robot, walk.parameters, loads.joint_torque
+    robot, parameters, torque, held = walk.robot, walk.parameters, drive.joint_torque, stand.grip
     share = 1 / parameters.mass_scale
+    if stand.turning is not None:
+        torque = torque + jnp.vecmat(held.foot_moment, stand.turning.jacobian)
     if walk.stages.armature or walk.stages.dry_friction or robot.armature is not None:
         own: Any = jnp.zeros_like(robot.joint_lower) if robot.armature is None else robot.armature
-        own = own + sticking if walk.stages.dry_friction else own
+        own = own + drive.armature if walk.stages.dry_friction else own
         robot = dataclasses.replace(robot, armature=(own + jnp.asarray(parameters.armature)) * share)
     if robot.spring is not None and robot.spring_rest is not None:
         torque = torque - robot.spring * (state.joint_angles - robot.spring_rest)
-    torque, foot_force, base_wrench, cargo = (load * share for load in loads._replace(joint_torque=torque))
-    gravity = jnp.asarray(parameters.gravity)
-    return ENGINES[walk.structure.engine](robot)(state, torque, foot_force, base_wrench, cargo, gravity)
+    no_force, gravity = jnp.zeros_like(state.base_position), jnp.asarray(parameters.gravity)
+    wrench = push + jnp.concatenate([no_force, held.foot_moment.sum(0)])
+    loads = Loads(torque * share, held.foot_force * share, wrench * share, cargo * share, gravity)
+    return ENGINES[walk.structure.engine](robot)(state, *loads)
 
 
 def _stability_margins(
-    walk: Walk, feet: Array, support: Array, net_wrench: tuple[Array, Array], com: Array, cargo: Array
+    walk: Walk, stand: _Stand, net_wrench: tuple[Array, Array], com: Array, cargo: Array
 ) -> tuple[Array, Array]:
     """Return TSM, m, and GIA margin, m/s^2.
 
     A gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet.
     """
-    parameters = walk.parameters
+    parameters, axes = walk.parameters, support_axes(stand.feet.position, stand.grip.support)
     mass = cargo + parameters.mass_scale * walk.robot.total_mass
     holding = jnp.where(jnp.isfinite(parameters.holding_limit), parameters.holding_limit, 0.0)
-    tsm = tumble_stability_margin(feet, support, *net_wrench, mass, norm(jnp.asarray(parameters.gravity)), holding)
-    return tsm, gia_margin(feet, support, com, net_wrench[0], mass, holding)
+    tsm = tumble_stability_margin(axes, net_wrench, mass, norm(jnp.asarray(parameters.gravity)), holding)
+    return tsm, gia_margin(axes, com, net_wrench[0], mass, holding)

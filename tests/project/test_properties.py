@@ -158,7 +158,7 @@ def test_contact(contact, position, velocity, closed, ground, limit):
     at_ground = position[:, 2] <= ground
     np.testing.assert_array_equal(held.support, closed & ~contact.detached)
     np.testing.assert_array_equal(after.touching, held.support | at_ground)
-    assert (held.force[~after.touching] == 0).all()
+    assert (held.foot_force[~after.touching] == 0).all()
     # grips: where the foot came to the ground, and there for as long as it touches
     fresh = after.touching & ~contact.touching
     np.testing.assert_array_equal(after.grip_point[~fresh], contact.grip_point[~fresh])
@@ -166,12 +166,12 @@ def test_contact(contact, position, velocity, closed, ground, limit):
     np.testing.assert_array_equal(after.grip_point[fresh, 2], ground[fresh])
     # power: what the spring stores comes back, what is left goes into the damper
     spring = -float(PARAMETERS.contact_stiffness) * (position - after.grip_point)
-    damped = np.sum((held.force - spring) * velocity, axis=1)[after.touching]
+    damped = np.sum((held.foot_force - spring) * velocity, axis=1)[after.touching]
     assert (damped <= 1e-9).all()
     np.testing.assert_allclose(
         damped, -float(PARAMETERS.contact_damping) * np.sum(velocity**2, axis=1)[after.touching], atol=1e-9
     )
     # grippers: torn off by a pull beyond the limit alone, and for good
-    torn = held.support & (held.force[:, 2] < 0) & (np.linalg.norm(held.force, axis=1) > limit)
+    torn = held.support & (held.foot_force[:, 2] < 0) & (np.linalg.norm(held.foot_force, axis=1) > limit)
     np.testing.assert_array_equal(held.torn_off, torn)
     np.testing.assert_array_equal(after.detached, contact.detached | torn)

@@ -45,7 +45,7 @@ def test_a_gripper_holds_what_is_within_reach_of_the_ground(ground):
     np.testing.assert_array_equal(held.support, [True, False, True, False])
     np.testing.assert_array_equal(held.missed, [False, True, False, False])
     np.testing.assert_allclose(contact.grip_point[0], [0, 0, ground])
-    assert held.force[0, 2] < 0 and held.force[1, 2] == 0
+    assert held.foot_force[0, 2] < 0 and held.foot_force[1, 2] == 0
     again, later = walked(contact, [0.004, 0.001, -0.001, 0.1], True, True, True, False)
     np.testing.assert_array_equal(later.support, [True, False, True, False])
     assert not later.missed.any()
@@ -56,11 +56,11 @@ def test_a_gripper_holds_what_is_within_reach_of_the_ground(ground):
 def test_an_open_gripper_pushes_along_the_normal_and_does_not_stick():
     down = (False,) * 4
     contact, held = gripped(AWAY, feet(-0.001, 0.1, 0.1, 0.1), *down)
-    assert held.force[0, 2] > 0
+    assert held.foot_force[0, 2] > 0
     _, slid = gripped(contact, feet(-0.001, 0.1, 0.1, 0.1, slide=(0.003, 0.0)), *down)
-    np.testing.assert_array_equal(slid.force[0, :2], 0)
+    np.testing.assert_array_equal(slid.foot_force[0, :2], 0)
     _, rising = gripped(contact, feet(-0.001, 0.1, 0.1, 0.1, velocity=(0.0, 0.0, 10.0)), *down)
-    np.testing.assert_array_equal(rising.force, 0)
+    np.testing.assert_array_equal(rising.foot_force, 0)
 
 
 def test_a_foot_that_slid_is_gripped_where_it_is():
@@ -75,7 +75,7 @@ def test_without_a_capture_distance_a_gripper_holds_from_anywhere(reach):
     contact = AWAY._replace(reach=reach)
     _, held = gripped(contact, feet(0.114, 0.1, 0.1, 0.1), True, False, False, False, capture_distance=np.inf)
     assert held.support[0] and not held.missed.any()
-    np.testing.assert_allclose(held.force[0, 2], -1140)
+    np.testing.assert_allclose(held.foot_force[0, 2], -1140)
 
 
 def test_a_pull_tears_off_by_its_whole_force():
@@ -87,7 +87,7 @@ def test_a_pull_tears_off_by_its_whole_force():
     np.testing.assert_array_equal(held.torn_off, [True, False, False, False])
     np.testing.assert_array_equal(after.detached, [True, False, False, True])
     np.testing.assert_array_equal(held.support, [True, True, True, False])  # it lets go from the next step on
-    np.testing.assert_allclose(held.force[0], [-4.0, 0.0, -3.0])
+    np.testing.assert_allclose(held.foot_force[0], [-4.0, 0.0, -3.0])
 
 
 def test_a_grip_keeps_the_attitude_in_which_it_shut_last():
@@ -104,6 +104,6 @@ def test_a_grip_keeps_the_attitude_in_which_it_shut_last():
         (False, turned(0.9, rate=2.0)), (True, turned(0.9)), (True, turned(1.0)),
     ):  # fmt: skip
         contact, held = gripped(contact, on_ground, *[closed] * 4, turning=turning)
-        moments.append(held.moment[0])
+        moments.append(held.foot_moment[0])
     expected = [0, -5 * np.sin(0.3), -5 * np.sin(0.3) - 0.2, 0, 0, -5 * np.sin(0.1)]
     np.testing.assert_allclose(moments, [[0, 0, moment] for moment in expected], atol=1e-12)

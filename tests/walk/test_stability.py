@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
-from mjx_climb.walk.stability import gia_margin, net_external_wrench, tumble_stability_margin
+from mjx_climb.walk.stability import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 WALKS = {"climblab_1G_no_load": 9.81, "climblab_microgravity_impacts": 9.81e-6}  # gravity, m/s^2
@@ -31,8 +31,9 @@ def both_margins(foot_position, support, com, force, moment, mass, gravity, hold
     """TSM and GIA margin, (T,) each, of arrays with the batch first."""
 
     def alone(feet, support, com, force, moment, mass, gravity, holding_force):
-        tsm = tumble_stability_margin(feet, support, force, moment, mass, gravity, holding_force)
-        return tsm, gia_margin(feet, support, com, force, mass, holding_force)
+        axes = support_axes(feet, support)
+        tsm = tumble_stability_margin(axes, (force, moment), mass, gravity, holding_force)
+        return tsm, gia_margin(axes, com, force, mass, holding_force)
 
     scalars = (jnp.broadcast_to(value, len(com)) for value in (mass, gravity, holding_force))
     return jax.vmap(alone)(foot_position, support, com, force, moment, *scalars)
