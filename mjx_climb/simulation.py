@@ -14,7 +14,7 @@ The walk itself is `mjx_climb.walk.step`; how a function of one robot is carried
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -31,17 +31,19 @@ from mjx_climb.dynamics.state import State
 from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.rollouts.directions import check_same_gains, moving_gains, resolved_directions
 from mjx_climb.rollouts.resolve import (
     AnyGains,
     Resolved,
+    check_same_gains,
     checked,
     checked_dtype,
     floating_dtype,
     is_traced,
+    moving_gains,
     recorded,
     resolve,
     resolve_in,
+    resolved_directions,
 )
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.rollouts.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of
@@ -53,6 +55,14 @@ from mjx_climb.walk.step import Carry, Setup, advance, begin, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
 
 Progress = Callable[[int, int], None]
+
+
+class How(TypedDict, total=False):
+    """How a batch walks: see `Simulation.metrics`."""
+
+    dtype: DTypeLike
+    batch_size: int | None
+    progress: Progress | None
 
 
 @jax.tree_util.register_dataclass
@@ -134,9 +144,6 @@ class Simulation:
         """Return what a walk is compiled for: parameters say which stages of hardware there are."""
         return structure(self.scenario, self.engine, parameters, law=self.law, metrics=self.table, smooth=self.smooth)
 
-    def _resolved(self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike) -> Resolved:
-        return resolve_in(self.scenario, self.law, gains, parameters, dtype)
-
     def rollout(
         self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, dtype: DTypeLike = np.float64
     ) -> Trajectory:
@@ -151,7 +158,7 @@ class Simulation:
             ConfigError: a time step too long for the scenario's contacts and joints.
             ValueError: batched gains or parameters, or gains that the law does not have.
         """
-        resolved = self._resolved(gains, parameters, dtype)
+        resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
         if resolved.shape != ():
             raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
         check_time_step(self.scenario, parameters=resolved.parameters)
@@ -194,18 +201,12 @@ class Simulation:
             ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, parameters that
                 no scenario could have, no robots, or another precision than float32 and float64.
         """
-        resolved = self._resolved(gains, parameters, dtype)
-        found: dict[str, np.ndarray] = self._run(metrics_of, resolved, batch_size=batch_size, progress=progress)
+        how = How(dtype=dtype, batch_size=batch_size, progress=progress)
+        found: dict[str, np.ndarray] = self._run(metrics_of, gains, parameters, **how)
         return found
 
     def histories(
-        self,
-        gains: AnyGains | None = None,
-        parameters: Parameters | None = None,
-        *,
-        dtype: DTypeLike = np.float32,
-        batch_size: int | None = None,
-        progress: Progress | None = None,
+        self, gains: AnyGains | None = None, parameters: Parameters | None = None, **how: Unpack[How]
     ) -> dict[str, np.ndarray]:
         """Walk a batch of robots and return metrics as `metrics` does, and some histories over time beside them.
 
@@ -214,19 +215,11 @@ class Simulation:
             These are the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the
             state stopped being finite.
         """
-        resolved = self._resolved(gains, parameters, dtype)
-        found: dict[str, np.ndarray] = self._run(histories_of, resolved, batch_size=batch_size, progress=progress)
+        found: dict[str, np.ndarray] = self._run(histories_of, gains, parameters, **how)
         return found
 
     def jvp(
-        self,
-        gains: AnyGains,
-        directions: AnyGains,
-        parameters: Parameters | None = None,
-        *,
-        dtype: DTypeLike = np.float32,
-        batch_size: int | None = None,
-        progress: Progress | None = None,
+        self, gains: AnyGains, directions: AnyGains, parameters: Parameters | None = None, **how: Unpack[How]
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Walk a batch of robots and return metrics, and their tangents along k directions in the gains.
 
@@ -245,20 +238,27 @@ class Simulation:
             ValueError: rates of a gain that the law does not have, or `kp` or `kd` in one of two `Gains` alone.
         """
         check_same_gains(gains, directions)
-        resolved = self._resolved(gains, parameters, dtype)
-        along = resolved_directions(resolved, directions, dtype)
-        values, tangents = self._run(metrics_of_moved, resolved, along, batch_size=batch_size, progress=progress)
+        values, tangents = self._run(metrics_of_moved, gains, parameters, directions, **how)
         return values, tangents
 
-    def _run(self, function: Callable[..., Metrics], resolved: Resolved, directions: Any = None, **how: Any) -> Any:
+    def _run(
+        self,
+        function: Callable[..., Metrics],
+        gains: AnyGains | None,
+        parameters: Parameters | None,
+        directions: AnyGains | None = None,
+        dtype: DTypeLike = np.float32,
+        **how: Any,
+    ) -> Any:
+        resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
+        shape, arguments, axes = self._structure(resolved.parameters), resolved[:2], resolved.axes
+        along = None if directions is None else resolved_directions(resolved, directions, dtype)
         check_time_step(self.scenario)
-        shape = self._structure(resolved.parameters)
-        arguments, axes = (resolved.law, resolved.parameters), resolved.axes
-        if directions is None:
+        if along is None:
             return execution.run(function, shape, arguments, axes, resolved.shape, **how)
-        moving, own = moving_gains(resolved, directions)
+        moving, own = moving_gains(resolved, along)
         values, tangents = execution.run(
-            function, shape, (moving, *arguments), (own, *axes), resolved.shape, directions=directions, **how
+            function, shape, (moving, *arguments), (own, *axes), resolved.shape, directions=along, **how
         )
         batch = len(resolved.shape)
         return values, {name: np.moveaxis(value, batch, 0) for name, value in tangents.items()}

@@ -42,12 +42,14 @@ def rollout_metrics(
     *,
     law: Law | None = None,
     metrics: Iterable[Metric] = METRICS,
-    engine: str = DEFAULT_ENGINE,
-    smooth: bool = False,
-    **how: Any,
+    **options: Any,
 ) -> dict[str, np.ndarray]:
-    """Return `Simulation.metrics`, which says what `how` may be: a batch of robots, metrics alone."""
-    return Simulation(scenario, law, metrics, engine, smooth=smooth).metrics(gains, parameters, **how)
+    """Return `Simulation.metrics`: a batch of robots, metrics alone.
+
+    Options are `engine` and `smooth` of a `Simulation`, and those of its method.
+    """
+    simulation, how = _simulation(scenario, law, metrics, options)
+    return simulation.metrics(gains, parameters, **how)
 
 
 def rollout_histories(
@@ -57,11 +59,11 @@ def rollout_histories(
     *,
     law: Law | None = None,
     metrics: Iterable[Metric] = METRICS,
-    engine: str = DEFAULT_ENGINE,
-    **how: Any,
+    **options: Any,
 ) -> dict[str, np.ndarray]:
-    """Return `Simulation.histories`, which says what `how` may be: a batch of robots, metrics and some histories."""
-    return Simulation(scenario, law, metrics, engine).histories(gains, parameters, **how)
+    """Return `Simulation.histories`: metrics and some histories of a batch; options as of `rollout_metrics`."""
+    simulation, how = _simulation(scenario, law, metrics, options)
+    return simulation.histories(gains, parameters, **how)
 
 
 def rollout_jvp(
@@ -72,12 +74,19 @@ def rollout_jvp(
     *,
     law: Law | None = None,
     metrics: Iterable[Metric] = METRICS,
-    engine: str = DEFAULT_ENGINE,
-    smooth: bool = False,
-    **how: Any,
+    **options: Any,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return `Simulation.jvp`, which says what `how` may be: metrics of a batch, and their tangents."""
-    return Simulation(scenario, law, metrics, engine, smooth=smooth).jvp(gains, directions, parameters, **how)
+    """Return `Simulation.jvp`: metrics of a batch, and their tangents; options as of `rollout_metrics`."""
+    simulation, how = _simulation(scenario, law, metrics, options)
+    return simulation.jvp(gains, directions, parameters, **how)
+
+
+def _simulation(
+    scenario: Scenario, law: Law | None, metrics: Iterable[Metric], options: dict[str, Any]
+) -> tuple[Simulation, dict[str, Any]]:
+    """Return a simulation, and the options that are its method's."""
+    of = {name: options.pop(name) for name in ("engine", "smooth") if name in options}
+    return Simulation(scenario, law, metrics, **of), options
 
 
 def simulator(
