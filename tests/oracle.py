@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from mjx_climb.hardware.noise import normal
+from mjx_climb.hardware.sensors import normal
 from mjx_climb.robot.constants import load_model
 
 PRESLIDING, RELAXATION = 5e-4, 5e-3  # rad, s: dry friction

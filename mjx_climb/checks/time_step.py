@@ -72,12 +72,7 @@ def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
 
 
 def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Parameters | None = None) -> None:
-    """Refuse a time step that is too long for the robot's contacts and joint loop.
-
-    Arguments:
-        scenario: what walks.
-        source: where it comes from, for the message.
-        parameters: of one robot in place of the scenario's.
+    """Refuse a time step too long for the robot's contacts and joint loop; `parameters` replace the scenario's.
 
     Raises:
         ConfigError: in one line, the time step that would do.

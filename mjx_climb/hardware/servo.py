@@ -82,19 +82,13 @@ def across_play(error: Array, backlash: Array) -> Array:
 def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Array) -> Array:
     """Return the torque that the motor gives, N m, for the one that it is asked for.
 
-    With the motion it falls to nothing at the no-load speed and brakes beyond it; against the motion it is limited
-    alone.
-
-    Arguments:
-        torque: N m.
-        rate: rad/s.
-        torque_limit: N m, at standstill; infinite: none.
-        no_load_speed: rad/s; infinite: the same limit at any speed.
+    With the motion it falls to nothing at the no-load speed, rad/s, and brakes beyond it; against the motion it is
+    limited alone. Infinite stands for no limit, and for the same limit at any speed.
     """
-    slowness = rate / no_load_speed
-    bound = jnp.where(jnp.isfinite(torque_limit), torque_limit, 0.0)
+    slowness, limits = rate / no_load_speed, jnp.isfinite(torque_limit)
+    bound = jnp.where(limits, torque_limit, 0.0)
     upper, lower = bound * jnp.clip(1 - slowness, -1.0, 1.0), -bound * jnp.clip(1 + slowness, -1.0, 1.0)
-    return jnp.where(jnp.isfinite(torque_limit), jnp.clip(torque, lower, upper), torque)
+    return jnp.where(limits, jnp.clip(torque, lower, upper), torque)
 
 
 def bent(bristle: Array, rate: Array, time_step: float) -> Array:
@@ -105,10 +99,7 @@ def bent(bristle: Array, rate: Array, time_step: float) -> Array:
 def dry_friction(bristle: Array, rate: Array, most: Array, time_step: float) -> tuple[Array, Array]:
     """Return the torque of dry friction on the joint, N m, and what it adds to the armature in this step, kg m^2.
 
-    Arguments:
-        bristle: see `bent`.
-        rate: rad/s.
-        most: N m, what the friction can bear.
+    The friction can bear `most`, N m; see `bent` for the bristle.
     """
     slope = (RELAXATION + time_step) / PRESLIDING
     share = bristle + rate * slope

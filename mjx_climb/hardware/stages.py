@@ -14,6 +14,8 @@ from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
 
+_DELAYED = ("force", "base", "command", "servo")
+
 
 class Stages(NamedTuple):
     """The stages that a walk has; lengths of buffers in samples, 0 without one. Static: a walk is compiled for them."""
@@ -50,12 +52,7 @@ IDEAL = Stages()
 
 
 def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = None) -> Stages:
-    """Return the stages that some robot of a batch needs.
-
-    Arguments:
-        scenario: says how targets move between two periods, and who filters.
-        parameters: with any leading batch axes; buffers are as long as the longest delay needs.
-        robot: its file may ask for stages of the joints.
+    """Return the stages that some robot of a batch needs; buffers are as long as the longest delay needs.
 
     Raises:
         TypeError: parameters that are traced by JAX, so that nothing can be decided by them.
@@ -64,29 +61,22 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
         if isinstance(value, jax.core.Tracer):
             raise TypeError(f"parameters.{name}: expected an array, got one that JAX traces")
     step = scenario.time_step
-    period, filtered = given(parameters.control_period), finite(parameters.force_filter)
-    by_law = scenario.hardware.force_sensor.filtered_by == "law"
+    filtered, by_law = finite(parameters.force_filter), scenario.hardware.force_sensor.filtered_by == "law"
     limited, dry, viscous = (
         robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
     )
+    simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
+    found: dict[str, Any] = {name: given(getattr(parameters, name)) for name in simple}
+    found |= {f"{part}_delay": buffer_length(getattr(parameters, f"{part}_delay"), step) for part in _DELAYED}
     return Stages(
-        force_delay=buffer_length(parameters.force_delay, step),
-        force_noise=given(parameters.force_noise),
-        force_bias=given(parameters.force_bias),
-        force_resolution=given(parameters.force_resolution),
+        **found,
         force_filter=filtered and not by_law,
         sampled_filter=filtered and by_law,
-        base_delay=buffer_length(parameters.base_delay, step),
         base_noise=given(parameters.position_noise) or given(parameters.velocity_noise),
-        control_period=period,
-        linear=period and scenario.hardware.interpolation == "linear",
-        command_delay=buffer_length(parameters.command_delay, step),
-        servo_delay=buffer_length(parameters.servo_delay, step),
+        linear=found["control_period"] and scenario.hardware.interpolation == "linear",
         torque_limit=limited or finite(parameters.torque_limit),
-        armature=given(parameters.armature),
         dry_friction=dry or given(parameters.coulomb_friction) or given(parameters.load_friction),
         viscous_friction=viscous or given(parameters.viscous_friction),
-        backlash=given(parameters.backlash),
         capture=finite(parameters.capture_distance),
         rotational=given(parameters.rotational_stiffness),
     )
@@ -132,7 +122,8 @@ class Hardware:
 def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot: Robot | None = None) -> Hardware:
     """Return the hardware of a robot; what its file says of its joints comes beside the scenario's parameters."""
 
-    def buffer_weights(seconds: Any, length: int) -> Buffer:
+    def buffer_weights(part: str) -> Buffer:
+        length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")
         return weights(jnp.asarray(seconds) / time_step, length) if length else ()
 
     period: Any = ()
@@ -142,14 +133,8 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     if stages.force_filter or stages.sampled_filter:
         sampled = time_step * period if stages.sampled_filter and stages.control_period else time_step
         share = filter_share(jnp.asarray(parameters.force_filter), sampled)
-    pace = Pace(
-        force=buffer_weights(parameters.force_delay, stages.force_delay),
-        base=buffer_weights(parameters.base_delay, stages.base_delay),
-        command=buffer_weights(parameters.command_delay, stages.command_delay),
-        servo=buffer_weights(parameters.servo_delay, stages.servo_delay),
-        filter_share=share,
-        period=period,
-    )
+    late = {part: buffer_weights(part) for part in _DELAYED}
+    pace = Pace(**late, filter_share=share, period=period)
     return Hardware(parameters if robot is None else _with_joints_of(robot, parameters), pace, stages, time_step)
 
 

@@ -55,12 +55,7 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
 
     Walked again with grips that never let go: as it is, with twice the cycle (where the grip let go in the first half
     of the walk), half the stride, joints half and twice as stiff. These are parameters of the compiled walk, so
-    that each costs no more than the walk.
-
-    Arguments:
-        scenario: what walked; its law where `law` is None.
-        detached_at: when the first gripper let go, s.
-        law: the control law that walked.
+    that each costs no more than the walk. The first gripper let go at `detached_at` s.
     """
     own, gait, control = own_parameters(scenario), scenario.gait, scenario.control
     changes = {

@@ -37,20 +37,11 @@ class Resolved(NamedTuple):
 
 
 def resolve(
-    scenario: Scenario,
-    law: Law,
-    gains: AnyGains | None,
-    parameters: Parameters | None,
-    array: Callable[[Any], Any],
+    scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | None, array: Callable[[Any], Any]
 ) -> Resolved:
     """Return the law with the gains given in place of its own, and parameters with the joint gains among them.
 
-    Arguments:
-        scenario: whose parameters are taken where there are none.
-        law: with its own gains.
-        gains: values that replace those of the law by name; `kp` and `kd` replace those of the parameters.
-        parameters: with any leading batch axes, in any precision.
-        array: makes arrays of the precision of the simulation.
+    Parameters are the scenario's where there are none; `array` makes arrays of the precision of the simulation.
 
     Raises:
         ValueError: in one line, an unknown name, a wrong shape, a gain that is not positive, or a parameter that no

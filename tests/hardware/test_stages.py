@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.hardware import noise, sensors, servo, signals
+from mjx_climb.hardware import sensors, servo, signals
 from mjx_climb.hardware.stages import IDEAL, hardware_of, stages_of
 from mjx_climb.robot.constants import load_robot
 
@@ -140,7 +140,7 @@ def test_a_line_reaches_each_target_in_the_last_step_of_its_period():
 
 def draw(samples, seed=0.0, channels=12):
     return np.asarray(
-        jax.vmap(lambda n: noise.normal(jnp.asarray(seed), n, jnp.arange(channels), jnp.float64))(jnp.arange(samples))
+        jax.vmap(lambda n: sensors.normal(jnp.asarray(seed), n, jnp.arange(channels), jnp.float64))(jnp.arange(samples))
     )
 
 
@@ -175,10 +175,10 @@ def test_noise_has_the_distribution_of_a_sum_of_eight_uniform_numbers():
 
 def test_noise_is_the_same_in_any_batch_and_precision():
     seeds, channels = jnp.asarray([3.0, 0.0, 16_777_215.0]), jnp.arange(12)
-    together = jax.vmap(lambda seed: noise.normal(seed, jnp.asarray(41), channels, jnp.float32))(seeds)
+    together = jax.vmap(lambda seed: sensors.normal(seed, jnp.asarray(41), channels, jnp.float32))(seeds)
     for row, seed in enumerate(seeds):
-        np.testing.assert_array_equal(together[row], noise.normal(seed, jnp.asarray(41), channels, jnp.float32))
-        double = noise.normal(seed, jnp.asarray(41), channels, jnp.float64)
+        np.testing.assert_array_equal(together[row], sensors.normal(seed, jnp.asarray(41), channels, jnp.float32))
+        double = sensors.normal(seed, jnp.asarray(41), channels, jnp.float64)
         np.testing.assert_allclose(together[row], double, rtol=2e-7, atol=1e-9)
     assert len(np.unique(np.asarray(together))) == 36
 
