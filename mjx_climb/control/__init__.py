@@ -2,8 +2,7 @@
 
 import math
 
-from mjx_climb.control.base_admittance import MeasuredPoseAdmittance, VirtualModelAdmittance
-from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
+from mjx_climb.control.admittance import EndEffectorAdmittance, MeasuredPoseAdmittance, VirtualModelAdmittance
 from mjx_climb.control.law import PD, Command, GainField, Law, Measurement, Reference, Start, begin, gain, shifted
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError

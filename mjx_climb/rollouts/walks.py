@@ -12,7 +12,8 @@ from mjx_climb.control import Law
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.rollouts.histories import extremes, lines
-from mjx_climb.walk.metrics import Context, accumulation
+from mjx_climb.walk.metrics import Context
+from mjx_climb.walk.metrics.metric import Running, accumulate, finish, start
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, advance, begin, prepare
 from mjx_climb.walk.structure import Structure
@@ -56,14 +57,14 @@ def _walked(
     walk, table = prepare(structure, law, parameters), structure.metrics
     context = _context(structure, walk.robot, parameters)
 
-    def step(carry: tuple[Carry, accumulation.Running], _: None) -> tuple[tuple[Carry, accumulation.Running], Any]:
+    def step(carry: tuple[Carry, Running], _: None) -> tuple[tuple[Carry, Running], Any]:
         walked, running = carry
         walked, sample = advance(walk, walked, running.steps)
-        return (walked, accumulation.accumulate(table, running, sample, context)), record(sample)
+        return (walked, accumulate(table, running, sample, context)), record(sample)
 
-    start = (begin(walk), accumulation.start(table, parameters.kp.dtype))
-    (_, running), records = jax.lax.scan(step, start, length=structure.steps)
-    return accumulation.finish(table, running, context), records
+    begun = (begin(walk), start(table, parameters.kp.dtype))
+    (_, running), records = jax.lax.scan(step, begun, length=structure.steps)
+    return finish(table, running, context), records
 
 
 def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parameters) -> Metrics:
@@ -72,11 +73,11 @@ def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parame
     robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), load_robot(structure.robot))
     context = _context(structure, robot, parameters)
 
-    def step(running: accumulation.Running, sample: Sample) -> tuple[accumulation.Running, None]:
-        return accumulation.accumulate(table, running, sample, context), None
+    def step(running: Running, sample: Sample) -> tuple[Running, None]:
+        return accumulate(table, running, sample, context), None
 
-    running = jax.lax.scan(step, accumulation.start(table, dtype), samples)[0]
-    return accumulation.finish(table, running, context)
+    running = jax.lax.scan(step, start(table, dtype), samples)[0]
+    return finish(table, running, context)
 
 
 def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Context:

@@ -12,7 +12,8 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.dynamics.spatial import norm
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.walk.metrics import FAILURES, Context, Metric, accumulation, largest, peak, smallest, total
+from mjx_climb.walk.metrics import FAILURES, Context, Metric, largest, peak, smallest, total
+from mjx_climb.walk.metrics.metric import accumulate, finish, start
 from mjx_climb.walk.sample import Sample
 
 SPEED = peak("peak_base_speed", "m/s", "largest speed of the base", lambda s, _: norm(s.base_linear_velocity))
@@ -64,9 +65,9 @@ def evaluated(samples, table=EVERY):
     dtype = jnp.result_type(samples.time)
 
     def one(running, sample):
-        return accumulation.accumulate(table, running, sample, context), None
+        return accumulate(table, running, sample, context), None
 
-    return accumulation.finish(table, jax.lax.scan(one, accumulation.start(table, dtype), samples)[0], context)
+    return finish(table, jax.lax.scan(one, start(table, dtype), samples)[0], context)
 
 
 def expected_of(s):
