@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mjx_climb.quantities.parameters import Parameters as Parameters
     from mjx_climb.quantities.parameters import parameters as parameters
     from mjx_climb.robot.constants import RobotError as RobotError
-    from mjx_climb.rollouts.environment import Environment as Environment
+    from mjx_climb.rollouts.functions import Environment as Environment
     from mjx_climb.rollouts.functions import metrics as metrics
     from mjx_climb.rollouts.functions import rollout as rollout
     from mjx_climb.rollouts.functions import rollout_histories as rollout_histories
