@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from tuning.searches.judge import judge_shard as judge_shard
     from tuning.searches.merge import merge as merge
     from tuning.searches.pareto import pareto as pareto
-    from tuning.searches.robust import robust as robust
     from tuning.searches.schedule import schedule as schedule
     from tuning.searches.sweep import sweep as sweep
     from tuning.searches.sweep import sweep_shard as sweep_shard
+    from tuning.searches.tune import robust as robust
     from tuning.tune import tune as tune
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -73,7 +73,6 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
         from tuning.output import comparisons, folder
-        from tuning.searches import robust
         from tuning.searches import tune as searches
 
         loaded, drawn = walk.load_with_gains(), ensemble.load()
@@ -81,7 +80,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
             search = search.model_copy(update={"weights": ROBUST_WEIGHTS})
         wanted = file.settings(search, loaded, walk.config)
         if drawn is not None:
-            wanted = robust.settled(wanted, {}, drawn)
+            wanted = searches.over_ensemble(wanted, {}, drawn)
         chosen = search.method if "method" in search.model_fields_set else None
         wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), walk.engine, loaded.law)
         kind = "tune" if drawn is None else "robust"
@@ -91,10 +90,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
         shell.say(*filter(None, [team.said]))
         team.begin(out, loaded.scenario)
         with shell.stage("baseline"), file.naming(search):
-            if drawn is None:
-                problem = searches.problem_of(loaded.scenario, wanted, **loaded.how)
-            else:
-                problem = robust.problem_of(loaded.scenario, drawn, wanted, **loaded.how)
+            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.how)
         with kept_in(out, "rounds") as kept, background(busy=1) as begin:
             begin(lambda _: folder.writer(kind))  # matplotlib takes half a second
             compared = None

@@ -14,12 +14,12 @@ from tuning.gains.gains_file import by_name
 from tuning.output.comparisons import CONVERGENCE
 from tuning.output.folder import Contents, Folder
 from tuning.problem.evaluation import under_pd
+from tuning.problem.objectives import Objective
 from tuning.report import ensemble_pictures, page, pages, search_pictures
 from tuning.report.comparison import differences
 from tuning.report.numbers import to_json
 from tuning.searches import judge as judging
 from tuning.searches import retuned_pd
-from tuning.searches import robust as robustness
 from tuning.searches import schedule as schedules
 from tuning.searches.judge import Judged
 from tuning.searches.pareto import Front
@@ -133,7 +133,7 @@ def compare(found: Robust, folder: Folder) -> Comparison:
     The folder keeps the rounds in which pd is retuned.
     """
     problem, ensemble, goal = found.problem, found.ensemble, found.problem.objective
-    assert isinstance(goal, robustness.RobustObjective)
+    assert isinstance(goal, Objective)
     with folder.stage("retuned pd", unit="rounds") as told:
         retuned = retuned_pd.search(
             problem, found.search, out=folder.path, progress=lambda now: told(now.rounds, now.rounds_in_all)
@@ -148,14 +148,14 @@ def compare(found: Robust, folder: Folder) -> Comparison:
     fresh = judging.fresh(ensemble.model_copy(update={"members": found.judges}))
     walks = _walked("fresh draw", judging.through(walked, rivals, fresh, pd), folder)
     seen = _walked("its own draw", judging.through(problem, {"robust": found.gains}, ensemble), folder)
-    broken = robustness.broken(walks, goal)
-    summed = judging.summary(walks).assign(objective=robustness.scores(walks, goal), broken=broken)
+    broken = judging.broken(walks, goal)
+    summed = judging.summary(walks).assign(objective=judging.scores(walks, goal), broken=broken)
     outcome = [f"{found.judges} walks each that the search never saw; {judging.failed_in_words(summed)}"]
     worth = None
     if retuned is not None:
         worth = _worth(summed, found, retuned_pd.rival_of(found, retuned, step))
         outcome.append(worth.in_words)
-    if binding := robustness.binding(seen, goal, "robust"):
+    if binding := judging.binding(seen, goal, "robust"):
         outcome.append(f"held by its limits: {'; '.join(binding)}")
     for limit, share in broken.sel(gains="robust").to_series().items():
         if share:

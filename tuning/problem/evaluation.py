@@ -146,3 +146,13 @@ def baseline(
     """Return the metrics of pd in float64 with nothing torn off, and their smooth companions."""
     found = mc.rollout_metrics(under_pd(scenario), metrics=metrics, engine=engine, dtype=np.float64, smooth=True)
     return {name: float(value) for name, value in found.items()}
+
+
+def pd_of(scenario: mc.Scenario, parameters: mc.Parameters, **walks: Any) -> dict[str, np.ndarray]:
+    """Return what a search sees of pd in the walks of some parameters (leading batch axes): in float32.
+
+    `walks` are metrics and engine, as of `mjx_climb.rollout_metrics`.
+    """
+    ones = np.ones(6)
+    gains = mc.Gains(ones, ones, ones)
+    return mc.rollout_metrics(under_pd(scenario), gains, parameters, dtype=np.float32, smooth=True, **walks)

@@ -7,7 +7,7 @@ extremes, plus the penalty. `feasible` says whether every constraint holds.
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +16,7 @@ from jax import Array
 import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
+from tuning.problem.ensemble import Worst, worst_mean
 from tuning.problem.search import Search
 
 Metrics = Mapping[str, Array]
@@ -41,9 +42,11 @@ class Term(NamedTuple):
 
     metric: str
     weight: float
-    baseline: float | tuple[float, ...]
+    baseline: float | tuple[float, ...]  # over an ensemble the mean
     smooth_baseline: float | tuple[float, ...]
     larger_is_better: bool = False
+    worst: float = 1.0  # mean of pd's worst members, of an ensemble alone
+    smooth_worst: float = 1.0
 
 
 class Limit(NamedTuple):
@@ -78,11 +81,17 @@ class Objective:
 
     `function` maps a mapping of metrics (those of the walks and their smooth companions, arrays of any shape) to an
     array of that shape, by operations of jax.numpy.
+
+    With `worst` the metrics are those of an ensemble (members, B), and the scores (B,): of each term the mean and the
+    mean over the worst members count, each relative to pd's. Limits hold for every member; the penalty is that of the
+    worst members.
     """
 
     terms: tuple[Term, ...]
     limits: tuple[Limit, ...]
     function: Callable[[Metrics], Array] | None = None
+    worst: Worst | None = None
+    margin: float | None = None  # relative; no ratio of a term may be above 1 less this; None: they may
 
     def score(self, metrics: Metrics) -> Score:
         """Score points by their metrics; NaN and infeasible where the walk diverged."""
@@ -90,22 +99,37 @@ class Objective:
             value = smooth = self.function(metrics)
         else:
             value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
-        slacks = [violation(limit, metrics[limit.metric]) for limit in self.limits]
-        pairs = zip(self.limits, slacks, strict=True)
-        penalty = sum((penalty_of(slack + limit.margin) for limit, slack in pairs), jnp.zeros_like(value))
-        feasible = jnp.isfinite(value)
-        for slack in slacks:
-            feasible &= slack <= 0
-        return worthless(Score(value, smooth + penalty, penalty, feasible), metrics["diverged"])
+        penalty, feasible = jnp.zeros_like(value), jnp.isfinite(value)
+        if self.margin is not None:
+            for ratio in (ratio for term in self.terms for ratio in self.ratios(metrics[term.metric], term)):
+                penalty += penalty_of(ratio - 1 + self.margin)
+                feasible &= ratio <= 1
+        for limit in self.limits:
+            slack = violation(limit, metrics[limit.metric])
+            over, kept = penalty_of(slack + limit.margin), slack <= 0
+            penalty += over if self.worst is None else worst_mean(over, self.worst.share, numpy=jnp)
+            feasible &= kept if self.worst is None else kept.all(0)
+        lost = metrics["diverged"] if self.worst is None else metrics["diverged"].any(0)
+        return worthless(Score(value, smooth + penalty, penalty, feasible), lost)
+
+    def ratios(self, values: Array, term: Term, *, smooth: bool = False) -> tuple[Array, ...]:
+        """Return a metric relative to pd's, above 1 is worse: of an ensemble (members, ...) mean and worst."""
+        larger, mean = term.larger_is_better, values if self.worst is None else values.mean(0)
+        found = [mean / _by_row(term.smooth_baseline if smooth else term.baseline)]
+        if self.worst is not None:
+            worst = worst_mean(values, self.worst.share, larger_is_better=larger, numpy=jnp)
+            found.append(worst / (term.smooth_worst if smooth else term.worst))
+        return tuple(2 - ratio if larger else ratio for ratio in found)
 
     def _weighted(self, metrics: Metrics, *, smooth: bool) -> Array:
         total: Array | float = 0.0
         weights = 0.0
         for term in self.terms:
-            name = PREFIX + term.metric if smooth and PREFIX + term.metric in metrics else term.metric
-            baseline = term.baseline if name == term.metric else term.smooth_baseline
-            ratio = metrics[name] / _by_row(baseline)
-            total += term.weight * (2 - ratio if term.larger_is_better else ratio)
+            soft = smooth and PREFIX + term.metric in metrics
+            ratio, *worst = self.ratios(metrics[PREFIX + term.metric if soft else term.metric], term, smooth=soft)
+            if self.worst is not None:
+                ratio = (1 - self.worst.weight) * ratio + self.worst.weight * worst[0]
+            total += term.weight * ratio
             weights += term.weight
         return jnp.asarray(total / weights)
 
@@ -147,52 +171,60 @@ def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:
 def objective(
     scenario: mc.Scenario,
     search: Search,
-    baseline: Mapping[str, float],
+    baseline: Mapping[str, Any],
     function: Callable[[Metrics], Array] | None = None,
     metrics: mc.MetricTable = mc.METRICS,
+    worst: Worst | None = None,
 ) -> Objective:
     """Return the objective that the settings ask for.
 
     Arguments:
         scenario: gives the holding limit.
         search: weights and limits.
-        baseline: metrics of pd with their smooth companions, see `tuning.problem.evaluation.baseline`.
+        baseline: metrics of pd with their smooth companions, see `tuning.problem.evaluation.baseline`; over an ensemble
+            those of its members, (members,) each.
         function: the user's own in place of the weighted terms.
         metrics: what may be weighed and limited.
+        worst: how the worst members of an ensemble count, where there is one.
 
     Raises:
         ConfigError: pd diverges, or has no value of a metric that is weighed.
     """
-    terms = []
-    for metric, weight in search.weights.items():
-        if not weight or function is not None:
-            continue
-        smooth = baseline.get(PREFIX + metric, baseline[metric])
-        has_none = not (np.isfinite([baseline[metric], smooth]).all() and baseline[metric] and smooth)
-        if baseline["diverged"] or has_none:
-            got = "a walk that diverges" if baseline["diverged"] else f"{baseline[metric]:g}"
-            raise ConfigError(f"weights.{metric}: expected a metric that pd has here, got {got} under pd")
-        terms.append(Term(metric, weight, baseline[metric], smooth, metrics[metric].larger_is_better))
-    limits: list[Limit] = []
-
-    def limit(metric: str, value: float, margin: float, reason: str) -> None:
-        about = metrics[metric]
-        scale = about.scale or abs(value) or 1.0
-        limits.append(Limit(metric, float(value), max(scale, abs(value)), margin, reason, about.larger_is_better))
-
-    standard = {"joint_limit_margin": (0.0, "joint limits")}
+    weighed = {} if function is not None else {name: weight for name, weight in search.weights.items() if weight}
+    terms = tuple(_term(metrics[name], weight, baseline, worst) for name, weight in weighed.items())
+    # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
+    widest, factor = float(np.max(baseline["base_deviation"])), search.deviation_factor
+    wanted = {"joint_limit_margin": (0.0, _MARGIN, "joint limits")}
     if scenario.contact.holding_limit is not None:
-        standard["peak_pull_force"] = (scenario.contact.holding_limit, "holding limit of the grippers")
-    if np.isfinite(baseline["base_deviation"]):
-        factor = search.deviation_factor
-        standard["base_deviation"] = (factor * baseline["base_deviation"], f"{factor:g} times pd's")
-    for metric, (value, reason) in standard.items():
-        if metric not in search.limits:
-            limit(metric, value, _MARGIN, reason)
-    for metric, value in search.limits.items():
-        limit(metric, value, _MARGIN, "set by the user")
-    if search.no_worse_than_pd:
-        for term in terms:
-            if term.metric not in search.limits:
-                limit(term.metric, baseline[term.metric], PD_MARGIN, "no worse than pd")
-    return Objective(tuple(terms), tuple(limits), function)
+        wanted["peak_pull_force"] = (scenario.contact.holding_limit, _MARGIN, "holding limit of the grippers")
+    if np.isfinite(widest):
+        wanted["base_deviation"] = (factor * widest, _MARGIN, f"{factor:g} times pd's")
+    wanted = {name: limit for name, limit in wanted.items() if name not in search.limits}
+    asked = [(name, (value, _MARGIN, "set by the user")) for name, value in search.limits.items()]
+    if search.no_worse_than_pd and worst is None:
+        own = [term.metric for term in terms if term.metric not in search.limits]
+        asked += [(name, (baseline[name], PD_MARGIN, "no worse than pd")) for name in own]
+    limits = tuple(_limit(metrics[name], *limit) for name, limit in (*wanted.items(), *asked))
+    return Objective(
+        terms, limits, function, worst, PD_MARGIN if search.no_worse_than_pd and worst is not None else None
+    )
+
+
+def _term(metric: mc.Metric, weight: float, baseline: Mapping[str, Any], worst: Worst | None) -> Term:
+    larger = metric.larger_is_better
+    both = [baseline[metric.name], baseline.get(PREFIX + metric.name, baseline[metric.name])]
+    numbers = both if worst is None else [float(values.mean()) for values in both]
+    if worst is not None:
+        numbers += [float(worst_mean(values, worst.share, larger_is_better=larger)) for values in both]
+    diverged = np.any(baseline["diverged"])
+    if diverged or not (np.isfinite(numbers).all() and all(numbers)):
+        where, of = ("here", "under pd") if worst is None else ("in every member", "in the mean")
+        got = "a walk that diverges under pd" if diverged else f"{numbers[0]:g} {of}"
+        raise ConfigError(f"weights.{metric.name}: expected a metric that pd has {where}, got {got}")
+    fields = ("baseline", "smooth_baseline", "worst", "smooth_worst")
+    return Term(metric.name, weight, larger_is_better=larger, **dict(zip(fields, numbers, strict=False)))
+
+
+def _limit(metric: mc.Metric, value: float, margin: float, reason: str) -> Limit:
+    scale = max(metric.scale or abs(value) or 1.0, abs(value))
+    return Limit(metric.name, float(value), scale, margin, reason, metric.larger_is_better)

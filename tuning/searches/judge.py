@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -25,6 +26,7 @@ from tuning.gains.gains_file import by_name
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.objectives import BINDING, Objective, in_words, violation
 from tuning.problem.search import Judge
 from tuning.searches.parts import identity_of
 from tuning.searches.result import Result
@@ -305,3 +307,56 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
     data["failed"] = ("gains", failed(walks).mean("member").values, about)
     attrs = {**walks.attrs, "worst_share": share, "members_compared": held.sizes["member"]}
     return xr.Dataset(data, {"statistic": ["mean", "worst"], "gains": walks["gains"].values}, attrs)
+
+
+def broken(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
+    """Return the share of walks that break each limit of a search, dimensions (`limit` in words, `gains`).
+
+    A walk that diverged breaks every limit.
+    """
+    shares, words = [], []
+    for limit in goal.limits:
+        kept = violation(limit, walks[limit.metric].values.astype(float)) <= 0
+        shares.append((~kept | walks["diverged"].values.astype(bool)).mean(1))
+        words.append(in_words(limit))
+    about = {"units": "1", "long_name": "share of walks that break the limit"}
+    values = np.reshape(shares, (len(words), walks.sizes["gains"]))
+    return xr.DataArray(values, {"limit": words, "gains": walks["gains"].values}, ("limit", "gains"), attrs=about)
+
+
+def scores(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
+    """Return what gains are worth over the walks of a draw, (`gains`): 1 for pd on the same walks."""
+    rows = {str(name): walks[name].values for name in walks.data_vars if walks[name].ndim == 2}
+    terms, share = [], goal.worst.share if goal.worst is not None else 1.0
+    for term in goal.terms:
+        pd = rows[term.metric][-1]
+        mean = float(pd.mean())
+        worst = float(ensembles.worst_mean(pd, share, larger_is_better=term.larger_is_better))
+        terms.append(term._replace(baseline=mean, smooth_baseline=mean, worst=worst, smooth_worst=worst))
+    fresh = dataclasses.replace(goal, terms=tuple(terms))
+    value = np.asarray(fresh.score({name: jnp.asarray(values.T) for name, values in rows.items()}).value)
+    return xr.DataArray(value, {"gains": walks["gains"].values}, attrs={"units": "1", "long_name": "objective"})
+
+
+def binding(seen: xr.Dataset, goal: Objective, name: str) -> list[str]:
+    """Return in words which limits hold gains where they are: kept in every member, but hardly in one.
+
+    `seen` are the walks of the members that the search walked.
+    """
+    own = seen.sel(gains=name)
+    rows = {str(key): own[key].values.astype(float) for key in seen.data_vars}
+    if rows["diverged"].any():
+        return []
+    held = []
+    for limit in goal.limits:
+        worst = float(np.max(violation(limit, rows[limit.metric])))
+        if -BINDING * limit.margin <= worst <= 0:
+            held.append(in_words(limit))
+    if goal.margin is None or goal.worst is None:
+        return held
+    for term in goal.terms:
+        ratios = goal.ratios(jnp.asarray(rows[term.metric]), term)
+        for ratio, words in zip(ratios, ("mean", f"mean of the worst {goal.worst.share:.0%}"), strict=True):
+            if 1 - BINDING * goal.margin <= float(ratio) <= 1:
+                held.append(f"{words} of {mc.METRICS.in_words(term.metric)} no worse than pd's")
+    return held

@@ -26,7 +26,7 @@ from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.problem import objectives, spaces
 from tuning.problem import search as search_settings
-from tuning.problem.evaluation import Evaluation, Problem, under_pd
+from tuning.problem.evaluation import Evaluation, Problem, pd_of, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
 from tuning.problem.spaces import to_gains64
@@ -35,7 +35,6 @@ from tuning.searches.methods import Request, Task, gradient
 from tuning.searches.methods.staged import Leg
 from tuning.searches.parts import Parts
 from tuning.searches.result import Result
-from tuning.searches.robust import pd_of
 from tuning.searches.rounds import Callback, Rounds, follow
 
 G = -EARTH[2]  # m/s^2

@@ -1,4 +1,4 @@
-"""The search for the gains of a law: `tuning.tune`."""
+"""The search for the gains of a law: `tuning.tune`, and over an ensemble of walks `tuning.robust`."""
 
 import dataclasses
 import math
@@ -17,15 +17,17 @@ from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.scenario.messages import ConfigError
+from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, objectives, spaces
 from tuning.problem import search as search_settings
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
-from tuning.problem.search import OWN_METHOD, Search
+from tuning.problem.search import OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
 from tuning.searches.methods import METHODS, Method, Points, Task
 from tuning.searches.methods.task import as_method
 from tuning.searches.parts import Parts, identity_of
-from tuning.searches.result import Tuned, from_rounds
+from tuning.searches.result import Robust, Tuned, from_rounds
 from tuning.searches.rounds import Callback, Rounds, follow
 
 
@@ -88,6 +90,47 @@ def tune(
     return run(problem, wanted, own, out=out, progress=progress)
 
 
+def robust(
+    scenario: mc.Scenario,
+    ensemble: Ensemble,
+    search: Search | None = None,
+    *,
+    judges: int = Judge().members,
+    out: str | os.PathLike[str] | None = None,
+    progress: Callback | None = None,
+    **how: Any,
+) -> Robust:
+    """Search the gains that do best over an ensemble: `tuning.tune`, whose arguments these are, with its walks.
+
+    Where no weights are given, those of a plain search and the peak pulling force count alike. `judges` is how many
+    walks of a fresh draw test the result; `how`: law, metrics and engine as of `tuning.tune`, and keys of the settings.
+    `robust(scenario, ensemble, out="results/mine").write("results/mine")` is `mjx-climb tune --ensemble`.
+    """
+    walks = {name: how.pop(name) for name in ("law", "metrics", "engine") if name in how}
+    wanted = over_ensemble(search, how, ensemble)
+    given = walks.get("engine", DEFAULT_ENGINE), walks.get("law")
+    wanted = for_this_machine(scenario, wanted, (search, how.get("method")), *given)
+    problem = problem_of(scenario, wanted, ensemble=ensemble, **walks)
+    found = run(problem, wanted, out=out, progress=progress)
+    assert isinstance(found, Robust)
+    return dataclasses.replace(found, judges=judges)
+
+
+def over_ensemble(settings: Search | None, changes: Mapping[str, Any], ensemble: Ensemble) -> Search:
+    """Return settings with some keys replaced; without any, those of a robust search.
+
+    The joint loop is searched where the ensemble has hardware and the settings do not say.
+
+    Raises:
+        ConfigError: settings that make no sense.
+    """
+    own = {} if settings is not None else {"weights": ROBUST_WEIGHTS}
+    settings = (settings or Search()).changed({**own, **changes})
+    if settings.joint_gains is not None or ensemble.hardware is None:
+        return settings
+    return settings.model_copy(update={"joint_gains": True})
+
+
 def run(
     problem: Problem,
     search: Search,
@@ -134,30 +177,36 @@ def problem_of(
     search: Search,
     objective: OwnObjective | None = None,
     *,
-    law: mc.Law | None = None,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-    engine: str = DEFAULT_ENGINE,
+    ensemble: Ensemble | None = None,
+    **walks: Any,
 ) -> Problem:
-    """Return what the settings ask to search: space, objective relative to pd, and walks.
+    """Return what the settings ask to search: space, objective relative to pd, and walks; pd walks first.
+
+    `walks` are law, metrics and engine, as of `tune`; an ensemble is drawn for the scenario.
 
     Raises:
-        ConfigError: settings that make no sense for the scenario or the metrics.
+        ConfigError: settings that make no sense for the scenario or the metrics, or pd diverges in a member.
     """
     if objective is None and scenario.own is not None and scenario.own.objective is not None:
         name = scenario.own.objective.name
         raise ConfigError(f"own.objective: expected {name} again, in tuning.tune.tune(objective=...), got none")
-    table = complete(metrics)
+    table = complete(walks.pop("metrics", mc.METRICS))
     search_settings.check_metrics(search, table)
-    space = spaces.space(scenario, search, law)
-    goal: Goal
-    if isinstance(objective, Goal):
-        goal = objective
-    else:
-        goal = objectives.objective(scenario, search, evaluation.baseline(scenario, engine, table), objective, table)
+    space = spaces.space(scenario, search, walks.get("law"))
     dtype = np.dtype(search.precision).type
-    return Problem(
-        scenario, space, goal, dtype=dtype, engine=engine, metrics=table, law=law, own_objective=objective
-    )  # fmt: skip
+    problem = Problem(scenario, space, dtype=dtype, metrics=table, own_objective=objective, **walks)
+    if isinstance(objective, Goal):
+        return dataclasses.replace(problem, objective=objective)
+    baseline: Mapping[str, Any]
+    if ensemble is None:
+        baseline, worst = evaluation.baseline(scenario, problem.engine, table), None
+    else:
+        drawn, worst = ensembles.draw(scenario, ensemble), ensemble.worst
+        problem = dataclasses.replace(problem, parameters=drawn, members=ensemble.members, ensemble=ensemble)
+        each = evaluation.pd_of(scenario, drawn, engine=problem.engine, metrics=table)
+        baseline = {name: value.reshape(-1) for name, value in each.items()}
+    goal = objectives.objective(scenario, search, baseline, objective, table, worst)
+    return dataclasses.replace(problem, objective=goal)
 
 
 def complete(metrics: Iterable[mc.Metric]) -> mc.MetricTable:

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import mjx_climb as mc
-import tuning.searches.robust
 import tuning.searches.schedule
 from mjx_climb.rendering import backend
 from tests.fuzz import COMMANDS, Case, case
@@ -36,8 +35,7 @@ def valid_input_stops_here(monkeypatch):
     for module, names in (
         (mc, ("rollout", "rollout_metrics", "rollout_histories")),
         (comparisons, ("of_grid",)),  # compiles
-        (evaluation, ("baseline",)),
-        (tuning.searches.robust, ("pd_of",)),
+        (evaluation, ("baseline", "pd_of")),
         (tuning.searches.schedule, ("pd_of",)),
         (deployment, ("check",)),
         (measure, ("measure",)),

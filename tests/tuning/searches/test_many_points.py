@@ -13,7 +13,6 @@ import tuning
 from mjx_climb import execution
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
-from tuning.searches import robust as robust_search
 from tuning.searches import tune
 from tuning.searches.methods import cma_es
 from tuning.searches.methods.task import Task
@@ -111,7 +110,6 @@ def test_a_chosen_method_stays(kernel, monkeypatch, robust):
 
     monkeypatch.setattr(tune, "run", run)
     monkeypatch.setattr(tune, "problem_of", lambda *_, **__: None)
-    monkeypatch.setattr(robust_search, "problem_of", lambda *_, **__: None)
     scenario = mc.load_scenario("case_1_2")
     for settings, expected in (
         ({}, "cmaes"),

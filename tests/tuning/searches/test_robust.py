@@ -12,12 +12,12 @@ import tuning
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
-from mjx_climb.walk.metrics import PREFIX
 from tuning.problem import ensemble as ensembles
 from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble
-from tuning.problem.evaluation import Problem
-from tuning.searches import judge, retuned_pd, robust, tune
+from tuning.problem.evaluation import Problem, pd_of
+from tuning.problem.objectives import Objective, Term, objective
+from tuning.searches import judge, retuned_pd, tune
 from tuning.searches.shards import Rows
 
 FAST = ["duration=0.3"]
@@ -128,9 +128,9 @@ def test_joint_gains_are_searched_where_there_is_hardware(scenario):
     assert names == [("damping", "stiffness"), ("damping", "stiffness", "kp", "kd")]
     assert spaces.space(late, search.Search.make({"joint_gains": False})).size == 2
     drawn = ensembles.Ensemble.make({"hardware": {"force_delay": (0.0, 0.01)}})
-    assert robust.settled(search.Search(), {}, drawn).joint_gains
-    assert not robust.settled(None, {"joint_gains": False}, drawn).joint_gains
-    assert robust.settled(search.Search(), {}, Ensemble()).joint_gains is None
+    assert tune.over_ensemble(search.Search(), {}, drawn).joint_gains
+    assert not tune.over_ensemble(None, {"joint_gains": False}, drawn).joint_gains
+    assert tune.over_ensemble(search.Search(), {}, Ensemble()).joint_gains is None
 
 
 def test_sections_that_are_null_leave_the_scenario(scenario):
@@ -168,9 +168,9 @@ def test_worst_mean():
 @pytest.mark.slow
 def test_pd_scores_one(scenario, ensemble):
     numbers = ensembles.draw(scenario, ensemble)
-    pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
+    pd = {name: value.reshape(-1) for name, value in pd_of(scenario, numbers).items()}
     settings = search.Search.make({"weights": search.ROBUST_WEIGHTS})
-    goal = robust.objective(scenario, settings, ensemble, pd)
+    goal = objective(scenario, settings, pd, worst=ensemble.worst)
     score = goal.score({name: value[:, None] for name, value in pd.items()})
     assert float(score.value[0]) == pytest.approx(1.0, rel=1e-5)
     smooth = float(score.descent[0] - score.penalty[0])
@@ -188,10 +188,10 @@ def test_pd_scores_one(scenario, ensemble):
 def test_mean_and_worst_count_by_their_weights():
     """Walks with 1 and 3 N where pd has 2 N in the mean and 4 N in the worse half; farther is better."""
     terms = (
-        robust.RobustTerm("force_variation", 3.0, False, 2.0, 4.0, 2.0, 4.0),
-        robust.RobustTerm("travel", 1.0, True, 2.0, 1.0, 2.0, 1.0),
+        Term("force_variation", 3.0, 2.0, 2.0, worst=4.0),
+        Term("travel", 1.0, 2.0, 2.0, larger_is_better=True, worst=1.0),
     )
-    goal = robust.RobustObjective(terms, (), ensembles.Worst(share=0.5, weight=0.25), None)
+    goal = Objective(terms, (), worst=ensembles.Worst(share=0.5, weight=0.25))
     metrics = {"force_variation": [[1.0], [3.0]], "travel": [[1.5], [3.5]], "diverged": [[False], [False]]}
     value = goal.score({name: np.array(values) for name, values in metrics.items()}).value[0]
     assert value == pytest.approx((3 * (0.75 + 0.25 * 3 / 4) + (0.75 * (2 - 2.5 / 2) + 0.25 * (2 - 1.5))) / 4)
@@ -199,8 +199,8 @@ def test_mean_and_worst_count_by_their_weights():
 
 def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
     numbers = ensembles.draw(scenario, ensemble)
-    pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
-    goal = robust.objective(scenario, search.Search.make({"no_worse_than_pd": False}), ensemble, pd)
+    pd = {name: value.reshape(-1) for name, value in pd_of(scenario, numbers).items()}
+    goal = objective(scenario, search.Search.make({"no_worse_than_pd": False}), pd, worst=ensemble.worst)
     rows = {name: np.stack([value, value], axis=1) for name, value in pd.items()}
     rows["peak_pull_force"][2, 1] = 16.0
     score = goal.score(rows)
@@ -258,19 +258,19 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
     base = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 6e-3], [1e-3, 1e-3]])
     pd = {name: base[name].sel(gains="pd").values for name in base.data_vars}
     settings = search.Search.make({"weights": {"force_variation": 1.0}, "limits": {"base_deviation": 5e-3}})
-    goal = robust.objective(scenario, settings, Ensemble(members=2), pd)
-    shares = robust.broken(base, goal)
+    goal = objective(scenario, settings, pd, worst=ensembles.Worst())
+    shares = judge.broken(base, goal)
     asked = "base deviation at most 0.005 (set by the user)"
     assert shares.sel(limit=asked).values.tolist() == [0.5, 0.0]
     assert shares.drop_sel(limit=asked).max() == 0
-    assert robust.scores(base, goal).values.tolist() == pytest.approx([0.5, 1.0])
-    assert robust.binding(base, goal, "mine") == []
+    assert judge.scores(base, goal).values.tolist() == pytest.approx([0.5, 1.0])
+    assert judge.binding(base, goal, "mine") == []
     near = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 4.95e-3], [1e-3, 1e-3]])
-    assert robust.binding(near, goal, "mine") == [asked]
+    assert judge.binding(near, goal, "mine") == [asked]
     level = judgement(force_variation=[[1.0, 3.99], [2.0, 4.0]])
-    assert robust.binding(level, goal, "mine") == ["mean of the worst 20% of force variation no worse than pd's"]
+    assert judge.binding(level, goal, "mine") == ["mean of the worst 20% of force variation no worse than pd's"]
     lost = judgement(diverged=[[True, False], [False, False]], force_variation=[[1.0, 2.0], [2.0, 4.0]])
-    assert robust.broken(lost, goal).sel(gains="mine").values.tolist() == [0.5] * len(goal.limits)
+    assert judge.broken(lost, goal).sel(gains="mine").values.tolist() == [0.5] * len(goal.limits)
 
 
 def test_what_a_force_sensor_is_worth():
@@ -306,12 +306,7 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
 def test_slopes_of_the_robust_objective(scenario, ensemble):
     """Forward derivatives through all members and the worst of them agree with central differences."""
     settings = search.Search.make({"weights": {"force_variation": 1.0, "peak_pull_force": 1.0}, "precision": "float64"})
-    numbers = ensembles.draw(scenario, ensemble)
-    pd = {name: value.reshape(-1) for name, value in robust.pd_of(scenario, numbers).items()}
-    assert PREFIX + "peak_pull_force" in pd
-    goal = robust.objective(scenario, settings, ensemble, pd)
-    problem = tune.problem_of(scenario, settings, goal)
-    problem = dataclasses.replace(problem, parameters=numbers, members=ensemble.members)
+    problem = tune.problem_of(scenario, settings, ensemble=ensemble)
     theta = np.log([[1e3, 2e4]])
     step = 1e-4
     around = np.concatenate([theta, *(theta + sign * step * np.eye(2) for sign in (1, -1))])
