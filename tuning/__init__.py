@@ -10,9 +10,9 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tuning.searches.judge import judge as judge
     from tuning.searches.judge import judge_shard as judge_shard
-    from tuning.searches.merge import merge as merge
     from tuning.searches.pareto import pareto as pareto
     from tuning.searches.schedule import schedule as schedule
+    from tuning.searches.shards import merge as merge
     from tuning.searches.sweep import sweep as sweep
     from tuning.searches.sweep import sweep_shard as sweep_shard
     from tuning.searches.tune import robust as robust

@@ -35,7 +35,6 @@ def merge(asked: Merge, output: Output) -> None:
     with output.session() as shell:
         from tuning.output.folder import check_own
         from tuning.searches import judge, shards
-        from tuning.searches import merge as merging
 
         law, table = own_objects(asked.law, asked.metrics)
         kept = shards.find(asked.folders)
@@ -45,7 +44,7 @@ def merge(asked: Merge, output: Output) -> None:
         check_own(target, "judged.nc" if kept[0].identity["kind"] == judge.KIND else "sweep.nc")
         about = kept[0].about
         made = origin(about.get("name", "the scenario"), about.get("repeat") or "the same command")
-        found = merging.of(kept, law, table)
+        found = shards.merged(kept, law, table)
         written = found.write(target, origin=made, figures=output.figures, stage=shell.stage)
         shell.result(target, found.problem, written, before=f"{len(kept)} shards, ")
 

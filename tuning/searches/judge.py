@@ -30,7 +30,7 @@ from tuning.problem.objectives import BINDING, Objective, in_words, violation
 from tuning.problem.search import Judge
 from tuning.searches.parts import identity_of
 from tuning.searches.result import Result
-from tuning.searches.shards import Counted, Kept, Rows
+from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 from tuning.searches.sweep import default_batch_size
 
 KIND = "judge"  # of shards
@@ -106,10 +106,7 @@ def judge_shard(
         OutputError: `out` cannot be written, or holds shards of something else.
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
-    draw = draw_of(Problem(scenario, **walks), gains, ensemble, members)
-    rows = Rows(draw, out, shard, {"again": "the same call of tuning.judge_shard for {shard}"})
-    rows.walk(progress)
-    return Path(rows.folder or out)
+    return walk_shard(draw_of(Problem(scenario, **walks), gains, ensemble, members), shard, out, progress)
 
 
 @dataclasses.dataclass(frozen=True)

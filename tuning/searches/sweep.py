@@ -25,7 +25,7 @@ from tuning.problem.evaluation import Problem
 from tuning.problem.spaces import JOINT
 from tuning.searches.parts import identity_of
 from tuning.searches.result import Result
-from tuning.searches.shards import Counted, Kept, Rows
+from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 
 Axes = Mapping[str, ArrayLike]  # two gains by name
 
@@ -136,10 +136,7 @@ def sweep_shard(
         ValueError, OutputError: as of `sweep`.
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
-    grid = grid_of(Problem(scenario, **walks), axes, gains, batch_size)
-    rows = Rows(grid, out, shard, {"again": "the same call of tuning.sweep_shard for {shard}"})
-    rows.walk(progress)
-    return Path(rows.folder or out)
+    return walk_shard(grid_of(Problem(scenario, **walks), axes, gains, batch_size), shard, out, progress)
 
 
 @dataclasses.dataclass(frozen=True)
