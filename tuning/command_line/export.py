@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator
 
-from tuning.command_line.ending import InputError
 from tuning.command_line.from_models import command
 from tuning.command_line.options import ENGINE, HARDWARE, EngineName, reserved_stdout, scenario_from
+from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
@@ -80,6 +80,7 @@ class Export(Options):
         return scenario if exact else scenario.with_overrides({"control.integration": "semi_implicit"})
 
 
+@command()
 def export(asked: Export) -> None:
     """Write gains for the robot's own controller.
 
@@ -169,6 +170,3 @@ def _at_rate(scenario: "mc.Scenario", rate: int | None) -> "mc.Scenario":
             f"--update-rate: expected one whose period is a whole number of the config's time steps of {step:g} s, "
             f"got {rate}"
         ) from None
-
-
-COMMAND = command(export)

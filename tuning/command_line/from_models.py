@@ -14,48 +14,52 @@ import typer
 from pydantic import BaseModel, BeforeValidator, ValidationError
 from pydantic.fields import FieldInfo
 
-from tuning.command_line import completion
-from tuning.command_line.ending import InputError
+from mjx_climb.scenario import shipped
+from tuning.command_line.program import InputError
 from tuning.problem.settings import Shell, explained
 
 REPEATABLE = "; may be given several times"
+METRICS = (  # for completion: a key press waits for it, so what heavy modules hold stands here again
+    "peak_foot_force", "force_variation", "peak_pull_force", "peak_joint_torque", "cost_of_transport", "travel",
+    "base_deviation", "min_tsm", "min_gia_margin", "joint_limit_margin",
+)  # fmt: skip
 
 
-def command(function: Callable[..., None], folder: str = "") -> Callable[..., None]:
-    """Return what typer makes a command of: `function`, with a parameter for each field of the models that it takes.
+def command(folder: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that makes what typer takes of a function, with a parameter for each field of its models.
 
-    Arguments:
-        function: takes models; of `Annotated[Model, "name"]` these fields alone are options, of "-name" all but these.
-        folder: what `--out` is by default, in words.
+    Of `Annotated[Model, "name"]` these fields alone are options, of "-name" all but these.
+    `folder` is what `--out` is by default, in words.
     """
-    models = dict(_models(function))
-    places = {name: (taken, model) for taken, (model, names) in models.items() for name in names}
 
-    def called(context: typer.Context, **values: Any) -> None:
-        """Build the models and call the function."""
-        typed: dict[str, dict[str, Any]] = {taken: {} for taken in models}
-        for name, (taken, model) in places.items():
-            source = context.get_parameter_source(name)
-            if source is not None and source.name == "COMMANDLINE":
-                typed[taken][name] = _read(name, model.model_fields[name], values[name])
-        function(**{taken: made(model, typed[taken]) for taken, (model, _) in models.items()})
+    def made_of(function: Callable[..., None]) -> Callable[..., None]:
+        models = dict(_models(function))
+        places = {name: (taken, model) for taken, (model, names) in models.items() for name in names}
 
-    words = {"out": folder} if folder else {}
-    parameters = [_parameter(name, model.model_fields[name], words.get(name)) for name, (_, model) in places.items()]
-    parameters.sort(key=lambda parameter: parameter.default is not inspect.Parameter.empty)
-    first = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-    called.__signature__ = inspect.Signature([first, *parameters])  # type: ignore[attr-defined]
-    called.__annotations__ = {parameter.name: parameter.annotation for parameter in (first, *parameters)}
-    called.__name__, called.__doc__ = function.__name__, function.__doc__
-    return called
+        def called(context: typer.Context, **values: Any) -> None:
+            typed: dict[str, dict[str, Any]] = {taken: {} for taken in models}
+            for name, (taken, model) in places.items():
+                source = context.get_parameter_source(name)
+                if source is not None and source.name == "COMMANDLINE":
+                    typed[taken][name] = _read(name, model.model_fields[name], values[name])
+            function(**{taken: made(model, typed[taken]) for taken, (model, _) in models.items()})
+
+        first = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+        parameters = [
+            _parameter(name, model.model_fields[name], folder if name == "out" else "")
+            for name, (_, model) in places.items()
+        ]
+        parameters = [first, *sorted(parameters, key=lambda each: each.default is not inspect.Parameter.empty)]
+        called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        called.__name__, called.__doc__ = function.__name__, function.__doc__
+        return called
+
+    return made_of
 
 
 def made(model: type[BaseModel], values: Mapping[str, Any]) -> BaseModel:
-    """Return a model of what was typed.
-
-    Raises:
-        InputError: in one line, the option, what was expected and what was got.
-    """
+    """Return a model of what was typed; InputError in one line: the option, what was expected and what was got."""
     try:
         return model(**values)
     except ValidationError as invalid:
@@ -73,11 +77,10 @@ def in_options(message: str, model: type[BaseModel]) -> str:
     parts = (_shell(field).metavar or "").rpartition("=")[2].split(":")  # as LOW:HIGH
     place = int(inner.pop()) if inner and inner[-1].isdecimal() else None
     part = "" if place is None or len(parts) == 1 else parts[place]
-    return f"{' '.join(filter(None, [flag_of(name, field), '.'.join(inner), part]))}: {reason}"
+    return f"{' '.join(filter(None, [_flag(name, field), '.'.join(inner), part]))}: {reason}"
 
 
-def flag_of(name: str, field: FieldInfo) -> str:
-    """Return how a field is written."""
+def _flag(name: str, field: FieldInfo) -> str:
     return (_shell(field).flag or f"--{name.replace('_', '-')}").partition("/")[0]
 
 
@@ -114,12 +117,12 @@ def _read(name: str, field: FieldInfo, value: Any) -> Any:
         key, equals, text = pair.partition("=")
         if not equals or key.strip() in found:
             expected = f"{_shell(field).metavar}, each name once"
-            raise InputError(f"{flag_of(name, field)}: expected {expected}, got {pair!r}")
+            raise InputError(f"{_flag(name, field)}: expected {expected}, got {pair!r}")
         found[key.strip()] = text.split(":") if get_origin(get_args(kind)[1]) is tuple else text
     return found
 
 
-def _parameter(name: str, field: FieldInfo, default_in_words: str | None) -> inspect.Parameter:
+def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Parameter:
     """Return a field as typer declares it: what is no flag and no path is a text for the model to read."""
     shell, kind, default = _shell(field), _kind(field), field.get_default()
     text, _, null = (field.description or "").partition("; null: ")
@@ -129,14 +132,13 @@ def _parameter(name: str, field: FieldInfo, default_in_words: str | None) -> ins
     shown = default_in_words or shell.default_in_words or null
     if not isinstance(default, str | int | float | Path) or (shown and kind is not bool):
         default = None
-    complete = getattr(completion, shell.complete) if shell.complete else None
     how: dict[str, Any] = {
         "help": f"{text[:1].upper()}{text[1:]}{_bounds(field)}{REPEATABLE * (repeated and not shell.argument)}.",
         "metavar": shell.metavar or (f"<{'|'.join(choices)}>" if choices else "N" if kind in (int, float) else None),
         "show_default": shown or not (default is None or default is False),
-        "autocompletion": completion.one_of(choices) if choices else complete,
+        "autocompletion": _completion(shell.complete, choices) if choices or shell.complete else None,
     }
-    declared = typer.Argument(**how) if shell.argument else typer.Option(shell.flag or flag_of(name, field), **how)
+    declared = typer.Argument(**how) if shell.argument else typer.Option(shell.flag or _flag(name, field), **how)
     annotation = list[plain] if repeated else plain  # type: ignore[valid-type]
     if field.is_required():
         default = inspect.Parameter.empty
@@ -144,9 +146,8 @@ def _parameter(name: str, field: FieldInfo, default_in_words: str | None) -> ins
         annotation = annotation | None
     elif plain is str:
         default = str(default)
-    return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[annotation, declared]
-    )
+    annotation = Annotated[annotation, declared]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def _bounds(field: FieldInfo) -> str:
@@ -157,3 +158,25 @@ def _bounds(field: FieldInfo) -> str:
     if len(ends) == 2:
         return f", {ends['ge']} to {ends['le']}"
     return f", {ends['ge']} or more" if ends.get("ge", 0) > 1 else ""
+
+
+def _completion(kind: str | None, choices: tuple[str, ...]) -> Callable[[str], list[str]]:
+    """Return what completes one of some choices, or what `Shell.complete` names."""
+
+    def complete(incomplete: str) -> list[str]:
+        if kind in _WITH_FILES:  # YAML files of this folder; below other folders the shell itself completes
+            files = sorted(str(file) for file in Path().iterdir() if file.suffix in (".yaml", ".yml"))
+            words = [*_WITH_FILES[kind](), *files]
+        elif kind == "key":
+            from mjx_climb.scenario.messages import keys
+            from mjx_climb.scenario.model import Scenario
+
+            words = [f"{name}=" for name in keys(Scenario)]
+        else:
+            words = [*(choices or METRICS)]
+        return [word for word in words if word.startswith(incomplete)]
+
+    return complete
+
+
+_WITH_FILES = {"config": shipped.names, "ensemble": shipped.ensembles, "hardware": shipped.profiles}

@@ -9,13 +9,19 @@ a library that hangs, the system does (glibc's): a handler is good for one signa
 
 import contextlib
 import ctypes
+import math
 import os
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
+from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tuning.searches.rounds import Progress
 
 CODE = 130  # exit code, as of shells
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -86,6 +92,55 @@ def check() -> None:
     """Raise KeyboardInterrupt where the program was asked to end."""
     if requested():
         raise KeyboardInterrupt
+
+
+class Interrupted(Exception):
+    """Ctrl-C, and what was kept."""
+
+
+class Kept:
+    """How much of a command's work is kept, counted as it goes on."""
+
+    def __init__(self, done: int = 0):
+        self.done = done
+
+    def counting(self, show: Callable[..., None]) -> Callable[..., None]:
+        """Return a function that counts what `show` is called with, its first argument."""
+
+        def counted(done: int, *rest: object) -> None:
+            self.done = done
+            show(done, *rest)
+
+        return counted
+
+    def rounds(self, show: Callable[..., None]) -> "Callable[[Progress], None]":
+        """Return the same for the rounds of a search, which are shown with what is best so far."""
+
+        def counted(now: "Progress") -> None:
+            slope = f", gradient {now.gradient_norm:.2g}" if math.isfinite(now.gradient_norm) else ""
+            best = f"{now.best:.4f}" if math.isfinite(now.best) else "none feasible yet"
+            text = f"{now.phase} {now.rounds}/{now.rounds_in_all}: best {best}{slope}, {now.alive} of {now.batch} alive"
+            self.counting(show)(now.rounds, now.rounds_in_all, f"{text}, {now.env_steps / 1e6:.2f} M env-steps")
+
+        return counted
+
+
+@contextlib.contextmanager
+def kept_in(out: Path, what: str, done: int = 0) -> Iterator[Kept]:
+    """Say what is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
+
+    Interrupted is raised in place of KeyboardInterrupt, and of what goes wrong after the user asked to stop: a process
+    that walked beside this one, for example, was stopped as well and may be gone first.
+    """
+    kept = Kept(done)
+    try:
+        yield kept
+    except Interrupted:  # it says more
+        raise
+    except (KeyboardInterrupt, Exception) as error:
+        if not (isinstance(error, KeyboardInterrupt) or requested()):
+            raise
+        raise Interrupted(f"{kept.done} {what} are kept in {out}; the same command goes on from there") from None
 
 
 def _for_one_signal() -> Callable[[int], None]:

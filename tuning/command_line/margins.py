@@ -1,19 +1,20 @@
 """`mjx-climb margins`: how much worse hardware may be before gains fail."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tuning.command_line.ending import InputError
 from tuning.command_line.from_models import command
 from tuning.command_line.options import Output, Walk
 from tuning.command_line.processes import start_devices
+from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from tuning.evaluation.linear_margins import Stable
-    from tuning.evaluation.margins import Margin
+    from tuning.evaluation.margins import Found, Margin
 
 
 class Rival(Options):
@@ -24,11 +25,7 @@ class Rival(Options):
     )
 
     def joint_gains(self) -> dict[str, float] | None:
-        """Return kp and kd of the file, None without one.
-
-        Raises:
-            ConfigError, InputError: it is no gains file, or has none.
-        """
+        """Return kp and kd of the file, None without one."""
         from tuning.gains import gains_file
 
         if self.retuned_pd is None:
@@ -40,6 +37,7 @@ class Rival(Options):
         return {name: values[name] for name in ("kp", "kd")}
 
 
+@command("results/<config>-margins")
 def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> None:
     """Find how late, slow and weak a robot's hardware may be before gains fail.
 
@@ -61,16 +59,14 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         from mjx_climb.control import PD
         from tuning.evaluation import linear_margins
         from tuning.evaluation import margins as evaluation
-        from tuning.output import margins as written
-        from tuning.output.folder import check_own, write_config
+        from tuning.output.folder import write_config
 
         scenario, law, *_ = walk.load()
         gains = walk.values(law) or {}
         others = {} if walk.gains is None or law is not None else {"config": evaluation.Walker(None, {})}
         if (joint := rival.joint_gains()) is not None:
             others["retuned pd"] = evaluation.Walker(PD(), joint)
-        out = output.folder(walk.config.stem, "margins")
-        check_own(out, "margins.json")
+        out = shell.claim("margins.json", walk.config.stem, "margins")
         scenario = write_config(scenario, out, law)
 
         shell.opening(scenario)
@@ -81,16 +77,42 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
             stable = linear_margins.find(scenario, gains, found.margins, progress=told, **how)
         with shell.stage("drawing", compiles=False):
             name = "config" if walk.gains is None else walk.gains.stem
-            text = written.write(found, stable, out, name, output.figures)
-        shell.show(margins_table(found.margins, stable))
-        shell.show(*(f"warning: {line}" for line in written.warnings(found, stable)))
+            text, warnings = _write(found, stable, out, name, output.figures)
+        shell.show(_table(found.margins, stable), *(f"warning: {line}" for line in warnings))
         pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
-        shell.written(out, f"{written.FILES}, {pictures}, config.yaml", text)
+        shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
 
 
-def margins_table(margins: "dict[str, Margin]", stable: "dict[str, Stable]") -> "Table":
+def _write(
+    found: "Found", stable: "dict[str, Stable]", folder: Path, given: str, figures: tuple[str, ...]
+) -> tuple[str, list[str]]:
+    """Write margins and warnings as plain data, SI units, the walks and a picture; return the JSON and the warnings."""
+    from mjx_climb import plots
+    from mjx_climb.files import dataset
+    from tuning.evaluation import linear_margins, margins
+    from tuning.report.margin_pictures import plot_margins
+    from tuning.report.numbers import to_json
+
+    warnings = margins.warnings(found) + linear_margins.warnings(found.margins, stable)
+    each = {
+        name: {
+            **dataclasses.asdict(margin),
+            "needed": margins.needed(name, margin.own),  # the hardware with a factor of two
+            "stable": stable[name]._asdict(),
+        }
+        for name, margin in found.margins.items()
+    }
+    own = {"holds": found.holds, "better": found.better}
+    text = to_json({"own_hardware": own, "margins": each, "warnings": warnings})
+    dataset.write_text_atomically(folder / "margins.json", text + "\n")
+    dataset.save(found.walks, folder / "margins.nc")
+    plots.save_figure(plot_margins(found, given), folder / "margins", figures)
+    return text, warnings
+
+
+def _table(margins: "dict[str, Margin]", stable: "dict[str, Stable]") -> "Table":
     """Return margins beside the scenario's hardware: by walks, and of the linearised loop."""
-    from tuning.command_line.report import plain_table
+    from tuning.command_line.session import plain_table
     from tuning.evaluation.margins import QUANTITIES, in_words, with_unit
 
     table = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to")
@@ -99,6 +121,3 @@ def margins_table(margins: "dict[str, Margin]", stable: "dict[str, Stable]") -> 
         reached.append(in_words(name, stable[name].tried, stable[name].up_to))
         table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
     return table
-
-
-COMMAND = command(margins, "results/<config>-margins")

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from pydantic import BeforeValidator
 
 from mjx_climb.scenario import shipped
-from tuning.command_line.ending import InputError
 from tuning.command_line.from_models import in_options
+from tuning.command_line.program import InputError
 from tuning.problem.search import Search, check_metrics
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     import mjx_climb as mc
     from mjx_climb.rollouts.resolve import AnyGains
-    from tuning.command_line.progress import Session
+    from tuning.command_line.session import Session
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 EngineName = Literal["limb", "mjx"]
@@ -81,10 +81,6 @@ class Walk(Options):
         """Return scenario, law and metrics, from options or the config, without the gains file.
 
         A change of `control.NAME`, a gain of a law of one's own, is the law's.
-
-        Raises:
-            ConfigError: no such file, key, value, law or metric, or a law or metric whose file has changed.
-            InputError: a change that a law of one's own cannot take.
         """
         import mjx_climb as mc
         from mjx_climb.scenario.yaml_text import pairs
@@ -104,11 +100,7 @@ class Walk(Options):
         return Loaded(without(scenario), law, metrics, self.engine)
 
     def load_with_gains(self) -> Loaded:
-        """Return what `load` does, with the values of the gains file in the scenario or the law.
-
-        Raises:
-            ConfigError: as `load`, the gains of another law, or joint gains too stiff for the time step.
-        """
+        """Return what `load` does, with the values of the gains file in the scenario or the law."""
         from mjx_climb.checks.time_step import check_time_step
         from tuning.gains import gains_file
 
@@ -120,11 +112,7 @@ class Walk(Options):
         return loaded._replace(scenario=scenario, law=law)
 
     def values(self, law: "mc.Law | None") -> "AnyGains | None":
-        """Return the values of the gains file, None without one.
-
-        Raises:
-            ConfigError: no such file, or the gains of another law.
-        """
+        """Return the values of the gains file, None without one."""
         from tuning.gains import gains_file
 
         return None if self.gains is None else gains_file.load(self.gains, law)
@@ -149,17 +137,13 @@ class Output(Options):
     figures: Figures = FIGURES
     json_only: bool = setting(False, "print JSON alone on standard output, all else on standard error", flag="--json")
 
-    def folder(self, *name: str) -> Path:
-        """Return the folder that was asked for, by default the one of this name, its parts joined, below results/."""
-        return self.out or Path("results") / "-".join(name)
-
     @contextlib.contextmanager
     def session(self) -> Iterator["Session"]:
         """Give what the command prints to and shows its progress on."""
-        from tuning.command_line.progress import Session
+        from tuning.command_line.session import Session
 
         with reserved_stdout() as stdout:
-            yield Session(stdout, self.json_only)
+            yield Session(stdout, self)
 
 
 class SearchFile(Options):
@@ -168,11 +152,7 @@ class SearchFile(Options):
     search: Path | None = setting(None, "settings of the search, YAML; options change them", metavar="FILE")
 
     def settings(self, typed: Search, loaded: Loaded, config: Path) -> Search:
-        """Return the settings of the file with those that were typed in their place, checked against the scenario.
-
-        Raises:
-            ConfigError: settings that make no sense, by themselves or for the scenario; nothing is written before.
-        """
+        """Return the settings of the file with those that were typed in their place, checked against the scenario."""
         from tuning.problem.spaces import space
 
         own = Search() if self.search is None else Search.load(self.search)
@@ -185,11 +165,7 @@ class SearchFile(Options):
 
     @contextlib.contextmanager
     def naming(self, typed: Search, otherwise: Path | str | None = None) -> Iterator[None]:
-        """Name where a setting that is refused stands: its option, the file, or `otherwise`.
-
-        Raises:
-            ConfigError: in one line, the place, and what is wrong there.
-        """
+        """Name where a setting that is refused stands: its option, the file, or `otherwise`."""
         from mjx_climb.scenario.messages import ConfigError
 
         try:
@@ -207,11 +183,7 @@ def scenario_from(
     hardware: str | None = None,
     controller: str | None = None,
 ) -> "mc.Scenario":
-    """Return the scenario of a config with the options applied, `changes` last, before any gains file.
-
-    Raises:
-        ConfigError: no such file, key or value, or a scenario that nothing can walk through.
-    """
+    """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     import mjx_climb as mc
     from mjx_climb.checks.stance import check_stance
     from mjx_climb.checks.time_step import check_time_step
@@ -234,11 +206,7 @@ def scenario_from(
 
 
 def own_objects(law: str | None, metrics: tuple[str, ...]) -> "tuple[mc.Law | None, mc.MetricTable]":
-    """Return the law of `--law`, None without one, and the shipped metrics with those of `--metric` behind them.
-
-    Raises:
-        ConfigError: no such law or metric.
-    """
+    """Return the law of `--law`, None without one, and the shipped metrics with those of `--metric` behind them."""
     from tuning.gains.own_section import load_law
     from tuning.problem import own_file
 

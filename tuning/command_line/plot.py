@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 from pydantic import BeforeValidator
 
-from tuning.command_line.ending import user_error
 from tuning.command_line.from_models import command
 from tuning.command_line.options import FIGURES, Figures
+from tuning.command_line.program import user_error
 from tuning.problem.settings import Options, setting
 
 
@@ -52,6 +52,7 @@ class Plot(Options):
     )
 
 
+@command()
 def plot(asked: Plot) -> None:
     """Draw the pictures of a result again: any metric, format, size and style. Nothing is walked.
 
@@ -82,6 +83,3 @@ def plot(asked: Plot) -> None:
             raise ConfigError(
                 f"{folder}: expected a result as a command wrote it, with all its files, got {got}"
             ) from None
-
-
-COMMAND = command(plot)

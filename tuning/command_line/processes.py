@@ -1,33 +1,110 @@
-"""One command in several processes of `jax.distributed`: all of them walk, process 0 alone reads, writes and prints.
+"""One command in several processes: of `jax.distributed` all walk together, of a Slurm array each has its shard.
 
-Every process runs the same program on the same input, so that all come to the same calls in the same order: what a
-batch gives is the same in each. The others write to a folder that is removed at the end, and to no terminal.
+Together every process runs the same program on the same input, so that all come to the same calls in the same order:
+what a batch gives is the same in each. Process 0 alone reads, writes and prints. The others write to a folder that is
+removed at the end, and to no terminal.
 """
 
 import contextlib
-import hashlib
 import io
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
-from tuning.command_line import interruption, launcher
-from tuning.command_line.ending import InputError, user_error
-from tuning.command_line.typed import ARGUMENTS
+from tuning.command_line import interruption
+from tuning.command_line.program import ARGUMENTS, InputError, user_error
 
-if TYPE_CHECKING:
-    import mjx_climb as mc
-
+SHARD = "I/N"
+_ARRAY = "SLURM_ARRAY_TASK_"
 _LONGEST = 1000  # bytes of a message from one process to the others
 PATIENCE = 300  # s, until all processes must have met
+
+
+class Process(NamedTuple):
+    """One of several processes that a launcher started for one command."""
+
+    number: int  # from 0
+    of: int  # how many
+    address: str | None  # host:port of process 0, None where JAX finds it
+    said: str  # who says so
+
+
+def process() -> Process | None:
+    """Return which process this is where a launcher started several, None for a lone one.
+
+    JAX's variables come first: a count of 1 there keeps processes apart that another launcher started.
+    """
+    for said, size, rank, there in (
+        ("JAX_COORDINATOR_ADDRESS", "JAX_NUM_PROCESSES", "JAX_PROCESS_ID", "JAX_NUM_PROCESSES"),
+        ("Slurm step", "SLURM_STEP_NUM_TASKS", "SLURM_PROCID", "SLURM_STEP_NODELIST"),
+        ("Open MPI", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"),
+    ):
+        if there not in os.environ:
+            continue
+        count = _number(size)
+        if count == 1:
+            return None
+        if (number := _number(rank)) >= count:
+            raise InputError(f"{rank}: expected a number below the {count} of {size}, got {number}")
+        address = os.environ.get("JAX_COORDINATOR_ADDRESS")
+        if address is None and not _found_by_jax():
+            raise InputError(
+                f"JAX_COORDINATOR_ADDRESS: expected host:port of process 0 beside {size}={count}, got none"
+            )
+        return Process(number, count, address, said)
+    return None
+
+
+def _found_by_jax() -> bool:
+    """Return whether JAX finds out by itself where process 0 is."""
+    slurm = ("SLURM_JOB_ID", "SLURM_STEP_NODELIST", "SLURM_NTASKS", "SLURM_PROCID", "SLURM_LOCALID")
+    return "OMPI_MCA_orte_hnp_uri" in os.environ or all(name in os.environ for name in slurm)
+
+
+def _number(name: str, default: str = "") -> int:
+    text = os.environ.get(name, default)
+    if not re.fullmatch("[0-9]{1,9}", text):
+        raise InputError(f"{name}: expected a whole number, got {text!r}")
+    return int(text)
+
+
+def shard_from(text: str | None) -> tuple[tuple[int, int] | None, str]:
+    """Return which shard a command walks and how many there are, None for all, and where that comes from in words.
+
+    Without `--shard`, a Slurm array's tasks are the shards.
+    """
+    if text is not None:
+        found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+            raise InputError(f"--shard: expected {SHARD} with I from 1 to N, as 3/16, got {text!r}")
+        shard = int(found[1]), int(found[2])
+        return (None, "all shards") if shard == (1, 1) else (shard, f"shard {text}")
+    if f"{_ARRAY}ID" not in os.environ:
+        return None, ""
+    number, count = _of_array()
+    return (number, count), f"shard {number}/{count}, this task of a Slurm array"
+
+
+def _of_array() -> tuple[int, int]:
+    """Return number and count of this task among those of its array."""
+    task, first, last, count = (_number(f"{_ARRAY}{name}") for name in ("ID", "MIN", "MAX", "COUNT"))
+    step = _number(f"{_ARRAY}STEP", "1")
+    steps, rest = divmod(task - first, max(step, 1))
+    if rest or first + (count - 1) * step != last or not 0 <= steps < count or count == 1:
+        raise InputError(
+            f"{_ARRAY}ID: expected several tasks without gaps, got {count} from {first} to {last}: which shard this "
+            "one walks, as 3/16, or 1/1 for all, is for --shard to say"
+        )
+    return steps + 1, count
 
 
 class Team:
     """The processes that walk together, as one of them sees it; `process` None is the only one."""
 
-    def __init__(self, process: launcher.Process | None, temporary: Path):
+    def __init__(self, process: Process | None, temporary: Path):
         self.said = "" if process is None else f"{process.of} processes, {process.said}"  # for the announcement
         self.heard = process is None  # what the others had to say before they walk
         self._process, self._temporary = process, temporary
@@ -36,30 +113,22 @@ class Team:
         """Return the folder to write to in place of `out`."""
         return self._temporary / "out" if self._process and self._process.number else out
 
-    def begin(self, kept: Path, scenario: "mc.Scenario") -> None:
-        """Begin to walk, all together: with the same input, and with the parts that process 0 has in `kept`.
-
-        Raises:
-            InputError: something is wrong in another process.
-        """
+    def begin(self, kept: Path, asked: object) -> None:
+        """Begin to walk, all together: asked for the same, and with the parts that process 0 has in `kept`."""
         if self._process is None:
             return
-        self.heard = True
-        asked = repr((ARGUMENTS.get(), scenario.to_yaml()))
-        self.agree(hashlib.sha256(asked.encode()).digest())
+        import hashlib
         import tarfile
 
+        self.heard = True
+        self.agree(hashlib.sha256(repr((ARGUMENTS.get(), asked)).encode()).digest())
         archive = _from_first(b"" if self._process.number else _packed(kept / "parts"))
         if self._process.number and archive:
             with tarfile.open(fileobj=io.BytesIO(archive)) as files:
                 files.extractall(kept / "parts", filter="data")
 
     def agree(self, digest: bytes, problem: str = "") -> None:
-        """Hear from all processes what they were asked, and what went wrong there.
-
-        Raises:
-            InputError: of another process, that something went wrong or that it was asked for something else.
-        """
+        """Hear from all processes what they were asked, and what went wrong there: InputError where anything did."""
         import numpy as np
         from jax.experimental import multihost_utils
 
@@ -77,14 +146,10 @@ class Team:
 
 @contextlib.contextmanager
 def joined(apart: bool = False) -> Iterator[Team]:
-    """Join the other processes, where a launcher started several and they are not to walk apart.
-
-    Raises:
-        InputError: they do not meet.
-    """
-    process = None if apart else launcher.process()
+    """Join the other processes, where a launcher started several and they are not to walk apart."""
+    own = None if apart else process()
     with contextlib.ExitStack() as stack:
-        if process is None:
+        if own is None:
             start_devices()
             yield Team(None, Path())
             return
@@ -92,10 +157,12 @@ def joined(apart: bool = False) -> Iterator[Team]:
 
         temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mjx_climb-")))
         stack.enter_context(_own_output())
-        _meet(process)
-        team = Team(process, temporary)
-        if process.number:
-            _be_silent()
+        _meet(own)
+        team = Team(own, temporary)
+        if own.number:
+            sys.stderr.flush()
+            _to_nowhere(sys.stdout.fileno())
+            _to_nowhere(2)
         try:
             yield team
         except Exception as error:
@@ -129,7 +196,7 @@ def leave(code: int) -> None:
         os._exit(code)
 
 
-def _meet(process: launcher.Process) -> None:
+def _meet(process: Process) -> None:
     import jax
 
     jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM for itself
@@ -151,12 +218,6 @@ def _own_output() -> Iterator[None]:
     with open(os.dup(1), "w") as own, contextlib.redirect_stdout(own):
         _to_nowhere(1)
         yield
-
-
-def _be_silent() -> None:
-    sys.stderr.flush()
-    _to_nowhere(sys.stdout.fileno())
-    _to_nowhere(2)
 
 
 def _to_nowhere(stream: int) -> None:
@@ -184,8 +245,6 @@ def _from_first(content: bytes) -> bytes:
     from jax.experimental import multihost_utils
 
     size = int(multihost_utils.broadcast_one_to_all(np.array(len(content), np.int32)))
-    if not size:
-        return b""
     whole: np.ndarray = np.zeros(size, np.uint8)
     whole[: len(content)] = np.frombuffer(content, np.uint8)
-    return bytes(np.asarray(multihost_utils.broadcast_one_to_all(whole)).tobytes())
+    return bytes(np.asarray(multihost_utils.broadcast_one_to_all(whole)).tobytes()) if size else b""

@@ -1,4 +1,4 @@
-"""All commands, one file each, and how they end.
+"""All commands, how they were typed, and how they end.
 
 Exit codes: 0 done; 1 what doctor gives where something is wrong, and run where its walk failed; 2 bad input, with one
 line on stderr; 130 interrupted, with a line that says what was kept.
@@ -6,21 +6,27 @@ Commands import JAX and all that is heavy when they run, so that `--help` is qui
 """
 
 import contextlib
+import errno
 import importlib
 import os
+import re
+import shlex
 import sys
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tuning.command_line import interruption
-from tuning.command_line.ending import InputError, Interrupted, leave_output, user_error
-from tuning.command_line.typed import ARGUMENTS
 
+if TYPE_CHECKING:
+    from tuning.report.page import Origin
+
+ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
 NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
 PACKAGES = ("mjx-climb", "mujoco", "mujoco-mjx", "jax")  # whose versions are told
-COMMANDS = {  # what each does; the function of its name in the module of its name is it
+COMMANDS = {  # what each does
     "run": "Walk one robot through a scenario.",
     "sweep": "Walk a grid of stiffness and damping, and map it.",
     "merge": "Put shards of sweep or judge together.",
@@ -37,6 +43,17 @@ COMMANDS = {  # what each does; the function of its name in the module of its na
     "bench": "Measure speed beside MuJoCo and MJX.",
     "doctor": "Examine this installation.",
 }
+_MODULES = {  # of commands that are not in a module of their own name
+    "sweep": "shards", "judge": "shards", "merge": "shards", "tune": "searches", "pareto": "searches",
+    "schedule": "searches", "schema": "robot", "bench": "machine", "doctor": "machine",
+}  # fmt: skip
+_LONGEST = 1000  # characters of a line
+_OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}
+_OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
+
+
+class InputError(ValueError):
+    """An argument or option that cannot be used; in one line: option, what was expected, what was got."""
 
 
 def program(only: str | None = None) -> typer.Typer:
@@ -53,19 +70,15 @@ def program(only: str | None = None) -> typer.Typer:
         callback=_program,
     )
     for name, short_help in COMMANDS.items():
-        loaded = importlib.import_module(f"tuning.command_line.{name}").COMMAND if only in (None, name) else _not_loaded
+        loaded = _not_loaded
+        if only in (None, name):
+            loaded = getattr(importlib.import_module(f"tuning.command_line.{_MODULES.get(name, name)}"), name)
         made.command(name, short_help=short_help)(loaded)
     return made
 
 
 def _not_loaded() -> None:
     """Stand for a command that was not asked for: its options would be read for nothing."""
-
-
-def _asked(arguments: Sequence[str]) -> str:
-    """Return the command that is asked for, by arguments or by a shell that completes them, empty without one."""
-    completed = [os.environ.get(name, "") for name in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")]
-    return next((word for word in (*arguments, *" ".join(completed).split()) if word in COMMANDS), "")
 
 
 def _version(wanted: bool) -> None:
@@ -89,11 +102,14 @@ def _program(
 def run(arguments: Sequence[str]) -> int:
     """Run the program and return its exit code; what went wrong is said on standard error."""
     ARGUMENTS.set(tuple(arguments))
+    # the command may stand in what a shell wants completed
+    completed = " ".join(os.environ.get(name, "") for name in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))
+    asked = next((word for word in (*arguments, *completed.split()) if word in COMMANDS), "")
     try:
         _check_surroundings(arguments)
-        code = program(_asked(arguments))(arguments or ["--help"], prog_name="mjx-climb", standalone_mode=False)
+        code = program(asked)(arguments or ["--help"], prog_name="mjx-climb", standalone_mode=False)
         sys.stdout.flush()
-    except (Interrupted, KeyboardInterrupt) as interrupt:
+    except (interruption.Interrupted, KeyboardInterrupt) as interrupt:
         _say(f"interrupted: {interrupt}" if str(interrupt) else NOTHING_KEPT)
         return interruption.CODE
     except Exception as error:
@@ -104,7 +120,7 @@ def run(arguments: Sequence[str]) -> int:
         if message is None:
             raise
         _say(f"error: {message}")
-        leave_output()
+        _leave_output()
         return 2
     if code == interruption.CODE:  # a KeyboardInterrupt that typer caught
         _say(NOTHING_KEPT)
@@ -115,11 +131,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _check_surroundings(arguments: Sequence[str]) -> None:
-    """Refuse what a command would fail on when its work is done.
-
-    Raises:
-        InputError: in one line, what.
-    """
+    """Refuse what a command would fail on when its work is done."""
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")
     if sys.stdout is None:
@@ -136,3 +148,95 @@ def _check_surroundings(arguments: Sequence[str]) -> None:
 def _say(text: str) -> None:
     with contextlib.suppress(OSError):  # nobody can read it
         print(f"mjx-climb: {text}", file=sys.stderr, flush=True)
+
+
+def _leave_output() -> None:
+    """Drop what standard output does not take: Python would try again as it ends, and say so."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def user_error(error: Exception) -> str | None:
+    """Return one readable line for an error that is the user's to mend, None for one of ours."""
+    message = _message(error)
+    if message is None:
+        return None
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+
+
+def _message(error: Exception) -> str | None:
+    if isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT:  # files raise OutputError
+        reason = os.strerror(error.errno).lower()
+        return f"standard output: expected a place that takes what is printed, got '{reason}'"
+    if isinstance(error, RuntimeError) and "Unable to initialize backend" in str(error):
+        return f"JAX_PLATFORMS: expected devices that JAX can use, got '{str(error).partition(' (set ')[0]}'"
+    if type(error).__name__ in ("InternalFloatingPointError", "FloatingPointError"):
+        expected = "expected none of them: what a walk does not have is NaN or infinite here"
+        return f"JAX_DEBUG_NANS, JAX_DEBUG_INFS: {expected}"
+    if hasattr(error, "format_message"):  # usage, from typer
+        context = getattr(error, "ctx", None)
+        hint = f" (see {context.command_path} --help)" if context is not None else ""
+        if context is not None and hasattr(error, "option_name") and hasattr(error, "possibilities"):
+            return f"No such option: {error.option_name}{_nearest(error.option_name, context.command)}{hint}"
+        return f"{error.format_message()}{hint}"
+    ours = {kind.__name__ for kind in type(error).__mro__ if kind.__module__.split(".")[0] in ("mjx_climb", "tuning")}
+    return str(error) if ours & _OF_THE_USER else None
+
+
+def _nearest(option: str, command: Any) -> str:
+    """Return the option or the key of the scenario that is nearest to one that a command does not have, in words."""
+    from difflib import get_close_matches
+
+    from mjx_climb.scenario.messages import keys
+    from mjx_climb.scenario.model import Scenario
+
+    options = {name.lstrip("-"): [name] for parameter in command.params for name in parameter.opts}
+    changes: dict[str, list[str]] = {}
+    for key in keys(Scenario) if "set" in options else ():
+        for name in {key, key.rpartition(".")[2]}:
+            changes.setdefault(name, []).append(f"--set {key}=")
+    known = changes | options
+    near = get_close_matches(option.lstrip("-"), known, 1)
+    return f" (did you mean {' or '.join(known[near[0]])}?)" if near else ""
+
+
+def origin(name: str, again: str) -> "Origin":
+    """Return where a report comes from, but for the scenario: see `tuning.report.page.Origin`."""
+    from tuning.report.page import Origin
+
+    return Origin(name, shlex.join(["mjx-climb", *map(_without_folder, ARGUMENTS.get())]), again)
+
+
+def _without_folder(argument: str) -> str:
+    """Return an argument, or what stands behind its "=", as a bare name where it is an absolute path."""
+    option, equals, value = argument.rpartition("=")
+    if re.match(r"[/~]|[A-Za-z]:[/\\]", value):
+        value = re.split(r"[/\\]", value.rstrip("/\\"))[-1]
+    return f"{option}{equals}{value}"
+
+
+def typed_but(option: str, value: str) -> str:
+    """Return the command as it was typed, to be run again from the same folder, with this value of an option."""
+    kept = [word for name, words in _by_option() if name != option for word in words]
+    return f"{shlex.join(['mjx-climb', *kept])} {option} {value}"
+
+
+def repeated(command: Sequence[str], *options: str) -> str:
+    """Return the command that repeats one in the folder of its result, with those of these options that were typed."""
+    kept = [word for name, words in _by_option() if name in options for word in words]
+    name, *files = command
+    return shlex.join(["mjx-climb", name, "config.yaml", *files, *kept, "--out", "again"])
+
+
+def _by_option() -> Iterator[tuple[str, list[str]]]:
+    """Yield each option that was typed with its words; what follows one is taken for its value."""
+    words = list(ARGUMENTS.get())
+    while words:
+        first = words.pop(0)
+        name, equals, _ = first.partition("=")
+        value = [words.pop(0)] if first.startswith("--") and not equals and words and words[0][:2] != "--" else []
+        yield name, [first, *value]

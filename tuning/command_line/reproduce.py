@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING, Annotated
 
-from tuning.command_line.ending import Interrupted
 from tuning.command_line.from_models import command
+from tuning.command_line.interruption import Interrupted
 from tuning.command_line.options import Output
-from tuning.command_line.typed import origin
+from tuning.command_line.program import origin
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from tuning.reproduce.results import Found
 
 
+@command("results/reproduce")
 def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
     """Walk the paper's three cases under every controller and compare with what the paper states.
 
@@ -32,21 +33,20 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
     """
     with output.session() as shell:
         from mjx_climb.files import dataset
-        from tuning.command_line import report
-        from tuning.output.folder import check_own
+        from tuning.command_line.session import WIDTH, console
         from tuning.report import page
+        from tuning.report.numbers import to_json
         from tuning.reproduce import results
 
-        out = output.folder("reproduce")
-        check_own(out, "reproduce.json")
+        out = shell.claim("reproduce.json", "reproduce")
         shell.opening()
         try:
             found = dict(results.reproduced(out, shell.stage))
-            text = report.to_json(results.as_json(found))
+            text = to_json(results.as_json(found))
             dataset.write_text_atomically(out / "reproduce.json", text + "\n")
             dataset.write_text_atomically(out / "paper.md", results.as_markdown(found))
-            with (captured := report.console()).capture() as capture:
-                captured.width = report.WIDTH
+            with (captured := console()).capture() as capture:
+                captured.width = WIDTH
                 show(found, captured)
             dataset.write_text_atomically(out / "tables.txt", capture.get())
             with shell.stage("report", compiles=False):
@@ -58,7 +58,7 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
 
         show(found, shell.tables)
         files = "report.html, reproduce.json, tables.txt, paper.md, figures (.png), scenarios (.yaml)"
-        shell.written(out, f"{files}, {len(list(out.glob('*.nc')))} walks (.nc)", text)
+        shell.written(f"{files}, {len(list(out.glob('*.nc')))} walks (.nc)", text)
 
 
 def show(found: "Found", console: "Console") -> None:
@@ -88,6 +88,3 @@ def show(found: "Found", console: "Console") -> None:
         for sentence in said:
             console.print(f"  {sentence}")
         console.print()
-
-
-COMMAND = command(reproduce, "results/reproduce")

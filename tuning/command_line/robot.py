@@ -1,4 +1,4 @@
-"""`mjx-climb robot`: a robot's own file, made ready to walk."""
+"""`mjx-climb robot` and `schema`: a scenario for a robot's own file, and what a scenario may hold."""
 
 import sys
 from pathlib import Path
@@ -8,6 +8,7 @@ import typer
 from pydantic import BeforeValidator
 
 from tuning.command_line.from_models import command
+from tuning.command_line.options import Output
 from tuning.problem.settings import Options, setting
 
 
@@ -23,6 +24,7 @@ class Robot(Options):
     )
 
 
+@command()
 def robot(asked: Robot) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
@@ -49,7 +51,7 @@ def robot(asked: Robot) -> None:
     from mjx_climb.robot.proposal import propose
     from mjx_climb.rollouts.remedies import slow_enough
     from mjx_climb.scenario.model import validated
-    from tuning.command_line import progress
+    from tuning.command_line.session import Session
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
@@ -62,7 +64,7 @@ def robot(asked: Robot) -> None:
     what = max(len(row[1]) for row in rows)
     for row in rows:
         typer.echo(f"{row[0]:7}  {row[1]:{what}}  {row[2]}")
-    with progress.Session(sys.stdout).stage("walking it, with slower gaits beside"):
+    with Session(sys.stdout, Output()).stage("walking it, with slower gaits beside"):
         scenario, walks, how = slow_enough(scenario)
     typer.echo(f"{'taken' if walks else 'failed':7}  {'walk':{what}}  {how}")
     if write is None:
@@ -79,4 +81,34 @@ def robot(asked: Robot) -> None:
         raise typer.Exit(1)
 
 
-COMMAND = command(robot)
+class Schema(Options):
+    """Where the schema goes."""
+
+    out: Path | None = setting(None, "file to write; null: standard output", metavar="FILE")
+
+
+@command()
+def schema(asked: Schema) -> None:
+    """Print the JSON schema of scenarios: every key with its type, range, unit and default.
+
+    An editor with YAML support (VS Code, Neovim, Emacs: yaml-language-server) completes and checks a scenario whose
+    first line names the file:
+
+    \b
+      # yaml-language-server: $schema=scenario.schema.json
+
+    \b
+    Examples:
+      mjx-climb schema --out scenario.schema.json
+    """
+    import json
+
+    import mjx_climb as mc
+    from mjx_climb.files import dataset
+
+    tree = {"$schema": "https://json-schema.org/draft/2020-12/schema", **mc.Scenario.model_json_schema()}
+    text = json.dumps(tree, indent=2) + "\n"
+    if asked.out is None:
+        typer.echo(text, nl=False)
+    else:
+        dataset.write_text_atomically(asked.out, text)

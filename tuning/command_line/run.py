@@ -1,13 +1,105 @@
-"""`mjx-climb run`: one robot through one scenario."""
+"""`mjx-climb run`: one robot through one scenario, with pictures, video, snapshots and the viewer."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from pydantic import BeforeValidator
 
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
-from tuning.command_line.options import Output, Walk
-from tuning.command_line.render_options import Pictures
+from tuning.command_line.options import ControllerName, Loaded, Output, Walk
+from tuning.command_line.program import InputError
+from tuning.problem.settings import Options, setting
+
+if TYPE_CHECKING:
+    import mjx_climb as mc
+    from tuning.background import Stage
+    from tuning.command_line.session import Session
+
+MOST_SNAPSHOTS = 12
+Metrics = Mapping[str, Any]  # of one walk
 
 
+def _pixels(text: str) -> tuple[int, int]:
+    parts = text.lower().split("x")
+    if len(parts) == 2 and all(part.isascii() and part.isdecimal() and len(part) < 6 for part in parts):
+        width, height = map(int, parts)
+        if all(64 <= pixels <= 4096 and pixels % 2 == 0 for pixels in (width, height)):
+            return width, height
+    raise ValueError(f"expected WIDTHxHEIGHT, even numbers from 64 to 4096, got {text!r}")
+
+
+class Pictures(Options):
+    """What is rendered, and which other walk is shown beside."""
+
+    compare: ControllerName | None = setting(
+        None, "walk under this controller too, and show both side by side, in sync, this one first"
+    )
+    video: bool = setting(False, "render the walk to walk.mp4 (H.264); works without a display")
+    snapshots: bool = setting(False, "render a strip of four snapshots, snapshots.png; other instants with --at")
+    at: Annotated[tuple[float, ...], BeforeValidator(lambda text: text.split(","))] = setting(
+        (), "instants of the snapshots, s; for example 2.5,4.6", metavar="T,T,..."
+    )
+    size: Annotated[tuple[int, int] | None, BeforeValidator(_pixels)] = setting(
+        None,
+        "pixels of one walk's picture; null: 1280x720; two walks 960x720; a snapshot 800x600",
+        metavar="WIDTHxHEIGHT",
+    )
+    view: bool = setting(
+        False, "replay the walk in MuJoCo's viewer, with --compare both in turn, until its window is closed"
+    )
+
+    def check(self, scenario: "mc.Scenario") -> None:
+        """Check, before anything is walked, that what is asked for can be shown."""
+        if self.at and not self.snapshots:
+            raise InputError("--at: expected --snapshots beside it")
+        if len(self.at) > MOST_SNAPSHOTS or not all(0 <= t <= scenario.duration for t in self.at):
+            raise InputError(
+                f"--at: expected up to {MOST_SNAPSHOTS} times from 0 to {scenario.duration:g} s, separated by commas, "
+                f"got {','.join(f'{t:g}' for t in self.at)!r}"
+            )
+        if self.compare == scenario.control.controller:
+            raise InputError(f"--compare: expected a controller other than the walk's own, got {self.compare}")
+        if self.video or self.snapshots or self.view:
+            from mjx_climb.rendering import backend
+
+            if self.video or self.snapshots:
+                backend.find()
+            if self.view:
+                backend.require_display()
+
+    def write(self, walks: "Mapping[str, mc.Trajectory]", folder: Path, stage: "Stage") -> list[str]:
+        """Render walks side by side, each under its name, into a folder and return the names of the files."""
+        from mjx_climb import rendering
+        from mjx_climb.rendering import film
+
+        files, shown, labels = [], list(walks.values()), list(walks) if len(walks) > 1 else None
+        if self.video:
+            with stage("video", compiles=False, unit="frames") as show:
+                step = 1 if sys.stderr.isatty() else 50  # in a log, a line every two seconds of film
+
+                def told(done: int, total: int) -> None:
+                    if done % step == 0 or done == total:
+                        show(done, total)
+
+                show(0, 1)
+                size = self.size or (film.SIZE if len(walks) == 1 else film.PAIR_SIZE)
+                rendering.save_video(folder / "walk.mp4", *shown, size=size, labels=labels, progress=told)
+            files.append("walk.mp4")
+        if self.snapshots:
+            duration = shown[0].scenario.duration
+            times = self.at or tuple((k + 0.5) / film.SNAPSHOTS * duration for k in range(film.SNAPSHOTS))
+            with stage("snapshots", compiles=False):
+                strip = rendering.snapshots(*shown, times=times, size=self.size or film.SNAPSHOT_SIZE, labels=labels)
+                rendering.save_image(folder / "snapshots.png", strip)
+            files.append("snapshots.png")
+        return files
+
+
+@command("results/<config>-<controller>")
 def run(walk: Walk, output: Output, pictures: Pictures) -> None:
     """Walk one robot through a scenario, in double precision.
 
@@ -31,67 +123,103 @@ def run(walk: Walk, output: Output, pictures: Pictures) -> None:
       mjx-climb run case_1_2 --snapshots --at 2.5,4.6
     """
     with output.session() as shell:
-        import mjx_climb as mc
-        from mjx_climb.files import dataset, scenario_files
+        from mjx_climb import rendering
         from mjx_climb.robot.constants import load_robot
-        from mjx_climb.rollouts.remedies import remedies
-        from tuning.command_line import report
-        from tuning.output.folder import check_own, write_config
-        from tuning.report import remarks
-        from tuning.report.comparison import gains_of
-        from tuning.report.numbers import to_json
 
-        scenario, law, table, _ = walk.load_with_gains()
+        loaded = walk.load_with_gains()
+        law, scenario = loaded.law, loaded.scenario
         name = scenario.control.controller if law is None else type(law).__name__
         load_robot(scenario.robot)
         pictures.check(scenario)
-        out = output.folder(walk.config.stem, name)
-        check_own(out, "trajectory.nc")
-        rival = pictures.compared(scenario)
-        scenario = write_config(scenario, out, law, table)
-
-        shell.opening(scenario)
-        with shell.stage(name):
-            trajectory = mc.rollout(scenario, law=law, engine=walk.engine)
-        walks = {name: trajectory}
-        if rival is not None:
-            rival = scenario_files.copied(rival, out)
-            with shell.stage(rival.control.controller):
-                walks = {rival.control.controller: mc.rollout(rival, engine=walk.engine), **walks}
-        metrics = {name: mc.metrics(walked, table) for name, walked in reversed(walks.items())}
-        text = to_json(metrics[name])
-        dataset.save(dataset.to_dataset(trajectory), out / "trajectory.nc")
-        dataset.write_text_atomically(out / "metrics.json", text + "\n")
-        with shell.stage("drawing", compiles=False):
-            from mjx_climb import plots  # matplotlib takes a third of a second
-
-            figures = {"walk": plots.plot_walk(trajectory), "feet": plots.plot_feet(trajectory)}
-            figures |= {} if rival is None else {"comparison": plots.plot_comparison(walks)}
-            for stem, figure in figures.items():
-                plots.save_figure(figure, out / stem, output.figures)
-        files = ["trajectory.nc", "config.yaml", "metrics.json"]
-        files += [f"{stem}.{kind}" for stem in figures for kind in output.figures]
-        files += pictures.write(walks, out, shell.stage)
-
-        verdicts = {name: report.verdict(walks[name], values) for name, values in metrics.items()}
-        if rival is None:
-            shell.show(report.walk_table(metrics[name], table), *verdicts.values())
-        else:
-            compared = {name: (gains_of(walks[name]), values) for name, values in metrics.items()}
-            shell.show(report.comparison_table(compared, rival.control.controller, shell.tables.width, table, law))
-            shell.show(*(f"{name}: {verdict}" for name, verdict in verdicts.items()))
-        shell.show(*remarks.weightless(metrics))
-        lost = metrics[name]["detached_limb"] is not None
-        if lost:
-            with shell.stage("what would help", compiles=False):
-                shell.show(remedies(scenario, float(metrics[name]["detached_at"] or 0.0), law))
-        shell.written(out, ", ".join(files), text)
+        shell.claim("trajectory.nc", walk.config.stem, name)
+        walks, metrics = _walked(loaded, name, shell, pictures)
         if pictures.view:
-            from mjx_climb import rendering
-
             rendering.view(*walks.values(), until=interruption.requested)
-        if lost or metrics[name]["diverged"]:
+        if metrics["detached_limb"] is not None or metrics["diverged"]:
             raise typer.Exit(1)
 
 
-COMMAND = command(run, "results/<config>-<controller>")
+def _walked(
+    loaded: Loaded, name: str, shell: "Session", pictures: Pictures
+) -> "tuple[dict[str, mc.Trajectory], Metrics]":
+    """Walk, write and print; return the walks in the order in which they are shown, and the metrics of the first."""
+    import mjx_climb as mc
+    from mjx_climb.files import dataset, scenario_files
+    from tuning.output.folder import write_config
+    from tuning.report.numbers import to_json
+
+    out = shell.out
+    scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
+    shell.opening(scenario)
+    with shell.stage(name):
+        walks = {name: mc.rollout(scenario, law=loaded.law, engine=loaded.engine)}
+    if (rival := pictures.compare) is not None:
+        changes = {"control.controller": rival, "control.reading": "virtual_model"}
+        beside = scenario_files.copied(loaded.scenario.with_overrides(changes), out)
+        with shell.stage(rival):
+            walks = {rival: mc.rollout(beside, engine=loaded.engine), **walks}
+    metrics = {name: mc.metrics(walked, loaded.metrics) for name, walked in reversed(walks.items())}
+    text = to_json(metrics[name])
+    dataset.save(dataset.to_dataset(walks[name]), out / "trajectory.nc")
+    dataset.write_text_atomically(out / "metrics.json", text + "\n")
+    with shell.stage("drawing", compiles=False):
+        from mjx_climb import plots  # matplotlib takes a third of a second
+
+        figures = {"walk": plots.plot_walk(walks[name]), "feet": plots.plot_feet(walks[name])}
+        figures |= {} if rival is None else {"comparison": plots.plot_comparison(walks)}
+        for stem, figure in figures.items():
+            plots.save_figure(figure, out / stem, shell.output.figures)
+    drawn = [f"{stem}.{kind}" for stem in figures for kind in shell.output.figures]
+    files = ["trajectory.nc", "config.yaml", "metrics.json", *drawn, *pictures.write(walks, out, shell.stage)]
+    _show(walks, metrics, loaded, rival, shell)
+    shell.written(", ".join(files), text)
+    return walks, metrics[name]
+
+
+def _show(
+    walks: "Mapping[str, mc.Trajectory]",
+    metrics: Mapping[str, Metrics],
+    loaded: Loaded,
+    rival: str | None,
+    shell: "Session",
+) -> None:
+    from mjx_climb.rollouts.remedies import remedies
+    from tuning.command_line.session import comparison_table, plain_table
+    from tuning.report import remarks
+    from tuning.report.comparison import gains_of
+    from tuning.report.numbers import number, unit, words
+
+    name, about, law = next(iter(metrics)), loaded.metrics, loaded.law
+    verdicts = {name: verdict(walks[name], values) for name, values in metrics.items()}
+    if rival is None:
+        table = plain_table("metric", "value", "unit")
+        for metric, value in metrics[name].items():
+            table.add_row(words(metric, about), number(value), unit(metric, about))
+        shell.show(table, *verdicts.values())
+    else:
+        compared = {name: (gains_of(walks[name]), values) for name, values in metrics.items()}
+        shell.show(comparison_table(compared, rival, shell.tables.width, about, law))
+        shell.show(*(f"{name}: {verdict}" for name, verdict in verdicts.items()))
+    shell.show(*remarks.weightless(metrics))
+    if metrics[name]["detached_limb"] is not None:
+        with shell.stage("what would help", compiles=False):
+            shell.show(remedies(walks[name].scenario, float(metrics[name]["detached_at"] or 0.0), law))
+
+
+def verdict(trajectory: "mc.Trajectory", metrics: Metrics) -> str:
+    """Return in one line how the walk went."""
+    import numpy as np
+
+    failures = []
+    if metrics["detached_limb"] is not None:
+        failures.append(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
+    if metrics["diverged"]:
+        rows = [trajectory.base_position, trajectory.joint_rates, trajectory.foot_force, trajectory.joint_torque]
+        finite = np.all([np.isfinite(values).reshape(len(values), -1).all(1) for values in rows], axis=0)
+        at = trajectory.time[np.argmin(finite)] if not finite.all() else trajectory.time[-1]
+        failures.append(f"diverged at {at:.3f} s")
+    if failures:
+        return ", ".join(failures)
+    if missed := metrics.get("missed_grips"):
+        return f"every grip held, but {missed} missed the ground"
+    return "held all the way"

@@ -13,7 +13,7 @@ class Shell(NamedTuple):
 
     flag: str | None = None
     metavar: str | None = None
-    complete: str | None = None  # by which function of `tuning.command_line.completion`
+    complete: str | None = None  # config, ensemble, hardware, metric or key
     default_in_words: str | None = None
     argument: bool = False  # by its place, not by its name
 

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from tuning.benchmarks import commands, measure, operations
-from tuning.command_line import bench
+from tuning.command_line import machine
 
 
 def test_exponent_is_the_slope_of_the_logarithms():
@@ -59,14 +59,14 @@ def test_quick_bench_prints_every_figure_and_sane_ratios():
     output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     result = json.loads(output)
     left_out = {"gradient_cost_12", "batch_exponent", "step_exponent", "vs_mujoco_warp"}  # the last is for GPUs
-    assert {name for name, *_ in bench.ROWS} <= result.keys()
+    assert {name for name, *_ in machine.ROWS} <= result.keys()
     assert left_out == {name for name, value in result.items() if value is None}
     assert result["vs_mjx"] > 1.5
     assert result["vs_mujoco_c"] > 0.2
     assert result["vs_mujoco_batch"] > 0.5
     assert result["vs_numpy_loop_single"] > 1
     assert 1 < result["gradient_cost_2"] < 10
-    assert set(result["waits"]) == set(bench.QUICK)
+    assert set(result["waits"]) == set(machine.QUICK)
     run = result["waits"][commands.RUN]
     assert run["warm_cpu"] < run["cold_cpu"] / 1.5
     # fusion within a piece of a step repeats some; fusion of a whole step would repeat all six times

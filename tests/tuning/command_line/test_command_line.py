@@ -19,15 +19,16 @@ import tuning
 from mjx_climb import plots
 from mjx_climb.execution import devices
 from tests.shell import PROGRAM, ROOT, environment, finish
-from tuning.command_line import main, options, progress, sweep
-from tuning.command_line.ending import InputError, user_error
+from tuning.command_line import main, options, session, shards
 from tuning.command_line.from_models import made
+from tuning.command_line.program import InputError, user_error
 from tuning.gains import gains_file
 from tuning.output import comparisons
 from tuning.problem import evaluation
 from tuning.report import numbers, page
-from tuning.searches import schedule, shards
+from tuning.searches import schedule
 from tuning.searches import sweep as sweeps
+from tuning.searches.shards import Rows
 
 CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.2"]
@@ -397,7 +398,7 @@ def test_version_and_no_arguments(call):
 
 
 def test_ranges_are_even_on_a_logarithmic_scale():
-    grid = made(sweep.Grid, {"stiffness": "1e2:1e6:5", "axis": {"kp": ("1", "4", "3")}})
+    grid = made(shards.Grid, {"stiffness": "1e2:1e6:5", "axis": {"kp": ("1", "4", "3")}})
     axes = grid.work(options.Walk(config=Path(CONFIG))).axes
     np.testing.assert_allclose(axes["stiffness"], [1e2, 1e3, 1e4, 1e5, 1e6])
     np.testing.assert_allclose(axes["kp"], [1, 2, 4])
@@ -410,7 +411,7 @@ def test_a_long_sweep_says_before_how_long_it_takes(count, said, monkeypatch, ca
 
     monkeypatch.setattr(devices, "usable_cores", lambda: 2)
     monkeypatch.setattr(comparisons, "of_grid", lambda *_: None)
-    monkeypatch.setattr(shards.Rows, "walk", walk)
+    monkeypatch.setattr(Rows, "walk", walk)
     with pytest.raises(_Called):
         main(["sweep", CONFIG, "--stiffness", f"1:9:{count}", "--damping", f"1:9:{count}", "--out", str(tmp_path)])
     line = next(line for line in capsys.readouterr().err.splitlines() if "walks (" in line)
@@ -422,7 +423,7 @@ def test_a_long_sweep_says_before_how_long_it_takes(count, said, monkeypatch, ca
 
 
 def test_time_left_counts_only_what_is_done_since_the_last_compilation():
-    estimate = progress.Estimate(now=0.0)
+    estimate = session.Estimate(now=0.0)
     assert estimate.update(40, 100, now=1.0) is None  # found on disk
     assert estimate.update(50, 100, now=5.0) == pytest.approx(25.0)
     estimate.compiled(now=11.0)
@@ -431,12 +432,12 @@ def test_time_left_counts_only_what_is_done_since_the_last_compilation():
 
 
 def test_only_the_compilers_time_is_called_compiling():
-    with progress.Compilation() as watched:
+    with session.Compilation() as watched:
         watched.since -= 3.0
-        monitoring.record_event_duration_secs(progress.COMPILED, 2.0)
+        monitoring.record_event_duration_secs(session.COMPILED, 2.0)
         watched.since -= 5.0
-        monitoring.record_event(progress.FROM_CACHE)
-        monitoring.record_event_duration_secs(progress.COMPILED, 0.5)
+        monitoring.record_event(session.FROM_CACHE)
+        monitoring.record_event_duration_secs(session.COMPILED, 0.5)
     assert watched.seconds == {
         "compiling": pytest.approx(3.0, abs=0.5),
         "loading compiled programs from the cache": pytest.approx(5.0, abs=0.5),

@@ -12,7 +12,7 @@ import pytest
 
 from mjx_climb.checks import self_check
 from mjx_climb.rendering import RenderingError, backend
-from tuning.command_line import diagnosis, main
+from tuning.command_line import machine, main
 
 ROOT = Path(__file__).parents[3]
 PARTS = ["versions", "devices", "cache", "path", "renderer", "dynamics", "walk", "gradient"]
@@ -79,7 +79,7 @@ def test_what_is_no_number_is_compared_too(doctor, monkeypatch, name, value):
 
 
 def test_a_gpu_that_jax_does_not_use_is_seen(doctor, monkeypatch, tmp_path):
-    monkeypatch.setattr(diagnosis, "NVIDIA", tmp_path)
+    monkeypatch.setattr(machine, "NVIDIA", tmp_path)
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
     monkeypatch.setenv("JAX_PLATFORMS", "")
     code, found = doctor()
@@ -132,7 +132,7 @@ def test_a_part_that_breaks_down_is_a_finding_beside_the_others(monkeypatch, doc
     def devices():
         raise RuntimeError("no\nplugin")
 
-    monkeypatch.setattr(diagnosis, "devices", devices)
+    monkeypatch.setattr(machine, "devices", devices)
     monkeypatch.setattr(self_check, "measure", lambda: 1 / 0)
     code, found = doctor()
     assert code == 1

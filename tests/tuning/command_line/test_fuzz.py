@@ -14,7 +14,7 @@ from mjx_climb.rendering import backend
 from tests.fuzz import COMMANDS, Case, case
 from tests.shell import ends, start
 from tuning.benchmarks import measure
-from tuning.command_line import diagnosis, main, program
+from tuning.command_line import machine, main, program
 from tuning.evaluation import deployment
 from tuning.output import comparisons
 from tuning.problem import evaluation
@@ -39,7 +39,7 @@ def valid_input_stops_here(monkeypatch):
         (tuning.searches.schedule, ("pd_of",)),
         (deployment, ("check",)),
         (measure, ("measure",)),
-        (diagnosis, ("examine",)),
+        (machine, ("examine",)),
     ):
         for name in names:
             monkeypatch.setattr(module, name, start)

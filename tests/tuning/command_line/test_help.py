@@ -12,7 +12,7 @@ import mjx_climb as mc
 from mjx_climb.scenario import shipped
 from mjx_climb.walk.metrics import FAILURES
 from tests.shell import PROGRAM, ROOT, environment
-from tuning.command_line import completion, main
+from tuning.command_line import from_models, main
 from tuning.command_line.options import EngineName
 from tuning.command_line.program import COMMANDS
 from tuning.problem import search
@@ -113,7 +113,7 @@ def test_keys_of_the_scenario_complete(tmp_path):
 
 def test_names_written_for_completion_are_the_real_ones():
     assert set(get_args(EngineName)) == set(mc.ENGINES)
-    assert set(completion.METRICS) == set(mc.METRICS.names) - set(FAILURES)
+    assert set(from_models.METRICS) == set(mc.METRICS.names) - set(FAILURES)
     assert {"case_1_1", "case_1_2", "case_2", "limbero_like_cliff"} <= set(shipped.names())
 
 

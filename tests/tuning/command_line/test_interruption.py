@@ -17,7 +17,7 @@ from mjx_climb import plots
 from mjx_climb.execution.devices import LostProcess
 from mjx_climb.files import dataset
 from tests import interrupts
-from tuning.command_line import ending, interruption, main
+from tuning.command_line import interruption, main
 
 ROOT = Path(__file__).parents[3]
 RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.2"]
@@ -130,8 +130,8 @@ def test_the_second_signal_ends_what_lets_no_python_run(number):
 @pytest.mark.parametrize("asked", [True, False])
 def test_what_is_kept_is_said_where_another_process_was_stopped_first(asked, monkeypatch, tmp_path):
     monkeypatch.setattr(interruption, "requested", lambda: asked)
-    expected = (ending.Interrupted, "4 walks are kept") if asked else (LostProcess, "gone")
-    with pytest.raises(expected[0], match=expected[1]), ending.kept_in(tmp_path, "walks") as kept:
+    expected = (interruption.Interrupted, "4 walks are kept") if asked else (LostProcess, "gone")
+    with pytest.raises(expected[0], match=expected[1]), interruption.kept_in(tmp_path, "walks") as kept:
         kept.done = 4
         raise LostProcess("gone")
 

@@ -10,8 +10,8 @@ import time
 import pytest
 
 from tests.shell import ends, finish, killed, same_files, start, wait_for_parts
-from tuning.command_line import launcher
-from tuning.command_line.ending import InputError
+from tuning.command_line import processes
+from tuning.command_line.program import InputError
 
 SHORT = ["case_1_2", "--set", "duration=0.2"]
 SWEEP = ["sweep", *SHORT, "--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2", "--batch-size", "4"]
@@ -65,7 +65,7 @@ def launched(monkeypatch):
 )
 def test_a_launcher_is_recognised(variables, expected, launched):
     launched(variables)
-    found = launcher.process()
+    found = processes.process()
     assert (None if found is None else found[:3]) == expected
 
 
@@ -84,7 +84,7 @@ def test_a_launcher_is_recognised(variables, expected, launched):
 )
 def test_which_shard_a_process_walks(text, variables, shard, launched):
     launched(variables)
-    found, words = launcher.shard_from(text)
+    found, words = processes.shard_from(text)
     assert found == shard
     assert bool(words) == (text is not None or bool(variables))
     assert ("Slurm" in words) == (text is None and bool(variables))
@@ -98,15 +98,19 @@ GAPS = "expected several tasks without gaps"
 @pytest.mark.parametrize(
     ("asked", "variables", "expected"),
     [
-        (launcher.process, MPI, NOT_ADDRESSED),
-        (launcher.process, JAX | {"JAX_PROCESS_ID": "4"}, "JAX_PROCESS_ID: expected a number below the 4 of JAX_NUM"),
-        (launcher.process, JAX | {"JAX_PROCESS_ID": ""}, "JAX_PROCESS_ID: expected a whole number, got ''"),
-        (launcher.process, JAX | {"JAX_NUM_PROCESSES": "two"}, "JAX_NUM_PROCESSES: expected a whole number, got 'two'"),
-        *((lambda text=text: launcher.shard_from(text), {}, NO_SHARD) for text in ("0/4", "5/4", "1", "1/4/2")),
-        (lambda: launcher.shard_from(None), array(MIN="1", MAX="9"), GAPS),
-        (lambda: launcher.shard_from(None), array(ID="9"), GAPS),
-        (lambda: launcher.shard_from(None), array(ID="3", MIN="3", MAX="3", COUNT="1"), f"{GAPS}, got 1 from 3 to 3"),
-        (lambda: launcher.shard_from(None), array(COUNT=""), "SLURM_ARRAY_TASK_COUNT: expected a whole number"),
+        (processes.process, MPI, NOT_ADDRESSED),
+        (processes.process, JAX | {"JAX_PROCESS_ID": "4"}, "JAX_PROCESS_ID: expected a number below the 4 of JAX_NUM"),
+        (processes.process, JAX | {"JAX_PROCESS_ID": ""}, "JAX_PROCESS_ID: expected a whole number, got ''"),
+        (
+            processes.process,
+            JAX | {"JAX_NUM_PROCESSES": "two"},
+            "JAX_NUM_PROCESSES: expected a whole number, got 'tw",
+        ),
+        *((lambda text=text: processes.shard_from(text), {}, NO_SHARD) for text in ("0/4", "5/4", "1", "1/4/2")),
+        (lambda: processes.shard_from(None), array(MIN="1", MAX="9"), GAPS),
+        (lambda: processes.shard_from(None), array(ID="9"), GAPS),
+        (lambda: processes.shard_from(None), array(ID="3", MIN="3", MAX="3", COUNT="1"), f"{GAPS}, got 1 from 3 to 3"),
+        (lambda: processes.shard_from(None), array(COUNT=""), "SLURM_ARRAY_TASK_COUNT: expected a whole number"),
     ],
 )
 def test_a_launcher_or_a_shard_that_makes_no_sense(asked, variables, expected, launched):

@@ -11,7 +11,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD, law_of
 from mjx_climb.scenario.messages import ConfigError
 from tuning.command_line import main, options
-from tuning.command_line.ending import InputError
+from tuning.command_line.program import InputError
 from tuning.gains.own_section import taken
 from tuning.output.folder import write_config
 from tuning.problem import own_file

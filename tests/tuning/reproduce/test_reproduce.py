@@ -172,7 +172,7 @@ def test_nothing_is_said_of_a_walk_that_diverges():
 
 def test_all_claims_are_judged_and_shown():
     """The baseline that follows the actual base is judged where the paper's baseline fails; tables hold it all."""
-    from tuning.command_line import report
+    from tuning.report import numbers
 
     baseline = Walk(torn(2, 0.5), rippling(1.0))
     walks = {name: Walk(rippling(0.5)) for name in claims.METHODS} | {"pd": baseline, "pd_actual": baseline}
@@ -194,7 +194,7 @@ def test_all_claims_are_judged_and_shown():
     table = results.claims_table(found)
     row = dict(zip(table.columns, table.sections[0][1][0], strict=True))
     assert row["1.1 virtual model"] == row["2 measured pose"] == "yes, -50.0 %"
-    plain = json.loads(report.to_json(results.as_json(found)["cases"]["1.1"]))
+    plain = json.loads(numbers.to_json(results.as_json(found)["cases"]["1.1"]))
     assert plain["runs"]["pd"]["metrics_without_detachment"]["detached_at"] is None
     assert {claim["reading"] for claim in plain["claims"]} == set(claims.READINGS)
 

@@ -1,22 +1,29 @@
-"""What is going on, on standard error: a live bar on a terminal, plain lines in a file."""
+"""One command's tables and JSON, and its stages on standard error: a live bar on a terminal, plain lines in a file."""
 
 import contextlib
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
+from rich import box
+from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
-from tuning.command_line import interruption, report
+from tuning.command_line import interruption
+from tuning.command_line.program import origin
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     import mjx_climb as mc
+    from tuning.command_line.options import Output
+    from tuning.command_line.processes import Team
     from tuning.problem.evaluation import Problem
-    from tuning.searches.result import Written
+    from tuning.report import page
+    from tuning.report.comparison import Compared
+    from tuning.searches.result import Result, Written
 
+WIDTH = 100  # of tables in a file
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
 WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers
@@ -69,8 +76,7 @@ class Estimate:
 
     def update(self, done: int, total: int, now: float) -> float | None:
         """Return the seconds left once `done` of `total` are done."""
-        if self.base is None:
-            self.base = done
+        self.base = done if self.base is None else self.base
         self.done = done
         if done == total:
             return 0.0
@@ -83,13 +89,23 @@ class Estimate:
 
 
 class Session:
-    """One command: where its tables and its JSON go, and its stages, one after the other, on standard error."""
+    """One command: its folder, where its tables and its JSON go, and its stages, one after the other."""
 
-    def __init__(self, stdout: TextIO, json_only: bool = False):
+    def __init__(self, stdout: TextIO, output: "Output"):
         self.begin = time.perf_counter()
-        self.console = report.console(stderr=True)
-        self.tables = self.console if json_only else report.console(file=stdout)
-        self._json = stdout if json_only else None
+        self.console = console(stderr=True)
+        self.tables = self.console if output.json_only else console(file=stdout)
+        self.output, self.name, self.out = output, "", Path()
+        self._json = stdout if output.json_only else None
+
+    def claim(self, file: str, name: str, *kind: str, team: "Team | None" = None, at: Path | None = None) -> Path:
+        """Take the folder of a result, `at` or by default results/NAME-KIND, which is known by a file in it."""
+        from tuning.output.folder import check_own
+
+        self.name, out = name, at or self.output.out or Path("results") / "-".join((name, *kind))
+        self.out = out if team is None else team.folder(out)
+        check_own(self.out, file)
+        return self.out
 
     def say(self, *lines: str) -> None:
         """Print lines beside the results."""
@@ -112,17 +128,29 @@ class Session:
 
         self.say(_cache_state(), *(f"warning: {line}" for line in (remarks.ahead_of(scenario) if scenario else ())))
 
-    def written(self, out: Path, files: str, json: str, before: str = "") -> None:
+    def write(self, found: "Result", again: str, compared: Any = None) -> "Written":
+        """Write a result with its report, in which `again` is the command that repeats it."""
+        made = origin(self.name, again)
+        return found.write(self.out, origin=made, figures=self.output.figures, stage=self.stage, compared=compared)
+
+    def written(self, files: str, json: str, before: str = "") -> None:
         """Say what was written in which time, and print the JSON where it was asked for."""
-        self.say(f"{before}written to {out} in {duration(time.perf_counter() - self.begin)}: {files}")
+        self.say(f"{before}written to {self.out} in {duration(time.perf_counter() - self.begin)}: {files}")
         self.print_json(json)
 
-    def result(
-        self, out: Path, problem: "Problem", written: "Written", *, gains: bool = False, before: str = ""
-    ) -> None:
+    def result(self, problem: "Problem", written: "Written", *, gains: bool = False, before: str = "") -> None:
         """Print what a result says, `gains` axis by axis with it, and what was written."""
-        self.show(*report.tables_of(written, problem, self.tables.width, gains=gains))
-        self.written(out, written.files, written.summary, before)
+        from tuning.report import comparison
+        from tuning.report.pages import judged_table
+
+        if written.summed is not None:
+            self.show(from_page(judged_table(written.summed, problem.metrics)))
+        else:
+            self.show(comparison_table(written.compared, "pd", self.tables.width, problem.metrics, problem.law))
+            if gains:
+                self.show(from_page(comparison.gains_table(written.compared, problem.law)))
+        self.show(*written.outcome)
+        self.written(written.files, written.summary, before)
 
     @contextlib.contextmanager
     def stage(self, name: str, *, compiles: bool = True, unit: str = "walks") -> Iterator[Callable[..., None]]:
@@ -150,7 +178,7 @@ class Session:
             if done or left is not None:
                 bar.update(task, description=text, completed=done, total=total)
             if done and not self.console.is_terminal:
-                self.console.print(text, soft_wrap=True)
+                self.say(text)
             interruption.check()
 
         with Compilation(compiled) as compilation, bar:
@@ -160,12 +188,52 @@ class Session:
         self.console.print(text + (f", of which {' and '.join(spent)}" if spent else ""))
 
 
+def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
+    """Return where people read: plain text of a fixed width unless it is a terminal."""
+    made = Console(file=file, stderr=stderr, highlight=False, markup=False, emoji=False)
+    if not made.is_terminal:
+        made.width = WIDTH
+    return made
+
+
+def plain_table(*columns: str) -> Table:
+    """Return an empty table: words to the left, numbers to the right."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
+    for name in columns:
+        left = name in ("", "metric", "unit")
+        table.add_column(name, justify="left" if left else "right", no_wrap=True)
+    return table
+
+
+def from_page(made: "page.Table") -> Table:
+    """Return a table of a report for the terminal."""
+    table = plain_table(*made.columns)
+    for place, column in enumerate(table.columns):
+        column.justify = "left" if place < made.words else "right"
+    for _, rows in made.sections:
+        for row in rows:
+            table.add_row(*row, end_section=row is rows[-1])
+    return table
+
+
+def comparison_table(
+    walks: "Compared", baseline: str, width: int, about: "mc.MetricTable", law: "mc.Law | None" = None
+) -> Table:
+    """Return walks side by side, each with its change against the baseline where `width` characters have room."""
+    from tuning.report import comparison
+
+    columns: list[tuple[str, str | None]] = []
+    for name in walks:
+        columns.append((name, None))
+        if name != baseline and width >= 38 + 19 * (len(walks) - 1):
+            columns.append((name, baseline))
+    return from_page(comparison.table(walks, "", about, law, columns))
+
+
 def duration(seconds: float) -> str:
     """Return a length of time as a person would say it."""
-    if seconds < 10:
-        return f"{seconds:.1f} s"
     if seconds < 120:
-        return f"{seconds:.0f} s"
+        return f"{seconds:.{1 if seconds < 10 else 0}f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
@@ -178,6 +246,5 @@ def _cache_state() -> str:
     if folder is None:
         return f"compilation cache: off ({cache.VARIABLE})"
     with contextlib.suppress(OSError):
-        count = len(list(Path(folder).glob("*-cache")))
-        return f"compilation cache: {folder}, {count or 'no'} programs"
+        return f"compilation cache: {folder}, {len(list(Path(folder).glob('*-cache'))) or 'no'} programs"
     return f"compilation cache: {folder}"
