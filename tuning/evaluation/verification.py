@@ -17,7 +17,7 @@ from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, Score
-from tuning.searches.methods.staged import CANDIDATES
+from tuning.searches.methods.descents import CANDIDATES
 from tuning.searches.result import Tuned
 from tuning.searches.sweep import sweep
 from tuning.searches.tune import problem_of

@@ -27,8 +27,8 @@ from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Pareto, Search
 from tuning.problem.spaces import as_gains, to_gains64
 from tuning.searches import retuned_pd, tune
-from tuning.searches.methods import Request, Task, gradient
-from tuning.searches.methods.staged import Leg
+from tuning.searches.methods import Request, Task
+from tuning.searches.methods.descents import Leg, by_adam
 from tuning.searches.parts import Parts
 from tuning.searches.result import Result
 from tuning.searches.rounds import Callback, Rounds, follow
@@ -167,7 +167,7 @@ def run(
         for number, ties in enumerate(stages):
             theta = _best_within(_walked(problem, asked, rounds), _sign(about) * limits)
             scales, phase = np.full(len(theta), 0.5 * 0.6**number), f"descent {number + 1} of {STAGES}"
-            moves = gradient.descend(task, Leg(theta, ties, ITERATIONS, phase, scales), rng)
+            moves = by_adam(task, Leg(theta, ties, ITERATIONS, phase, scales), rng)
             follow(moves, lambda request: rounds.evaluate(rows, request))
     walked = _walked(problem, asked, rounds)
     data = _dataset(problem, asked, walked, _sign(about) * limits[-1])

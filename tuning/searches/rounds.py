@@ -1,4 +1,4 @@
-"""Rounds of a search: batches of points are evaluated, kept on disk, recorded and reported.
+"""Rounds of a search: a method asks for batches of points; they are evaluated, kept on disk, recorded and reported.
 
 A method is a generator: it yields the points that it wants evaluated and receives what they are worth. It is
 deterministic, so a search that was killed goes on by running its method again from the start on the rounds that its
@@ -11,12 +11,57 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from mjx_climb.files.writing import OutputError
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
 from tuning.problem.evaluation import Evaluation, Problem
-from tuning.searches.methods.task import Request, check_request
+from tuning.problem.search import Search
 from tuning.searches.parts import Parts
 
 _Returned = TypeVar("_Returned")
+
+
+class Task(NamedTuple):
+    """What a method is given."""
+
+    problem: Problem
+    search: Search
+    start: np.ndarray  # (n,) the scenario's own gains
+
+
+class Request(NamedTuple):
+    """Points that a method wants evaluated."""
+
+    theta: np.ndarray  # (B, n)
+    directions: np.ndarray | None  # (k, n) along which tangents are wanted
+    phase: str
+
+    @property
+    def tangents(self) -> int:
+        """How many tangents are wanted."""
+        return 0 if self.directions is None else len(self.directions)
+
+
+Points = Generator[Request, Evaluation, None]
+
+
+class Method(NamedTuple):
+    """A method: its rounds in all, and the generator of its requests. The same task gives the same requests."""
+
+    rounds: Callable[[Task], int]
+    run: Callable[[Task], Points]
+
+
+def as_method(method: Method | Callable[[Task], Points]) -> Method:
+    """Return a method; the rounds of a bare function are the setting `iterations`, 0 where that is not set.
+
+    Raises:
+        ConfigError: neither a method nor a function.
+    """
+    if isinstance(method, Method):
+        return method
+    if not callable(method):
+        raise ConfigError(f"method: expected a name, a Method, or a function of a Task, got {method!r}")
+    return Method(lambda task: task.search.iterations or 0, method)
 
 
 class Progress(NamedTuple):
@@ -110,6 +155,24 @@ class Rounds:
         metrics = {name.removeprefix("metric_"): v for name, v in stored.items() if name.startswith("metric_")}
         fields: dict[str, Any] = {name: stored[name] for name in Evaluation._fields[:-1]}
         return Evaluation(**fields, metrics=metrics)
+
+
+def check_request(request: Request, n: int) -> None:
+    """Refuse what asks for no points (B, n).
+
+    Raises:
+        ConfigError: in one line, what was expected.
+    """
+    expected = f"method: expected a Request of finite theta (B, {n}), got"
+    if not isinstance(request, Request):
+        raise ConfigError(f"{expected} a {type(request).__name__}")
+    theta = np.asarray(request.theta)
+    if not np.isfinite(theta).all():
+        raise ConfigError(f"{expected} {theta.shape} with values that are not finite")
+    if theta.ndim != 2 or not len(theta) or theta.shape[1] != n:
+        raise ConfigError(f"{expected} {theta.shape}")
+    if request.directions is not None and np.shape(request.directions)[1:] != (n,):
+        raise ConfigError(f"method: expected directions (k, {n}), got {np.shape(request.directions)}")
 
 
 def _stored(found: Evaluation, theta: np.ndarray) -> dict[str, np.ndarray]:

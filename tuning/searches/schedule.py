@@ -31,8 +31,8 @@ from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
 from tuning.problem.spaces import to_gains64
 from tuning.searches import retuned_pd, tune
-from tuning.searches.methods import Request, Task, gradient
-from tuning.searches.methods.staged import Leg
+from tuning.searches.methods import Request, Task
+from tuning.searches.methods.descents import Leg, by_adam
 from tuning.searches.parts import Parts
 from tuning.searches.result import Result
 from tuning.searches.rounds import Callback, Rounds, follow
@@ -175,7 +175,7 @@ def run(
             ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
             phase, scales = f"descent {number + 1} of {len(ITERATIONS)}", np.full(count, 0.5 * 0.6**number)
             task = Task(points.at(here), search, own)
-            moves = gradient.descend(task, Leg(best.copy(), ties, iterations, phase, scales), rng)
+            moves = by_adam(task, Leg(best.copy(), ties, iterations, phase, scales), rng)
             follow(moves, lambda request: evaluate(request, here))
             crossed = evaluate(Request(best[pairs[1]], None, "gains of the neighbours"), pairs[0])
     transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(count, count)

@@ -25,10 +25,9 @@ from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
 from tuning.searches.methods import METHODS, Method, Points, Task
-from tuning.searches.methods.task import as_method
 from tuning.searches.parts import Parts, identity_of
 from tuning.searches.result import Robust, Tuned, from_rounds
-from tuning.searches.rounds import Callback, Rounds, follow
+from tuning.searches.rounds import Callback, Rounds, as_method, follow
 
 
 def tune(
@@ -56,7 +55,7 @@ def tune(
             in `tune(scenario, method="gradient", space="diagonal")`.
         method: the name of a shipped one; or one of your own, as a function that yields a `Request` of points and
             receives what they are worth, or a `Method` that knows its rounds besides; see
-            `tuning.searches.methods.task`. It must ask for the same when it is given the same.
+            `tuning.searches.rounds`. It must ask for the same when it is given the same.
         objective: a pure function of the metrics in place of the weighted terms, see
             `tuning.problem.objectives.Objective`.
         metrics: of the walks, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may name them. The

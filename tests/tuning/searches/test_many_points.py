@@ -15,8 +15,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
 from tuning.searches import tune
 from tuning.searches.methods import cma_es
-from tuning.searches.methods.task import Task
-from tuning.searches.rounds import follow
+from tuning.searches.rounds import Task, follow
 
 SIZE = 6
 BOTTOM = np.linspace(0.2, 0.8, SIZE)

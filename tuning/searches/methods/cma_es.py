@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mjx_climb import execution
-from tuning.searches.methods.task import Points, Request, Task
+from tuning.searches.rounds import Points, Request, Task
 
 if TYPE_CHECKING:
     from cmaes import CMA

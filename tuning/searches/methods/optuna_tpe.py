@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 
 from mjx_climb.scenario.messages import ConfigError
-from tuning.searches.methods.task import Points, Request, Task
+from tuning.searches.rounds import Points, Request, Task
 
 BATCH = 16
 ROUNDS = 40

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from mjx_climb.scenario.messages import ConfigError
-from tuning.searches.methods.task import Points, Request, Task
+from tuning.searches.rounds import Points, Request, Task
 
 POINTS = {1: 64, 2: 24, 3: 10, 4: 6}  # per coordinate, by the number of coordinates
 MOST = 4  # coordinates; a grid of more is no search
