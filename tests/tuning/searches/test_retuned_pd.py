@@ -95,6 +95,9 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     assert worth(OURS, THEIRS, RIVAL._replace(lacks="on a grid alone")).in_words.startswith(
         "no verdict on the force sensor, since pd was searched on a grid alone: 25.0 % less"
     )
+    two = worth({"objective": 0.6} | OURS, {"objective": 0.8} | THEIRS, RIVAL)
+    assert two.changes == pytest.approx({"objective": -0.25, "force_variation": -0.25})
+    assert two.in_words.startswith("the force sensor pays: 25.0 % less objective and 25.0 % less force variation than")
     behind = worth(THEIRS, OURS, RIVAL._replace(lacks="on a grid alone"), place=" on this grid").in_words
     assert behind.startswith("the force sensor does not pay on this grid: 33.3 % more force variation")
     for pair in ((OURS, THEIRS), (THEIRS, OURS)):

@@ -17,7 +17,7 @@ from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, pd_of
 from tuning.problem.objectives import Objective, Term, objective
-from tuning.searches import judge, retuned_pd, tune
+from tuning.searches import judge, tune
 from tuning.searches.shards import Rows
 
 FAST = ["duration=0.3"]
@@ -271,18 +271,6 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
     assert judge.binding(level, goal, "mine") == ["mean of the worst 20% of force variation no worse than pd's"]
     lost = judgement(diverged=[[True, False], [False, False]], force_variation=[[1.0, 2.0], [2.0, 4.0]])
     assert judge.broken(lost, goal).sel(gains="mine").values.tolist() == [0.5] * len(goal.limits)
-
-
-def test_what_a_force_sensor_is_worth():
-    retuned = retuned_pd.Rival({"kp": 25.0, "kd": 0.5}, 0.8)
-    without = {"objective": 0.8, "force_variation": 50.0}
-    less = retuned_pd.worth({"objective": 0.6, "force_variation": 30.0}, without, retuned)
-    assert less.changes == pytest.approx({"objective": -0.25, "force_variation": -0.4})
-    assert less.in_words.startswith("the force sensor pays: 25.0 % less objective and 40.0 % less force variation than")
-    more = retuned_pd.worth({"objective": 0.9, "force_variation": 51.0}, without, retuned)
-    assert more.in_words.startswith("the force sensor does not pay: 12.5 % more objective and 2.0 % more force")
-    lost = retuned_pd.worth({"objective": np.nan, "force_variation": 51.0}, without, retuned)
-    assert "not to be compared" in lost.in_words
 
 
 @pytest.mark.slow

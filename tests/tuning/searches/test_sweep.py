@@ -17,7 +17,6 @@ from mjx_climb.rollouts.histories import LINES
 from tuning.problem.evaluation import Problem
 from tuning.searches import parts
 from tuning.searches import sweep as sweeps
-from tuning.searches.parts import Parts
 from tuning.searches.shards import Rows
 from tuning.searches.sweep import sweep
 
@@ -114,15 +113,6 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path, differs, changes
     (tmp_path / parts.FOLDER / "identity.json").write_text("{")
     with pytest.raises(OutputError):
         kept(scenario, tmp_path)
-
-
-def test_damaged_part_is_walked_again(tmp_path):
-    some = Parts(tmp_path, {"a": 1.5})
-    some.save(0, {"x": np.arange(3)})
-    np.testing.assert_array_equal(some.load(0)["x"], np.arange(3))
-    file = next((tmp_path / parts.FOLDER).glob("*.npz"))
-    os.truncate(file, file.stat().st_size // 2)
-    assert some.load(0) is None and some.load(1) is None
 
 
 @pytest.mark.parametrize("axis", [[], [0.0, 1.0], [1.0, np.nan], [1.0, np.inf], [[1.0]]])
