@@ -8,7 +8,6 @@ was walked on the way is a candidate; the front is what nothing else beats in bo
 import dataclasses
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from tuning.problem.search import Pareto, Search
 from tuning.problem.spaces import as_gains, to_gains64
 from tuning.searches import retuned_pd, tune
 from tuning.searches.methods import Request, Task
-from tuning.searches.methods.descents import Leg, by_adam
+from tuning.searches.methods.descents import again
 from tuning.searches.parts import Parts
 from tuning.searches.result import Result
 from tuning.searches.rounds import Callback, Rounds, follow
@@ -150,8 +149,7 @@ def run(
     assert isinstance(plain, Objective)
     settings = _bettering(search, asked)
     front = [asked.better, asked.against, asked.points]
-    stages = [space.ties] + [np.eye(space.size) if len(space.ties) < space.size else space.ties] * (STAGES - 1)
-    parts = Parts(None if out is None else Path(out), lambda: tune.search_identity(problem, settings, front=front))
+    parts = Parts(out, lambda: tune.search_identity(problem, settings, front=front))
     rounds = Rounds(1 + STAGES * ITERATIONS, parts, progress)
     start = np.concatenate([tune.start_of(problem)[None], space.draw_tied(rng, CANDIDATES - 1)])
     with parts:
@@ -164,10 +162,9 @@ def run(
         others = tuple(limit for limit in plain.limits if limit.metric != asked.against)
         rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*others, ceiling)))
         task = Task(rows, settings, start[0])
-        for number, ties in enumerate(stages):
+        for number in range(STAGES):
             theta = _best_within(_walked(problem, asked, rounds), _sign(about) * limits)
-            scales, phase = np.full(len(theta), 0.5 * 0.6**number), f"descent {number + 1} of {STAGES}"
-            moves = by_adam(task, Leg(theta, ties, ITERATIONS, phase, scales), rng)
+            moves = again(task, theta, ITERATIONS, number, STAGES, rng)
             follow(moves, lambda request: rounds.evaluate(rows, request))
     walked = _walked(problem, asked, rounds)
     data = _dataset(problem, asked, walked, _sign(about) * limits[-1])

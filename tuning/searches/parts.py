@@ -5,6 +5,7 @@ import hashlib
 import importlib.metadata
 import io
 import json
+import os
 import shutil
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -34,16 +35,18 @@ class Parts:
     Where `out` is None nothing is kept.
     """
 
-    def __init__(self, out: Path | None, identity: Mapping[str, Any] | Callable[[], Mapping[str, Any]]):
+    def __init__(
+        self, out: str | os.PathLike[str] | None, identity: Mapping[str, Any] | Callable[[], Mapping[str, Any]]
+    ):
         """Claim `out`/parts for the computation that `identity` (plain JSON values) determines bit by bit.
 
         Raises:
             OutputError: the folder cannot be written, or holds parts of another computation.
         """
-        self.out, self._disk, self._saving = out, None, None
-        if out is None:
+        self.out, self._disk, self._saving = None if out is None else Path(out), None, None
+        if self.out is None:
             return
-        self.folder = Path(out) / FOLDER
+        self.folder = self.out / FOLDER
         self._identity = json.dumps(identity() if callable(identity) else identity)
         wanted = json.loads(self._identity)
         stored = identity_in(self.folder)

@@ -8,7 +8,6 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -32,7 +31,7 @@ from tuning.problem.search import Schedule, Search
 from tuning.problem.spaces import to_gains64
 from tuning.searches import retuned_pd, tune
 from tuning.searches.methods import Request, Task
-from tuning.searches.methods.descents import Leg, by_adam
+from tuning.searches.methods.descents import again
 from tuning.searches.parts import Parts
 from tuning.searches.result import Result
 from tuning.searches.rounds import Callback, Rounds, follow
@@ -151,9 +150,7 @@ def run(
     space, rng, own = problem.space, np.random.default_rng(search.seed), tune.start_of(problem)
     asked = [list(points.asked.gravity), list(points.asked.cargo)]
     plain = dataclasses.replace(problem, parameters=None)  # the operating points say which they are
-    parts = Parts(
-        None if out is None else Path(out), lambda: tune.search_identity(plain, search, operating_points=asked)
-    )
+    parts = Parts(out, lambda: tune.search_identity(plain, search, operating_points=asked))
     rounds = Rounds(1 + sum(ITERATIONS) + 2, parts, progress)
     best, merit = np.tile(own, (count, 1)), np.full(count, np.inf)
 
@@ -172,10 +169,8 @@ def run(
         drawn = np.concatenate([own[None], space.draw_tied(rng, CANDIDATES - 1)])
         evaluate(Request(np.tile(drawn, (count, 1)), None, "random points"), np.repeat(here, CANDIDATES))
         for number, iterations in enumerate(ITERATIONS):
-            ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
-            phase, scales = f"descent {number + 1} of {len(ITERATIONS)}", np.full(count, 0.5 * 0.6**number)
             task = Task(points.at(here), search, own)
-            moves = by_adam(task, Leg(best.copy(), ties, iterations, phase, scales), rng)
+            moves = again(task, best.copy(), iterations, number, len(ITERATIONS), rng)
             follow(moves, lambda request: evaluate(request, here))
             crossed = evaluate(Request(best[pairs[1]], None, "gains of the neighbours"), pairs[0])
     transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(count, count)

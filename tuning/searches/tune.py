@@ -4,7 +4,6 @@ import dataclasses
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -140,7 +139,7 @@ def run(
 ) -> Tuned:
     """Search a problem from start to end; arguments, result and errors as of `tune`."""
     task, chosen = Task(problem, search, start_of(problem)), method or METHODS[search.method]
-    parts = Parts(None if out is None else Path(out), lambda: search_identity(problem, search, method=method))
+    parts = Parts(out, lambda: search_identity(problem, search, method=method))
     rounds, interrupted = Rounds(chosen.rounds(task), parts, progress), False
     with parts:
         try:

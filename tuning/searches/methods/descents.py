@@ -98,6 +98,14 @@ FALL = 10.0  # by how many times its value (1 for pd) a point is worse than the 
 BACK = 0.5  # share of its steps that a start keeps which goes back to its best point
 
 
+def again(task: Task, theta: np.ndarray, iterations: int, number: int, of: int, rng: np.random.Generator) -> Descent:
+    """Descend for the given time of several, from 0: first with the axes tied, each time with shorter steps."""
+    space = task.problem.space
+    ties = np.eye(space.size) if number and len(space.ties) < space.size else space.ties
+    scales = np.full(len(theta), 0.5 * 0.6**number)
+    return by_adam(task, Leg(theta, ties, iterations, f"descent {number + 1} of {of}", scales), rng)
+
+
 class Pace(NamedTuple):
     """How a descent moves."""
 
