@@ -55,12 +55,7 @@ class Export(Options):
     engine: EngineName = ENGINE
 
     def scenario(self) -> "mc.Scenario | None":
-        """Return the scenario in which the gains must hold, at the update rate, None without one.
-
-        Raises:
-            ConfigError: a law that is not the one that is written.
-            InputError: an update rate that it cannot have, or hardware without a scenario.
-        """
+        """Return the scenario in which the gains must hold, at the update rate, None without one."""
         from mjx_climb.scenario.messages import config_error
 
         beside = self.gains.parent / _BESIDE
@@ -121,11 +116,7 @@ def export(asked: Export) -> None:
 
 
 def _written(asked: Export, gains: "mc.Gains", scenario: "mc.Scenario | None") -> tuple[str, list[str]]:
-    """Return the gains in the form that was asked for, and notes on it.
-
-    Raises:
-        ConfigError: gains that this form cannot have, or that its controller makes unstable.
-    """
+    """Return the gains in the form that was asked for, and notes on it."""
     from mjx_climb.control import law_of
     from mjx_climb.control.virtual_mass import Motion
     from tuning.gains import admittance_control, gains_tables, ros2_control

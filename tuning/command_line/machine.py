@@ -8,7 +8,7 @@ import platform
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,8 +24,6 @@ from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-    from mjx_climb.checks.self_check import Deviation
 
 WORDS = ("measure", "unit", "command", "goal on two cores")  # columns that hold no numbers
 BATCH = 1024
@@ -152,19 +150,16 @@ class Part:
 
 def examine() -> list[Part]:
     """Return all parts, in the order in which they depend on each other."""
-    return [
-        part for examination in (versions, devices, cache, path, renderer, simulation) for part in _guarded(examination)
-    ]
-
-
-def _guarded(examination: Callable[[], Part | list[Part]]) -> list[Part]:
-    interruption.check()
-    try:
-        found = examination()
-    except Exception as error:  # whatever it is, the other parts are still of interest
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        return [Part(examination.__name__, "could not be examined", {}, (reason,))]
-    return found if isinstance(found, list) else [found]
+    parts: list[Part] = []
+    for examination in (versions, devices, cache, path, renderer, simulation):
+        interruption.check()
+        try:
+            found = examination()
+            parts += found if isinstance(found, list) else [found]
+        except Exception as error:  # whatever it is, the other parts are still of interest
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            parts.append(Part(examination.__name__, "could not be examined", {}, (reason,)))
+    return parts
 
 
 def versions() -> Part:
@@ -272,29 +267,16 @@ def simulation() -> list[Part]:
         measured = self_check.measure()
     found = self_check.deviations(measured, self_check.load())
     dynamics = {name: found[name] for name in found if name not in SIMULATION}
-    groups = {"dynamics": dynamics, **{name: {name: found[name]} for name in SIMULATION}}
-    return [_compared(name, group, self_check.TOLERANCE) for name, group in groups.items()]
-
-
-def _compared(name: str, group: "Mapping[str, Deviation]", tolerance: float) -> Part:
-    largest = max(deviation.size for deviation in group.values())
-    findings = tuple(
-        f"{source}: {found.name} is {found.value}, stored is {found.stored}"
-        for source, found in group.items()
-        if not found.size <= tolerance
-    )
-    what = f"{', '.join(group)} " if len(group) > 1 else ""
-    text = f"{what}{'off' if findings else 'as stored'}, largest relative deviation {largest:.1g} (limit {tolerance:g})"
-    sizes = {source: found.size if math.isfinite(found.size) else None for source, found in group.items()}
-    return Part(name, text, {"deviation": sizes}, findings)
-
-
-def verdict(parts: list[Part]) -> str:
-    """Return the outcome in one sentence."""
-    wrong = [part.name for part in parts if part.findings]
-    if not wrong:
-        return "All is well: physics and gradients on this machine are those stored with the package."
-    return f"Something is wrong with {' and '.join([', '.join(wrong[:-1]), wrong[-1]] if len(wrong) > 1 else wrong)}."
+    parts, limit = [], self_check.TOLERANCE
+    for name, group in (("dynamics", dynamics), *((name, {name: found[name]}) for name in SIMULATION)):
+        off = {source: each for source, each in group.items() if not each.size <= limit}
+        findings = tuple(f"{source}: {o.name} is {o.value}, stored is {o.stored}" for source, o in off.items())
+        what = f"{', '.join(group) if len(group) > 1 else ''} {'off' if off else 'as stored'}".strip()
+        largest = max(each.size for each in group.values())
+        text = f"{what}, largest relative deviation {largest:.1g} (limit {limit:g})"
+        sizes = {source: each.size if math.isfinite(each.size) else None for source, each in group.items()}
+        parts.append(Part(name, text, {"deviation": sizes}, findings))
+    return parts
 
 
 @command()
@@ -316,8 +298,11 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
     with reserved_stdout() as stdout:
         begin = time.perf_counter()
         parts = examine()
-        said = verdict(parts)
-        sound = not any(part.findings for part in parts)
+        wrong = [part.name for part in parts if part.findings]
+        sound = not wrong
+        said = "All is well: physics and gradients on this machine are those stored with the package."
+        if wrong:
+            said = f"Something is wrong with {' and '.join(filter(None, [', '.join(wrong[:-1]), wrong[-1]]))}."
         if output.json_only:
             found = {part.name: {**part.facts, "findings": list(part.findings)} for part in parts}
             print(dumps({"sound": sound, "verdict": said, "parts": found}, indent=2, allow_nan=False), file=stdout)

@@ -19,6 +19,8 @@ from tuning.command_line.program import ARGUMENTS, InputError, user_error
 
 SHARD = "I/N"
 _ARRAY = "SLURM_ARRAY_TASK_"
+# with these JAX finds out by itself where process 0 is
+_OF_SLURM = ("SLURM_JOB_ID", "SLURM_STEP_NODELIST", "SLURM_NTASKS", "SLURM_PROCID", "SLURM_LOCALID")
 _LONGEST = 1000  # bytes of a message from one process to the others
 PATIENCE = 300  # s, until all processes must have met
 
@@ -50,18 +52,13 @@ def process() -> Process | None:
         if (number := _number(rank)) >= count:
             raise InputError(f"{rank}: expected a number below the {count} of {size}, got {number}")
         address = os.environ.get("JAX_COORDINATOR_ADDRESS")
-        if address is None and not _found_by_jax():
+        found_by_jax = "OMPI_MCA_orte_hnp_uri" in os.environ or all(name in os.environ for name in _OF_SLURM)
+        if address is None and not found_by_jax:
             raise InputError(
                 f"JAX_COORDINATOR_ADDRESS: expected host:port of process 0 beside {size}={count}, got none"
             )
         return Process(number, count, address, said)
     return None
-
-
-def _found_by_jax() -> bool:
-    """Return whether JAX finds out by itself where process 0 is."""
-    slurm = ("SLURM_JOB_ID", "SLURM_STEP_NODELIST", "SLURM_NTASKS", "SLURM_PROCID", "SLURM_LOCALID")
-    return "OMPI_MCA_orte_hnp_uri" in os.environ or all(name in os.environ for name in slurm)
 
 
 def _number(name: str, default: str = "") -> int:
@@ -84,12 +81,6 @@ def shard_from(text: str | None) -> tuple[tuple[int, int] | None, str]:
         return (None, "all shards") if shard == (1, 1) else (shard, f"shard {text}")
     if f"{_ARRAY}ID" not in os.environ:
         return None, ""
-    number, count = _of_array()
-    return (number, count), f"shard {number}/{count}, this task of a Slurm array"
-
-
-def _of_array() -> tuple[int, int]:
-    """Return number and count of this task among those of its array."""
     task, first, last, count = (_number(f"{_ARRAY}{name}") for name in ("ID", "MIN", "MAX", "COUNT"))
     step = _number(f"{_ARRAY}STEP", "1")
     steps, rest = divmod(task - first, max(step, 1))
@@ -98,7 +89,7 @@ def _of_array() -> tuple[int, int]:
             f"{_ARRAY}ID: expected several tasks without gaps, got {count} from {first} to {last}: which shard this "
             "one walks, as 3/16, or 1/1 for all, is for --shard to say"
         )
-    return steps + 1, count
+    return (steps + 1, count), f"shard {steps + 1}/{count}, this task of a Slurm array"
 
 
 class Team:
@@ -122,10 +113,14 @@ class Team:
 
         self.heard = True
         self.agree(hashlib.sha256(repr((ARGUMENTS.get(), asked)).encode()).digest())
-        archive = _from_first(b"" if self._process.number else _packed(kept / "parts"))
+        buffer, folder = io.BytesIO(), kept / "parts"
+        if self._process.number == 0 and folder.is_dir():
+            with tarfile.open(fileobj=buffer, mode="w") as files:
+                files.add(folder, "parts")
+        archive = _from_first(buffer.getvalue())
         if self._process.number and archive:
             with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-                files.extractall(kept / "parts", filter="data")
+                files.extractall(kept, filter="data")
 
     def agree(self, digest: bytes, problem: str = "") -> None:
         """Hear from all processes what they were asked, and what went wrong there: InputError where anything did."""
@@ -224,19 +219,6 @@ def _to_nowhere(stream: int) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream)
     os.close(nowhere)
-
-
-def _packed(folder: Path) -> bytes:
-    """Return a folder with all below it as an archive, nothing where there is none."""
-    if not folder.is_dir():
-        return b""
-    import tarfile
-
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w") as files:
-        for file in sorted(folder.iterdir()):
-            files.add(file, file.name)
-    return buffer.getvalue()
 
 
 def _from_first(content: bytes) -> bytes:
