@@ -11,9 +11,8 @@ from jax import Array, lax
 from jax.extend import core
 
 from mjx_climb.execution.element_operations import Operations
-from mjx_climb.execution.elements import Elements, Number, Value, known
+from mjx_climb.execution.elements import Elements, Number, Value, Writer, known
 from mjx_climb.execution.trigonometry import in_single
-from mjx_climb.execution.writer import Writer
 
 # Operands of an elementwise operation that must have the shape of its result; others may be single numbers.
 _WHOLE: dict[str, Callable[[int], bool]] = {

@@ -24,11 +24,12 @@ from jax.extend import core
 
 from mjx_climb.execution.activity import Has, by_axis, carried_on, mapped, reached
 from mjx_climb.execution.array_writer import ArrayWriter
-from mjx_climb.execution.element_operations import Operations, can_write
+from mjx_climb.execution.element_operations import Operations
+from mjx_climb.execution.element_rules import can_write, results
+from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import flat, needed, region, runs, variables_of
 from mjx_climb.execution.jax_internals import new_program, scan_sizes
 from mjx_climb.execution.limbs import LimbAxes
-from mjx_climb.execution.unsupported import Unsupported
 
 EQUATIONS = 250  # in a region: with fewer the calls cost more
 STORED_FROM = 3  # operations
@@ -117,11 +118,11 @@ class _Program(NamedTuple):
             ]
             return [
                 writer.array(do, found, v.aval, self.limbs.of(v), has)
-                for v, found, has in zip(part.jaxpr.outvars, do.closed(part, elements), varies, strict=True)
+                for v, found, has in zip(part.jaxpr.outvars, results(do, part, elements), varies, strict=True)
             ]
 
-        results = in_kernels(written)(*itertools.compress((value for value, _ in given), traced))
-        return list(zip(results, varies, strict=True))
+        made = in_kernels(written)(*itertools.compress((value for value, _ in given), traced))
+        return list(zip(made, varies, strict=True))
 
     def _scan(self, equation: core.JaxprEqn, given: Sequence[tuple[Any, Has]]) -> list[tuple[Any, Has]]:
         """Return the results of a loop, its steps in regions."""

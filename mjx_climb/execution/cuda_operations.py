@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from mjx_climb.execution.elements import Number
-from mjx_climb.execution.unsupported import Unsupported
+from mjx_climb.execution.elements import Number, Unsupported
 
 TYPES = {
     "bool": "bool",
@@ -95,14 +94,14 @@ _REAL = {
 }  # fmt: skip
 _WHOLE = {
     "abs": "({0} < 0) ? -{0} : {0}", "clamp": "({1} < {0}) ? {0} : (({1} > {2}) ? {2} : {1})",
-    "clz": "__clz((int){0})", "div": "({1} == 0) ? -1 : {0} / {1}", "max": "({0} >= {1}) ? {0} : {1}",
-    "min": "({0} <= {1}) ? {0} : {1}", "not": "~{0}", "population_count": "__popc({0})",
+    "div": "({1} == 0) ? -1 : {0} / {1}", "max": "({0} >= {1}) ? {0} : {1}",
+    "min": "({0} <= {1}) ? {0} : {1}", "not": "~{0}",
     "rem": "({1} == 0) ? {0} : {0} % {1}", "sign": "({0} > 0) - ({0} < 0)",
     "shift_left": "((unsigned){1} < 32u) ? {0} << {1} : 0",
     "shift_right_arithmetic": "(int){0} >> (((unsigned){1} < 32u) ? (int){1} : 31)",
     "shift_right_logical": "((unsigned){1} < 32u) ? (unsigned){0} >> {1} : 0u",
 }  # fmt: skip
-_ONE_WORD = frozenset({"clz", "population_count", "shift_left", "shift_right_arithmetic", "shift_right_logical"})
+_ONE_WORD = frozenset({"shift_left", "shift_right_arithmetic", "shift_right_logical"})
 _COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge", "is_finite"})
 
 
@@ -154,9 +153,10 @@ def type_of(name: str, parameters: Mapping[str, Any], operands: Sequence[Number]
     """Return the type of an operation's result."""
     if name in _COMPARISONS:
         return np.dtype(bool)
-    converts = name in ("convert_element_type", "bitcast_convert_type")
-    found: np.dtype = parameters["new_dtype"] if converts else operands[int(name in ("select_n", "clamp"))].dtype
-    return np.dtype(found)
+    if name == "convert_element_type":
+        return np.dtype(parameters["new_dtype"])
+    dtype: np.dtype = operands[int(name in ("select_n", "clamp"))].dtype
+    return dtype
 
 
 def _choice(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
@@ -186,17 +186,9 @@ def _converted(parameters: Mapping[str, Any], operands: Sequence[Number], names:
     return f"{names[0]} != 0" if dtype.kind == "b" else f"({typed(dtype)}){names[0]}"
 
 
-def _same_bits(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
-    source, target = operands[0].dtype, np.dtype(parameters["new_dtype"])
-    if (source.kind == "f") == (target.kind == "f"):
-        return f"({typed(target)}){names[0]}"
-    return f"__int_as_float((int){names[0]})" if target.kind == "f" else f"({typed(target)})__float_as_int({names[0]})"
-
-
 _SPECIAL: dict[str, Callable[[Mapping[str, Any], Sequence[Number], Sequence[str]], str]] = {
     "select_n": _choice,
     "round": _round,
     "integer_pow": _power,
     "convert_element_type": _converted,
-    "bitcast_convert_type": _same_bits,
 }

@@ -8,8 +8,7 @@ import numpy as np
 from jax.extend import core
 
 from mjx_climb.execution.cuda_operations import FUNCTIONS, expression, literal, type_of, typed
-from mjx_climb.execution.elements import Number, OfLane, Value
-from mjx_climb.execution.writer import Writer
+from mjx_climb.execution.elements import Number, OfLane, Value, Writer
 
 THREADS = 128  # in a block
 NAME = "walk"

@@ -1,17 +1,25 @@
-"""Arrays written out element by element, as a GPU kernel sees them: numpy arrays whose entries are single numbers.
+"""Arrays written out element by element, as a kernel sees them: numpy arrays whose entries are single numbers.
 
-An element is a number known when the kernel is written, a value that the kernel works out, the value that one lane has
-of it, or the two words of a random key. An array whose elements are all known is a plain numpy array.
+An element is a number known when the kernel is written, a value that the kernel works out, or the value that one lane
+has of it. An array whose elements are all known is a plain numpy array.
 
 Lanes are the threads that share a robot: a thread for each limb. What is worked out for each limb in the same way is
 worked out once, by all lanes side by side.
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import Any
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
+from jax.extend import core
+
+
+class Unsupported(NotImplementedError):
+    """An operation, or a use of it, that a fast path does not know: raised while tracing, for the plain path."""
+
+    equation: Any = None  # which one, where that is known
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,20 +42,34 @@ class OfLane:
         return self.value.dtype
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Key:
-    """A random key of the Threefry kind: two words of 32 bits."""
-
-    high: "Number"
-    low: "Number"
+Shared = np.generic | Value  # a number that all lanes have
+Number = Shared | OfLane
+Elements = np.ndarray  # of such numbers as objects, or of known ones
 
 
-Number = np.generic | Value | OfLane
-Element = Number | Key
-Elements = np.ndarray  # of such elements, or of numbers
+class Writer(Protocol):
+    """Writes operations down one after the other. Numbers are values of it, or known ones."""
+
+    lanes: int  # that share a robot, one for each limb; 1: a robot has one of its own
+
+    def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Shared]) -> Value:
+        """Return an elementwise operation of JAX's; each lane does it with what it has."""
+
+    def each_its_own(self, numbers: Sequence[Shared]) -> Value:
+        """Return a value of which each lane has the number of its place."""
+
+    def of_lanes(self, value: Value, lanes: Sequence[int]) -> Value:
+        """Return a value of which each lane has what another lane, that of its place, has of `value`."""
+
+    def over_lanes(self, combine: core.Primitive, value: Value) -> Value | None:
+        """Return what all lanes have of a value, combined; None: by exchanges between lanes."""
+        return None
+
+    def loop(self, steps: int, start: Sequence[Shared], step: Callable[[list[Value]], Sequence[Shared]]) -> list[Value]:
+        """Return what a loop carries in the end: `step` makes what it carries next from what it carried before."""
 
 
-def as_array(elements: Iterator[Element], shape: tuple[int, ...]) -> Elements:
+def as_array(elements: Iterable[Any], shape: Sequence[int]) -> Elements:
     """Return elements as an array, of plain numbers where all are known."""
     flat = list(elements)
     if flat and all(isinstance(element, np.generic) for element in flat):
@@ -56,11 +78,6 @@ def as_array(elements: Iterator[Element], shape: tuple[int, ...]) -> Elements:
     for index, element in enumerate(flat):
         array[index] = element
     return array.reshape(shape)
-
-
-def flat(arrays: Sequence[Elements]) -> list[Element]:
-    """Return the elements of arrays, one after the other."""
-    return [element for array in arrays for element in array.reshape(-1)]
 
 
 def objects(array: Elements) -> Elements:
@@ -81,3 +98,44 @@ def along(array: Elements, axis: int) -> list[Elements]:
 def known(array: Elements) -> bool:
     """Return whether all elements are plain numbers."""
     return array.dtype != object
+
+
+# --- operations that move elements without a look at them, of the operands and the operation's parameters
+
+Move = Callable[[list[Elements], Mapping[str, Any]], list[Elements]]
+
+
+def _as_they_are(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
+    return given
+
+
+def _broadcast(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
+    [array], shape = given, p["shape"]
+    sizes = dict(zip(p["broadcast_dimensions"], array.shape, strict=True))
+    return [np.broadcast_to(array.reshape([sizes.get(axis, 1) for axis in range(len(shape))]), shape)]
+
+
+def _reshaped(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
+    [array], order = given, p["dimensions"]
+    return [(array if order is None else array.transpose(order)).reshape(p["new_sizes"])]
+
+
+def _slice(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
+    steps = p["strides"] or itertools.repeat(1)
+    return [given[0][tuple(map(slice, p["start_indices"], p["limit_indices"], steps))]]
+
+
+MOVES: dict[str, Move] = {
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda x, p: [np.concatenate([*map(objects, x)], p["dimension"])],
+    "copy": _as_they_are,
+    "copy_p": _as_they_are,
+    "name": _as_they_are,
+    "optimization_barrier": _as_they_are,
+    "reshape": _reshaped,
+    "slice": _slice,
+    "squeeze": lambda x, p: [np.squeeze(x[0], tuple(p["dimensions"]))],
+    "stack": lambda x, p: [np.stack([*map(objects, x)], p["axis"])],
+    "stop_gradient": _as_they_are,
+    "transpose": lambda x, p: [x[0].transpose(p["permutation"])],
+}

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import jax
 from jax.errors import JaxRuntimeError
 
-from mjx_climb.execution.unsupported import Unsupported
+from mjx_climb.execution.elements import Unsupported
 
 _Result = TypeVar("_Result")
 # XLA:CPU works out large arrays by several threads of one pool, in which two programs may wait for each other for ever

@@ -26,13 +26,11 @@ from mjx_climb.execution import nvrtc
 from mjx_climb.execution.array_writer import ArrayWriter
 from mjx_climb.execution.cuda_writer import NAME, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
-from mjx_climb.execution.elements import Element, Elements, Number, as_array
-from mjx_climb.execution.elements import flat as elements_of
+from mjx_climb.execution.element_rules import results
+from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array, objects
 from mjx_climb.execution.flat import flat
 from mjx_climb.execution.limbs import LimbAxes
 from mjx_climb.execution.tangents import tangents_of
-from mjx_climb.execution.unsupported import Unsupported
-from mjx_climb.execution.writer import Writer
 
 _Result = TypeVar("_Result")
 _TARGET = "__gpu$xla.gpu.ptx"
@@ -44,7 +42,7 @@ class Body(NamedTuple):
     inputs: Sequence[Any]  # with shape and dtype
     outputs: Sequence[Any]
     limbs: int  # threads of a robot
-    results: Callable[[Writer, list[Elements]], list[list[Number]]]
+    results: Callable[[Writer, list[Elements]], list[list[Shared]]]
 
 
 def over_robots(
@@ -126,10 +124,15 @@ def body_of(program: core.ClosedJaxpr) -> Body:
     whole = flat(program)
     limbs = LimbAxes(whole)
 
-    def results(writer: Writer, given: list[Elements]) -> list[list[Number]]:
-        return _results(Operations(writer, limbs), whole, given)
+    def numbers(writer: Writer, given: list[Elements]) -> list[list[Shared]]:
+        """Return the elements of each result, the same for all lanes and of its type."""
+        do = Operations(writer, limbs)
+        return [
+            [do.typed(do.same_for_all(element), leaf.dtype) for element in objects(array).reshape(-1)]
+            for array, leaf in zip(results(do, whole, given), whole.out_avals, strict=True)
+        ]
 
-    return Body(program.in_avals, program.out_avals, limbs.count, results)
+    return Body(program.in_avals, program.out_avals, limbs.count, numbers)
 
 
 def written(body: Body, batched: Sequence[bool]) -> str:
@@ -140,19 +143,6 @@ def written(body: Body, batched: Sequence[bool]) -> str:
         of = "own" if axis else "common"
         given.append(as_array((writer.read(of, leaf.dtype) for _ in range(math.prod(leaf.shape))), leaf.shape))
     return writer.source([number for result in body.results(writer, given) for number in result])
-
-
-def _results(do: Operations, program: core.ClosedJaxpr, given: list[Elements]) -> list[list[Number]]:
-    """Return the elements of each result, the same for all lanes and of its type."""
-    found = []
-    for array, leaf in zip(do.closed(program, given), program.out_avals, strict=True):
-        found.append([do.typed(do.same_for_all(_number(element)), leaf.dtype) for element in elements_of([array])])
-    return found
-
-
-def _number(element: Element) -> Number:
-    assert isinstance(element, Number)
-    return element
 
 
 def _interpreted(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> list[Array]:

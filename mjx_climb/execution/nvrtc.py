@@ -7,7 +7,7 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from mjx_climb.execution.unsupported import Unsupported
+from mjx_climb.execution.elements import Unsupported
 
 # Multiplications and additions in one, numbers below 1e-38 as zero, and divisions and roots to two units in the last
 # place: what single precision is good for is lost in none of them.

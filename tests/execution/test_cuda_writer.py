@@ -19,9 +19,9 @@ from jaxtyping import Float
 from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
 from mjx_climb.execution.cuda_writer import CudaWriter
+from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.gpu_kernel import body_of, written
 from mjx_climb.execution.tangents import tangents_of
-from mjx_climb.execution.unsupported import Unsupported
 from mjx_climb.rollouts.resolve import resolve_in
 from mjx_climb.rollouts.walks import metrics_of
 from mjx_climb.walk.structure import structure

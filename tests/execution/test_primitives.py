@@ -8,8 +8,8 @@ import jax
 import numpy as np
 import pytest
 
+from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.gpu_kernel import over_robots
-from mjx_climb.execution.unsupported import Unsupported
 
 _SPEC = importlib.util.spec_from_file_location("primitives", Path(__file__).parent / "primitives.py")
 primitives = importlib.util.module_from_spec(_SPEC)
