@@ -153,10 +153,9 @@ def type_of(name: str, parameters: Mapping[str, Any], operands: Sequence[Number]
     """Return the type of an operation's result."""
     if name in _COMPARISONS:
         return np.dtype(bool)
-    if name == "convert_element_type":
-        return np.dtype(parameters["new_dtype"])
-    dtype: np.dtype = operands[int(name in ("select_n", "clamp"))].dtype
-    return dtype
+    converts, place = name == "convert_element_type", int(name in ("select_n", "clamp"))
+    found: np.dtype = parameters["new_dtype"] if converts else operands[place].dtype
+    return np.dtype(found)
 
 
 def _choice(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:

@@ -102,8 +102,10 @@ def results(do: Operations, program: core.ClosedJaxpr, given: Sequence[Elements]
 
 def _equation(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
     primitive, parameters, name = equation.primitive, equation.params, equation.primitive.name
-    if equation.effects or any(_is_strange(cast(Any, v.aval).dtype) for v in equation.outvars):
-        raise Unsupported(f"the operation {name} with effects, on complex numbers or on random keys")
+    if equation.effects:
+        raise Unsupported(f"the operation {name}, which has effects,")
+    if any(_is_strange(cast(Any, variable.aval).dtype) for variable in equation.outvars):
+        raise Unsupported(f"the operation {name} on complex numbers or random keys")
     if (inner := inner_program(equation)) is not None:
         return results(do, inner, given)
     if name not in MOVES and all(map(known, given)):
@@ -134,7 +136,7 @@ def _moved_by_number(equation: core.JaxprEqn, given: list[Elements]) -> list[Ele
     moved = computed_now(equation.primitive, parameters | filled, [*numbers, *places])
     if any((found < 0).any() for found in moved):
         raise Unsupported(f"the operation {name} beyond the ends of a table")
-    return [np.concatenate(elements)[found] for found in moved]
+    return [np.concatenate(elements)[found, ...] for found in moved]  # arrays, of single elements too
 
 
 # --- rules
