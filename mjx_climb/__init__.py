@@ -1,6 +1,6 @@
 """mjx_climb: a differentiable, batched simulator of a limbed climbing robot under admittance control."""
 
-from mjx_climb.execution import forked  # noqa: F401  # which must see forks from now on
+from mjx_climb import execution  # noqa: F401  # which must see forks from now on
 from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False

@@ -22,7 +22,7 @@ from hypothesis import settings
 
 import mjx_climb as mc
 from mjx_climb.dynamics.state import State, integrate
-from mjx_climb.execution import cache, cached_executables, gpu_kernel, nvrtc
+from mjx_climb.execution import cache, cached_executables, gpu_kernel
 from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
@@ -58,7 +58,7 @@ def signals():
 def without_nvrtc(monkeypatch):
     """Have kernels for GPUs written, on any machine, but not compiled; return the list to which they come."""
     kernels = []
-    monkeypatch.setattr(nvrtc, "ptx", lambda source, capability: kernels.append(source) or "PTX")
+    monkeypatch.setattr(gpu_kernel, "ptx", lambda source, capability: kernels.append(source) or "PTX")
     monkeypatch.setattr(gpu_kernel, "_capability", lambda: "9.0")
     return kernels
 

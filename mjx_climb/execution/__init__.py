@@ -3,7 +3,10 @@
 What the rest of the program uses is named here; docs/execution.md explains the whole.
 """
 
-from mjx_climb.execution.forked import check_process as check_process
+import contextlib
+import os
+import sys
+
 from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False
@@ -16,3 +19,29 @@ if TYPE_CHECKING:
     from mjx_climb.execution.paths import many_at_once as many_at_once
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)
+
+# Processes forked from one in which JAX has begun: its threads are not there, and it would wait for them for ever.
+_too_late = False
+
+
+def _after_fork() -> None:
+    global _too_late
+    bridge = sys.modules.get("jax._src.xla_bridge")  # not public; jax is pinned to one minor version
+    _too_late = bridge is not None and bridge.backends_are_initialized()
+
+
+with contextlib.suppress(AttributeError):  # a system that does not fork
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def check_process() -> None:
+    """Refuse to compute in a process that was forked from one in which JAX had begun.
+
+    Raises:
+        RuntimeError: in one line, what to do.
+    """
+    if _too_late:
+        raise RuntimeError(
+            "this process was forked from one in which JAX had begun, and JAX would hang here: start it by "
+            "multiprocessing.get_context('spawn') or 'forkserver'"
+        )

@@ -22,12 +22,11 @@ from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 
-from mjx_climb.execution.activity import Has, by_axis, carried_on, mapped, reached
 from mjx_climb.execution.array_writer import ArrayWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import can_write, results
 from mjx_climb.execution.elements import Unsupported
-from mjx_climb.execution.flat import flat, needed, region, runs, variables_of
+from mjx_climb.execution.flat import Has, by_axis, carried_on, flat, mapped, needed, reached, region, runs, variables_of
 from mjx_climb.execution.jax_internals import new_program, scan_sizes
 from mjx_climb.execution.limbs import LimbAxes
 

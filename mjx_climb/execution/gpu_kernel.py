@@ -6,14 +6,20 @@ by element, with the loop over time inside, its whole walk is a single kernel wh
 of a step is the same for each limb: with a thread for each of them it is written once, so that the code fits the
 instruction cache, and sums over the limbs are exchanges within a warp.
 
-The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC (`nvrtc`), and launched by the custom call
+The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC, a library that every installation of JAX for
+NVIDIA's GPUs brings, and launched by the custom call
 `__gpu$xla.gpu.ptx` of XLA's. Tangents are asked for beforehand (`tangents_over_robots`): each direction has
 threads of its own, which work out the values beside it.
 """
 
+import ctypes
+import functools
+import importlib.metadata
+import importlib.util
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -22,7 +28,6 @@ import numpy as np
 from jax import Array, lax
 from jax.extend import core
 
-from mjx_climb.execution import nvrtc
 from mjx_climb.execution.array_writer import ArrayWriter
 from mjx_climb.execution.cuda_writer import NAME, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
@@ -164,7 +169,7 @@ def _launched(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> lis
     words = [_words(jnp.asarray(array)) for array in arrays]
     own = [array.reshape(robots, -1).T for array, axis in zip(words, batched, strict=True) if axis]
     common = [array.reshape(-1) for array, axis in zip(words, batched, strict=True) if not axis]
-    source = nvrtc.ptx(written(body, batched), _capability())
+    source = ptx(written(body, batched), _capability())
     threads = robots * CudaWriter(body.limbs).width
     launch = {"grid_x": -(-threads // THREADS), "block_x": THREADS, "shared_mem_bytes": 0}
     launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
@@ -207,3 +212,80 @@ def _from_words(words: Array, dtype: Any) -> Array:
     if np.dtype(dtype).itemsize != 4:
         raise Unsupported(f"a function to {dtype}")
     return lax.bitcast_convert_type(words, dtype)
+
+
+# --- compilation
+
+# Multiplications and additions in one, numbers below 1e-38 as zero, and divisions and roots to two units in the last
+# place: what single precision is good for is lost in none of them.
+OPTIONS = ("--fmad=true", "--ftz=true", "--prec-div=false", "--prec-sqrt=false", "--std=c++17")
+
+
+@functools.lru_cache(maxsize=32)
+def ptx(source: str, capability: str) -> str:
+    """Return a kernel in PTX.
+
+    Arguments:
+        source: in CUDA C, without includes.
+        capability: the GPU's compute capability, as "9.0".
+
+    Raises:
+        Unsupported: no NVRTC, or it does not compile this.
+    """
+    library = _library()
+    program = ctypes.c_void_p()
+    _call(library.nvrtcCreateProgram, ctypes.byref(program), source.encode(), b"walk.cu", 0, None, None)
+    try:
+        options = [f"--gpu-architecture=compute_{capability.replace('.', '')}", *OPTIONS]
+        array = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
+        if library.nvrtcCompileProgram(program, len(options), array):
+            log = _filled(library.nvrtcGetProgramLogSize, library.nvrtcGetProgramLog, program)
+            wrong = next((line for line in log.splitlines() if "error" in line), log)
+            raise Unsupported(f"what NVRTC does not compile: {wrong.strip()[:200]}")
+        return _filled(library.nvrtcGetPTXSize, library.nvrtcGetPTX, program)
+    finally:
+        library.nvrtcDestroyProgram(ctypes.byref(program))
+
+
+def _filled(size_of: Any, get: Any, program: ctypes.c_void_p) -> str:
+    size = ctypes.c_size_t()
+    _call(size_of, program, ctypes.byref(size))
+    text = ctypes.create_string_buffer(size.value)
+    _call(get, program, text)
+    return text.value.decode()
+
+
+def _call(function: Any, *arguments: object) -> None:
+    if error := function(*arguments):
+        raise Unsupported(f"what NVRTC does not do: error {error} of {function.__name__}")
+
+
+@functools.cache
+def _library() -> ctypes.CDLL:
+    for place in _places():
+        try:
+            return ctypes.CDLL(place)
+        except OSError:
+            continue
+    raise Unsupported("anything without NVRTC (libnvrtc.so; pip install 'jax[cuda13]' brings it)")
+
+
+def _places() -> list[str]:
+    """Return where the library may be: of the CUDA that JAX's plugin is made for, then of any."""
+    found = []
+    for major in sorted(("13", "12"), key=lambda major: not _plugin(major)):
+        name = f"libnvrtc.so.{major}"
+        spec = importlib.util.find_spec("nvidia")
+        for folder in () if spec is None else spec.submodule_search_locations or ():
+            for inside in (f"cu{major}/lib", "cuda_nvrtc/lib"):
+                found.append(str(Path(folder) / inside / name))
+        found.append(name)
+    return found
+
+
+def _plugin(major: str) -> bool:
+    try:
+        importlib.metadata.version(f"jax-cuda{major}-plugin")
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True

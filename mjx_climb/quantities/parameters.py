@@ -17,7 +17,7 @@ from jaxtyping import Real
 from pydantic import TypeAdapter, ValidationError
 
 from mjx_climb.dynamics.spatial import namespace
-from mjx_climb.execution.forked import check_process
+from mjx_climb.execution import check_process
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.quantities.swing import swing_path
 from mjx_climb.scenario.messages import section

@@ -11,7 +11,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.execution import nvrtc, paths, probe
+from mjx_climb.execution import gpu_kernel, paths, probe
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.fallback import first_possible
 from mjx_climb.execution.gpu_kernel import over_robots, tangents_over_robots
@@ -168,11 +168,11 @@ def test_a_limit_that_is_no_number_is_refused(monkeypatch):
 
 def test_without_nvrtc_the_reason_is_told(monkeypatch):
     """It is what the fall-back to XLA's own kernels says."""
-    monkeypatch.setattr(nvrtc, "_places", lambda: ["libnvrtc.so.0"])
-    nvrtc._library.cache_clear()
+    monkeypatch.setattr(gpu_kernel, "_places", lambda: ["libnvrtc.so.0"])
+    gpu_kernel._library.cache_clear()
     with pytest.raises(Unsupported, match=r"libnvrtc\.so; pip install"):
-        nvrtc.ptx("", "9.0")
-    nvrtc._library.cache_clear()
+        gpu_kernel.ptx("", "9.0")
+    gpu_kernel._library.cache_clear()
 
 
 def test_without_a_gpu_nothing_is_moved():
