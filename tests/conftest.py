@@ -22,12 +22,12 @@ from hypothesis import settings
 
 import mjx_climb as mc
 from mjx_climb.dynamics.state import State, integrate
-from mjx_climb.execution import cache, cached_executables, gpu_kernel
+from mjx_climb.execution import cache, gpu_kernel
 from mjx_climb.robot.constants import load_robot
 
 jax.config.update("jax_enable_x64", True)
 cache.enable_cache()
-cached_executables.cache_folder = lambda: None  # tests replace functions of which a kept program knows nothing
+cache.executable_file = lambda *_: None  # tests replace functions of which a kept program knows nothing
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 gc.set_threshold(50_000, 50, 100)  # tracing makes many objects that stay
 

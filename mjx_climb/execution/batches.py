@@ -20,8 +20,7 @@ from jax import Array
 from jax.sharding import Sharding
 
 from mjx_climb.execution import devices, gpu_kernel, paths
-from mjx_climb.execution.cache import enable_cache, source_digest
-from mjx_climb.execution.cached_executables import cached_jit
+from mjx_climb.execution.cache import cached_jit, enable_cache, source_digest
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.execution.fallback import first_possible, one_at_a_time
 from mjx_climb.execution.one_robot import over_robots

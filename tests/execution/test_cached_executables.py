@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjx_climb.execution import cache, cached_executables, probe
+from mjx_climb.execution import cache, probe
 from tuning.command_line import machine
 
 ROOT = Path(__file__).parents[2]
@@ -18,8 +18,7 @@ PROGRAM = """
 import sys
 import jax
 import numpy as np
-from mjx_climb.execution.cached_executables import cached_jit
-from mjx_climb.execution.cache import enable_cache
+from mjx_climb.execution.cache import cached_jit, enable_cache
 
 identity, answer, shape, double = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "double"
 options = {"xla_backend_optimization_level": int(sys.argv[5])}
@@ -152,9 +151,9 @@ def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(cached_executables, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "executable_file", lambda *_: tmp_path / "programs" / "one")
     monkeypatch.setattr(os, "replace", full)
-    program = cached_executables.cached_jit(lambda structure, values: values + structure, lambda *_: "a", {})
+    program = cache.cached_jit(lambda structure, values: values + structure, lambda *_: "a", {})
     with cache.cache_in(str(tmp_path)):
         assert program(1.0, np.zeros(2)).tolist() == [1.0, 1.0]
     probe._keep(probe.Verdict(True, "tried"), tmp_path / "probes" / "verdict")
