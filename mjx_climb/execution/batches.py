@@ -22,8 +22,8 @@ from jax.sharding import Sharding
 from mjx_climb.execution import devices, gpu_kernel, paths
 from mjx_climb.execution.cache import cached_jit, enable_cache, source_digest
 from mjx_climb.execution.contents import Unidentifiable, identity
-from mjx_climb.execution.fallback import first_possible, one_at_a_time
 from mjx_climb.execution.one_robot import over_robots
+from mjx_climb.execution.paths import first_possible, one_at_a_time
 
 Progress = Callable[[int, int], None]
 _TANGENT = "tangent of "  # before the name of a result

@@ -13,8 +13,8 @@ import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.execution import gpu_kernel, paths, probe
 from mjx_climb.execution.elements import Unsupported
-from mjx_climb.execution.fallback import first_possible
 from mjx_climb.execution.gpu_kernel import over_robots, tangents_over_robots
+from mjx_climb.execution.paths import first_possible
 from mjx_climb.quantities.parameters import Gains
 from mjx_climb.rollouts.resolve import resolve_in
 from mjx_climb.rollouts.walks import metrics_of, metrics_of_moved

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mjx_climb.execution import paths, probe
+from mjx_climb.execution import one_robot, paths, probe
 
 
 def forget():
@@ -73,3 +73,15 @@ def test_a_trial_that_cannot_start_is_no_verdict_for_ever(fresh, monkeypatch):
     with pytest.warns(UserWarning, match="no trial: FileNotFoundError"):
         assert not paths.path_for("cpu", double=True) == "regions"
     assert not fresh.exists()
+
+
+def test_the_trial_of_the_regions_sees_wrong_values(monkeypatch, capsys):
+    in_regions = one_robot.in_regions
+
+    def off(*given):
+        results, varies = in_regions(*given)
+        return [1.01 * value for value in results], varies
+
+    monkeypatch.setattr(one_robot, "in_regions", off)
+    probe.take("regions")
+    assert "off in float64" in capsys.readouterr().out

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.execution import gpu_kernel, trial
+from mjx_climb.execution import gpu_kernel, probe
 from mjx_climb.execution.gpu_kernel import tangents_over_robots
 
 _SPEC = importlib.util.spec_from_file_location("primitives", Path(__file__).parent / "primitives.py")
@@ -150,13 +150,13 @@ def test_what_nothing_moves_has_no_rates(without_nvrtc):
 def test_the_trial_of_the_kernel_sees_wrong_slopes(monkeypatch, capsys):
     """Values alone do not make a verdict."""
     monkeypatch.setattr(gpu_kernel, "_launched", gpu_kernel._interpreted)
-    trial.take("kernel")
-    assert capsys.readouterr().out.strip() == trial.SAME
+    probe.take("kernel")
+    assert capsys.readouterr().out.strip() == probe.SAME
 
     def off(*given, **how):
         right = tangents_over_robots(*given, **how)
         return lambda *values: jax.tree.map(lambda x: 1.01 * x, right(*values))
 
-    monkeypatch.setattr(trial, "tangents_over_robots", off)
-    trial.take("kernel")
+    monkeypatch.setattr(probe, "tangents_over_robots", off)
+    probe.take("kernel")
     assert "off in float32" in capsys.readouterr().out
