@@ -24,6 +24,7 @@ import mjx_climb as mc
 from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.execution import cache, gpu_kernel
 from mjx_climb.robot.constants import load_robot
+from tests.execution.interpreter import launched
 
 jax.config.update("jax_enable_x64", True)
 cache.enable_cache()
@@ -61,6 +62,12 @@ def without_nvrtc(monkeypatch):
     monkeypatch.setattr(gpu_kernel, "ptx", lambda source, capability: kernels.append(source) or "PTX")
     monkeypatch.setattr(gpu_kernel, "_capability", lambda: "9.0")
     return kernels
+
+
+@pytest.fixture
+def interpreted(monkeypatch):
+    """Have kernels carried out by XLA's own operations, on any device and in any precision."""
+    monkeypatch.setattr(gpu_kernel, "_launched", launched)
 
 
 @pytest.fixture(scope="session")

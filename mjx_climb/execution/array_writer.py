@@ -50,12 +50,6 @@ class ArrayWriter(Writer):
             self._widened[key] = number, lax.broadcast_in_dim(content, shape, tuple(range(len(shape))))
         return self._widened[key][1]
 
-    def row_of_all(self, number: Number, robots: int) -> Array:
-        """Return a number that all lanes have, (robots,)."""
-        if isinstance(number, Value):
-            number = self.value(number.content[:1])  # the lanes may have rows of their own, all alike
-        return self.rows(number, (1, robots))[0]
-
     def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Number]) -> Value:
         shape = self._common_shape(operands)
         whole = _WHOLE.get(primitive.name, _nowhere)
@@ -113,19 +107,6 @@ class ArrayWriter(Writer):
 
     def _common_shape(self, numbers: Sequence[Number]) -> tuple[int, ...]:
         return np.broadcast_shapes(*(n.content.shape for n in numbers if isinstance(n, Value)))
-
-    def loop(self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]) -> list[Value]:
-        shape = (self.lanes, *self.batch)
-
-        def whole(numbers: Sequence[Number]) -> tuple[Array, ...]:
-            return tuple(
-                self.rows(number, shape).astype(like.dtype) for number, like in zip(numbers, start, strict=True)
-            )
-
-        def body(_: Array, before: tuple[Array, ...]) -> tuple[Array, ...]:
-            return whole(step([*map(self.value, before)]))
-
-        return [*map(self.value, lax.fori_loop(0, steps, body, whole(start)))]
 
     # --- from arrays and to arrays
 

@@ -144,14 +144,7 @@ _HIT, _SECONDS = "/jax/compilation_cache/cache_hits", "/jax/core/compile/backend
 def cached_jit(
     function: Callable[..., _Result], identity: Identity, options: dict[str, str | int]
 ) -> Callable[..., _Result]:
-    """Return `jax.jit` of a function, with executables on disk.
-
-    Arguments:
-        function: of a hashable structure, which is static, and trees of arrays; a function of this package.
-        identity: of the same arguments: all that the function depends on beside the arrays' values, as text that is the
-            same in another process; None where that cannot be told: then the executable is not stored.
-        options: for XLA.
-    """
+    """Return `jax.jit` of a function, with executables on disk."""
     jitted = jax.jit(function, static_argnums=0, compiler_options=options)
     executables: dict[Hashable, Callable[..., _Result]] = {}
     locks: dict[Hashable, threading.Lock] = {}  # shares of a batch come from several threads

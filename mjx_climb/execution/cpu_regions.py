@@ -41,14 +41,7 @@ MOST_ROWS_OF_A_CALL = 128
 def in_regions(
     program: core.ClosedJaxpr, arguments: Sequence[Any], varies: Sequence[Has], batch: tuple[int, ...]
 ) -> tuple[list[Any], list[Has]]:
-    """Return the results of a program of one robot for a batch, and which batch axes they have.
-
-    Arguments:
-        program: of one robot.
-        arguments: each with the batch axes that it `varies` along behind its own.
-        varies: which of the batch axes each argument has.
-        batch: the sizes of the batch axes.
-    """
+    """Return the results of a program of one robot for a batch, and which batch axes they have."""
     whole = flat(program)
     return _Program(LimbAxes(whole), batch, set()).results(whole, _unseen(arguments), varies)
 

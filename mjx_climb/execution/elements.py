@@ -67,6 +67,7 @@ class Writer(Protocol):
 
     def loop(self, steps: int, start: Sequence[Shared], step: Callable[[list[Value]], Sequence[Shared]]) -> list[Value]:
         """Return what a loop carries in the end: `step` makes what it carries next from what it carried before."""
+        raise Unsupported("a loop")
 
 
 def as_array(elements: Iterable[Any], shape: Sequence[int]) -> Elements:

@@ -101,12 +101,7 @@ def reached(jaxpr: core.Jaxpr, moving: Sequence[bool]) -> list[bool]:
 def carried_on(
     body: core.Jaxpr, common: Sequence[bool], start: Sequence[bool], read: Sequence[bool] = ()
 ) -> list[bool]:
-    """Return which of the values that a loop carries depend, after some steps, on what is moving.
-
-    Arguments:
-        body: a step, of what is common to all steps, what is carried, and what is read at each.
-        common, start, read: which of these are moving.
-    """
+    """Return which of the values that a loop carries depend, after some steps, on what is moving."""
     moving = list(start)
     while True:
         found = reached(body, [*common, *moving, *read])[: len(moving)]

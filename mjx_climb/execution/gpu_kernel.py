@@ -28,7 +28,6 @@ import numpy as np
 from jax import Array, lax
 from jax.extend import core
 
-from mjx_climb.execution.array_writer import ArrayWriter
 from mjx_climb.execution.cuda_writer import NAME, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
@@ -50,45 +49,40 @@ class Body(NamedTuple):
     results: Callable[[Writer, list[Elements]], list[list[Shared]]]
 
 
-def over_robots(
-    function: Callable[..., _Result], batched: Sequence[bool], *, interpret: bool = False
-) -> Callable[..., _Result]:
+def over_robots(function: Callable[..., _Result], batched: Sequence[bool]) -> Callable[..., _Result]:
     """Return the function mapped over the first axis of its arguments, like `jax.vmap`, as one kernel.
 
     Arguments:
         function: of trees of numbers in single precision, whole numbers and truth values: operations that
-            `element_operations` and `element_rules` know, on fixed shapes, with loops of a fixed number of steps.
+            `element_rules` knows, on fixed shapes, with loops of a fixed number of steps.
         batched: whether an array has the batch axis, for each leaf of the arguments.
-        interpret: by XLA's own operations, on any device and in any precision: for tests.
 
     Returns:
         A function of arguments with a batch axis, of any length, where `batched` says so. All results have it. It
         raises `Unsupported` while it is traced where the function holds what a kernel cannot do.
     """
-    carry_out = _interpreted if interpret else _launched
 
     def mapped(*arguments: Any) -> _Result:
         program, shape = _of_one(function, arguments, batched)
-        results: _Result = jax.tree.unflatten(shape, carry_out(body_of(program), jax.tree.leaves(arguments), batched))
+        results: _Result = jax.tree.unflatten(shape, _launched(body_of(program), jax.tree.leaves(arguments), batched))
         return results
 
     return mapped
 
 
 def tangents_over_robots(
-    function: Callable[..., _Result], batched: Sequence[bool], *, interpret: bool = False
+    function: Callable[..., _Result], batched: Sequence[bool]
 ) -> Callable[..., tuple[_Result, Any]]:
     """Return the function with its tangents, like `jax.jvp` by its first argument, along several directions.
 
     Arguments:
-        function, batched, interpret: as `over_robots` takes them; the first argument has real numbers alone, each with
+        function, batched: as `over_robots` takes them; the first argument has real numbers alone, each with
             the batch axis.
 
     Returns:
         A function of directions and arguments: for each array (B, ...) of the first argument one (B, k, ...). It
         returns the results, and in place of each its tangents (B, k, ...), None where it is no real number.
     """
-    carry_out = _interpreted if interpret else _launched
 
     def mapped(directions: Any, *arguments: Any) -> tuple[_Result, Any]:
         program, shape = _of_one(function, arguments, batched)
@@ -101,7 +95,7 @@ def tangents_over_robots(
         ]
         both, moved = tangents_of(program, [place < len(along) for place in range(len(values))])
         along = [direction.reshape(robots * count, *direction.shape[2:]) for direction in along]
-        found = carry_out(body_of(both), [*values, *along], [*batched, *[True] * len(along)])
+        found = _launched(body_of(both), [*values, *along], [*batched, *[True] * len(along)])
         every = [array.reshape(robots, count, *array.shape[1:]) for array in found]
         results: _Result = jax.tree.unflatten(shape, [array[:, 0] for array in every[: len(moved)]])
         of_moving = iter(every[len(moved) :])
@@ -148,20 +142,6 @@ def written(body: Body, batched: Sequence[bool]) -> str:
         of = "own" if axis else "common"
         given.append(as_array((writer.read(of, leaf.dtype) for _ in range(math.prod(leaf.shape))), leaf.shape))
     return writer.source([number for result in body.results(writer, given) for number in result])
-
-
-def _interpreted(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> list[Array]:
-    robots = _robots(arrays, batched)
-    writer = ArrayWriter(body.limbs, (robots,))
-    given = []
-    for array, leaf, own in zip(map(jnp.asarray, arrays), body.inputs, batched, strict=True):
-        rows = array.reshape(robots, -1).T if own else array.reshape(-1, 1)
-        given.append(as_array((writer.value(row[None]) for row in rows), leaf.shape))
-    made = []
-    for numbers, leaf in zip(body.results(writer, given), body.outputs, strict=True):
-        columns = [writer.row_of_all(number, robots) for number in numbers]
-        made.append(jnp.stack(columns, 1).reshape(robots, *leaf.shape) if columns else jnp.zeros((robots, *leaf.shape)))
-    return made
 
 
 def _launched(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> list[Array]:
@@ -224,10 +204,6 @@ OPTIONS = ("--fmad=true", "--ftz=true", "--prec-div=false", "--prec-sqrt=false",
 @functools.lru_cache(maxsize=32)
 def ptx(source: str, capability: str) -> str:
     """Return a kernel in PTX.
-
-    Arguments:
-        source: in CUDA C, without includes.
-        capability: the GPU's compute capability, as "9.0".
 
     Raises:
         Unsupported: no NVRTC, or it does not compile this.

@@ -52,14 +52,6 @@ def register_reverse_mode(
 
     Checkpoints split a program by what is known without the tangents: the operation is split like a call, and done by
     JAX's own operations where the tangents are on their way back.
-
-    Arguments:
-        primitive: the operation.
-        linearized: gives its results, which of them have tangents, and these as a function of its operands' tangents;
-            of which operands have tangents, the operands and the parameters.
-        plain: its results by JAX's own operations, of its operands and parameters.
-        as_call: gives the parameters of an equal operation that calls a parameter `program` of its operands as they
-            are, from its own; or those of a part of it, for the program of that part.
     """
 
     def known_in_part(trace: Any, *values: Any, **parameters: Any) -> list[Any]:

@@ -30,10 +30,6 @@ def over_robots(function: Callable[..., _Result], *, regions: bool = True) -> Ca
     """Return a pure function of one robot, compiled, that is fast under `vmap`.
 
     It takes and gives trees of arrays, and works under `jit`, `scan`, `vmap`, `jvp` and `grad`, nested as one likes.
-
-    Arguments:
-        function: of trees of arrays of one robot, to such a tree.
-        regions: whether it is cut into regions where it is compiled for a CPU.
     """
 
     def call(*arguments: Any) -> _Result:

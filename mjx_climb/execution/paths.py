@@ -114,13 +114,7 @@ def one_at_a_time(program: Callable[..., _Result]) -> Callable[..., _Result]:
 def first_possible(
     fast: Callable[..., _Result], plain: Callable[[], Callable[..., _Result]], what: str
 ) -> Callable[..., _Result]:
-    """Return a program of a structure and trees of arrays that goes by `fast`, or by `plain` where that cannot be.
-
-    Arguments:
-        fast: a program that raises `Unsupported` while it is traced, or an error of the compiler's.
-        plain: gives the program that can do everything.
-        what: the name of the fast path, for the warning.
-    """
+    """Return a program of a structure and trees of arrays that goes by `fast`, or by `plain` where that cannot be."""
     refused: set[Hashable] = set()
     alone = threading.Lock()  # shares of a batch come from several threads
 

@@ -63,11 +63,11 @@ def by_vmap(walk, arguments, batched):
     "law",
     ["virtual_model", *(pytest.param(law, marks=pytest.mark.nightly) for law in ("measured_pose", "end_effector"))],
 )
-def test_the_kernel_walks_as_xla_does(case, law):
+def test_the_kernel_walks_as_xla_does(case, law, interpreted):
     """Float64 metrics of 140 robots that differ in gains, gravity and mass agree to 1e-9 of their size."""
     walk, arguments, batched = walk_of(case, law, STEPS, np.float64)
     whole = {"xla_disable_hlo_passes": "fusion"}  # compiles sooner
-    found = jax.jit(over_robots(walk, batched, interpret=True), compiler_options=whole)(*arguments)
+    found = jax.jit(over_robots(walk, batched), compiler_options=whole)(*arguments)
     expected = jax.jit(by_vmap(walk, arguments, batched), compiler_options=whole)(*arguments)
     assert found.keys() == expected.keys()
     assert len(np.unique(expected["peak_foot_force"])) == ROBOTS
@@ -107,7 +107,7 @@ def test_tangents_are_written_for_gpus(case, without_nvrtc):
     assert traced.out_info[1]["min_tsm"].shape == (ROBOTS, directions)
 
 
-def test_elements_known_beforehand_and_halves():
+def test_elements_known_beforehand_and_halves(interpreted):
     """Zeros and ones of constants, rounding of halves to even, reductions and a loop agree with `jax.vmap`."""
     matrix = np.array([[1.0, 0.0, -1.0], [0.0, 0.5, 1.0], [2.0, 0.0, 1.0]])
 
@@ -118,7 +118,7 @@ def test_elements_known_beforehand_and_halves():
         return {"sums": sums, "largest": turned.max(), "any": (turned > 1.0).any(), "known": jnp.ones(2)}
 
     vectors = np.random.default_rng(1).integers(-6, 7, (ROBOTS, 3)) / 2.0
-    found = jax.jit(over_robots(function, [True, False], interpret=True))(vectors, 0.5)
+    found = jax.jit(over_robots(function, [True, False]))(vectors, 0.5)
     expected = jax.vmap(function, (0, None))(vectors, 0.5)
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values, err_msg=name)
@@ -179,7 +179,7 @@ def test_without_a_gpu_nothing_is_moved():
     assert paths.device_for(1, 0, double=False) is None
 
 
-def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla():
+def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla(interpreted):
     """A loop of unknown length goes by the plain program; the next structure goes by the kernel again."""
 
     def function(structure, value):
@@ -187,7 +187,7 @@ def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla():
         return loop(value) if structure == "loop" else value * 2
 
     def fast(structure, values):
-        return over_robots(functools.partial(function, structure), [True], interpret=True)(values)
+        return over_robots(functools.partial(function, structure), [True])(values)
 
     traced = []
 

@@ -36,12 +36,12 @@ def _in_kernel(name):
 
 
 @pytest.mark.parametrize("name", primitives.EVERY)
-def test_the_kernel_does_as_xla_or_refuses(name):
+def test_the_kernel_does_as_xla_or_refuses(name, interpreted):
     """In float64 to 1e-12; whole numbers, truth values and random bits the same."""
     function, arguments = _in_kernel(name), _arguments(np.float64, np.int32)
     expected = jax.jit(jax.vmap(function, (0, None, 0)))(*arguments)
     try:
-        found = jax.jit(over_robots(function, [True, False, True], interpret=True))(*arguments)
+        found = jax.jit(over_robots(function, [True, False, True]))(*arguments)
     except Unsupported:
         assert name not in primitives.KNOWN
         return

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.execution import gpu_kernel, probe
+from mjx_climb.execution import probe
 from mjx_climb.execution.gpu_kernel import tangents_over_robots
 
 _SPEC = importlib.util.spec_from_file_location("primitives", Path(__file__).parent / "primitives.py")
@@ -46,7 +46,7 @@ def by_jax(function, vector, rates, matrix, number):
 
 def agree(function):
     vector, rates, matrix, number = own()
-    sloped = tangents_over_robots(function, [True, False, True], interpret=True)
+    sloped = tangents_over_robots(function, [True, False, True])
     _, found = jax.jit(sloped)(rates, vector, matrix, number)
     expected = by_jax(function, vector, rates, matrix, number)
     for mine, jaxs in zip(jax.tree.leaves(found), expected, strict=True):
@@ -55,7 +55,7 @@ def agree(function):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in primitives.KNOWN if name not in BEYOND_JAX])
-def test_every_operation_has_jaxs_slope(name):
+def test_every_operation_has_jaxs_slope(name, interpreted):
     """In float64; what has no forward derivative is refused."""
     operation = primitives.KNOWN[name]
     function = lambda v, m, n: operation(v, m * v[1], n)  # noqa: E731
@@ -84,12 +84,12 @@ def motion(vector, matrix, number):
     return {"end": angle[..., 0], "rate": rate.sum() * stiffness, "seen": seen, "steps": number + 1}
 
 
-def test_a_motion_of_limbs():
+def test_a_motion_of_limbs(interpreted):
     """What the loop's start does not move, but moves later, and shares of equal ones."""
     agree(motion)
 
 
-def test_tangents_by_a_rule_of_ones_own():
+def test_tangents_by_a_rule_of_ones_own(interpreted):
     """Of some operands or all, in a loop, for what the lanes have of their own and for what is of all of them."""
 
     @jax.custom_jvp
@@ -147,9 +147,8 @@ def test_what_nothing_moves_has_no_rates(without_nvrtc):
 
 
 @pytest.mark.slow
-def test_the_trial_of_the_kernel_sees_wrong_slopes(monkeypatch, capsys):
+def test_the_trial_of_the_kernel_sees_wrong_slopes(interpreted, monkeypatch, capsys):
     """Values alone do not make a verdict."""
-    monkeypatch.setattr(gpu_kernel, "_launched", gpu_kernel._interpreted)
     probe.take("kernel")
     assert capsys.readouterr().out.strip() == probe.SAME
 

@@ -1,0 +1,40 @@
+"""Kernels carried out by XLA's own operations, on any device and in any precision, in place of CUDA C."""
+
+import jax.numpy as jnp
+from jax import lax
+
+from mjx_climb.execution.array_writer import ArrayWriter
+from mjx_climb.execution.elements import Value, as_array
+
+
+class Interpreter(ArrayWriter):
+    """Writes loops as those of JAX, which a CPU's regions do not hold."""
+
+    def loop(self, steps, start, step):
+        shape = (self.lanes, *self.batch)
+
+        def whole(numbers):
+            return tuple(self.rows(number, shape).astype(of.dtype) for number, of in zip(numbers, start, strict=True))
+
+        after = lax.fori_loop(0, steps, lambda _, before: whole(step([*map(self.value, before)])), whole(start))
+        return [*map(self.value, after)]
+
+    def column(self, number):
+        """Return a number that all lanes have, (robots,); the lanes may have rows of their own, all alike."""
+        mine = self.value(number.content[:1]) if isinstance(number, Value) else number
+        return self.rows(mine, (1, *self.batch))[0]
+
+
+def launched(body, arrays, batched):
+    """Return the results of a body for a batch, as `gpu_kernel` does on a GPU."""
+    robots = next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
+    writer = Interpreter(body.limbs, (robots,))
+    given = []
+    for array, leaf, own in zip(map(jnp.asarray, arrays), body.inputs, batched, strict=True):
+        rows = array.reshape(robots, -1).T if own else array.reshape(-1, 1)
+        given.append(as_array((writer.value(row[None]) for row in rows), leaf.shape))
+    made = []
+    for numbers, leaf in zip(body.results(writer, given), body.outputs, strict=True):
+        columns = [writer.column(number) for number in numbers]
+        made.append(jnp.stack(columns, 1).reshape(robots, *leaf.shape) if columns else jnp.zeros((robots, *leaf.shape)))
+    return made
