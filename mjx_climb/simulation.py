@@ -31,6 +31,7 @@ from mjx_climb.dynamics.state import State
 from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.histories import together
 from mjx_climb.rollouts.resolve import (
     AnyGains,
     Resolved,
@@ -215,8 +216,7 @@ class Simulation:
             These are the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the
             state stopped being finite.
         """
-        found: dict[str, np.ndarray] = self._run(histories_of, gains, parameters, **how)
-        return found
+        return together(self._run(histories_of, gains, parameters, **how))
 
     def jvp(
         self, gains: AnyGains, directions: AnyGains, parameters: Parameters | None = None, **how: Unpack[How]

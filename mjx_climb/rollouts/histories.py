@@ -11,6 +11,7 @@ from mjx_climb.dynamics.spatial import norm
 from mjx_climb.rollouts.trajectory import Trajectory
 
 STRETCHES = 200
+_LEAST = "least of "  # before a line's name
 
 # name: unit, long name, and the metric that is its largest value
 LINES: dict[str, tuple[str, str, str]] = {
@@ -35,7 +36,7 @@ def stretches(steps: int) -> Stretches:
 
 def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
     """Return `LINES` of one walk, (2, stretches): the least and the largest value in each stretch."""
-    return {name: np.asarray(value) for name, value in extremes(lines(trajectory)).items()}
+    return together({name: np.asarray(value) for name, value in extremes(lines(trajectory)).items()})
 
 
 def lines(sample: Any) -> dict[str, Any]:
@@ -48,12 +49,24 @@ def lines(sample: Any) -> dict[str, Any]:
 
 
 def extremes(over_time: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the least and the largest value of lines (time,) in each stretch, (2, stretches)."""
-    found = {}
+    """Return the least and the largest value of lines (time,) in each stretch, (stretches,), for `together`.
+
+    They are results of their own: put together within a compiled program each stretch would be an operation.
+    """
+    found: dict[str, Any] = {}
     for name, line in over_time.items():
         xp, (steps,) = line.__array_namespace__(), line.shape
         number, length = stretches(steps)
         # the last stretch is filled up with its last value
         rows = xp.concatenate([line, xp.repeat(line[-1:], number * length - steps)]).reshape(number, length)
-        found[name] = xp.stack([rows.min(1), rows.max(1)])
+        found |= {f"{_LEAST}{name}": rows.min(1), name: rows.max(1)}
     return found
+
+
+def together(found: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return results of walks with both `extremes` (..., stretches) of a line in one array, (..., 2, stretches)."""
+    return {
+        name: np.stack([found[f"{_LEAST}{name}"], value], axis=-2) if name in LINES else value
+        for name, value in found.items()
+        if not name.startswith(_LEAST)
+    }

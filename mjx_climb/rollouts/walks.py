@@ -35,7 +35,7 @@ def metrics_of_moved(structure: Structure, gains: Mapping[str, Array], law: Law,
 
 
 def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
-    """Return the metrics of a walk, and `LINES` over time (2, stretches) beside them."""
+    """Return the metrics of a walk, and the extremes of `LINES` in each stretch of time beside them."""
     metrics, over_time = _walked(structure, law, parameters, lines)
     return metrics | extremes(over_time)
 
