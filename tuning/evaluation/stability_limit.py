@@ -48,6 +48,9 @@ from mjx_climb.walk.structure import Structure, structure
 ROUNDING = 1e-9  # a radius above 1 by less is 1
 _ENTRIES = 64 * 50**2  # of the matrices that are made at once, about
 _MOST_MATRICES = 64
+# Of the matrices that one call makes, 160 kB: XLA:CPU works out arrays of some 256 kB and more by several threads, and
+# makes invalid code of a region that holds one ("Incorrect number of arguments passed to called function", jaxlib 0.10)
+_ENTRIES_OF_A_CALL = 20_000
 _FINEST = 16  # values along an axis of a map
 _FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
 _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
@@ -120,14 +123,14 @@ class _Robots(NamedTuple):
     period: np.ndarray  # (B,) time steps of a control period
 
     def some(self, rows: np.ndarray, loaded: np.ndarray) -> tuple[Law, mc.Parameters]:
-        """Return law and parameters of some robots (B, 1, ...), `loaded` (B,) with their cargo."""
+        """Return law and parameters of some robots, `loaded` (B,) with their cargo."""
 
         def of_rows(value: np.ndarray, own: int) -> np.ndarray:
-            return value[rows][:, None] if value.ndim > own else value
+            return value[rows] if value.ndim > own else value
 
         law, parameters = jax.tree.map(of_rows, (self.law, self.parameters), self.axes)
         cargo = np.broadcast_to(self.parameters.cargo_mass, len(self.period))[rows] * loaded
-        return law, dataclasses.replace(parameters, cargo_mass=cargo[:, None])
+        return law, dataclasses.replace(parameters, cargo_mass=cargo)
 
 
 def _robots(found: Resolved, time_step: float, stages: Stages) -> _Robots:
@@ -153,7 +156,7 @@ def _radii_of(walk: Structure, robots: _Robots, rows: np.ndarray, loaded: np.nda
     kinds = int(periods.max() if walk.stages.linear else min(periods.max(), 2))
     states = _states(walk, *robots.some(rows[:1], loaded[:1]), robots.axes)
     matrices = max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
-    column = np.arange(states, dtype=np.int32)
+    still, columns = np.zeros((matrices, states)), np.broadcast_to(np.eye(states), (matrices, states, states))
 
     def jacobians(start: int) -> np.ndarray:
         """Return the Jacobians (kinds, matrices, states, states) of the steps of a period, the last ones repeated."""
@@ -161,12 +164,12 @@ def _radii_of(walk: Structure, robots: _Robots, rows: np.ndarray, loaded: np.nda
         law, parameters = robots.some(rows[some], loaded[some])
         found = []
         for kind in range(kinds):
-            step = (first[some] + kind).astype(np.int32)[:, None]
-            columns = execution.run(
-                _column, walk, (law, parameters, step, column), (*robots.axes, 0, 0), (matrices, states),
-                batch_size=matrices * states // 2, compile_briefly=True,
-            )["column"]  # fmt: skip
-            found.append(np.swapaxes(columns, 1, 2))
+            step = (first[some] + kind).astype(np.int32)
+            _, tangents = execution.run(
+                _moved, walk, (still, law, parameters, step), (1, *robots.axes, 0), (matrices,),
+                directions=columns, batch_size=max(1, _ENTRIES_OF_A_CALL // states**2), compile_briefly=True,
+            )  # fmt: skip
+            found.append(np.swapaxes(tangents["after"], 1, 2))
         return np.stack(found)
 
     with ThreadPoolExecutor(1) as beside:  # eigenvalues of these while the next are made
@@ -289,11 +292,10 @@ def _calm(scenario: mc.Scenario, parameters: mc.Parameters | None) -> mc.Paramet
     return calm
 
 
-def _column(shape: Structure, law: Law, parameters: mc.Parameters, step: Array, column: Array) -> dict[str, Array]:
-    """Return by how much the state (s,) is off after a step where it was off in one value, `column`, before."""
+def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, step: Array) -> dict[str, Array]:
+    """Return the values (s,) of a robot after a step before which they were `off` (s,) from those of its stance."""
     values, after = _stepped(shape, law, parameters, step)
-    off = (jnp.arange(values.size) == column).astype(values.dtype)
-    return {"column": jax.jvp(after, (values,), (off,))[1]}
+    return {"after": after(values + off)}
 
 
 def _stepped(
@@ -348,7 +350,7 @@ def _stance(walk: Walk, step: Array) -> Carry:
 
 
 def _states(shape: Structure, law: Law, parameters: mc.Parameters, axes: Any) -> int:
-    """Return how many values of a robot can be off by a little; law and parameters are those of robots (1, 1, ...)."""
+    """Return how many values of a robot can be off by a little; law and parameters are those of robots (1, ...)."""
 
     def one(value: np.ndarray, own: int) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(value.shape[value.ndim - own :], value.dtype)
