@@ -15,16 +15,7 @@ from mjx_climb.robot.description import bare
 from tests.robot.test_robot_file import keys, urdf
 from tuning.command_line import main
 
-MESH = """
-v 0 0 0
-v 0.02 0 0
-v 0 0.02 0
-v 0 0 0.02
-f 1 3 2
-f 1 2 4
-f 1 4 3
-f 2 3 4
-"""
+MESH = "v 0 0 0\nv 0.02 0 0\nv 0 0.02 0\nv 0 0 0.02\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
 @pytest.fixture

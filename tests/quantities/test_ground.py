@@ -152,27 +152,6 @@ def test_a_map_that_cannot_be_used_is_refused_in_one_line(name, tmp_path):
     assert len(str(refused.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"ground.footholds.LF": []}, "ground.footholds.LF: expected a list of one finite number or more"),
-        ({"ground.footholds.LF": [0, "high"]}, "ground.footholds.LF: expected a list"),
-        ({"ground.footholds.XX": [0]}, "ground.footholds.XX: expected one of the limbs LF, LH, RH, RF"),
-        ({"ground.map": {"file": "a.csv"}}, "ground.map.resolution: expected a value"),
-        ({"ground.map": {"file": "a.csv", "resolution": 0}}, "ground.map.resolution: expected a finite number above 0"),
-        (
-            {"ground.map": {"file": "a.csv", "resolution": 1}, "ground.footholds.LF": [1]},
-            "ground.map: expected footholds or map, not both",
-        ),
-        ({"gait.duty": 0.9999}, "gait.duty: expected a swing"),
-    ],
-)
-def test_bad_keys_are_named(changes, expected):
-    with pytest.raises(mc.ConfigError) as refused:
-        mc.Scenario().with_overrides(changes)
-    assert expected in str(refused.value)
-
-
 def test_what_a_limb_cannot_reach_is_refused_before_the_walk(scenario):
     check_reach(scenario)
     check_reach(mc.Scenario())

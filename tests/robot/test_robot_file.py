@@ -406,18 +406,3 @@ def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     assert not good["diverged"]
     assert good["peak_foot_force"] < 2 * 1.705 * 9.81
     assert bad["diverged"] or bad["peak_foot_force"] > 1e3
-
-
-@pytest.mark.nightly
-@pytest.mark.slow
-def test_engines_agree_on_other_robots(written):
-    """Half a second of v2.2 and of a URDF robot: one walk under both engines to 1e-9."""
-    urdf_robot = mc.Scenario.model_validate(written(2)).robot
-    for robot, step in (("hubrobo_v2_2", 1e-4), (urdf_robot, None)):
-        scenario = mc.Scenario(robot=robot, duration=0.4).with_overrides({"gait.cycle": 0.4, "gait.stride": 0.02})
-        scenario = scenario.with_overrides({"time_step": step or largest_time_step(scenario)})
-        ours, other = (mc.rollout(scenario, engine=engine) for engine in mc.ENGINES)
-        assert np.isfinite(ours.base_position).all()
-        assert not ours.detached.any()
-        for name in ("base_position", "joint_angles", "foot_force"):
-            np.testing.assert_allclose(getattr(ours, name), getattr(other, name), rtol=1e-8, atol=1e-8)
