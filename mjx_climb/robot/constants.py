@@ -117,9 +117,9 @@ def model_path(name: str | RobotFile) -> Path:
 def load_model(name: str | RobotFile) -> mujoco.MjModel:
     """Return the compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
     if isinstance(name, RobotFile):
-        from mjx_climb.robot.robot_file import model_of  # which looks for a stance with the constants of a robot
+        from mjx_climb.robot.robot_file import compiled_robot  # which looks for a stance with the constants of a robot
 
-        return model_of(name)
+        return compiled_robot(name, load_spec(name))
     return mujoco.MjModel.from_xml_path(str(model_path(name)))
 
 

@@ -10,7 +10,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, described, driven_joints, impossible, one_limit
 from mjx_climb.robot.limbs import Chain, Note, Notes, base_of, limbs_of, middle_of, robot_in, stood_on
 from mjx_climb.robot.robot_file import REACH
-from mjx_climb.robot.stance import STANDING, Hip, Stance, checked, keyframe, of_keyframe, searched, stretched, worth_of
+from mjx_climb.robot.stance import STANDING, Hips, Stance, checked, keyframe, of_keyframe, searched, stretched, worth_of
 
 EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
@@ -60,7 +60,7 @@ def propose(
     notes.taken(f"base {model.body(trunk).name!r}", why)
     limbs = stood_on(path, model, limbs_of(path, full, model, hub, notes), trunk, stand_on)
     hips = stretched(model, trunk, limbs)
-    reach, mass = float(np.mean([hip.reach for hip in hips])), float(model.body_subtreemass[trunk])
+    reach, mass = float(hips.reach.mean()), float(model.body_subtreemass[trunk])
     slides = any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for chain in limbs.values() for j in chain.joints)
     proportions = _proportions(mass, reach, slides)
     held = _held(model, trunk, limbs, notes)
@@ -97,7 +97,7 @@ def _section(path: str, model: mujoco.MjModel, limbs: dict[str, Chain], others: 
 
 
 def _stance(
-    model: mujoco.MjModel, base: int, limbs: dict[str, Chain], section: dict[str, Any], hips: list[Hip], notes: Notes
+    model: mujoco.MjModel, base: int, limbs: dict[str, Chain], section: dict[str, Any], hips: Hips, notes: Notes
 ) -> Stance:
     """Return how the robot stands: as its keyframe has it, where that is a stance, else the best that is found."""
     if (key := keyframe(model)) is not None:

@@ -34,11 +34,6 @@ class _Link(NamedTuple):
 _PAD = _Link(1e-9, np.zeros(3), 1e-12 * np.eye(3))  # of a joint that only fills up a limb, at its foot
 
 
-def model_of(source: RobotFile) -> mujoco.MjModel:
-    """Return the model of a robot file, as `spec_of` describes it."""
-    return compiled_robot(source, spec_of(source))
-
-
 def spec_of(source: RobotFile) -> mujoco.MjSpec:
     """Return a robot file as simulated: floating base, limbs of as many joints each, foot sites, rest stance.
 
@@ -69,18 +64,16 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     """Return the robot of `spec_of` before it stands, and its base's centre of mass in its link's frame, (3,) m."""
     file = _File(source)
     file.check()
-    model, data, axes = file.model, file.data, file.data.xmat[file.base].reshape(3, 3)
-    trunk = file.link(file.base)
+    data, axes, trunk = file.data, file.data.xmat[file.base].reshape(3, 3), file.link(file.base)
     if not trunk.mass:
-        name = model.body(file.base).name
+        name = file.model.body(file.base).name
         raise _error(source, "file", f"a mass of the base link {name!r}", "none", name)
     spec = _scene()
     body = spec.worldbody.add_body(name="base")
     body.add_freejoint(name="base")
     _weigh(body, trunk.seen_from(trunk.center, axes))
-    half = (
-        np.abs([axes.T @ (data.xanchor[chain[0]] - trunk.center) for chain in file.chains.values()]).max(0).clip(0.01)
-    )
+    hips = data.xanchor[[chain[0] for chain in file.chains.values()]] - trunk.center
+    half = np.abs(hips @ axes).max(0).clip(0.01)
     _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "shell", size=[0.95 * half[0], 0.95 * half[1], 0.2 * half[:2].min()])
     names = _joint_names([limb.joints for limb in file.limbs.values()])
     for limb in file.limbs:
@@ -127,18 +120,15 @@ class _File:
         """Return the joints of a limb, after a look at what they hang on."""
         key, model = f"limbs.{name_of_limb}.joints", self.model
         known = ", ".join(model.joint(i).name for i in range(model.njnt)) or "none"
-        joints = [
-            self._joint(key, name, f"revolute or prismatic joints of the file ({known[:200]})") for name in limb.joints
-        ]
-        for joint in joints:
+        expected = f"revolute or prismatic joints of the file ({known[:200]})"
+        joints = [self._joint(key, name, expected) for name in limb.joints]
+        for joint, name in zip(joints, limb.joints, strict=True):
             if joint in self.held:
-                name = model.joint(joint).name
                 raise _error(self.source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}", name)
-        for inner, outer in itertools.pairwise(joints):
-            if self._inner(outer)[0] != inner:
-                name = model.joint(outer).name
-                got = f"{name!r} not next after {model.joint(inner).name!r}"
-                raise _error(self.source, key, "a chain from the base outwards", got, name)
+        for inner, outer in itertools.pairwise(zip(joints, limb.joints, strict=True)):
+            if self._inner(outer[0])[0] != inner[0]:
+                got = f"{outer[1]!r} not next after {inner[1]!r}"
+                raise _error(self.source, key, "a chain from the base outwards", got, outer[1])
         return joints
 
     def _inner(self, joint: int) -> tuple[int, int]:
@@ -146,15 +136,11 @@ class _File:
         model = self.model
         body = int(model.jnt_bodyid[joint])
         parent = int(self.part[model.body_parentid[body]])
-
-        def moving(of: int, until: int) -> list[int]:
-            joints = range(int(model.body_jntadr[of]), until)
-            return [j for j in joints if j not in self.held and int(model.jnt_type[j]) in JOINTS]
-
-        if before := moving(body, joint):
-            return before[-1], body
-        inside = moving(parent, int(model.body_jntadr[parent] + model.body_jntnum[parent]))
-        return (inside[-1] if inside else -1), parent
+        moving = [j for j in range(model.njnt) if j not in self.held and int(model.jnt_type[j]) in JOINTS]
+        for part, until in ((body, joint), (parent, model.njnt)):
+            if inside := [j for j in moving if model.jnt_bodyid[j] == part and j < until]:
+                return inside[-1], part
+        return -1, parent
 
     def _base(self) -> int:
         """Return the body that all limbs begin at."""
@@ -181,12 +167,14 @@ class _File:
                 raise _error(self.source, "limbs", expected, repr(name), name)
         for constraint in np.flatnonzero(model.eq_active0):
             self._check_constraint(int(constraint))
-        names = {limb: [model.joint(joint).name for joint in chain] for limb, chain in self.chains.items()}
-        if elsewhere := [name for name in self.springs if name not in itertools.chain(*names.values())]:
-            raise _error(self.source, f"springs.{elsewhere[0]}", "a joint of a limb", "one of none", elsewhere[0])
-        for limb, chain in names.items():
-            if all(name in self.springs for name in chain):
-                raise _error(self.source, f"limbs.{limb}.joints", "a joint that is driven", "springs in all", chain[0])
+        named = {name for limb in self.limbs.values() for name in limb.joints}
+        for name in self.springs:
+            if name not in named:
+                raise _error(self.source, f"springs.{name}", "a joint of a limb", "one of none", name)
+        for key, limb in self.limbs.items():
+            if self.springs.keys() >= set(limb.joints):
+                got = "springs in all"
+                raise _error(self.source, f"limbs.{key}.joints", "a joint that is driven", got, limb.joints[0])
 
     def _of_robot(self, body: int) -> bool:
         return bool(self.model.body_rootid[body] == self.model.body_rootid[self.base])

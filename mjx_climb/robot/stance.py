@@ -32,11 +32,11 @@ _LEVELLING, _LEVEL = 20, 1e-12  # steps, and m, in which a foot is put at a heig
 _IN_SPACE = 3  # driven joints of a limb that can put its foot anywhere
 
 
-class Hip(NamedTuple):
-    """Where a limb begins."""
+class Hips(NamedTuple):
+    """Where the limbs begin."""
 
-    place: np.ndarray  # (3,) m, base link's frame, of the first joint
-    reach: float  # m, length of all links
+    places: np.ndarray  # (limb, 3) m, base link's frame, of the first joints
+    reach: np.ndarray  # (limb,) m, length of all links
 
 
 class Stance(NamedTuple):
@@ -56,15 +56,14 @@ def _in_base(data: mujoco.MjData, base: int, point: np.ndarray) -> np.ndarray:
     return np.asarray(data.xmat[base].reshape(3, 3).T @ (point - data.xpos[base]))
 
 
-def stretched(model: mujoco.MjModel, base: int, limbs: dict[str, Chain]) -> list[Hip]:
+def stretched(model: mujoco.MjModel, base: int, limbs: dict[str, Chain]) -> Hips:
     """Return where limbs begin and how long they are."""
-    data = at_zero(model)
-    hips = []
+    data, places, reach = at_zero(model), [], []
     for chain in limbs.values():
-        points = [*(data.xanchor[j] for j in chain.joints), foot_of(model, data, chain)]
-        reach = sum(np.linalg.norm(b - a) for a, b in itertools.pairwise(points))
-        hips.append(Hip(_in_base(data, base, points[0]), float(reach)))
-    return hips
+        points = np.array([*data.xanchor[list(chain.joints)], foot_of(model, data, chain)])
+        places.append(_in_base(data, base, points[0]))
+        reach.append(sum(np.linalg.norm(link) for link in np.diff(points, axis=0)))
+    return Hips(np.array(places), np.array(reach))
 
 
 def of_keyframe(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], key: int) -> Stance | None:
@@ -128,13 +127,13 @@ def checked(section: dict[str, Any], stance: Stance) -> Stance | None:
     return next((rounded for rounded in tried if worth(rounded) > 0), None)
 
 
-def searched(section: dict[str, Any], hips: list[Hip]) -> Stance:
+def searched(section: dict[str, Any], hips: Hips) -> Stance:
     """Return the stance of most worth among those with the feet some way out and down, or else at random.
 
     Raises:
         RobotError: none was found, or singular ones alone.
     """
-    reach, places = min(hip.reach for hip in hips), np.array([hip.place for hip in hips])
+    reach, places = float(hips.reach.min()), hips.places
     away = places[:, :2] / np.maximum(np.linalg.norm(places[:, :2], axis=1, keepdims=True), 1e-6)
     stances = [
         Stance(height, (places[:, :2] + out * reach * away).round(4))
