@@ -34,42 +34,12 @@ AXES = ["x", "y", "z"]
 QUATERNION = ["w", "x", "y", "z"]
 SIX = ["x", "y", "z", "rx", "ry", "rz"]
 
-_VECTOR, _SIX = ("time", "axis"), ("time", "six")
-_JOINT, _FOOT, _LIMB = ("time", "limb", "joint"), ("time", "limb", "axis"), ("time", "limb")
-
-# name: dimensions, units, long name; one entry for every array of a trajectory
+_COMPONENTS = {"3": "axis", "4": "quaternion", "6": "six"}  # the dimension of so many
+# name: dimensions, units, long name; one entry for every array of a trajectory but its times
 VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "base_position": (_VECTOR, "m", "position of the base's centre of mass"),
-    "base_orientation": (("time", "quaternion"), "1", "orientation of the base, unit quaternion"),
-    "base_linear_velocity": (_VECTOR, "m/s", "linear velocity of the base"),
-    "base_angular_velocity": (_VECTOR, "rad/s", "angular velocity of the base"),
-    "base_linear_acceleration": (_VECTOR, "m/s^2", "linear acceleration of the base"),
-    "base_angular_acceleration": (_VECTOR, "rad/s^2", "angular acceleration of the base"),
-    "joint_angles": (_JOINT, "rad", "joint angle"),
-    "joint_rates": (_JOINT, "rad/s", "joint rate"),
-    "joint_accelerations": (_JOINT, "rad/s^2", "joint acceleration"),
-    "joint_targets": (_JOINT, "rad", "commanded joint angle"),
-    "joint_torque": (_JOINT, "N m", "joint torque"),
-    "foot_position": (_FOOT, "m", "position of the foot"),
-    "foot_velocity": (_FOOT, "m/s", "velocity of the foot"),
-    "foot_target": (_FOOT, "m", "commanded position of the foot"),
-    "foot_force": (_FOOT, "N", "force of the ground on the foot"),
-    "foot_moment": (_FOOT, "N m", "moment of the ground on the foot"),
-    "grip_point": (_FOOT, "m", "point where the foot grips or last gripped"),
-    "support": (_LIMB, "1", "the gripper is shut and holds"),
-    "contact": (_LIMB, "1", "the ground acts on the foot"),
-    "detached": (_LIMB, "1", "the gripper was torn off before"),
-    "torn_off": (_LIMB, "1", "the gripper is torn off in this step"),
-    "missed": (_LIMB, "1", "the gripper shuts out of reach in this step"),
-    "reachable": (_LIMB, "1", "the foot target is within reach"),
-    "base_reference": (_VECTOR, "m", "base position that the gait asks for"),
-    "base_displacement": (_SIX, "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law"),
-    "base_wrench": (_SIX, "N (x, y, z), N m (rx, ry, rz)", "wrench of the foot forces on the base"),
-    "push": (_SIX, "N (x, y, z), N m (rx, ry, rz)", "wrench on the base from outside"),
-    "cargo_mass": (("time",), "kg", "mass of the cargo"),
-    "center_of_mass": (_VECTOR, "m", "centre of mass of robot and cargo"),
-    "tsm": (("time",), "m", "tumble stability margin"),
-    "gia_margin": (("time",), "m/s^2", "gravito-inertial acceleration margin"),
+    field.name: (tuple(_COMPONENTS.get(axis, axis) for axis in field.type.dim_str.split()), *field.metadata["about"])  # type: ignore[union-attr]
+    for field in dataclasses.fields(Trajectory)
+    if "about" in field.metadata
 }
 
 # ------------------------------------------------------------------------------------------------------------
