@@ -300,7 +300,6 @@ def beginning(names: Sequence[list[str]]) -> list[str]:
 
 def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
     """Return the limbs by what the names of their joints have in common, at the beginning or at the end."""
-
     words = [
         [[word for word in re.split(r"[_\-. /]+", model.joint(joint).name) if word] for joint in chain.joints]
         for chain in limbs

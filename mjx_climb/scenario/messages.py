@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import PydanticCustomError
 
 
 class ConfigError(ValueError):
@@ -22,12 +22,7 @@ def failure(expected: str, **context: Any) -> PydanticCustomError:
 
 def refusal(invalid: ValidationError, root: type[BaseModel], source: str) -> ConfigError:
     """Return what is wrong with the data of a model as one line."""
-    errors = invalid.errors(include_url=False)
-    return _explained(errors[0], root, source, len(errors) - 1)
-
-
-def _explained(error: ErrorDetails, root: type[BaseModel], source: str, more: int) -> ConfigError:
-    """The pydantic error in the words of `ConfigError`."""
+    error, *others = invalid.errors(include_url=False)
     where, context, got = error["loc"], error.get("ctx", {}), show(error["input"])
     if len(where) > 1 and where[0] == "robot":
         where = where[:1] + where[2:]  # without the tag of the kind
@@ -47,7 +42,7 @@ def _explained(error: ErrorDetails, root: type[BaseModel], source: str, more: in
         case _:
             keys = ", ".join(section(root, where).model_fields)
             expected = f"a mapping with keys {keys}" if keys else "a mapping from names"
-    return config_error(source, ".".join(map(str, where)), expected, got, more)
+    return config_error(source, ".".join(map(str, where)), expected, got, len(others))
 
 
 def section(root: type[BaseModel], where: Sequence[str | int]) -> type[BaseModel]:

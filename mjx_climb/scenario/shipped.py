@@ -40,17 +40,12 @@ def found(path: Path) -> Path:
 
 def found_profile(path: Path) -> Path:
     """Return the path of a profile, as `found` does that of a config."""
-    if path.suffix or len(path.parts) > 1 or os.path.isfile(path):
-        return path
-    return _shipped(f"{path.name}.yaml", "a profile of hardware", _HARDWARE)
+    there = path.suffix or len(path.parts) > 1 or os.path.isfile(path)
+    return path if there else _shipped(f"{path.name}.yaml", "a profile of hardware", _HARDWARE)
 
 
 def config_path(name: str) -> Path:
-    """Return where a shipped config lies, by its file's name.
-
-    Raises:
-        ConfigError: there is none of that name.
-    """
+    """Return where a shipped config lies, by its file's name; the error is that of `found`."""
     return _shipped(name, "a config that comes with the program")
 
 
