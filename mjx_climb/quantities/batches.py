@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+
+from mjx_climb.dynamics.spatial import namespace
 
 Tree = TypeVar("Tree")
 
@@ -40,42 +41,29 @@ def batch_shape(*trees: Any) -> tuple[int, ...]:
     return jnp.broadcast_shapes(*shapes)
 
 
-def flattened(tree: Tree, axes: Tree, shape: Sequence[int]) -> Tree:
-    """Return arrays with one batch axis wherever they vary, before each value's own `axes`.
-
-    Of a single robot those vary that have batch axes, so that it walks by the program of several.
-    """
-    robots = math.prod(shape)
-
-    def flat(value: Any, own: int) -> Any:
-        tail, varies = value.shape[value.ndim - own :], robots == 1 and value.ndim > own
-        if math.prod(value.shape[: value.ndim - own]) == 1 and not varies:
-            return value.reshape(tail)
-        broadcast = jnp.broadcast_to if isinstance(value, jax.Array) else np.broadcast_to
-        return broadcast(value, (*shape, *tail)).reshape(robots, *tail)
-
-    result: Tree = jax.tree.map(flat, tree, axes)
-    return result
-
-
-def rows_of(tree: Tree, axes: Tree, rows: np.ndarray) -> Tree:
-    """Return some environments of a flattened tree."""
-    some: Tree = jax.tree.map(lambda value, own: value[rows] if value.ndim > own else value, tree, axes)
-    return some
-
-
 def over_batch(function: Callable[..., Any], trees: Sequence[Any], axes: Sequence[Any], shape: Sequence[int]) -> Any:
     """Return what a function of one robot gives for all robots of a batch, with the batch axes in front.
 
-    What does not vary over the batch is passed as it is, so that it is worked out once.
+    What does not vary over the batch is passed as it is, so that it is worked out once; of a batch of one what has
+    batch axes counts as varying, so that it walks by the program of several.
     """
     if not shape:
         return function(*trees)
-    leaves, tree = jax.tree.flatten(flattened(tuple(trees), tuple(axes), shape))
-    mapped = [0 if leaf.ndim > own else None for leaf, own in zip(leaves, jax.tree.leaves(tuple(axes)), strict=True)]
+    robots = math.prod(shape)
+
+    def flat(value: Any, own: int) -> Any:
+        batch, tail = value.shape[: value.ndim - own], value.shape[value.ndim - own :]
+        if math.prod(batch) == 1 and (robots > 1 or not batch):
+            return value.reshape(tail)
+        return namespace(value).broadcast_to(value, (*shape, *tail)).reshape(robots, *tail)
+
+    owns = jax.tree.leaves(tuple(axes))
+    leaves, tree = jax.tree.flatten(tuple(trees))
+    leaves = [flat(value, own) for value, own in zip(leaves, owns, strict=True)]
+    mapped = [0 if value.ndim > own else None for value, own in zip(leaves, owns, strict=True)]
 
     def of_leaves(*leaves: Any) -> Any:
         return function(*jax.tree.unflatten(tree, leaves))
 
-    found = jax.vmap(of_leaves, in_axes=mapped, axis_size=math.prod(shape))(*leaves)
+    found = jax.vmap(of_leaves, in_axes=mapped, axis_size=robots)(*leaves)
     return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), found)
