@@ -55,7 +55,7 @@ def agree(function):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in primitives.KNOWN if name not in BEYOND_JAX])
-def test_every_operation_has_jaxs_slope(name, interpreted):
+def test_every_operation_has_jaxs_tangent(name, interpreted):
     """In float64; what has no forward derivative is refused."""
     operation = primitives.KNOWN[name]
     function = lambda v, m, n: operation(v, m * v[1], n)  # noqa: E731
@@ -115,7 +115,7 @@ def test_tangents_by_a_rule_of_ones_own(interpreted):
     agree(function)
 
 
-def test_slopes_are_as_precise_as_values(without_nvrtc):
+def test_tangents_are_as_precise_as_values(without_nvrtc):
     """Single precision stays that, where double precision is allowed."""
 
     def function(vector):
@@ -128,7 +128,7 @@ def test_slopes_are_as_precise_as_values(without_nvrtc):
     assert "double" not in kernel
 
 
-def test_what_nothing_moves_has_no_rates(without_nvrtc):
+def test_what_nothing_moves_has_no_tangents(without_nvrtc):
     """A loop carries the rates of what depends on the first argument, and of nothing else."""
 
     def function(vector, matrix, number):
@@ -147,7 +147,7 @@ def test_what_nothing_moves_has_no_rates(without_nvrtc):
 
 
 @pytest.mark.slow
-def test_the_trial_of_the_kernel_sees_wrong_slopes(interpreted, monkeypatch, capsys):
+def test_the_trial_of_the_kernel_sees_wrong_tangents(interpreted, monkeypatch, capsys):
     """Values alone do not make a verdict."""
     probe.take("kernel")
     assert capsys.readouterr().out.strip() == probe.SAME

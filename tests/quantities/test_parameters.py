@@ -9,7 +9,7 @@ from mjx_climb.quantities.parameters import own_parameters
 
 
 @pytest.mark.parametrize("hardware", [(), ["hardware.force_sensor.delay=0.002"]])
-def test_numbers_in_numpy_are_those_of_jax(case, hardware):
+def test_parameters_in_numpy_are_those_of_jax(case, hardware):
     """To the last bit, where no array of JAX is made: a GPU would have to start for it."""
     scenario = mc.load_scenario("case_1_2", hardware)
     with jax.transfer_guard("disallow"):

@@ -212,7 +212,7 @@ def test_nothing_is_added_to_cubics(robots):
 
 
 @pytest.mark.slow
-def test_slopes_through_low_reaction_swings(robots):
+def test_tangents_through_low_reaction_swings(robots):
     """Derivatives of a walk by a gain and by the added path agree with central differences."""
     scenario = robots["hubrobo"].with_overrides(
         {"duration": 0.3, "gait.cycle": 0.8, "gait.stride": 0.01, "gait.step_height": 0.01, "gravity": [0, 0, -1.6]}

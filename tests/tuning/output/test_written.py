@@ -62,7 +62,7 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("method", "more"), [("gradient", 0), ("cmaes", 1)])
-def test_a_search_without_slopes_has_the_program_of_the_tests_loaded_beside(monkeypatch, method, more):
+def test_a_search_without_gradients_has_the_program_of_the_tests_loaded_beside(monkeypatch, method, more):
     asked = []
     monkeypatch.setattr(comparisons.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
     scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
