@@ -61,3 +61,6 @@ def test_a_cliff_is_named_by_what_breaks_off():
     assert [line for line in checked.warnings if "cliff" in line] == [
         f"cliff within 20% of {said}{names[2]} (more: the walk diverges)"
     ]
+    lost = around._replace(value=np.full(1 + 2 * n, 0.5), feasible=np.zeros(1 + 2 * n, bool))
+    besides = verify(found, problem, metrics=walk, tested=verification.Tests(lost, np.zeros(n), 0.99))
+    assert set(besides.shape.values()) == {"plateau"}  # where the result breaks a limit itself, so may its neighbours

@@ -201,10 +201,12 @@ def _with(numbers, mass):
 class Bowl(Problem):
     """A problem whose landscape is a bowl in the log gains, with a dead corner."""
 
+    BOTTOM = 0.6  # as a share of the space
+
     def evaluate(self, theta, directions=None):
         ratio = (theta - self.space.lower) / (self.space.upper - self.space.lower)
-        value = 0.5 + ((ratio - 0.6) ** 2 * np.arange(1, 1 + theta.shape[1])).sum(1)
-        slope = 2 * (ratio - 0.6) * np.arange(1, 1 + theta.shape[1]) / (self.space.upper - self.space.lower)
+        value = 0.5 + ((ratio - self.BOTTOM) ** 2 * np.arange(1, 1 + theta.shape[1])).sum(1)
+        slope = 2 * (ratio - self.BOTTOM) * np.arange(1, 1 + theta.shape[1]) / (self.space.upper - self.space.lower)
         value = np.where((ratio < 0.1).any(1), np.nan, value)
         slopes = slope @ (np.zeros((0, theta.shape[1])) if directions is None else directions).T
         slopes[np.isnan(value)] = np.nan
@@ -255,6 +257,14 @@ def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenar
     for coarse, fine in itertools.pairwise(levels):
         steps = [np.diff(np.unique(axis.round(9))).min() for axis in coarse.T]
         np.testing.assert_allclose(np.ptp(fine, axis=0), 2 * np.array(steps), rtol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["grid", "cmaes", "gradient", "lbfgs"])
+def test_no_method_asks_for_gains_beyond_the_bounds(scenario, method, monkeypatch):
+    monkeypatch.setattr(Bowl, "BOTTOM", 1.0)
+    space = spaces.space(scenario, search.Search())
+    for request, _ in searched(scenario, method=method)[0]:
+        assert (request.theta >= space.lower - 1e-12).all() and (request.theta <= space.upper + 1e-12).all()
 
 
 def test_a_dead_start_does_not_poison_the_others(scenario):
