@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from tuning.evaluation import verification
+from tuning.evaluation import maps, verification
 from tuning.evaluation.verification import binding_limits, broken_limits, verify
 from tuning.problem import spaces
 from tuning.problem.evaluation import Evaluation, Problem
@@ -64,3 +64,10 @@ def test_a_cliff_is_named_by_what_breaks_off():
     lost = around._replace(value=np.full(1 + 2 * n, 0.5), feasible=np.zeros(1 + 2 * n, bool))
     besides = verify(found, problem, metrics=walk, tested=verification.Tests(lost, np.zeros(n), 0.99))
     assert set(besides.shape.values()) == {"plateau"}  # where the result breaks a limit itself, so may its neighbours
+
+
+def test_a_walk_without_a_metric_that_counts_keeps_no_limit():
+    goal = Objective((Term("cost_of_transport", 1.0, 2.0, 2.0),), ())
+    missing, there = (maps.score_of(goal, {**HELD, "cost_of_transport": cost}) for cost in (None, 3.0))
+    assert not missing.feasible and not missing.value < np.inf
+    assert there.feasible and there.value == 1.5

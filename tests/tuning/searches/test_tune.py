@@ -352,10 +352,11 @@ def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path)
     assert tune(scenario, method=method, out=tmp_path, progress=stop, **how).data.sizes["point"] == 24
     with pytest.raises(OutputError, match="another that differs in method"):
         tune(scenario, method=functools.partial(random_search, 2.0), out=tmp_path, **how)
-    walked = []
-    resumed = tune(scenario, method=method, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
+    seen = []
+    resumed = tune(scenario, method=method, out=tmp_path, progress=seen.append, **how)
     undisturbed = tune(scenario, method=Method(lambda task: 3, method), **how)
-    assert walked == [False, True, True] and resumed.search.method == "own"
+    assert [now.walked for now in seen] == [False, True, True] and resumed.search.method == "own"
+    assert seen[-1].best == pytest.approx(resumed.value)
     np.testing.assert_array_equal(resumed.data["theta"], undisturbed.data["theta"])
     np.testing.assert_array_equal(resumed.data["value"], undisturbed.data["value"])
     assert resumed.value == undisturbed.value < 1
