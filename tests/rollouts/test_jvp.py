@@ -79,3 +79,10 @@ def test_one_robot_has_the_tangents_that_it_has_in_a_batch(case):
     for name, tangent in alone.items():
         assert tangent.shape == (DIRECTIONS, 1)
         np.testing.assert_allclose(tangent, beside[name][:, :1], rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.slow
+def test_gains_that_a_law_does_not_have_move_nothing(case):
+    scenario, six = case("case_1_2", "pd", (("duration", 0.02),)), np.ones((1, 6))
+    _, tangents = mc.rollout_jvp(scenario, mc.Gains(six, six, six), mc.Gains(six, six, six), dtype=np.float64)
+    assert all((tangents[name] == 0).all() for name in ("peak_foot_force", "force_variation", "travel"))
