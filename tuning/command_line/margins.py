@@ -90,8 +90,8 @@ def _write(
     from mjx_climb import plots
     from mjx_climb.files import dataset
     from tuning.evaluation import linear_margins, margins
-    from tuning.report.margin_pictures import plot_margins
     from tuning.report.numbers import to_json
+    from tuning.report.pictures import plot_margins
 
     warnings = margins.warnings(found) + linear_margins.warnings(found.margins, stable)
     each = {

@@ -185,7 +185,7 @@ def _show(
 ) -> None:
     from mjx_climb.rollouts.remedies import remedies
     from tuning.command_line.session import comparison_table, plain_table
-    from tuning.report import remarks
+    from tuning.report import numbers
     from tuning.report.comparison import gains_of
     from tuning.report.numbers import number, unit, words
 
@@ -200,7 +200,7 @@ def _show(
         compared = {name: (gains_of(walks[name]), values) for name, values in metrics.items()}
         shell.show(comparison_table(compared, rival, shell.tables.width, about, law))
         shell.show(*(f"{name}: {verdict}" for name, verdict in verdicts.items()))
-    shell.show(*remarks.weightless(metrics))
+    shell.show(*numbers.weightless(metrics))
     if metrics[name]["detached_limb"] is not None:
         with shell.stage("what would help", compiles=False):
             shell.show(remedies(walks[name].scenario, float(metrics[name]["detached_at"] or 0.0), law))

@@ -124,9 +124,9 @@ class Session:
 
     def opening(self, scenario: "mc.Scenario | None" = None) -> None:
         """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
-        from tuning.report import remarks
+        from tuning.report import numbers
 
-        self.say(_cache_state(), *(f"warning: {line}" for line in (remarks.ahead_of(scenario) if scenario else ())))
+        self.say(_cache_state(), *(f"warning: {line}" for line in (numbers.ahead_of(scenario) if scenario else ())))
 
     def write(self, found: "Result", again: str, compared: Any = None) -> "Written":
         """Write a result with its report, in which `again` is the command that repeats it."""

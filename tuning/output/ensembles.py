@@ -15,7 +15,7 @@ from tuning.output.comparisons import CONVERGENCE
 from tuning.output.folder import Contents, Folder
 from tuning.problem.evaluation import under_pd
 from tuning.problem.objectives import Objective
-from tuning.report import ensemble_pictures, page, pages, search_pictures
+from tuning.report import page, pages, pictures
 from tuning.report.comparison import differences
 from tuning.report.numbers import to_json
 from tuning.searches import judge as judging
@@ -44,11 +44,10 @@ def judge(found: Judged, folder: Folder, _: None = None) -> Contents:
     return Contents(
         Written(data=found.data, summed=summed, outcome=[sentence], summary=summary),
         {"summary.json": summary + "\n"},
-        {"judged": (SHARES, lambda: ensemble_pictures.plot_judged(found.data))},
-        lambda origin, pictures: page.Page(
-            title=f"Gains on the walks of {origin.name}", origin=origin, verdict=f"{sentence}.", notes=[],
-            scenario=found.scenario, explorers=[], tables=[pages.judged_table(summed, metrics)],
-            pictures=pictures, facts={"seed": ensemble.seed},
+        {"judged": (SHARES, lambda: pictures.plot_judged(found.data))},
+        lambda origin: page.Page(
+            title=f"Gains on the walks of {origin.name}", origin=origin, verdict=f"{sentence}.", scenario=found.scenario,
+            tables=[pages.judged_table(summed, metrics)], facts={"seed": ensemble.seed},
         ),
     )  # fmt: skip
 
@@ -59,7 +58,7 @@ def schedule(found: Scheduled, folder: Folder, _: None = None) -> Contents:
     return Contents(
         Written(data=data, outcome=[schedules.worth(data)]),
         {"schedule.csv": schedules.to_csv(data), "schedule.yaml": schedules.to_yaml(data)},
-        {"schedule": (SCHEDULE, lambda: ensemble_pictures.plot_schedule(data))},
+        {"schedule": (SCHEDULE, lambda: pictures.plot_schedule(data))},
     )
 
 
@@ -78,8 +77,8 @@ def pareto(found: Front, folder: Folder, _: None = None) -> Contents:
     return Contents(
         Written(walks=walks, data=data, outcome=[found.worth], summary=summary),
         {"summary.json": summary + "\n"},
-        {"front": (FRONT, lambda: ensemble_pictures.plot_front(data))},
-        lambda origin, pictures: pages.pareto_page(found, histories, walks, origin=origin, pictures=pictures),
+        {"front": (FRONT, lambda: pictures.plot_front(data))},
+        lambda origin: pages.pareto_page(found, histories, walks, origin),
         again,
     )
 
@@ -110,10 +109,10 @@ def robust(found: Robust, folder: Folder, _: None = None) -> Contents:
         Written(data=walks, summed=summed, outcome=outcome, summary=summary),
         {"judged.nc": walks, "summary.json": summary + "\n"},
         {
-            "convergence": (CONVERGENCE, lambda: search_pictures.plot_convergence(found)),
-            "judged": (SHARES, lambda: ensemble_pictures.plot_judged(walks)),
+            "convergence": (CONVERGENCE, lambda: pictures.plot_convergence(found)),
+            "judged": (SHARES, lambda: pictures.plot_judged(walks)),
         },
-        lambda origin, pictures: pages.robust_page(found, summed, outcome, origin=origin, pictures=pictures),
+        lambda origin: pages.robust_page(found, summed, outcome, origin),
         "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again",
     )
 

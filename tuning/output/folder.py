@@ -40,7 +40,7 @@ class Contents(NamedTuple):
     written: Written
     files: Mapping[str, str | xr.Dataset] = MappingProxyType({})  # by name
     pictures: Pictures = MappingProxyType({})
-    page: Callable[[Origin, Mapping[str, Path]], Page] | None = None  # from PNG files by caption
+    page: Callable[[Origin], Page] | None = None
     again: str = ""  # the command or call that repeats it in the folder
 
 
@@ -78,7 +78,7 @@ class Folder:
                 call = f"tuning.{found.KIND}(...)"
                 origin = self._origin or Origin("the scenario", call, made.again or call)
                 config = without_folders((self.path / "config.yaml").read_text(encoding="utf-8"))
-                named = page.write(made.page(origin._replace(config=config), self._pictures), self.path).name
+                named = page.write(made.page(origin._replace(config=config, pictures=self._pictures)), self.path).name
                 self._files.insert(0, named)
         parts.clear(self.path)
         return dataclasses.replace(made.written, files=", ".join(dict.fromkeys([*self._files, "config.yaml"])))

@@ -14,7 +14,7 @@ from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
 from tuning.output import sweep
-from tuning.report import ensemble_pictures, search_pictures
+from tuning.report import pictures
 from tuning.report.comparison import Compared
 from tuning.report.explorer import axes_of
 from tuning.searches import result
@@ -54,11 +54,11 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
             yield from _search(folder, data)
         elif name == "judged.nc":
             _check(metrics, data, ("gains", "member"))
-            yield "judged", ensemble_pictures.plot_judged(data, *([metrics] if metrics else []))
+            yield "judged", pictures.plot_judged(data, *([metrics] if metrics else []))
         elif name == "front.nc":
-            yield "front", ensemble_pictures.plot_front(data)
+            yield "front", pictures.plot_front(data)
         else:
-            yield "schedule", ensemble_pictures.plot_schedule(data)
+            yield "schedule", pictures.plot_schedule(data)
 
 
 def _maps(data: xr.Dataset, compared: Compared, metrics: Sequence[str], sheet: str) -> Drawn:
@@ -75,9 +75,9 @@ def _search(folder: Path, data: xr.Dataset) -> Drawn:
     if "law" in data.attrs:
         return  # its file is not here
     found = result.load(folder / "search.nc")
-    yield "convergence", search_pictures.plot_convergence(found)
+    yield "convergence", pictures.plot_convergence(found)
     if (folder / "map.nc").is_file():
-        yield "path", search_pictures.plot_path(found, dataset.load(folder / "map.nc"))
+        yield "path", pictures.plot_path(found, dataset.load(folder / "map.nc"))
 
 
 def _check(metrics: Sequence[str], data: xr.Dataset, dims: tuple[str, str]) -> None:

@@ -21,8 +21,7 @@ from tuning.output.folder import Contents, Folder, made_from, write_config
 from tuning.report import pages
 from tuning.report.comparison import Compared, differences, gains_of
 from tuning.report.explorer import axes_of
-from tuning.report.numbers import to_json
-from tuning.report.remarks import failed, remarks
+from tuning.report.numbers import failed, remarks, to_json
 from tuning.searches import retuned_pd
 from tuning.searches.result import Written
 from tuning.searches.retuned_pd import Worth
@@ -61,9 +60,9 @@ def sweep(found: Swept, folder: Folder, begun: OfGrid | None = None) -> Contents
     return Contents(
         Written(walks=compared.walks, compared=compared.rows, data=data, outcome=outcome, summary=summary),
         {"comparison.json": summary + "\n"},
-        page=lambda origin, pictures: pages.sweep_page(
+        page=lambda origin: pages.sweep_page(
             dataclasses.replace(problem, scenario=scenario), compared, histories, marks(data, compared.rows),
-            [*worth, *widen], origin=origin, pictures=pictures,
+            [*worth, *widen], origin,
         ),
         again=f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed}).write("again")',
     )  # fmt: skip

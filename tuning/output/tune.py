@@ -16,11 +16,9 @@ from tuning.evaluation.verification import Verification
 from tuning.output.comparisons import CONVERGENCE, OfSearch, Retuned, beside_retuned, of_search, one_walk
 from tuning.output.folder import Contents, Folder
 from tuning.problem.objectives import Goal
-from tuning.report import pages, search_pictures
+from tuning.report import pages, pictures
 from tuning.report.comparison import Compared, differences, gains_of
-from tuning.report.margin_pictures import plot_margins
-from tuning.report.numbers import to_json
-from tuning.report.remarks import failed, remarks
+from tuning.report.numbers import failed, remarks, to_json
 from tuning.searches import retuned_pd
 from tuning.searches.result import Tuned, Written
 from tuning.searches.retuned_pd import Worth
@@ -39,15 +37,15 @@ def tune(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Content
     outcome, tests = compared.outcome(found), outcome_of(checked, found) + _turns(found, compared.walks["tuned"])
     summary = _summary(found, checked, rows, compared.worth)
     files: dict[str, Any] = {"summary.json": summary + "\n"}
-    pictures: dict[str, Any] = {"margins": (MARGINS, lambda: plot_margins(compared.hardware, "tuned"))}
+    drawn: dict[str, Any] = {"margins": (MARGINS, lambda: pictures.plot_margins(compared.hardware, "tuned"))}
     if over is not None:
         files["map.nc"] = over
-        pictures["path"] = PATH, lambda: search_pictures.plot_path(found, over)
+        drawn["path"] = PATH, lambda: pictures.plot_path(found, over)
     return Contents(
         Written(walks=compared.walks, compared=rows, data=over, outcome=outcome + tests, summary=summary),
         files,
-        pictures,
-        lambda origin, drawn: pages.tune_page(found, compared, outcome, tests, origin=origin, pictures=drawn),
+        drawn,
+        lambda origin: pages.tune_page(found, compared, outcome, tests, origin),
         "mjx-climb tune config.yaml --search search.yaml --out again",
     )
 
@@ -103,7 +101,7 @@ def compare(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Comp
         metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
         folder.draw(
             {
-                "convergence": (CONVERGENCE, lambda: search_pictures.plot_convergence(found)),
+                "convergence": (CONVERGENCE, lambda: pictures.plot_convergence(found)),
                 "walks": (WALKS, lambda: plots.plot_comparison(walks)),
             }
         )

@@ -9,12 +9,12 @@ from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
 from mjx_climb.files.dataset import SIX
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import JOINT_UNITS, labels
-from tuning.report.numbers import axis_values, change, gain, is_number, number, plain_unit, unit
+from tuning.report.numbers import axis_values, change, failed, gain, is_number, number, plain_unit, unit
 from tuning.report.page import Table
-from tuning.report.remarks import failed
 
 Values = Mapping[str, Any]
 Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
+Column = tuple[str, str | None]  # a walk, and the walk that it is given as change against; None: its own values
 
 
 def gains_of(walk: Trajectory) -> dict[str, Any] | None:
@@ -25,27 +25,17 @@ def gains_of(walk: Trajectory) -> dict[str, Any] | None:
     return None if control.controller == "pd" else {name: getattr(control, name) for name in Gains.AXES}
 
 
-def gain_units(compared: Compared, law: Law | None = None) -> dict[str, tuple[str, str]]:
+def _gain_units(compared: Compared, law: Law | None) -> dict[str, tuple[str, str]]:
     """Return the units of a translation and of a rotation by gain, those of the joint loop left out.
 
     They are the gains of the walks, in the order of the paper's, then those of the user's law; the paper's where no
     walk has any.
     """
-    held = [gains for gains, _ in compared.values() if gains is not None]
-    own = dict.fromkeys(name for gains in held for name in gains if name not in ("kp", "kd"))
+    own = dict.fromkeys(name for gains, _ in compared.values() for name in gains or () if name not in JOINT_UNITS)
     known = labels(law)
     first = [name for name in ("stiffness", "damping", "inertia") if name in own or not own]
     units = {name: known[name][0].split(",") for name in dict.fromkeys([*first, *own])}
     return {name: (plain_unit(each[0]), plain_unit(each[-1])) for name, each in units.items()}
-
-
-Column = tuple[str, str | None]  # a walk, and the walk that it is given as change against; None: its own values
-
-
-def columns_of(compared: Compared) -> list[Column]:
-    """Return the first walk, what it changes against each of the others, and these: the columns of a page."""
-    first, *others = compared
-    return [(first, None), *((first, name) for name in others), *((name, None) for name in others)]
 
 
 def table(
@@ -62,26 +52,23 @@ def table(
         caption: above the table.
         about: the metrics themselves.
         law: the user's own, if any.
-        columns: values of walks, and changes in per cent; `columns_of` them where None.
+        columns: values of walks, and changes in per cent; where None the first walk, its change against each of the
+            others, and these.
     """
-    columns = columns_of(compared) if columns is None else columns
+    if columns is None:
+        first, *others = compared
+        columns = [(first, None), *((first, name) for name in others), *((name, None) for name in others)]
     heads = [name if base is None else f"vs {base} %" for name, base in columns]
     gains = [
         [key, text, *(gain(compared[name][0], key) if base is None else "" for name, base in columns)]
-        for key, (text, _) in gain_units(compared, law).items()
+        for key, (text, _) in _gain_units(compared, law).items()
     ]
     metrics = {name: values for name, (_, values) in compared.items()}
-    rows = [
-        [
-            about.in_words(key),
-            unit(key, about),
-            *(
-                number(metrics[name][key]) if base is None else change(metrics[name][key], metrics[base][key])
-                for name, base in columns
-            ),
-        ]
-        for key in metrics[columns[0][0]]
-    ]
+    rows = []
+    for key in metrics[columns[0][0]]:
+        value = {name: values[key] for name, values in metrics.items()}
+        cells = (number(value[name]) if base is None else change(value[name], value[base]) for name, base in columns)
+        rows.append([about.in_words(key), unit(key, about), *cells])
     return Table(caption, ["metric", "unit", *heads], [("", gains), ("", rows)])
 
 
@@ -89,18 +76,18 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
     """Return the gains of walks, axis by axis where the axes differ; `law` is the user's own, if any."""
     held = {name: gains for name, (gains, _) in compared.items() if gains is not None}
     sections = []
-    for key, units in gain_units(compared, law).items():
-        values = [axis_values(gains.get(key)) for gains in held.values()]
-        if all(np.unique(each).size == 1 for each in values):
-            rows = [[key, units[0], *(_gain(each[0]) for each in values)]]
+    for key, units in _gain_units(compared, law).items():
+        cells = [[_gain(value) for value in axis_values(gains.get(key))] for gains in held.values()]
+        if all(len({*each}) == 1 for each in cells):
+            rows = [[key, units[0], *(each[0] for each in cells)]]
         else:
-            rows = [
-                [f"{key} {axis}", units[i // 3], *(_gain(each[i]) for each in values)] for i, axis in enumerate(SIX)
-            ]
+            rows = [[f"{key} {axis}", units[i // 3], *(each[i] for each in cells)] for i, axis in enumerate(SIX)]
         sections.append(("", rows))
     joint = [name for name in JOINT_UNITS if held and all(name in gains for gains in held.values())]
-    rows = [[name, JOINT_UNITS[name], *(_gain(gains[name]) for gains in held.values())] for name in joint]
-    return Table("Gains by axis", ["gain", "unit", *held], [*sections, *([("", rows)] if rows else [])])
+    if joint:
+        both = [[name, JOINT_UNITS[name], *(_gain(gains[name]) for gains in held.values())] for name in joint]
+        sections.append(("", both))
+    return Table("Gains by axis", ["gain", "unit", *held], sections)
 
 
 def _gain(value: float) -> str:
@@ -119,11 +106,8 @@ def against(metric: str, value: float | None, others: Values, about: MetricTable
 
 def held(metrics: Values) -> str:
     """Return in words whether the grippers held."""
-    if failures := failed(metrics):
-        return failures
-    if missed := metrics.get("missed_grips"):
-        return f"every grip holds, but {missed} missed the ground"
-    return "every gripper holds"
+    missed = metrics.get("missed_grips")
+    return failed(metrics) or (f"every grip holds, but {missed} missed the ground" if missed else "every gripper holds")
 
 
 def differences(

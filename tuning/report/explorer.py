@@ -17,10 +17,10 @@ from tuning.report.numbers import gain, plain, plain_unit
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 BASELINE = "pd"  # the walk that all others are compared with; disturbances and grip changes are its own
 SCALES = {"m": (1e3, "mm")}  # how people read a line
+_FAILED = ("detached_limb", "detached_at", "diverged")
 
 
 def explorer(
-    title: str,
     walks: Mapping[str, mc.Trajectory],
     metrics: Mapping[str, Mapping[str, Any]],
     *,
@@ -32,7 +32,6 @@ def explorer(
     """Return one interactive part of a page.
 
     Arguments:
-        title: above it.
         walks: by name, `BASELINE` among them; they share the scenario but for the controller.
         metrics: of the walks, as `mjx_climb.walk.metrics` gives them.
         shown: walks that are drawn at first; all where None.
@@ -43,16 +42,15 @@ def explorer(
     first = walks[BASELINE]
     scenario = first.scenario
     count, steps = stretches(scenario.steps)
-    scaled = {name: (text, *SCALES.get(unit, (1, unit))) for name, (unit, text, _) in LINES.items()}
+    lines = []
+    for name, (unit, text, _) in LINES.items():
+        factor, scaled = SCALES.get(unit, (1, unit))
+        lines.append({"name": name, "label": text, "unit": scaled, "factor": factor})
     return {
-        "title": title,
         "baseline": BASELINE,
         "opens_on": opens_on,
         "metrics": {m.name: _about(m.long_name, m.unit, larger=m.larger_is_better) for m in about},
-        "lines": [
-            {"name": name, "label": text, "unit": unit, "factor": factor}
-            for name, (text, factor, unit) in scaled.items()
-        ],
+        "lines": lines,
         "time": {"count": count, "stretch": steps * scenario.time_step, "end": scenario.steps * scenario.time_step},
         "windows": [window[:3] for window in plots.disturbances(first)],
         "grips": plots.grip_changes(first).tolist(),
@@ -91,16 +89,21 @@ def grid_points(
     shown = coarser_grid(grid, chosen, MOST_CELLS)
     flat = shown.transpose(*axes, ...).stack(cell=axes, create_index=False)
     failed = plots.failed_walks(shown, *axes)
-    scales = {}
     names = [str(name) for name in shown.data_vars if name not in LINES]
+    scales, texts, values_of = {}, {}, {name: _values(plots.comparable(flat, name)) for name in names}
     for name in names:
+        label, larger = (
+            shown[name].attrs.get("long_name", name.replace("_", " ")),
+            dataset.larger_is_better(shown[name]),
+        )
+        if name not in mc.METRICS.names:
+            texts[name] = _about(label, shown[name].attrs.get("units", "1"), larger=larger)
         values = plots.comparable(shown, name).transpose(y, x).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
-            larger = dataset.larger_is_better(shown[name])
-            scales[name] = _scale(values, failed, baseline.get(name), larger=larger)
-    values_of = {name: _values(plots.comparable(flat, name)) for name in names}
-    own = [name for name in names if name not in mc.METRICS.names]
-    failures = zip(*(values_of[name] for name in _FAILURES), strict=True)
+            norm, _ = plots.color_scale(values, failed, baseline.get(name), larger)  # as on the pictures
+            logarithmic = isinstance(norm, mpl.colors.LogNorm)
+            scales[name] = {"low": float(norm.vmin or 0.0), "high": float(norm.vmax or 0.0), "log": logarithmic}
+    failures = zip(*(values_of[name] for name in _FAILED), strict=True)
     with_history = [np.isin(shown[name].values, histories[name].values) for name in axes]
     held = histories.sel({name: shown[name].values[has] for name, has in zip(axes, with_history, strict=True)})
     begin = dict.fromkeys(axes, 0) if chosen is None else place_of(shown, chosen)
@@ -110,9 +113,9 @@ def grid_points(
         "axes": [_axis(shown[name], name) for name in axes],
         "gains": {name: _values(flat[name]) for name in axes},
         "values": values_of,
-        "texts": {name: _text(shown[name], name) for name in own},
+        "texts": texts,
         "scales": scales,
-        "failed": [_failure(dict(zip(_FAILURES, each, strict=True))) for each in failures],
+        "failed": [_failure(dict(zip(_FAILED, each, strict=True))) for each in failures],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
         "limit": [line.tolist() for line in plots.stability_lines(grid, *axes)],
         "begin": begin[x] * shown.sizes[y] + begin[y],
@@ -158,19 +161,10 @@ def listed_points(
     }
 
 
-_FAILURES = ("detached_limb", "detached_at", "diverged")
-
-
 def axes_of(grid: xr.Dataset) -> tuple[str, str]:
     """Return the names of the two gains of a grid, the horizontal one first."""
     x, y = map(str, grid["diverged"].dims)
     return x, y
-
-
-def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
-    """Return a grid with at most about `most` of its cells, the chosen one among them."""
-    places = {} if chosen is None else place_of(grid, chosen)
-    return grid.isel(coarser({name: grid.sizes[name] for name in axes_of(grid)}, places, most))
 
 
 def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
@@ -178,16 +172,18 @@ def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
     return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
 
 
-def coarser(sizes: Mapping[str, int], places: Mapping[str, int], most: int) -> dict[str, np.ndarray]:
-    """Return indices along the axes of a grid that leave at most about `most` cells, evenly; those of `places` stay."""
-    rows = {name: np.arange(size) for name, size in sizes.items()}
+def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
+    """Return a grid with at most about `most` of its cells, evenly, the chosen one among them."""
+    places = {} if chosen is None else place_of(grid, chosen)
+    rows = {name: np.arange(grid.sizes[name]) for name in axes_of(grid)}
     while np.prod([len(index) for index in rows.values()]) > most:
         longest = max(rows, key=lambda name: len(rows[name]))
-        index = np.linspace(0, sizes[longest] - 1, max(1, int(0.95 * len(rows[longest])))).round().astype(int)
+        fewer = max(1, int(0.95 * len(rows[longest])))
+        index = np.linspace(0, grid.sizes[longest] - 1, fewer).round().astype(int)
         if longest in places:  # the nearest gives way
             index[np.argmin(abs(index - places[longest]))] = places[longest]
         rows[longest] = np.unique(index)
-    return rows
+    return grid.isel(rows)
 
 
 def packed(values: np.ndarray) -> str:
@@ -199,27 +195,11 @@ def packed(values: np.ndarray) -> str:
 
 def colors() -> str:
     """Return the colours of the maps from worst to best, six hexadecimal digits each."""
-    steps = mpl.colormaps["viridis"](np.linspace(0, 1, 64))
-    return "".join(mpl.colors.to_hex(color)[1:] for color in steps)
-
-
-def _scale(values: np.ndarray, failed: np.ndarray, base: float | None, *, larger: bool) -> dict[str, Any]:
-    """Return where the colours of a map begin and end, as on the pictures."""
-    norm, _ = plots.color_scale(values, failed, base, larger)
-    return {
-        "low": float(norm.vmin or 0.0),
-        "high": float(norm.vmax or 0.0),
-        "log": isinstance(norm, mpl.colors.LogNorm),
-    }
+    return "".join(mpl.colors.to_hex(color)[1:] for color in mpl.colormaps["viridis"](np.linspace(0, 1, 64)))
 
 
 def _about(label: str, unit: str, *, larger: bool) -> dict[str, Any]:
     return {"label": label, "unit": plain_unit(unit), "larger_is_better": larger}
-
-
-def _text(variable: xr.DataArray, name: str) -> dict[str, Any]:
-    label = variable.attrs.get("long_name", name.replace("_", " "))
-    return _about(label, variable.attrs.get("units", "1"), larger=dataset.larger_is_better(variable))
 
 
 def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Numbers in words and in JSON, the same in a terminal and on a page."""
+"""Numbers in words and in JSON, the same in a terminal and on a page, and what a reader should know beside them."""
 
 import json
 import math
@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
-    from mjx_climb import MetricTable
+    from mjx_climb import MetricTable, Scenario
+
+LONG = 10.0  # m; a TSM beyond it is no length of a robot
+WEIGHT = 0.1  # m/s^2; gravity above it is felt
 
 
 def plain(value: Any) -> Any:
@@ -81,3 +84,50 @@ def change(value: float | str | None, base: float | str | None) -> str:
 def is_number(value: float | str | None) -> TypeGuard[float]:
     """Return whether a value of a metric is a number, not a truth, a name or nothing."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Remarks: which walks failed, and which number is not what it seems
+
+
+def remarks(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return all remarks on the metrics of walks, a line each."""
+    lost = {name: failed(metrics) for name, metrics in walks.items()}
+    failures = [f"{name} failed ({how}): its numbers compare with no other's" for name, how in lost.items() if how]
+    return failures + weightless(walks)
+
+
+def failed(metrics: Mapping[str, Any]) -> str:
+    """Return in words how a walk failed, nothing where it did not."""
+    found = []
+    if metrics["detached_limb"] is not None:
+        found.append(f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s")
+    if metrics["diverged"]:
+        found.append("the simulation diverges")
+    return ", ".join(found)
+
+
+def weightless(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return what a TSM stands for where hardly anything has weight."""
+    if all((metrics.get("min_tsm") or 0.0) <= LONG for metrics in walks.values()):
+        return []
+    return ["min TSM is a moment over the weight, with next to no weight it is no length: see min GIA margin"]
+
+
+def ahead_of(scenario: "Scenario") -> list[str]:
+    """Return what speaks against a scenario before any walk."""
+    control, step, found = scenario.control, scenario.time_step, []
+    heavy = sum(value**2 for value in scenario.gravity) > WEIGHT**2
+    if scenario.gait.swing == "low_reaction" and scenario.contact.capture_distance is None and heavy:
+        found.append(
+            "gait.swing: low_reaction under weight without contact.capture_distance: grippers that shut off the "
+            "ground are pulled there, and forces may vary more than with cubic swings"
+        )
+    measured = control.controller == "base_admittance" and control.reading == "measured_pose"
+    usual = scenario.hardware.control_period or step == type(scenario).model_fields["time_step"].default
+    if measured and not usual:
+        found.append(
+            f"control.reading: measured_pose looks one period ahead, which is the time step, {step:g} s, without a "
+            "hardware.control_period: what its gains do depends on it"
+        )
+    return found

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
-from markupsafe import Markup
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
@@ -21,6 +20,8 @@ _ENVIRONMENT = jinja2.Environment(
     lstrip_blocks=True,
 )  # fmt: skip
 _ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}  # keeps the order of keys
+_ENVIRONMENT.filters["plain"] = plain
+_ENVIRONMENT.filters["base64"] = lambda file: base64.b64encode(file.read_bytes()).decode()
 
 
 class Table(NamedTuple):
@@ -39,22 +40,22 @@ class Origin(NamedTuple):
     asked: str  # the command, as it was typed
     again: str  # the command that repeats it, in the folder of the report
     config: str = ""  # the scenario in full
+    pictures: Mapping[str, Path] = {}  # PNG files in that folder, by their captions
 
 
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """What a report says, in the order in which it says it."""
+    """What a report says, in the order in which it says it; `page.html.jinja` lays it out."""
 
     title: str
     origin: Origin
     verdict: str  # one sentence
-    notes: Sequence[str]  # what matters first
     scenario: mc.Scenario
-    explorers: Sequence[Mapping[str, Any]]
-    tables: Sequence[Table]
-    pictures: Mapping[str, Path]  # PNG files by their captions
-    prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
+    notes: Sequence[str] = ()  # what matters first
     more: Sequence[str] = ()  # notes that are folded away
+    explorers: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)  # by heading
+    tables: Sequence[Table] = ()
+    prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
 
 
@@ -69,24 +70,6 @@ def write(page: Page, folder: Path) -> Path:
 
 def render(page: Page) -> str:
     """Return the page as HTML that holds all it needs."""
-    inlined = {name: Markup((HERE / name).read_text()) for name in ("page.css", "page.js")}
-    pictures = {caption: _inlined(file) for caption, file in page.pictures.items()}
-    return _ENVIRONMENT.get_template("page.html.jinja").render(
-        page=page,
-        explorers=plain(page.explorers),
-        pictures=pictures,
-        facts=_facts(page),
-        style=inlined["page.css"],
-        script=inlined["page.js"],
-    )
-
-
-def _inlined(file: Path) -> str:
-    """Return a PNG file as an address that holds all of it."""
-    return f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}"
-
-
-def _facts(page: Page) -> dict[str, Any]:
     import jax
 
     made = dataset.provenance(page.scenario)
@@ -94,9 +77,10 @@ def _facts(page: Page) -> dict[str, Any]:
     versions = {name.removesuffix("_version"): made.pop(name) for name in list(made) if name.endswith("_version")}
     versions["python"] = platform.python_version()
     device = jax.devices()[0]
-    return {
+    facts = {
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         **{name.replace("_", " "): value for name, value in made.items()},
         "device": f"{len(jax.devices())} x {device.device_kind} ({device.platform})",
         **page.facts,
     }
+    return _ENVIRONMENT.get_template("page.html.jinja").render(page=page, facts=facts)

@@ -1,7 +1,6 @@
 """What stands on the page of each search: of a sweep, of a search for gains, of a front, of gains on an ensemble."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,9 +14,8 @@ from tuning.gains.gains_file import by_name
 from tuning.problem.evaluation import Problem
 from tuning.report import comparison
 from tuning.report.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, grid_points, listed_points
-from tuning.report.numbers import axis_values, change, gain, number, unit
+from tuning.report.numbers import axis_values, change, gain, number, remarks, unit
 from tuning.report.page import Origin, Page, Table
-from tuning.report.remarks import remarks
 from tuning.searches import sweep as sweeps
 from tuning.searches.pareto import Front, without_sensor
 from tuning.searches.result import Tuned
@@ -30,12 +28,14 @@ ROWS = 20  # of the table of a front
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
          "base_deviation", "joint_limit_margin")  # fmt: skip
 
-Pictures = Mapping[str, Path]  # PNG files by their captions
+
+def _capital(line: str) -> str:
+    return line[0].upper() + line[1:]
 
 
 def sentences(lines: Iterable[str]) -> list[str]:
     """Return lines with a capital in front and a full stop."""
-    return [f"{line[0].upper()}{line[1:].removesuffix('.')}." for line in lines]
+    return [f"{_capital(line).removesuffix('.')}." for line in lines]
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -57,21 +57,9 @@ def sweep_page(
     histories: xr.Dataset,
     marks: Mapping[str, tuple[float, float]],
     notes: Sequence[str],
-    *,
     origin: Origin,
-    pictures: Pictures,
 ) -> Page:
-    """Return the page of a sweep.
-
-    Arguments:
-        problem: what was walked on the grid.
-        compared: the grid, its best walk and those beside it, see `tuning.output.sweep.compare`.
-        histories: what `with_histories` gave.
-        marks: gains to mark on the maps.
-        notes: what stands first.
-        origin: of the page.
-        pictures: PNG files by their captions.
-    """
+    """Return the page of a sweep: its maps with gains marked on them, time histories, and notes that stand first."""
     grid, best, rows, about = compared.data, compared.best, compared.rows, problem.metrics
     metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
     count, kept, found = grid["diverged"].size, histories["diverged"].size, list(notes)
@@ -88,11 +76,10 @@ def sweep_page(
         title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes_of(grid))} gains",
         origin=origin,
         verdict=_verdict_on_grid(grid, best, metrics),
-        notes=sentences(found),
         scenario=problem.scenario,
-        explorers=[explorer("Maps and walks", walks, metrics, shown=("pd",), points=points, about=about)],
+        notes=sentences(found),
+        explorers={"Maps and walks": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
-        pictures=pictures,
         facts={
             "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)",
             "engine": grid.attrs["engine"],
@@ -118,23 +105,9 @@ def _verdict_on_grid(grid: xr.Dataset, best: xr.Dataset | None, metrics: Mapping
 
 
 def tune_page(
-    found: Tuned,
-    compared: "TuneComparison",
-    outcome: Iterable[str],
-    tests: Iterable[str],
-    *,
-    origin: Origin,
-    pictures: Pictures,
+    found: Tuned, compared: "TuneComparison", outcome: Iterable[str], tests: Iterable[str], origin: Origin
 ) -> Page:
-    """Return the page of a search.
-
-    Arguments:
-        found: the result.
-        compared: the walks beside it and what its tests found, see `tuning.output.tune.compare`.
-        outcome: what matters most, in lines.
-        tests: what else the tests found.
-        origin, pictures: as of `sweep_page`.
-    """
+    """Return the page of a search: what matters most in the lines of `outcome`, what else the tests found folded."""
     search, about, checked, rows = found.search, found.problem.metrics, compared.checked, compared.rows
     metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
     scores = []
@@ -143,30 +116,25 @@ def tune_page(
         scores.append(f"{about.in_words(name)} {comparison.against(name, metrics['tuned'][name], others, about)}")
     limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
     points = None if compared.over is None else _points_of_map(found, compared.over, metrics["pd"])
-    objective = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
     title = "Map: the same gains on all axes, around the result" if points else "Walks"
     shown = {name: compared.walks[name] for name in reversed(list(rows))}
+    objective = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
     values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
     return Page(
         title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
         origin=origin,
         verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
+        scenario=found.scenario,
         notes=[*map(_capital, outcome), *sentences(_worse_than_pd(metrics["tuned"], metrics["pd"], about))],
         more=[*map(_capital, tests)],
-        scenario=found.scenario,
-        explorers=[explorer(title, shown, values, opens_on="tuned", points=points, about=about)],
+        explorers={title: explorer(shown, values, opens_on="tuned", points=points, about=about)},
         tables=[
             comparison.table(rows, "Walks in double precision", about, found.law),
             comparison.gains_table(rows, found.law),
             _around_table(checked),
         ],
-        pictures=pictures,
         facts={"precision": "float32 (search, map), float64 (named walks, verification)", **_spent(found)},
     )
-
-
-def _capital(line: str) -> str:
-    return line[0].upper() + line[1:]
 
 
 def _points_of_map(found: Tuned, over: xr.Dataset, baseline: comparison.Values) -> dict[str, Any]:
@@ -191,15 +159,15 @@ def _marks(walk: str, x: ArrayLike, y: ArrayLike) -> dict[str, tuple[float, floa
 
 def _around_table(checked: Verification) -> Table:
     caption = "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more"
+
+    def percent(value: float | None) -> str:
+        return "breaks a limit" if value is None else f"{100 * value:+.2f}"
+
     rows = [
-        [name, _percent(checked.less[name]), _percent(checked.more[name]), shape, number(checked.slopes[name])]
+        [name, percent(checked.less[name]), percent(checked.more[name]), shape, number(checked.slopes[name])]
         for name, shape in checked.shape.items()
     ]
     return Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", rows)], 1)
-
-
-def _percent(value: float | None) -> str:
-    return "breaks a limit" if value is None else f"{100 * value:+.2f}"
 
 
 def _worse_than_pd(metrics: comparison.Values, baseline: comparison.Values, about: mc.MetricTable) -> list[str]:
@@ -215,31 +183,24 @@ def _spent(found: Tuned) -> dict[str, Any]:
 # A search over an ensemble, and gains on the walks of one
 
 
-def robust_page(
-    found: Tuned, summed: xr.Dataset, outcome: Sequence[str], *, origin: Origin, pictures: Pictures
-) -> Page:
+def robust_page(found: Tuned, summed: xr.Dataset, outcome: Sequence[str], origin: Origin) -> Page:
     """Return the page of a search over an ensemble.
 
-    Arguments:
-        found: the result.
-        summed: of walks that the search never saw, see `tuning.searches.judge.summary`.
-        outcome: in lines: how it went on them, what a force sensor is worth, which limits bind or break.
-        origin, pictures: as of `sweep_page`.
+    `summed` is of walks that the search never saw, see `tuning.searches.judge.summary`; `outcome` says in lines how it
+    went on them, what a force sensor is worth, which limits bind or break.
     """
-    control = found.scenario.control
     rivals: comparison.Compared = {"robust": (by_name(found.gains), {})}
     if not found.law:
+        control = found.scenario.control
         rivals = {**rivals, "config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
     verdict, *notes = sentences(outcome)
     return Page(
         title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
         origin=origin,
         verdict=verdict,
-        notes=notes,
         scenario=found.scenario,
-        explorers=[],
+        notes=notes,
         tables=[judged_table(summed, found.problem.metrics), comparison.gains_table(rivals, found.law)],
-        pictures=pictures,
         facts=_spent(found),
     )
 
@@ -275,39 +236,26 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
 
 
 def pareto_page(
-    found: Front,
-    histories: Mapping[str, np.ndarray],
-    walks: Mapping[str, mc.Trajectory],
-    *,
-    origin: Origin,
-    pictures: Pictures,
+    found: Front, histories: Mapping[str, np.ndarray], walks: Mapping[str, mc.Trajectory], origin: Origin
 ) -> Page:
-    """Return the page of a front.
-
-    Arguments:
-        found: the front.
-        histories: of the walks on it, as `mjx_climb.rollout_histories` gives them.
-        walks: config and pd in double precision.
-        origin, pictures: as of `sweep_page`.
-    """
+    """Return the page of a front, with the time histories on it, and config and pd walked in double precision."""
     about, front, knee = found.problem.metrics, found.data, found.knee
     better, against = found.asked.better, found.asked.against
     metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
-    texts = [
-        f"{about.in_words(name)} "
-        + comparison.against(name, front[name].values[knee].item(), {w: m[name] for w, m in metrics.items()}, about)
-        for name in (better, against)
-    ]
+    texts = []
+    for name in (better, against):
+        others = {walk: values[name] for walk, values in metrics.items()}
+        value = comparison.against(name, front[name].values[knee].item(), others, about)
+        texts.append(f"{about.in_words(name)} {value}")
     points = listed_points(front, histories, knee, trade=(against, better), about=about)
     return Page(
         title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}",
         origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
-        notes=sentences([found.worth]),
         scenario=found.scenario,
-        explorers=[explorer("The front", walks, metrics, shown=("pd",), points=points, about=about)],
+        notes=sentences([found.worth]),
+        explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         tables=[front_table(front, knee, about)],
-        pictures=pictures,
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},
     )
 

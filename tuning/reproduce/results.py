@@ -233,28 +233,27 @@ def _row(cells: Sequence[str]) -> str:
 
 def page(found: Found, folder: Path, origin: Origin) -> Page:
     """Return the page of a reproduction whose pictures are in a folder; `origin` is without the scenarios."""
-    explorers = [
-        explorer(
-            f"Case {name}: {case.published.title}",
+    explorers = {
+        f"Case {name}: {case.published.title}": explorer(
             {METHODS[method].title: walk.trajectory for method, walk in case.walks.items()},
             {METHODS[method].title: metrics for method, metrics in case.metrics.items()},
             shown=tuple(METHODS[method].title for method in FIGURE),
         )
         for name, case in found.items()
-    ]
+    }
+    pictures = {
+        f"Case {name}: {case.published.title}; baseline and both readings of Eq. 3.": folder / f"{stem(name)}.png"
+        for name, case in found.items()
+    }
     configs = [f"# case {name}\n{scenario.to_yaml()}" for name, scenario in scenarios().items()]
     return Page(
         title="The paper's three cases, walked again",
-        origin=origin._replace(config="\n".join(configs)),
+        origin=origin._replace(config="\n".join(configs), pictures=pictures),
         verdict=verdict(found),
         notes=overall(found),
         scenario=next(iter(found.values())).walks[BASELINE].trajectory.scenario,
         explorers=explorers,
         tables=tables(found),
         prose=sentences(found),
-        pictures={
-            f"Case {name}: {case.published.title}; baseline and both readings of Eq. 3.": folder / f"{stem(name)}.png"
-            for name, case in found.items()
-        },
         facts={"precision": "float64", "seed": "none: nothing is drawn at random"},
     )

@@ -1,6 +1,7 @@
 """The report in a real browser: it loads from disk alone; hover, click, small windows and paper do what they say."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
@@ -255,12 +256,10 @@ ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "duration: 0.3"
 
 
 def test_what_matters_stands_first_and_the_rest_is_folded_away():
-    scenario = mc.Scenario()
-    text = page.render(page.Page("", ORIGIN, "verdict", ["matters"], scenario, [], [], {}, more=["one test", "two"]))
-    header = text[text.index("<header>") : text.index("</header>")]
-    open_part, folded = header.split("<details>")
+    made = page.Page("", ORIGIN, "verdict", mc.Scenario(), ["matters"], ["one test", "two"])
+    with_more, without = (page.render(each) for each in (made, dataclasses.replace(made, more=[])))
+    open_part, folded = with_more[: with_more.index("</header>")].split("<details>")
     assert "<li>matters</li>" in open_part and re.findall("<li>(.*)</li>", folded) == ["one test", "two"]
-    without = page.render(page.Page("", ORIGIN, "verdict", ["matters"], scenario, [], [], {}))
     assert "<details>" not in without[: without.index("</header>")]
 
 
@@ -315,7 +314,7 @@ def tuned_page(named):
     def made(over, **changed):
         compared = tune_output.Comparison(walks, compared_of(walks, gains), over, None, CHECKED, None)
         found = found_for(scenario, mc.Gains(**gains | changed))
-        return pages.tune_page(found, compared, ["a line"], ["a test"], origin=ORIGIN, pictures={})
+        return pages.tune_page(found, compared, ["a line"], ["a test"], ORIGIN)
 
     return made
 
@@ -337,17 +336,17 @@ def test_the_page_of_a_search(tuned_page, over):
         assert "Tuned gains score 0.9000 of pd" in text and "every limit is kept" in text
         assert "breaks a limit" in text and "mjx-climb again" in text
         assert made.notes[0] == "A line" and list(made.more) == ["A test"]
-        (data,) = made.explorers
+        (data,) = made.explorers.values()
         assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
         assert (data["points"] is None) == (grid is None)
-    (cells,) = tuned_page(over).explorers
+    (cells,) = tuned_page(over).explorers.values()
     points = cells["points"]
     assert points["begin"] == int(np.argmin(over["objective"].values))
     assert {"objective", "feasible"} < set(points["values"])
     assert cells["opens_on"] == "tuned"
     assert {round(np.log10(x), 6) for x, _ in points["limit"][0]} == {3.1}
     assert next(walk["metrics"] for walk in cells["walks"] if walk["name"] == "tuned")["objective"] == 0.9
-    (apart,) = tuned_page(over, stiffness=np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0])).explorers
+    (apart,) = tuned_page(over, stiffness=np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0])).explorers.values()
     stands = {mark["name"]: mark["at"] for mark in apart["points"]["marks"]}
     assert stands["tuned, translations"] == pytest.approx([2e3, 1e2])
     assert stands["tuned, rotations"] == pytest.approx([20.0, 1e2]) and "tuned" not in stands
@@ -378,12 +377,12 @@ def test_the_page_of_a_sweep_says_which_walk_is_best(held):
     walks = dict.fromkeys(rows, mc.rollout(scenario))
     compared = sweep_output.Comparison(grid, best, walks, rows, 1, [], None)
     lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
-    made = pages.sweep_page(Problem(scenario), compared, lines, {}, ["widen it"], origin=ORIGIN, pictures={})
+    made = pages.sweep_page(Problem(scenario), compared, lines, {}, ["widen it"], ORIGIN)
     expected = []
     if held:
         expected = ["1 of the 4 walks lost a gripper or diverged.", "Worse than pd: base deviation +100 %."]
         assert "stiffness 1000 and damping 1 are best: force variation 40 N, 50.0 % below pd" in made.verdict
-        assert made.explorers[0]["points"]["begin"] == 2
+        assert made.explorers["Maps and walks"]["points"]["begin"] == 2
     else:
         assert made.verdict == "None of the 4 walks held: every one lost a gripper or diverged."
     cells = "The page holds the time histories of 2 of the cells; a click shows the nearest of them."
@@ -406,13 +405,13 @@ def test_the_page_of_a_front(swept, named):
     front = front.assign({name: ("without", np.array(values)) for name, values in without.items()})
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
     found = Front(front, Problem(named[0]))
-    made = pages.pareto_page(found, kept, named[1], origin=ORIGIN, pictures={})
+    made = pages.pareto_page(found, kept, named[1], ORIGIN)
     assert "The front of 9 points bends at" in page.render(made)
     assert made.notes[0].endswith(", at no more base deviation.")
     rows = made.tables[0].sections[0][1]
     assert [row[0] for row in rows] == ["knee" if i == bend else "" for i in range(9)] and len(rows[0]) == 5
     assert [row[0] for row in made.tables[0].sections[1][1]] == ["config", "pd", "pd, kp 30, kd 0.5"]
-    points = made.explorers[0]["points"]
+    points = made.explorers["The front"]["points"]
     assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == bend
 
 
@@ -443,7 +442,8 @@ def test_cells_of_a_grid_that_is_not_square():
 
 
 def test_a_coarser_grid_keeps_what_it_must():
-    rows = explorer.coarser({"stiffness": 48, "damping": 5}, {"stiffness": 31, "damping": 4}, 100)
+    grid = grid_of({}, stiffness=np.arange(48), damping=np.arange(5))
+    rows = explorer.coarser_grid(grid, grid.isel(stiffness=31, damping=4), 100).coords
     assert len(rows["stiffness"]) * len(rows["damping"]) <= 100
     assert 31 in rows["stiffness"] and 4 in rows["damping"]
     assert rows["stiffness"][0] == 0 and rows["stiffness"][-1] == 47

@@ -74,7 +74,7 @@ def test_the_example_is_resumed_bit_for_bit_and_seen_everywhere(example):
     points = grid_points(walks, walks, scope["best"], {}, None)
     expected = {"label": "largest speed of the base", "unit": "m/s", "larger_is_better": False}
     assert points["texts"]["peak_base_speed"] == expected and "peak_base_speed" in points["scales"]
-    shown = explorer("", {"pd": mc.rollout(scenario, found.gains)}, {"pd": scope["best"]}, about=metrics)
+    shown = explorer({"pd": mc.rollout(scenario, found.gains)}, {"pd": scope["best"]}, about=metrics)
     assert shown["metrics"]["peak_base_speed"] == expected
 
 

@@ -14,7 +14,7 @@ from tuning.problem import spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Pareto, Search
-from tuning.report import ensemble_pictures
+from tuning.report import pictures
 from tuning.report.pages import front_table
 from tuning.searches import pareto, retuned_pd
 
@@ -133,4 +133,4 @@ def test_front_and_resume(few, tmp_path):
     for name in ("theta", "walked_force_variation", "force_variation", "stiffness"):
         np.testing.assert_array_equal(resumed[name], whole[name])
     dataset.save(whole, tmp_path / "front.nc")
-    assert ensemble_pictures.plot_front(dataset.load(tmp_path / "front.nc")).axes
+    assert pictures.plot_front(dataset.load(tmp_path / "front.nc")).axes

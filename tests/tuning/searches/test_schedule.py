@@ -16,7 +16,7 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains.own_section import load_law
 from tuning.problem.search import Schedule, Search
-from tuning.report import ensemble_pictures
+from tuning.report import pictures
 from tuning.searches import schedule
 
 LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
@@ -83,7 +83,7 @@ def test_a_schedule_of_a_law_of_ones_own(scenario, few):
     assert tuned == pytest.approx(alone["force_variation"], rel=1e-6)
     [head, *_] = schedule.to_csv(table).splitlines()
     assert "cutoff_rz" in head and ",share," in head
-    assert ensemble_pictures.plot_schedule(table).axes
+    assert pictures.plot_schedule(table).axes
 
 
 @pytest.mark.parametrize("other", [{"gravity": (0.5,)}, {"cargo": (0.5,)}])
@@ -193,7 +193,7 @@ def test_tables(table, tmp_path):
     read = yaml.safe_load(schedule.to_yaml(table))["operating_points"]
     assert read[0]["force_variation"].keys() == {"tuned", "config", "retuned_pd", "pd"}
     dataset.save(table, tmp_path / "schedule.nc")
-    assert ensemble_pictures.plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes
+    assert pictures.plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes
 
 
 @pytest.mark.parametrize("bad", [{"gravity": (1.0, 0.1)}, {"gravity": (0.0, 1.0)}, {"cargo": ()}, {"cargo": (-1.0,)}])

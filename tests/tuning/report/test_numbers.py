@@ -3,7 +3,7 @@
 import pytest
 
 import mjx_climb as mc
-from tuning.report import remarks
+from tuning.report import numbers
 
 
 @pytest.mark.parametrize(
@@ -16,7 +16,7 @@ from tuning.report import remarks
     ],
 )
 def test_low_reaction_is_warned_of_under_weight_where_grippers_hold_at_any_distance(changes, said):
-    lines = remarks.ahead_of(mc.load_scenario("case_1_1", changes))
+    lines = numbers.ahead_of(mc.load_scenario("case_1_1", changes))
     assert len(lines) == said
     assert all("contact.capture_distance" in line for line in lines)
 
@@ -32,6 +32,6 @@ def test_low_reaction_is_warned_of_under_weight_where_grippers_hold_at_any_dista
 )
 def test_a_measured_pose_at_another_time_step_than_its_gains_is_warned_of(changes, said):
     """Case 1.1, the paper's gains: COT 1.31 at 1 ms, 5.03 at 0.5 ms, 1.31 there with a period of 1 ms."""
-    lines = remarks.ahead_of(mc.load_scenario("case_1_1", changes))
+    lines = numbers.ahead_of(mc.load_scenario("case_1_1", changes))
     assert len(lines) == said
     assert all("0.0005 s, without a hardware.control_period" in line for line in lines)

@@ -3,11 +3,11 @@
 import numpy as np
 import xarray as xr
 
-from tuning.report import search_pictures
+from tuning.report import pictures
 
 
 def test_of_rounds_of_many_points_the_best_is_drawn():
-    many, few = search_pictures.CROWD + 1, 3
+    many, few = pictures.CROWD + 1, 3
     rounds = np.repeat([0, 1, 2, 3], [few, many, many, many])
     value, penalty = np.full(rounds.size, 2.0), np.zeros(rounds.size)
     value[few + 5], value[few + many + 7], value[few + many + 8] = 1.0, 0.5, np.nan
@@ -16,10 +16,10 @@ def test_of_rounds_of_many_points_the_best_is_drawn():
     history = xr.Dataset(
         {name: ("point", v) for name, v in (("round", rounds), ("value", value), ("penalty", penalty))}
     )
-    assert search_pictures.best_of_crowds(history).tolist() == [few + 5, few + many + 7]
-    assert search_pictures.crowded(history).tolist() == [False] * few + [True] * 3 * many
+    assert pictures.best_of_crowds(history).tolist() == [few + 5, few + many + 7]
+    assert pictures.crowded(history).tolist() == [False] * few + [True] * 3 * many
 
 
 def test_rounds_of_a_few_points_have_no_crowd():
     history = xr.Dataset({name: ("point", np.zeros(24, int)) for name in ("round", "value", "penalty")})
-    assert not search_pictures.best_of_crowds(history).size and not search_pictures.crowded(history).any()
+    assert not pictures.best_of_crowds(history).size and not pictures.crowded(history).any()
