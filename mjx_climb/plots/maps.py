@@ -358,8 +358,8 @@ def color_scale(
     room = (_LEAST_SPAN * (max(abs(low), abs(high)) or 1.0) - (high - low)) / 2
     if room > 0:  # else a change that does not matter would use all colours
         low, high = low - room, high + room
-    ends = (finite.min() < low - 1e-9 * abs(low), finite.max() > high + 1e-9 * abs(high))
-    extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[ends]
+    below, above = finite.min() < low - 1e-9 * abs(low), finite.max() > high + 1e-9 * abs(high)
+    extend = (("neither", "max"), ("min", "both"))[int(below)][int(above)]
     return (LogNorm if low > 0 and high > 30 * low else Normalize)(low, high), extend
 
 

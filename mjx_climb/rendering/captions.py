@@ -72,12 +72,9 @@ class Caption:
         self._torn = detachments(trajectory)
 
     def draw(self, picture: np.ndarray, row: int, view: View, pixels_per_meter: float | None) -> np.ndarray:
-        """Return the picture (H, W, 3) with everything on it.
+        """Return the picture (H, W, 3) of a row with everything on it; with a legend where pixels per meter are known.
 
-        Arguments:
-            row: of the trajectory, shown in the picture.
-            view: of the picture.
-            pixels_per_meter: at the distance of what the camera looks at, for a legend; none where None.
+        They are at the distance of what the camera looks at.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image, "RGBA")
@@ -153,7 +150,7 @@ class Caption:
         pixels_per_newton = self._scale * pixels_per_meter
         force = _nice(0.55 * width / pixels_per_newton)
         end, middle = x + force * pixels_per_newton, y + 0.7 * unit
-        for line in ((x, middle, end, middle), *((at, middle - 4, at, middle + 4) for at in (x, end))):
+        for line in ((x, middle, end, middle), (x, middle - 4, x, middle + 4), (end, middle - 4, end, middle + 4)):
             draw.line(line, WHITE, max(round(0.12 * unit), 1))
         draw.text((end + 0.6 * unit, y + 0.1 * unit), f"{force:g} N", WHITE, text)
 

@@ -48,13 +48,9 @@ def of(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
 
 
 def model(robot: str | RobotFile, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray) -> mujoco.MjModel:
-    """Return the robot's model on decorated ground.
+    """Return the robot's model on decorated ground around a center (2,) m, world, just below the grips (N, 3) m.
 
-    Arguments:
-        robot: its name, or a user's own file.
-        gravity: (3,) m/s^2, world axes; its strength chooses the looks.
-        grips: (N, 3) m, world; the ground passes just below them.
-        center: (2,) m, world; the middle of the ground.
+    The strength of gravity (3,) m/s^2 chooses the looks.
     """
     spec = load_spec(robot)
     looks = next(style for style in STYLES if np.linalg.norm(gravity) < style.below)
@@ -78,12 +74,9 @@ def model(robot: str | RobotFile, gravity: np.ndarray, grips: np.ndarray, center
 
 def _add_sky(spec: mujoco.MjSpec, looks: Style) -> None:
     kind, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
-    stars = {"mark": mujoco.mjtMark.mjMARK_RANDOM, "markrgb": [0.9] * 3, "random": 0.0008}
-    dark = looks.sky[0][2] < 0.1
-    spec.add_texture(
-        name="sky", type=kind, builtin=gradient, rgb1=looks.sky[0], rgb2=looks.sky[1], width=512, height=3072,
-        **(stars if dark else {}),
-    )  # fmt: skip
+    dark, bright = looks.sky
+    stars = {"mark": mujoco.mjtMark.mjMARK_RANDOM, "markrgb": [0.9] * 3, "random": 0.0008} if dark[2] < 0.1 else {}
+    spec.add_texture(name="sky", type=kind, builtin=gradient, rgb1=dark, rgb2=bright, width=512, height=3072, **stars)
 
 
 def _add_sun(spec: mujoco.MjSpec, looks: Style, center: np.ndarray) -> None:

@@ -45,15 +45,9 @@ def table(
     law: Law | None = None,
     columns: Sequence[Column] | None = None,
 ) -> Table:
-    """Return gains and metrics of walks side by side.
+    """Return gains and metrics of walks side by side, and changes in per cent.
 
-    Arguments:
-        compared: gains and metrics by walk.
-        caption: above the table.
-        about: the metrics themselves.
-        law: the user's own, if any.
-        columns: values of walks, and changes in per cent; where None the first walk, its change against each of the
-            others, and these.
+    Where no columns are asked for: the first walk, its change against each of the others, and these.
     """
     if columns is None:
         first, *others = compared

@@ -29,15 +29,10 @@ def explorer(
     points: Mapping[str, Any] | None = None,
     about: mc.MetricTable = mc.METRICS,
 ) -> dict[str, Any]:
-    """Return one interactive part of a page.
+    """Return one interactive part of a page: walks, `BASELINE` among them, and points to choose more of them from.
 
-    Arguments:
-        walks: by name, `BASELINE` among them; they share the scenario but for the controller.
-        metrics: of the walks, as `mjx_climb.walk.metrics` gives them.
-        shown: walks that are drawn at first; all where None.
-        opens_on: the walk whose numbers stand beside the points at first; the points' own beginning where None.
-        points: many walks to choose from, see `grid_points`.
-        about: the metrics themselves.
+    At first the walks `shown` are drawn (all where None), and beside the points stand the numbers of the walk that it
+    `opens_on` (those of the points' own beginning where None).
     """
     first = walks[BASELINE]
     scenario = first.scenario
@@ -76,14 +71,9 @@ def grid_points(
     marks: Mapping[str, tuple[float, float]],
     chosen: xr.Dataset | None,
 ) -> dict[str, Any]:
-    """Return the cells of a grid over two gains for `explorer`.
+    """Return the cells of a grid over two gains for `explorer`, which begins at the chosen one, else at the first.
 
-    Arguments:
-        grid: metrics over two gains, and other variables to draw over them.
-        histories: a grid with time histories, over the same values or some of them.
-        baseline: metrics of the baseline, for the colours.
-        marks: points (x, y) to mark on the map, by name.
-        chosen: the cell to begin with, as of `tuning.searches.sweep.best_cell`; the first one where None.
+    `histories` is a grid over the same values or some of them; the metrics of the baseline are for the colours.
     """
     axes = x, y = axes_of(grid)
     shown = coarser_grid(grid, chosen, MOST_CELLS)
@@ -132,14 +122,9 @@ def listed_points(
     trade: tuple[str, str],
     about: mc.MetricTable = mc.METRICS,
 ) -> dict[str, Any]:
-    """Return walks that form no grid, along the dimension `front`, for `explorer`.
+    """Return walks that form no grid, along the dimension `front`, for `explorer`, which begins at the chosen one.
 
-    Arguments:
-        walks: gains (front) or (front, axis) and metrics (front).
-        histories: `LINES` of all of them.
-        chosen: the one to begin with.
-        trade: the two metrics that are drawn against each other.
-        about: the metrics themselves.
+    The two metrics of `trade` are drawn against each other.
     """
     count, gains = walks.sizes["front"], walks.attrs["searched"].split()
     return {

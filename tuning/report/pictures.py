@@ -299,11 +299,8 @@ def _translation_and_rotation(gain: np.ndarray) -> list[np.ndarray]:
 def plot_margins(found: margins.Found, given: str = "given gains") -> Figure:
     """Draw force variation over each quantity; a curve ends where a gripper is torn off, or the walk diverges.
 
-    Dotted lines are the scenario's hardware, and twice as much of it (half of the joint gains).
-
-    Arguments:
-        found: as `tuning.evaluation.margins.find` gives it.
-        given: what the given gains are called.
+    Dotted lines are the scenario's hardware, and twice as much of it (half of the joint gains); `given` is what the
+    given gains are called.
     """
     others = iter((plots.BLUE, plots.GREEN, plots.PURPLE, plots.ORANGE))
     colors = {name: _COLORS.get(name) or next(others) for name in found.walks["gains"].values.tolist()}
