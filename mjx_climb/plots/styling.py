@@ -31,28 +31,9 @@ GREY = "#BDBDBD"
 SAME = "#EDEDED"  # a map on which all walks are equal
 HELD = "#DDEFD9"  # on a map of detachments, the walks without any
 
-_STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.size": 7.5,
-    "axes.labelsize": 7.5,
-    "axes.titlesize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "lines.linewidth": 0.8,
-    "axes.titlelocation": "left",
-    "hatch.linewidth": 0.6,
-    "axes.formatter.limits": (-3, 4),
-    "axes.formatter.use_mathtext": False,
-    "svg.hashsalt": "mjx_climb",
-    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
-}
+_STYLE: dict[Any, Any] = dict(
+    mpl.rc_params_from_file(Path(__file__).with_name("column.mplstyle"), use_default_template=False)
+)
 _METADATA: dict[str, dict[str, Any] | None] = {"png": None, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 FORMATS = tuple(_METADATA)
 

@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 ASSETS = (
     "mjx_climb/robot/models/*.xml",
     "mjx_climb/checks/*.json",
+    "mjx_climb/plots/*.mplstyle",
     "tuning/report/page.*",
     "*/py.typed",
 )  # beside the code
