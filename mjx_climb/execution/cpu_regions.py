@@ -34,8 +34,8 @@ EQUATIONS = 250  # in a region: with fewer the calls cost more
 STORED_FROM = 3  # operations
 # put together by an equation within a region: XLA fuses them, and asks of each element which row it is in
 MOST_ROWS = 16
-# put together by a region of its own: XLA:CPU makes invalid code of a call that puts together some 250 and more
-MOST_ROWS_OF_A_CALL = 128
+# bytes that a region of its own puts together: XLA:CPU splits what has more over threads, in a call into invalid code
+MOST_OF_A_CALL = 2**18
 
 
 def in_regions(
@@ -251,8 +251,10 @@ def _one_kernel(
     """Return a region as a call that XLA:CPU compiles as a kernel, of those inputs that are no constants."""
     own = [(variable, constants[variable]) for variable in part.jaxpr.invars if variable in constants]
     whole = new_program(part.jaxpr, part.jaxpr.eqns, inputs, part.jaxpr.outvars, own)
-    if any(e.primitive.name == "concatenate" and len(e.invars) > MOST_ROWS_OF_A_CALL for e in part.jaxpr.eqns):
-        return core.jaxpr_as_fun(whole)
+    joined = [e.outvars[0].aval for e in part.jaxpr.eqns if e.primitive.name == "concatenate"]
+    if any(made.size * made.dtype.itemsize >= MOST_OF_A_CALL for made in joined):
+        plain: Callable[..., list[jax.Array]] = core.jaxpr_as_fun(whole)
+        return plain
 
     def kernel(*arguments: jax.Array) -> list[jax.Array]:
         with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within

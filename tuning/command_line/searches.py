@@ -96,10 +96,7 @@ def _tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, shell: "
     shell.say(*filter(None, [team.said]))
     team.begin(out, loaded.scenario.to_yaml())
     with shell.stage("baseline"), file.naming(search):
-        if drawn is None:
-            problem = searches.problem_of(loaded.scenario, wanted, **loaded.how)
-        else:
-            problem = robust.problem_of(loaded.scenario, drawn, wanted, **loaded.how)
+        problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.how)
     files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
     again, compared = repeated(["tune", *files], "--engine"), None
     with kept_in(out, "rounds") as kept, background(busy=1) as begin:
