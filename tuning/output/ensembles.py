@@ -46,8 +46,8 @@ def judge(found: Judged, folder: Folder, _: None = None) -> Contents:
         {"summary.json": summary + "\n"},
         {"judged": (SHARES, lambda: pictures.plot_judged(found.data))},
         lambda origin: page.Page(
-            title=f"Gains on the walks of {origin.name}", origin=origin, verdict=f"{sentence}.", scenario=found.scenario,
-            tables=[pages.judged_table(summed, metrics)], facts={"seed": ensemble.seed},
+            title=f"Gains on the walks of {origin.name}", origin=origin, verdict=f"{sentence}.",
+            scenario=found.scenario, tables=[pages.judged_table(summed, metrics)], facts={"seed": ensemble.seed},
         ),
     )  # fmt: skip
 
