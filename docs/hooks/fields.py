@@ -43,8 +43,11 @@ def _kind(annotation: str) -> str:
 
 
 def _help(code: str) -> str:
-    """Return help and default of `name: kind = setting(default, "help")` or `Field(..., description="help")`."""
+    """Return what `setting(default, "help")`, `Field(..., description="help")` or `_of(key, unit, name)` say."""
     call = getattr(ast.parse(textwrap.dedent(code)).body[0], "value", None)
+    if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "_of":  # a gain or parameter
+        _, unit, name, *_ = [*(getattr(each, "value", None) for each in call.args), None, None]
+        return f"{name[:1].upper()}{name[1:]}, {unit}" if name and unit else name or ""
     if not isinstance(call, ast.Call) or getattr(call.func, "id", "") not in ("setting", "Field"):
         return ""
     named = {keyword.arg: keyword.value for keyword in call.keywords}

@@ -144,6 +144,7 @@ def test_a_metric_with_large_arrays_is_as_by_numpy():
         finish=lambda running, _: running,
     )  # fmt: skip
     scenario = mc.load_scenario("case_1_2", ["duration=0.01"])
-    found = mc.rollout_metrics(scenario, {"stiffness": np.full((193, 6), 3e3)}, metrics=(*mc.METRICS, net))
+    gains = {"stiffness": np.full((193, 6), 3e3)}
+    found = mc.rollout_metrics(scenario, gains, metrics=(*mc.METRICS, net), dtype=np.float64)
     forces = mc.rollout(scenario, {"stiffness": np.full(6, 3e3)}).foot_force[:, 0]
-    np.testing.assert_allclose(found["net"], value(forces.T, np).max(), rtol=1e-4)
+    np.testing.assert_allclose(found["net"], value(forces.T, np).max(), rtol=1e-9)
