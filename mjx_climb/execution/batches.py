@@ -87,7 +87,7 @@ def run(
     double = any(leaf.dtype == np.float64 for leaf in flat)
     on = device or paths.device_for(count, tangents, double=double)
     path = paths.path_for(on, double=double)
-    share = devices.share_size(count, batch_size, on, in_pieces=path == "regions" and directions is None)
+    share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and directions is None)
     call = _Call(function, structure, tuple(batched))
     program = _program(path, share, on, directions is not None, compile_briefly)
     enable_cache()
@@ -128,7 +128,7 @@ def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> An
 
 def walking_with(robots: range, whole: int) -> range:
     """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits."""
-    return devices.walking_with(robots, whole, in_pieces=paths.path_for(None, double=False) == "regions")
+    return devices.walking_with(robots, whole, in_regions=paths.path_for(None, double=False) == "regions")
 
 
 def _flat(value: np.ndarray, own: int, shape: tuple[int, ...]) -> np.ndarray:

@@ -21,9 +21,9 @@ from jax.sharding import SingleDeviceSharding
 # Up to so many robots: shares of so many, few enough to keep several cores busy. Two walk one by one: so the last two
 # starts of a search need no program but that of the last one.
 _CPU_SHARES = {2: 1, 8: 2, 64: 16, math.inf: 64}
-# In pieces a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA works out by several
+# In regions a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA works out by several
 # threads: two shares of 128 under engine mjx wait for each other for ever.
-_CPU_SHARES_IN_PIECES = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
+_CPU_SHARES_IN_REGIONS = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
 
 
 class LostProcess(RuntimeError):
@@ -50,15 +50,15 @@ def on_host() -> contextlib.AbstractContextManager[object]:
     return contextlib.nullcontext() if jax.default_backend() == "cpu" else jax.default_device(host())
 
 
-def share_size(robots: int, limit: int | None, backend: str | None = None, *, in_pieces: bool) -> int:
+def share_size(robots: int, limit: int | None, backend: str | None = None, *, in_regions: bool) -> int:
     """Return how many robots walk in one call of a program, of so many in all and at most `limit` at a time.
 
-    `backend` is where they walk, where that is not JAX's default; `in_pieces` whether their steps are compiled so, for
+    `backend` is where they walk, where that is not JAX's default; `in_regions` whether their steps are compiled so, for
     values alone.
     """
     check_batch_size(limit)
     if (backend or jax.default_backend()) == "cpu":
-        shares = _CPU_SHARES_IN_PIECES if in_pieces else _CPU_SHARES
+        shares = _CPU_SHARES_IN_REGIONS if in_regions else _CPU_SHARES
         share = next(share for most, share in shares.items() if robots <= most)
     else:
         share = -(-min(robots, limit or robots) // jax.device_count())
@@ -75,7 +75,7 @@ def check_batch_size(robots: int | None) -> None:
         raise ValueError(f"batch_size: expected 1 or more, got {robots}")
 
 
-def walking_with(robots: range, whole: int, *, in_pieces: bool) -> range:
+def walking_with(robots: range, whole: int, *, in_regions: bool) -> range:
     """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits.
 
     A robot's last bits depend on its place in a share, as vector units finish a row of robots one by one. So whole
@@ -84,10 +84,10 @@ def walking_with(robots: range, whole: int, *, in_pieces: bool) -> range:
     """
     if jax.default_backend() != "cpu":
         return robots
-    share = share_size(whole, None, in_pieces=in_pieces)
+    share = share_size(whole, None, in_regions=in_regions)
     begin = robots.start // share * share
     count = -(-(robots.stop - begin) // share) * share
-    while share_size(count, None, in_pieces=in_pieces) != share:
+    while share_size(count, None, in_regions=in_regions) != share:
         count += 1
     return range(begin, begin + count)
 

@@ -1,6 +1,6 @@
 """Sine, cosine and the angle of a vector in single precision, of operations that a CPU carries out on whole vectors.
 
-XLA:CPU calls the C library for these, once for each robot: half of the time of a step in pieces. Up to a thousand
+XLA:CPU calls the C library for these, once for each robot: half of the time of a step in regions. Up to a thousand
 radians the errors are below 1.6 units in the last place for sine and cosine (near their zeros below 1e-7), for the
 angle below 2.8; the library's are below 1.
 
@@ -93,13 +93,13 @@ def _negative(x: Array) -> Array:
     return lax.bitcast_convert_type(x, np.int32) < 0
 
 
-def _elementwise(name: str, function: Callable[..., Array], *slopes: Callable[..., Array]) -> Primitive:
-    """Return a primitive like JAX's own: its slopes are known, and it is written out where it is compiled."""
+def _elementwise(name: str, function: Callable[..., Array], *derivatives: Callable[..., Array]) -> Primitive:
+    """Return a primitive like JAX's own: its derivatives are known, and it is written out where it is compiled."""
     primitive = Primitive(name)
     primitive.def_impl(jax.jit(function))
     primitive.def_abstract_eval(lambda *of: of[0].update(shape=np.broadcast_shapes(*(each.shape for each in of))))
-    batching.defvectorized(primitive) if len(slopes) == 1 else batching.defbroadcasting(primitive)
-    ad.defjvp(primitive, *slopes)
+    batching.defvectorized(primitive) if len(derivatives) == 1 else batching.defbroadcasting(primitive)
+    ad.defjvp(primitive, *derivatives)
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
     return primitive
 

@@ -1,1 +1,1 @@
-"""Whole walks: one robot with its histories, batches with their metrics and slopes."""
+"""Whole walks: one robot with its histories, batches with their metrics and tangents."""

@@ -179,7 +179,7 @@ def test_what_nothing_is_made_of_is_not_written():
 
 @pytest.mark.slow
 def test_a_walk_in_cuda_c(built, case):
-    """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 as XLA's do."""
+    """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 to 1e-4."""
     with jax.enable_x64(False):
         walk, given = short_walk(case, STEPS)
         leaves = jax.tree.leaves(given)
@@ -193,7 +193,9 @@ def test_a_walk_in_cuda_c(built, case):
     names = sorted(expected)
     assert expected["force_variation"] > 0.1
     for name, mine in zip(names, of_words(made, program.out_avals), strict=True):
-        np.testing.assert_allclose(mine, expected[name], rtol=4e-4, atol=1e-5, err_msg=name)
+        # a pull is what is left of a foot's force along the normal, and has the rounding of that whole force
+        rounding = 1e-4 * float(expected["peak_foot_force"]) if name == "peak_pull_force" else 1e-5
+        np.testing.assert_allclose(mine, expected[name], rtol=1e-4, atol=rounding, err_msg=name)
 
 
 @pytest.mark.nightly

@@ -72,16 +72,16 @@ def test_shards_joined_are_the_whole(three):
             assert joined["x"].tobytes() == whole["x"].tobytes()
 
 
-@pytest.mark.parametrize("in_pieces", [True, False])
+@pytest.mark.parametrize("in_regions", [True, False])
 @pytest.mark.parametrize("whole", [1, 5, 40, 72, 150, 500])
-def test_robots_keep_place_and_program(whole, in_pieces):
+def test_robots_keep_place_and_program(whole, in_regions):
     """They walk in whole shares that begin where those of the whole batch do, by the same program."""
-    share = devices.share_size(whole, None, in_pieces=in_pieces)
+    share = devices.share_size(whole, None, in_regions=in_regions)
     for start in range(0, whole, 7):
         robots = range(start, min(start + 11, whole))
-        walking = devices.walking_with(robots, whole, in_pieces=in_pieces)
+        walking = devices.walking_with(robots, whole, in_regions=in_regions)
         assert walking.start % share == 0 and set(robots) <= set(walking)
-        assert devices.share_size(len(walking), None, in_pieces=in_pieces) == share
+        assert devices.share_size(len(walking), None, in_regions=in_regions) == share
 
 
 def test_a_shard_goes_on_where_it_stopped(tmp_path):
