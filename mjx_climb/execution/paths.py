@@ -89,7 +89,7 @@ def compiler_options(robots: int, path: str, device: str | None, *, briefly: boo
     elif robots >= _FUSION_PAYS_BELOW:
         options["xla_disable_hlo_passes"] = "fusion"
     if briefly:
-        options["xla_backend_optimization_level"] = 1 if path == "regions" else 0
+        options["xla_backend_optimization_level"] = 0
     return options
 
 

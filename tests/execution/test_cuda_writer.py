@@ -200,12 +200,13 @@ def test_a_walk_in_cuda_c(built, case):
 
 @pytest.mark.nightly
 def test_tangents_of_a_walk_in_cuda_c(built, case):
-    """Single precision slopes by the logarithm of the damping agree with central differences in float64 to 1e-3."""
+    """Single precision tangents by the logarithm of the damping agree with central differences in float64 to 1e-3."""
     with jax.enable_x64(False):
-        walk, (law, numbers) = short_walk(case, STEPS)
+        # two steps later the largest torques of two instants are as one to single precision
+        walk, (law, numbers) = short_walk(case, STEPS - 5)
         arguments = (law.damping, law, numbers)
         program = jax.make_jaxpr(lambda damping, law, numbers: walk(dataclasses.replace(law, damping=damping), numbers))
-        both, _ = tangents_of(program(*arguments), [n == 0 for n in range(len(jax.tree.leaves(arguments)))])
+        both, moved = tangents_of(program(*arguments), [n == 0 for n in range(len(jax.tree.leaves(arguments)))])
         body, leaves = body_of(both), jax.tree.leaves((*arguments, law.damping))
         text = written(body, [False] * len(leaves))
         rows = sum(math.prod(aval.shape) for aval in body.outputs)
@@ -217,10 +218,11 @@ def test_tangents_of_a_walk_in_cuda_c(built, case):
     sides = law.damping * np.array([[1 + step], [1 - step]])
     both = jax.vmap(lambda damping: walk(dataclasses.replace(law, damping=damping), numbers))
     expected = jax.jit(both, compiler_options={"xla_disable_hlo_passes": "fusion"})(sides)
-    slopes = iter(found[len(expected) :])
-    for name in sorted(expected):
+    tangents = iter(found[len(expected) :])
+    for name, moves in zip(sorted(expected), moved, strict=True):
         more, less = expected[name]
+        tangent = next(tangents) if moves else np.zeros(more.shape)
         if np.issubdtype(more.dtype, np.floating):
-            slope = np.nan_to_num((more - less) / (2 * step))  # nobody is torn off: not a number
-            np.testing.assert_allclose(next(slopes), slope, rtol=1e-3, atol=1e-7, err_msg=name)
-    assert next(slopes, None) is None
+            difference = np.nan_to_num((more - less) / (2 * step))  # nobody is torn off: not a number
+            np.testing.assert_allclose(tangent, difference, rtol=1e-3, atol=1e-7, err_msg=name)
+    assert next(tangents, None) is None
