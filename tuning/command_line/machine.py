@@ -1,17 +1,14 @@
 """`mjx-climb bench` and `doctor`: how fast and how sound this installation is."""
 
-import dataclasses
-import importlib.metadata
 import math
 import os
 import platform
 import tempfile
 import time
 import warnings
-from collections.abc import Iterable, Sequence
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -19,18 +16,10 @@ from tuning.benchmarks import commands
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
 from tuning.command_line.options import ENGINE, EngineName, Output, reserved_stdout
-from tuning.command_line.program import InputError
+from tuning.command_line.program import InputError, in_words, versions_of
 from tuning.problem.settings import Options, setting
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
-WORDS = ("measure", "unit", "command", "goal on two cores")  # columns that hold no numbers
-BATCH = 1024
-SMALLEST_BATCH = 64
-
-# name, what it is, unit, what it should be on two cores
-ROWS = (
+ROWS = (  # name, what it is, unit, what it should be on two cores
     ("closed_loop_steps_per_s", "closed loop, metrics included", "steps/s", ""),
     ("vs_mujoco_c", "against mujoco.rollout, bare dynamics", "times", "1 or more"),
     ("vs_mjx", "against the closed loop with engine mjx", "times", "5 or more"),
@@ -48,10 +37,7 @@ ROWS = (
     ("flops_per_env_step", "operations of a step as compiled", "", ""),
     ("flops_per_env_step_by_hand", "counted by hand", "", ""),
 )
-
-
-# name, goals on two cores: with an empty cache, and again
-WAITS = (
+WAITS = (  # name, goals on two cores: with an empty cache, and again
     (commands.IMPORT, "", "1"),
     (commands.HELP, "", "0.2"),
     (commands.RUN, "7", "3"),
@@ -65,7 +51,7 @@ class Bench(Options):
     """What is measured."""
 
     quick: bool = setting(False, "a first look, not to be quoted: fewer rounds, some figures left out")
-    batch: int = setting(BATCH, "robots that walk at a time, a multiple of 4", ge=SMALLEST_BATCH)
+    batch: int = setting(1024, "robots that walk at a time, a multiple of 4", ge=64)
     with_tune: bool = setting(False, "time a search of twelve gains as well, which takes minutes")
     engine: EngineName = ENGINE
 
@@ -90,56 +76,42 @@ def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
         if asked.batch % 4:
             raise InputError(f"--batch: expected a multiple of 4, got {asked.batch}")
         from tuning.benchmarks import measure
-        from tuning.command_line.session import duration
+        from tuning.command_line.session import duration, plain_table
         from tuning.report import numbers
 
-        engine, batch = asked.engine, asked.batch
         begin = time.perf_counter()
 
         def say(text: str) -> None:
             interruption.check()
             shell.say(f"{duration(time.perf_counter() - begin)}: {text}")
 
-        result = measure.measure(
-            engine, batch, measure.Plan.quick(batch) if asked.quick else measure.Plan.full(batch), say
-        )
-        names = QUICK if asked.quick else tuple(name for name, *_ in WAITS if name != commands.TUNE)
-        waited = commands.measure((*names, commands.TUNE) if asked.with_tune else names, say)
+        plan = measure.Plan.quick if asked.quick else measure.Plan.full
+        result = measure.measure(asked.engine, asked.batch, plan(asked.batch), say)
+        names = QUICK if asked.quick else tuple(name for name, *_ in WAITS if name != commands.TUNE or asked.with_tune)
+        waited = commands.measure(names, say)
         result["waits"] = {name: seconds._asdict() for name, seconds in waited.items()}
         say("done")
+        figures = plain_table("measure", "value", "unit", "goal on two cores")
+        for key, label, unit, goal in ROWS:
+            figures.add_row(label, numbers.number(result[key]), unit, goal)
+        waits = plain_table("command", "cold s", "warm s", "CPU s, cold", "CPU s, warm", "goal, cold", "goal, warm")
+        for name, *goals in WAITS:
+            if name in waited:
+                waits.add_row(name, *map(numbers.number, waited[name]), *goals)
         shell.show(
-            _table(
-                ("measure", "value", "unit", "goal on two cores"),
-                ((label, numbers.number(result[key]), unit, goal) for key, label, unit, goal in ROWS),
-            ),
-            _table(
-                ("command", "cold s", "warm s", "CPU s, cold", "CPU s, warm", "goal, cold", "goal, warm"),
-                ((name, *map(numbers.number, waited[name]), *goals) for name, *goals in WAITS if name in waited),
-            ),
-            f"batch {batch}, engine {engine}, {result['threads']} threads of {result['processor']}, "
+            figures,
+            waits,
+            f"batch {asked.batch}, engine {asked.engine}, {result['threads']} threads of {result['processor']}, "
             f"JAX on {', '.join(sorted(set(result['devices'])))}; load average at the end {result['load_average']:.1f}",
         )
         shell.print_json(numbers.to_json(result))
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> "Table":
-    from tuning.command_line.session import plain_table
-
-    table = plain_table(*columns)
-    for column in table.columns:
-        column.justify = "left" if column.header in WORDS else "right"
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
-SIMULATION = ("walk", "gradient")
 NVIDIA = Path("/proc/driver/nvidia/version")  # there where the driver is loaded
 
 
-@dataclasses.dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """One part of an installation."""
 
     name: str
@@ -154,69 +126,50 @@ def examine() -> list[Part]:
     for examination in (versions, devices, cache, path, renderer, simulation):
         interruption.check()
         try:
-            found = examination()
-            parts += found if isinstance(found, list) else [found]
+            parts += examination()
         except Exception as error:  # whatever it is, the other parts are still of interest
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             parts.append(Part(examination.__name__, "could not be examined", {}, (reason,)))
     return parts
 
 
-def versions() -> Part:
+def versions() -> list[Part]:
     """Return the versions of what computes."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
-    found |= {name: _version(name) for name in ("mjx-climb", *PACKAGES)}
-    missing = [name for name in PACKAGES if found[name] is None]
-    findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in missing]
+    found = {"python": platform.python_version(), **versions_of("mjx-climb", *PACKAGES)}
+    findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in PACKAGES if not found[name]]
     engine, mjx = found["mujoco"], found["mujoco-mjx"]
-    if not missing and engine != mjx:
+    if not findings and engine != mjx:
         findings.append(f'mujoco {engine} with mujoco-mjx {mjx}: python -m pip install "mujoco=={mjx}"')
-    text = ", ".join(f"{name} {version or '(not installed as a package)'}" for name, version in found.items())
-    return Part("versions", text, found, tuple(findings))
+    return [Part("versions", in_words(found), found, tuple(findings))]
 
 
-def devices() -> Part:
-    """Return what the simulations run on."""
+def devices() -> list[Part]:
+    """Return what simulations run on, and what keeps JAX from an NVIDIA GPU where nobody asked for the CPU."""
     import jax
 
     from mjx_climb.execution.devices import usable_cores
 
     found = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()]
     facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
+    finding = None
+    if facts["backend"] == "cpu" and NVIDIA.exists() and "cpu" not in os.environ.get("JAX_PLATFORMS", "").lower():
+        finding = "an NVIDIA GPU is here, but JAX's plugin does not start: is the driver new enough for it?"
+        if not any(versions_of("jax-cuda12-plugin", "jax-cuda13-plugin").values()):
+            finding = 'an NVIDIA GPU is here and JAX has no plugin for it: python -m pip install "mjx-climb[cuda13]"'
     text = f"{', '.join(found)}; {facts['cores']} CPU cores usable"
-    return Part("devices", text, facts, _unused_gpu() if facts["backend"] == "cpu" else ())
+    return [Part("devices", text, facts, (finding,) if finding else ())]
 
 
-def _unused_gpu() -> tuple[str, ...]:
-    """Return what keeps JAX from an NVIDIA GPU of this machine, where it has one and nobody asked for the CPU."""
-    if not NVIDIA.exists() or "cpu" in os.environ.get("JAX_PLATFORMS", "").lower():
-        return ()
-    plugins = [f"jax-cuda{major}-plugin" for major in (12, 13)]
-    if not any(_version(plugin) for plugin in plugins):
-        return ('an NVIDIA GPU is here and JAX has no plugin for it: python -m pip install "mjx-climb[cuda13]"',)
-    return ("an NVIDIA GPU is here, but JAX's plugin does not start: is the driver new enough for it?",)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
-def cache() -> Part:
+def cache() -> list[Part]:
     """Return the state of XLA's compilation cache."""
     from mjx_climb.execution.cache import VARIABLE, asked_folder, cache_in_use, doubt
 
-    folder = cache_in_use()
+    folder, finding = cache_in_use(), None
     if folder is None:
-        text = f"off ({VARIABLE}): every start compiles again"
-        asked = asked_folder()
-        why = None if asked is None else doubt(asked)
-        return Part("cache", text, {"on": False, "folder": None}, () if why is None else (why,))
+        finding = None if (asked := asked_folder()) is None else doubt(asked)
+        text, facts = f"off ({VARIABLE}): every start compiles again", {"on": False, "folder": None}
+        return [Part("cache", text, facts, (finding,) if finding else ())]
     sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
-    facts = {"on": True, "folder": folder, "programs": len(sizes), "bytes": sum(sizes), "writable": True}
-    text = f"{folder}, {len(sizes)} programs, {sum(sizes) / 1e6:.0f} MB"
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -225,36 +178,37 @@ def cache() -> Part:
         remedy = f"set {VARIABLE} to a folder that can be, or to off"
         reason = (error.strerror or str(error)).lower()
         finding = f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}"
-        return Part("cache", text, {**facts, "writable": False}, (finding,))
-    return Part("cache", text, facts)
+    text = f"{folder}, {len(sizes)} programs, {sum(sizes) / 1e6:.0f} MB"
+    counts = {"programs": len(sizes), "bytes": sum(sizes), "writable": finding is None}
+    return [Part("cache", text, {"on": True, "folder": folder, **counts}, (finding,) if finding else ())]
 
 
-def path() -> Part:
+def path() -> list[Part]:
     """Return by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
     from mjx_climb.execution import paths, probe
 
     fast = paths.fast_path()
     if fast is None:
-        return Part("path", "XLA's own: none faster is made for this device", {"path": None})
+        return [Part("path", "XLA's own: none faster is made for this device", {"path": None})]
     found = probe.verdict(fast)
-    if not found.works:
-        remedy = "walks are right, but slower; the versions of jax and jaxlib in pyproject.toml are known to work"
-        finding = f"{probe.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
-        return Part("path", "XLA's own", {"path": None}, (finding,))
-    return Part("path", f"{probe.PATHS[fast]}, {found.seen}", {"path": fast})
+    if found.works:
+        return [Part("path", f"{probe.PATHS[fast]}, {found.seen}", {"path": fast})]
+    remedy = "walks are right, but slower; the versions of jax and jaxlib in pyproject.toml are known to work"
+    finding = f"{probe.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
+    return [Part("path", "XLA's own", {"path": None}, (finding,))]
 
 
-def renderer() -> Part:
+def renderer() -> list[Part]:
     """Return which OpenGL renders pictures and videos."""
     from mjx_climb.rendering import RenderingError, backend
 
     if os.environ.get("MUJOCO_GL", "").lower().strip() in backend.OFF:
-        return Part("renderer", "off (MUJOCO_GL)", {"backend": None})
+        return [Part("renderer", "off (MUJOCO_GL)", {"backend": None})]
     try:
         found = backend.find()
     except RenderingError as error:
-        return Part("renderer", "none: no videos, no snapshots", {"backend": None}, (str(error),))
-    return Part("renderer", found, {"backend": found})
+        return [Part("renderer", "none: no videos, no snapshots", {"backend": None}, (str(error),))]
+    return [Part("renderer", found, {"backend": found})]
 
 
 def simulation() -> list[Part]:
@@ -264,14 +218,16 @@ def simulation() -> list[Part]:
     with warnings.catch_warnings():
         # what `cache` has found already
         warnings.filterwarnings("ignore", ".*persistent compilation cache", UserWarning)
-        measured = self_check.measure()
-    found = self_check.deviations(measured, self_check.load())
-    dynamics = {name: found[name] for name in found if name not in SIMULATION}
+        found = self_check.deviations(self_check.measure(), self_check.load())
+    own = {name: {name: found.pop(name)} for name in ("walk", "gradient")}
     parts, limit = [], self_check.TOLERANCE
-    for name, group in (("dynamics", dynamics), *((name, {name: found[name]}) for name in SIMULATION)):
-        off = {source: each for source, each in group.items() if not each.size <= limit}
-        findings = tuple(f"{source}: {o.name} is {o.value}, stored is {o.stored}" for source, o in off.items())
-        what = f"{', '.join(group) if len(group) > 1 else ''} {'off' if off else 'as stored'}".strip()
+    for name, group in {"dynamics": found, **own}.items():
+        findings = tuple(
+            f"{source}: {off.name} is {off.value}, stored is {off.stored}"
+            for source, off in group.items()
+            if not off.size <= limit  # NaN is off, too
+        )
+        what = f"{', '.join(group) if len(group) > 1 else ''} {'off' if findings else 'as stored'}".strip()
         largest = max(each.size for each in group.values())
         text = f"{what}, largest relative deviation {largest:.1g} (limit {limit:g})"
         sizes = {source: each.size if math.isfinite(each.size) else None for source, each in group.items()}
@@ -299,17 +255,16 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
         begin = time.perf_counter()
         parts = examine()
         wrong = [part.name for part in parts if part.findings]
-        sound = not wrong
         said = "All is well: physics and gradients on this machine are those stored with the package."
         if wrong:
             said = f"Something is wrong with {' and '.join(filter(None, [', '.join(wrong[:-1]), wrong[-1]]))}."
         if output.json_only:
             found = {part.name: {**part.facts, "findings": list(part.findings)} for part in parts}
-            print(dumps({"sound": sound, "verdict": said, "parts": found}, indent=2, allow_nan=False), file=stdout)
+            print(dumps({"sound": not wrong, "verdict": said, "parts": found}, indent=2, allow_nan=False), file=stdout)
         else:
             for part in parts:
                 print(f"{part.name:9} {part.text}", file=stdout)
                 for finding in part.findings:
                     print(f"{'':9} ! {finding}", file=stdout)
             print(f"\n{said} ({time.perf_counter() - begin:.0f} s)", file=stdout)
-    raise typer.Exit(0 if sound else 1)
+    raise typer.Exit(1 if wrong else 0)

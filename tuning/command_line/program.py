@@ -12,7 +12,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
 NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
-PACKAGES = ("mjx-climb", "mujoco", "mujoco-mjx", "jax")  # whose versions are told
 COMMANDS = {  # what each does
     "run": "Walk one robot through a scenario.",
     "sweep": "Walk a grid of stiffness and damping, and map it.",
@@ -45,7 +44,8 @@ COMMANDS = {  # what each does
 }
 _MODULES = {  # of commands that are not in a module of their own name
     "sweep": "shards", "judge": "shards", "merge": "shards", "tune": "searches", "pareto": "searches",
-    "schedule": "searches", "schema": "robot", "bench": "machine", "doctor": "machine",
+    "schedule": "searches", "plot": "results", "margins": "results", "reproduce": "results", "export": "results",
+    "schema": "robot", "bench": "machine", "doctor": "machine",
 }  # fmt: skip
 _LONGEST = 1000  # characters of a line
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}
@@ -70,24 +70,32 @@ def program(only: str | None = None) -> typer.Typer:
         callback=_program,
     )
     for name, short_help in COMMANDS.items():
-        loaded = _not_loaded
+        loaded = _program  # stands for a command that was not asked for: its options would be read for nothing
         if only in (None, name):
             loaded = getattr(importlib.import_module(f"tuning.command_line.{_MODULES.get(name, name)}"), name)
         made.command(name, short_help=short_help)(loaded)
     return made
 
 
-def _not_loaded() -> None:
-    """Stand for a command that was not asked for: its options would be read for nothing."""
+def versions_of(*packages: str) -> dict[str, str | None]:
+    """Return the versions of packages, None for one that is not installed as such."""
+    from importlib import metadata
+
+    found: dict[str, str | None] = dict.fromkeys(packages)
+    for name in packages:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def in_words(versions: Mapping[str, str | None]) -> str:
+    """Return versions in one line."""
+    return ", ".join(f"{name} {version or '(not installed as a package)'}" for name, version in versions.items())
 
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from importlib import metadata
-
-        found = {name: next(iter(metadata.distributions(name=name)), None) for name in PACKAGES}
-        texts = [f"{name} {each.version if each else '(not installed as a package)'}" for name, each in found.items()]
-        typer.echo(", ".join(texts))
+        typer.echo(in_words(versions_of("mjx-climb", "mujoco", "mujoco-mjx", "jax")))
         raise typer.Exit()
 
 
@@ -120,7 +128,12 @@ def run(arguments: Sequence[str]) -> int:
         if message is None:
             raise
         _say(f"error: {message}")
-        _leave_output()
+        try:
+            sys.stdout.flush()
+        except OSError:  # drop what it does not take: Python would try again as it ends, and say so
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        except AttributeError:  # closed
+            pass
         return 2
     if code == interruption.CODE:  # a KeyboardInterrupt that typer caught
         _say(NOTHING_KEPT)
@@ -148,15 +161,6 @@ def _check_surroundings(arguments: Sequence[str]) -> None:
 def _say(text: str) -> None:
     with contextlib.suppress(OSError):  # nobody can read it
         print(f"mjx-climb: {text}", file=sys.stderr, flush=True)
-
-
-def _leave_output() -> None:
-    """Drop what standard output does not take: Python would try again as it ends, and say so."""
-    try:
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def user_error(error: Exception) -> str | None:
@@ -208,15 +212,13 @@ def origin(name: str, again: str) -> "Origin":
     """Return where a report comes from, but for the scenario: see `tuning.report.page.Origin`."""
     from tuning.report.page import Origin
 
-    return Origin(name, shlex.join(["mjx-climb", *map(_without_folder, ARGUMENTS.get())]), again)
-
-
-def _without_folder(argument: str) -> str:
-    """Return an argument, or what stands behind its "=", as a bare name where it is an absolute path."""
-    option, equals, value = argument.rpartition("=")
-    if re.match(r"[/~]|[A-Za-z]:[/\\]", value):
-        value = re.split(r"[/\\]", value.rstrip("/\\"))[-1]
-    return f"{option}{equals}{value}"
+    words = ["mjx-climb"]
+    for argument in ARGUMENTS.get():  # absolute paths as bare names: their folders belong to one machine
+        option, equals, value = argument.rpartition("=")
+        if re.match(r"[/~]|[A-Za-z]:[/\\]", value):
+            value = re.split(r"[/\\]", value.rstrip("/\\"))[-1]
+        words.append(f"{option}{equals}{value}")
+    return Origin(name, shlex.join(words), again)
 
 
 def typed_but(option: str, value: str) -> str:

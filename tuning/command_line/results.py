@@ -1,0 +1,428 @@
+"""`mjx-climb plot`, `margins`, `reproduce` and `export`: pictures, limits and other forms of what was found."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from pydantic import AfterValidator, BeforeValidator
+
+from tuning.command_line.from_models import command
+from tuning.command_line.interruption import Interrupted
+from tuning.command_line.options import (
+    ENGINE,
+    FIGURES,
+    HARDWARE,
+    EngineName,
+    Figures,
+    Output,
+    Walk,
+    reserved_stdout,
+    scenario_from,
+)
+from tuning.command_line.processes import start_devices
+from tuning.command_line.program import InputError, origin, user_error
+from tuning.problem.settings import Options, setting
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    import mjx_climb as mc
+    from tuning.evaluation.linear_margins import Stable
+    from tuning.evaluation.margins import Found as Margins
+    from tuning.evaluation.margins import Margin
+    from tuning.reproduce.results import Found
+
+
+def _inches(text: str) -> tuple[float, float]:
+    try:
+        width, height = (float(part) / 25.4 for part in text.lower().split("x"))
+    except ValueError:
+        raise ValueError(f"expected WxH in mm, as 180x120, got {text!r}") from None
+    if not (0.4 <= width <= 100 and 0.4 <= height <= 100):
+        raise ValueError(f"expected 10 to 2540 mm each way, got {text!r}")
+    return width, height
+
+
+def _style(sheet: str) -> dict[str, object]:
+    """Return the settings of a style sheet, a file's or one of matplotlib's by name."""
+    from matplotlib import rc_params_from_file, style
+
+    try:
+        named = style.library.get(sheet)
+        found = rc_params_from_file(sheet, use_default_template=False) if named is None else named
+    except (OSError, ValueError) as error:
+        raise ValueError(f"expected a style sheet of matplotlib's, got {sheet!r}: {error}") from None
+    return {str(name): value for name, value in found.items()}
+
+
+class Plot(Options):
+    """What is drawn, and how."""
+
+    folder: Path = setting(..., "folder of a result, as a command wrote it", metavar="FOLDER", argument=True)
+    metric: tuple[str, ...] = setting(
+        (), "metric to draw by itself, of a map or an ensemble", metavar="NAME", complete="metric"
+    )
+    figures: Figures = FIGURES
+    out: Path | None = setting(None, "folder for the pictures; null: FOLDER", metavar="DIR")
+    size: Annotated[tuple[float, float] | None, BeforeValidator(_inches)] = setting(
+        None, "width and height, mm; null: a column of a paper", metavar="WxH"
+    )
+    dpi: int = setting(300, "dots per inch of PNG", ge=20, le=2400)
+    style: Annotated[dict[str, object], BeforeValidator(_style)] = setting(
+        {}, "style sheet of matplotlib's, over this program's own", metavar="FILE"
+    )
+
+
+@command()
+def plot(asked: Plot) -> None:
+    """Draw the pictures of a result again: any metric, format, size and style. Nothing is walked.
+
+    For what run, sweep, tune, pareto and schedule wrote.
+
+    \b
+    Examples:
+      mjx-climb plot results/case_1_2-sweep --metric peak_pull_force --metric min_tsm
+      mjx-climb plot results/case_1_2-tune --figures svg,pdf --out paper
+      mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
+    """
+    from mjx_climb import ConfigError, plots
+    from tuning.output import redrawn
+
+    folder, out = asked.folder, asked.out or asked.folder
+    with plots.over_style(asked.style):
+        try:
+            for name, figure in redrawn.figures(folder, asked.metric):
+                if asked.size is not None:
+                    figure.set_size_inches(*asked.size)
+                for path in plots.save_figure(figure, out / name, asked.figures, dpi=asked.dpi):
+                    typer.echo(path)
+        except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            if user_error(error):
+                raise
+            # a file of another program, or one with gaps
+            got = f"one that cannot be drawn ({type(error).__name__}: {error})"
+            raise ConfigError(
+                f"{folder}: expected a result as a command wrote it, with all its files, got {got}"
+            ) from None
+
+
+class Rival(Options):
+    """What is compared with."""
+
+    retuned_pd: Path | None = setting(
+        None, "gains file whose kp and kd pd has too, in a curve of its own", metavar="FILE"
+    )
+
+    def joint_gains(self) -> dict[str, float] | None:
+        """Return kp and kd of the file, None without one."""
+        from tuning.gains import gains_file
+
+        if self.retuned_pd is None:
+            return None
+        values = gains_file.by_name(gains_file.load(self.retuned_pd))
+        if missing := [name for name in ("kp", "kd") if name not in values]:
+            expected = f"a gains file with kp and kd, {self.retuned_pd} has no {' and no '.join(missing)}"
+            raise InputError(f"--retuned-pd: expected {expected}")
+        return {name: values[name] for name in ("kp", "kd")}
+
+
+@command("results/<config>-margins")
+def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> None:
+    """Find how late, slow and weak a robot's hardware may be before gains fail.
+
+    Makes force delay, command delay, control period and joint gains worse, one at a time, on top of the scenario's own
+    hardware, and says up to where no gripper is torn off, up to where the force varies less than under pd on the same
+    hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop, bear less than
+    twice what the hardware has.
+
+    Writes to DIR the margins (margins.json), all walks (margins.nc), and the force variation over each quantity, for
+    the gains, pd and the config's own gains (margins, in the formats of --figures).
+
+    \b
+    Examples:
+      mjx-climb margins case_1_2 --gains gains.yaml
+      mjx-climb margins case_1_2 --gains gains.yaml --hardware dynamixel_x --json
+    """
+    with output.session() as shell:
+        start_devices()
+        from mjx_climb import plots
+        from mjx_climb.control import PD
+        from mjx_climb.files import dataset
+        from tuning.evaluation import linear_margins
+        from tuning.evaluation import margins as evaluation
+        from tuning.output.folder import write_config
+        from tuning.report.pictures import plot_margins
+
+        scenario, law, *_ = walk.load()
+        gains = walk.values(law) or {}
+        others = {} if walk.gains is None or law is not None else {"config": evaluation.Walker(None, {})}
+        if (joint := rival.joint_gains()) is not None:
+            others["retuned pd"] = evaluation.Walker(PD(), joint)
+        out = shell.claim("margins.json", walk.config.stem, "margins")
+        scenario = write_config(scenario, out, law)
+        shell.opening(scenario)
+        how: dict[str, Any] = {"law": law, "engine": walk.engine}
+        with shell.stage("margins") as told:
+            found = evaluation.find(scenario, gains, others=others, progress=told, **how)
+        with shell.stage("linearised loop", unit="quantities") as told:
+            stable = linear_margins.find(scenario, gains, found.margins, progress=told, **how)
+        warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
+        text = _margins_json(found, stable, warnings)
+        with shell.stage("drawing", compiles=False):
+            dataset.write_text_atomically(out / "margins.json", text + "\n")
+            dataset.save(found.walks, out / "margins.nc")
+            figure = plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
+            plots.save_figure(figure, out / "margins", output.figures)
+        shell.show(_margins_table(found.margins, stable), *(f"warning: {line}" for line in warnings))
+        pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
+        shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
+
+
+def _margins_json(found: "Margins", stable: "dict[str, Stable]", warnings: list[str]) -> str:
+    """Return margins and warnings as plain data, SI units."""
+    from tuning.evaluation.margins import needed
+    from tuning.report.numbers import to_json
+
+    each = {
+        name: {
+            **dataclasses.asdict(margin),
+            "needed": needed(name, margin.own),  # the hardware with a factor of two
+            "stable": stable[name]._asdict(),
+        }
+        for name, margin in found.margins.items()
+    }
+    own = {"holds": found.holds, "better": found.better}
+    return to_json({"own_hardware": own, "margins": each, "warnings": warnings})
+
+
+def _margins_table(margins: "dict[str, Margin]", stable: "dict[str, Stable]") -> "Table":
+    """Return margins beside the scenario's hardware: by walks, and of the linearised loop."""
+    from tuning.command_line.session import plain_table
+    from tuning.evaluation.margins import QUANTITIES, in_words, with_unit
+
+    table = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to")
+    for name, margin in margins.items():
+        reached = [in_words(name, margin.worst, value) for value in (margin.holds, margin.better)]
+        reached.append(in_words(name, stable[name].tried, stable[name].up_to))
+        table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
+    return table
+
+
+@command("results/reproduce")
+def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
+    """Walk the paper's three cases under every controller and compare with what the paper states.
+
+    Runs pd, pd whose base reference follows the actual base, base admittance (Eq. 3) in both readings and
+    end-effector admittance (Eq. 2), with the paper's gains and in double precision: a minute or two, of which the
+    compiler takes most the first time. Where a gripper lets go, the walk is repeated with grippers that never do.
+
+    Prints all metrics beside the paper's numbers, and for each claim whether it holds here. Writes to DIR all of it
+    (report.html to look through in a browser, reproduce.json, tables.txt, paper.md), the baseline and the proposed
+    controller over time (case_1_1.png, ...), the resolved scenarios (case_1_1.yaml, ...) and each walk
+    (case_1_1-pd.nc, ..., 7 MB each, open with xarray).
+
+    \b
+    Examples:
+      mjx-climb reproduce
+      mjx-climb reproduce --out results/paper --json
+    """
+    with output.session() as shell:
+        from mjx_climb.files import dataset
+        from tuning.command_line.session import WIDTH, console
+        from tuning.report import page
+        from tuning.report.numbers import to_json
+        from tuning.reproduce import results
+
+        out = shell.claim("reproduce.json", "reproduce")
+        shell.opening()
+        try:
+            found = dict(results.reproduced(out, shell.stage))
+            text = to_json(results.as_json(found))
+            dataset.write_text_atomically(out / "reproduce.json", text + "\n")
+            dataset.write_text_atomically(out / "paper.md", results.as_markdown(found))
+            with (captured := console()).capture() as capture:
+                captured.width = WIDTH
+                show(found, captured)
+            dataset.write_text_atomically(out / "tables.txt", capture.get())
+            with shell.stage("report", compiles=False):
+                made = results.page(found, out, origin("the paper's cases", "mjx-climb reproduce --out again"))
+                page.write(made, out)
+        except KeyboardInterrupt:
+            count = len(list(out.glob("*.nc")))
+            raise Interrupted(f"{count} walks are in {out}; the same command starts again") from None
+
+        show(found, shell.tables)
+        files = "report.html, reproduce.json, tables.txt, paper.md, figures (.png), scenarios (.yaml)"
+        shell.written(f"{files}, {len(list(out.glob('*.nc')))} walks (.nc)", text)
+
+
+def show(found: "Found", console: "Console") -> None:
+    """Print the tables and sentences."""
+    from rich import box
+    from rich.table import Table
+
+    from tuning.reproduce import results
+
+    for made in results.tables(found):
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+        for number, name in enumerate(made.columns):
+            words = number == 0 or name == "unit"
+            header, whole = name if number == 0 else name.replace(" ", "\n"), number > 0 or bool(made.sections[0][0])
+            table.add_column(header, justify="left" if words else "right", no_wrap=whole)
+        for heading, rows in made.sections:
+            if heading:
+                table.add_row(heading.split(":")[0], end_section=False, style="bold")
+            for row in rows:
+                table.add_row(*row, end_section=row is rows[-1])
+        console.print(table)
+    for line in results.overall(found):
+        console.print(line)
+    console.print()
+    for heading, said in results.sentences(found).items():
+        console.print(heading)
+        for sentence in said:
+            console.print(f"  {sentence}")
+        console.print()
+
+
+_BESIDE = "config.yaml"  # what a search leaves beside its gains
+
+
+def _identifier(name: str) -> str:
+    if not (name.isascii() and name.isidentifier()):
+        raise ValueError(f"expected ASCII letters, digits and underscores, got {name!r}")
+    return name
+
+
+class Export(Options):
+    """What is written, and in which scenario it must hold."""
+
+    gains: Path = setting(..., "gains file, as tune writes it", metavar="GAINS", argument=True)
+    form: Literal["ros2_control", "admittance_control", "json", "csv"] = setting(
+        "ros2_control",
+        "what to write: parameters of ros2_control's admittance_controller or of the C++ library admittance_control, "
+        "or a table",
+        flag="--format",
+    )
+    config: Path | None = setting(
+        None,
+        f"scenario in which the gains must hold; null: {_BESIDE} beside GAINS",
+        metavar="CONFIG",
+        complete="config",
+    )
+    rate: int | None = setting(
+        None,
+        "update rate of the controller, Hz; null: the config's, 1000 without one",
+        flag="--update-rate",
+        metavar="HZ",
+        ge=1,
+        le=1_000_000,
+    )
+    name: Annotated[str, AfterValidator(_identifier)] = setting(
+        "admittance_controller", "name of the controller in the parameter file", metavar="NAME"
+    )
+    out: Path | None = setting(None, "file to write; null: standard output", metavar="FILE")
+    hardware: str | None = HARDWARE
+    engine: EngineName = ENGINE
+
+    def scenario(self) -> "mc.Scenario | None":
+        """Return the scenario in which the gains must hold, at the update rate, None without one."""
+        from mjx_climb.scenario.messages import ConfigError, config_error
+
+        beside = self.gains.parent / _BESIDE
+        config = beside if self.config is None and beside.is_file() else self.config
+        if config is None:
+            if self.hardware is not None:
+                raise InputError("--hardware: expected --config with it")
+            return None
+        scenario = scenario_from(config, hardware=self.hardware)
+        if self.rate is not None:
+            period = 0.0 if self.rate == round(1 / scenario.time_step) else 1 / self.rate
+            try:
+                scenario = scenario.with_overrides({"hardware.control_period": period})
+            except ConfigError:
+                expected = f"a whole number of the config's time steps of {scenario.time_step:g} s"
+                raise InputError(f"--update-rate: expected one whose period is {expected}, got {self.rate}") from None
+        control = scenario.control
+        if control.controller == "pd":
+            raise config_error(str(config), "control.controller", "an admittance law, whose gains these are", "pd")
+        if control.reading != "virtual_model" and self.form in ("ros2_control", "admittance_control"):
+            expected = "virtual_model, which is what the controller integrates"
+            raise config_error(str(config), "control.reading", expected, control.reading)
+        exact = self.form != "admittance_control"
+        return scenario if exact else scenario.with_overrides({"control.integration": "semi_implicit"})
+
+
+@command()
+def export(asked: Export) -> None:
+    """Write gains for the robot's own controller.
+
+    First they walk in the config, on its hardware and at the update rate: gains that are unstable there, or tear a
+    gripper off, are refused, and a margin of less than twice the hardware (see mjx-climb margins) is a warning. A
+    force filter that the law has (hardware.force_sensor.filtered_by=law) is written with them.
+
+    ros2_control's admittance_controller integrates the law with explicit damping, so gains that are fine here may
+    diverge there: those are refused, and you are told which update rate or virtual inertia would do. The library
+    admittance_control has one mass, damping and stiffness for forces and one for moments: gains that differ between
+    their axes are refused. docs/ros2_control.md has the mapping of parameters and frames to the law used here.
+
+    \b
+    Examples:
+      mjx-climb export results/case_1_2-tune-gradient-isotropic/gains.yaml --hardware dynamixel_x
+      mjx-climb export gains.yaml --config case_1_2 --format admittance_control --update-rate 200
+      mjx-climb export gains.yaml --format csv --out gains.csv
+    """
+    with reserved_stdout() as stdout:
+        from mjx_climb.files import dataset
+        from tuning.evaluation import deployment
+        from tuning.gains import gains_file
+
+        gains, source = gains_file.load(asked.gains), str(asked.gains)
+        scenario = asked.scenario()
+        text, notes = _written(asked, gains, scenario)
+        if scenario is None:
+            said = [f"note: no {_BESIDE} beside {asked.gains.name} and no --config: these gains were not walked"]
+        else:
+            said = [f"note: {line}" for line in notes]
+            said += [f"warning: {line}" for line in deployment.check(scenario, gains, source, engine=asked.engine)]
+        for line in said:
+            print(f"mjx-climb: {line}", file=sys.stderr)
+        if asked.out is None:
+            print(text, end="", file=stdout)
+        else:
+            dataset.write_text_atomically(asked.out, text)
+
+
+def _written(asked: Export, gains: "mc.Gains", scenario: "mc.Scenario | None") -> tuple[str, list[str]]:
+    """Return the gains in the form that was asked for, and notes on it."""
+    from mjx_climb.control import law_of
+    from mjx_climb.control.virtual_mass import Motion
+    from tuning.gains import admittance_control, gains_tables, ros2_control
+
+    source, rate, cutoff = str(asked.gains), asked.rate or 1000, None
+    if scenario is not None:
+        rate = round(1 / (scenario.hardware.control_period or scenario.time_step))
+        cutoff = scenario.hardware.force_sensor.filter
+    if asked.form == "ros2_control":
+        ros2_control.check(gains, rate, source)
+        if scenario is None or cutoff is None or scenario.hardware.force_sensor.filtered_by == "law":
+            return ros2_control.write(gains, rate, asked.name, cutoff), []
+        note = (
+            f"the config's sensors filter their forces at {cutoff:g} Hz: filter_coefficient 1, so that they are not "
+            "filtered twice; where admittance_controller is to filter in their place, walk and search with "
+            "hardware.force_sensor.filtered_by=law"
+        )
+        return ros2_control.write(gains, rate, asked.name, None), [note]
+    if asked.form == "admittance_control":
+        admittance_control.check(gains, 1 / rate, source)
+        motion = getattr(None if scenario is None else law_of(scenario), "motion", Motion())
+        forces = scenario is not None and scenario.control.controller == "end_effector_admittance"
+        text = admittance_control.write(gains, 1 / rate, motion, forces_only=forces)
+        note = (
+            f"admittance_control filters nothing: give it forces behind a low pass of {cutoff:g} Hz" if cutoff else ""
+        )
+        return text, [note] if note else []
+    return (gains_tables.write_json if asked.form == "json" else gains_tables.write_csv)(gains), []
