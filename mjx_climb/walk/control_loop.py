@@ -10,12 +10,12 @@ from jax import Array
 from mjx_climb.control import Command, Law, Measurement, Reference, Start, shifted
 from mjx_climb.control import begin as begin_law
 from mjx_climb.dynamics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
-from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
+from mjx_climb.dynamics.kinematics import Feet, Turning, base_wrench_of_foot_force
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import sensors, servo, signals
 from mjx_climb.hardware.stages import Hardware
-from mjx_climb.walk.contact import Grip
+from mjx_climb.walk.contact import Contact, Grip
 
 
 class JointTargets(NamedTuple):
@@ -68,9 +68,11 @@ class Actual(NamedTuple):
     """What is true in a step, whatever the sensors measure of it."""
 
     state: State
-    lever: Array  # (limb, 3) m, from the base to the feet
+    feet: Feet
+    turning: Turning | None  # of the feet, where grips transmit moments
+    contact: Contact  # after the step
     grip: Grip
-    wrench: Array  # (6,) N, N m, of all that the feet transmit
+    wrench: Array  # (6,) N, N m, on the base, of all that the feet transmit
 
 
 class Output(NamedTuple):
@@ -158,7 +160,7 @@ def _measure(
     sensor, force, wrench = memory.force_sensor, actual.grip.foot_force, actual.wrench
     if stages.force:
         sensor, force = sensors.measured_force(sensor, force, step, hardware)
-        wrench = base_wrench_of_foot_force(actual.lever, force, actual.grip.foot_moment)
+        wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
     filtered = memory.filtered
     if stages.sampled_filter:
         force, wrench = (

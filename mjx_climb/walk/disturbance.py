@@ -8,28 +8,22 @@ from jax import Array
 from mjx_climb.quantities.parameters import Parameters, whole_steps
 
 
-class Window(NamedTuple):
-    """The steps in which something acts: from the first one on, until before the second."""
-
-    start: Array  # () of the cargo, (push,) of the pushes; steps
-    stop: Array
-
-
 class Windows(NamedTuple):
-    """When disturbances act."""
+    """The steps in which disturbances act: from the first one on, until before the second."""
 
-    cargo: Window
-    pushes: Window
+    cargo: tuple[Array, Array]  # () each
+    pushes: tuple[Array, Array]  # (push,)
 
 
 def windows(parameters: Parameters, time_step: float) -> Windows:
     """Return the windows of a walk in time steps of `time_step` s."""
     cargo, pushes = (parameters.cargo_start, parameters.cargo_stop), (parameters.push_start, parameters.push_stop)
-    return Windows(*(Window(*(whole_steps(time, time_step) for time in times)) for times in (cargo, pushes)))
+    return Windows(*(tuple(whole_steps(time, time_step) for time in times) for times in (cargo, pushes)))
 
 
-def _active(window: Window, step: Array) -> Array:
-    return (step >= window.start) & (step < window.stop)
+def _active(window: tuple[Array, Array], step: Array) -> Array:
+    start, stop = window
+    return (step >= start) & (step < stop)
 
 
 def cargo_mass(parameters: Parameters, windows: Windows, step: Array) -> Array:

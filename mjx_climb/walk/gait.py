@@ -1,6 +1,5 @@
 """Periodic gait: which gripper is open, where the base and the feet should be (ClimbLab's default gait)."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -85,18 +84,16 @@ def is_flat(plan: Plan) -> bool:
 
 
 def foothold_height(plan: Plan, number: Array) -> Array:
-    """Return the heights (limb,) m of footholds by their number, (limb,) or (); the last one goes on for ever."""
+    """Return the heights (limb,) m of footholds by their number, (limb,) or (); the last one goes on for ever.
+
+    The ground below a foot is as high as its foothold, as a terrace.
+    """
     if is_flat(plan):
         return jnp.zeros_like(plan.swing_offset)
     height = plan.heights[:, 0]
     for n in range(1, plan.heights.shape[1]):
         height = jnp.where(number >= n, plan.heights[:, n], height)
     return height
-
-
-def ground_height(plan: Plan, now: Schedule) -> Array:
-    """Return the height of the ground below each foot, (limb,) m: that of its foothold, as a terrace."""
-    return foothold_height(plan, now.foothold)
 
 
 def _raised(points: Array, height: Array) -> Array:
@@ -117,26 +114,6 @@ def rise(plan: Plan, cycle: Array) -> Array:
 def planned_start(plan: Plan, cycle: Array) -> Array:
     """Return where the gait plans the base at the start of a cycle, (3,) m in world axes."""
     return _raised(plan.base_start + cycle * plan.advance, rise(plan, cycle))
-
-
-def nominal_start(plan: Plan, now: Schedule, memory: Array, base_position: Array) -> tuple[Array, Array]:
-    """Return the memory, unchanged, and where the cycle's base reference starts: where the last one ended."""
-    del base_position
-    return memory, planned_start(plan, now.cycle)
-
-
-def actual_start(plan: Plan, now: Schedule, memory: Array, base_position: Array) -> tuple[Array, Array]:
-    """Return, twice, where the cycle's base reference starts: where the base was when the cycle began."""
-    del plan
-    start = jnp.where(now.cycle_phase == 0, base_position, memory)
-    return start, start
-
-
-# `gait.base_reference` of a scenario: memory and start of the cycle, both (3,) m in world axes
-CYCLE_STARTS: dict[str, Callable[[Plan, Schedule, Array, Array], tuple[Array, Array]]] = {
-    "nominal": nominal_start,
-    "actual": actual_start,
-}
 
 
 def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:

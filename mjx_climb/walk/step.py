@@ -19,9 +19,7 @@ from mjx_climb.control import Law, Reference
 from mjx_climb.dynamics import ENGINES
 from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import (
-    Feet,
     LimbFrames,
-    Turning,
     base_wrench_of_foot_force,
     center_of_mass,
     foot_kinematics,
@@ -31,11 +29,11 @@ from mjx_climb.dynamics.kinematics import (
 from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix
 from mjx_climb.dynamics.state import Acceleration, Loads, State, integrate
 from mjx_climb.hardware import servo
-from mjx_climb.hardware.stages import Hardware, Stages, hardware_of
+from mjx_climb.hardware.stages import Hardware, hardware_of
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.walk import control_loop, disturbance, gait
-from mjx_climb.walk.contact import Attitude, Contact, Grip, Reach, grip
+from mjx_climb.walk.contact import Attitude, Contact, Reach, grip
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
 from mjx_climb.walk.structure import Structure
@@ -60,11 +58,6 @@ class Walk(NamedTuple):
     windows: disturbance.Windows
     controller: control_loop.Controller
     structure: Structure
-
-    @property
-    def stages(self) -> Stages:
-        """The stages of hardware between law and joints."""
-        return self.structure.stages
 
 
 class Carry(NamedTuple):
@@ -111,7 +104,7 @@ def prepare(structure: Structure, law: Law, parameters: Parameters) -> Walk:
 
 def begin(walk: Walk) -> Carry:
     """Return the rest stance with all grippers shut."""
-    plan, robot, stages = walk.plan, walk.robot, walk.stages
+    plan, robot, stages = walk.plan, walk.robot, walk.structure.stages
     start = gait.planned_start(plan, jnp.zeros_like(plan.cycle_steps))
     reference = Reference(start, plan.base_orientation, gait.first_footholds(plan))
     rotation, joints = quaternion_to_matrix(reference.base_orientation), jnp.asarray(robot.stance_joints)
@@ -136,19 +129,21 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     """
     state, parameters = carry.state, walk.parameters
     frames, now = limb_frames(walk.robot, None, state.joint_angles), gait.schedule(walk.plan, step)
-    stand = _stand(walk, carry, frames, now)
-    cycle_start, reference = _reference(walk, carry, now, stand.contact.grip_point)
-    actual = control_loop.Actual(state, stand.feet.lever, stand.grip, stand.wrench)
+    actual = _standing(walk, carry, frames, now)
+
+    cycle_start, start = carry.cycle_start, gait.planned_start(walk.plan, now.cycle)
+    if walk.structure.base_reference == "actual":  # a cycle starts where the base is, not where the last one ended
+        cycle_start = start = jnp.where(now.cycle_phase == 0, state.base_position, carry.cycle_start)
+    feet = gait.foot_targets(walk.plan, now, actual.contact.grip_point)
+    reference = Reference(gait.base_reference(walk.plan, now, start), walk.plan.base_orientation, feet)
     memory, output = control_loop.control(walk.controller, carry.memory, actual, reference, step, action)
 
     cargo = disturbance.cargo_mass(parameters, walk.windows, step)
     push = disturbance.push(parameters, walk.windows, step)
-    acceleration = _accelerations(walk, state, stand, output.drive, push, cargo)
+    acceleration = _accelerations(walk, actual, output.drive, push, cargo)
 
     com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
-    tsm, gia = _stability_margins(
-        walk, stand, net_external_wrench(stand.wrench + push, state.base_position), com, cargo
-    )
+    tsm, gia = _stability_margins(walk, actual, push, com, cargo)
     sample = Sample(
         time=step * jnp.asarray(walk.structure.time_step, com.dtype),
         **vars(state),
@@ -157,70 +152,54 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         joint_accelerations=acceleration.joints,
         joint_targets=output.joints.joint_angles,
         joint_torque=output.drive.motor_torque,
-        foot_position=stand.feet.position,
-        foot_velocity=stand.feet.velocity,
+        foot_position=actual.feet.position,
+        foot_velocity=actual.feet.velocity,
         foot_target=output.command.foot_position,
-        **stand.grip._asdict(),
-        grip_point=stand.contact.grip_point,
-        contact=stand.contact.touching,
+        **actual.grip._asdict(),
+        grip_point=actual.contact.grip_point,
+        contact=actual.contact.touching,
         detached=carry.contact.detached,
         reachable=output.joints.reachable,
         base_reference=reference.base_position,
         base_displacement=output.command.base_displacement,
-        base_wrench=stand.wrench,
+        base_wrench=actual.wrench,
         push=push,
         cargo_mass=cargo,
         center_of_mass=com,
         tsm=tsm,
         gia_margin=gia,
     )
-    return Carry(integrate(state, acceleration, walk.structure.time_step), stand.contact, cycle_start, memory), sample
+    return Carry(integrate(state, acceleration, walk.structure.time_step), actual.contact, cycle_start, memory), sample
 
 
-class _Stand(NamedTuple):
-    """How the robot stands on the ground in a step."""
-
-    feet: Feet
-    turning: Turning | None  # where grips transmit moments
-    contact: Contact  # after the step
-    grip: Grip
-    wrench: Array  # (6,) N, N m, on the base, of all that the feet transmit
-
-
-def _stand(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> _Stand:
-    parameters, ground = walk.parameters, gait.ground_height(walk.plan, now)
+def _standing(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> control_loop.Actual:
+    """Return how the robot stands on the ground in a step."""
+    parameters, ground = walk.parameters, gait.foothold_height(walk.plan, now.foothold)
     if walk.structure.smooth:  # nothing is torn off
         parameters = dataclasses.replace(parameters, holding_limit=jnp.full_like(parameters.holding_limit, jnp.inf))
     feet = foot_kinematics(walk.robot, frames, carry.state)
-    turning = foot_turning(walk.robot, frames, carry.state) if walk.stages.rotational else None
+    turning = foot_turning(walk.robot, frames, carry.state) if walk.structure.stages.rotational else None
     contact, held = grip(carry.contact, feet, now.closed, ground, parameters, turning)
     wrench = base_wrench_of_foot_force(feet.lever, held.foot_force, held.foot_moment)
-    return _Stand(feet, turning, contact, held, wrench)
-
-
-def _reference(walk: Walk, carry: Carry, now: gait.Schedule, grip_point: Array) -> tuple[Array, Reference]:
-    """Return what the gait remembers of the base, and what it asks for."""
-    find_start = gait.CYCLE_STARTS[walk.structure.base_reference]
-    cycle_start, start = find_start(walk.plan, now, carry.cycle_start, carry.state.base_position)
-    feet = gait.foot_targets(walk.plan, now, grip_point)
-    return cycle_start, Reference(gait.base_reference(walk.plan, now, start), walk.plan.base_orientation, feet)
+    return control_loop.Actual(carry.state, feet, turning, contact, held, wrench)
 
 
 def _accelerations(
-    walk: Walk, state: State, stand: _Stand, drive: servo.Drive, push: Array, cargo: Array
+    walk: Walk, actual: control_loop.Actual, drive: servo.Drive, push: Array, cargo: Array
 ) -> Acceleration:
     """Return what the equations of motion give.
 
     With all masses times s, s (H qdd + c) = f has the accelerations of H qdd + c = f / s: the engine is given the
     robot as its file says, and forces, armature and cargo over s.
     """
-    robot, parameters, torque, held = walk.robot, walk.parameters, drive.joint_torque, stand.grip
+    robot, parameters, torque = walk.robot, walk.parameters, drive.joint_torque
+    state, held = actual.state, actual.grip
     share = 1 / parameters.mass_scale
-    if stand.turning is not None:
-        torque = torque + jnp.vecmat(held.foot_moment, stand.turning.jacobian)
-    if walk.stages.armature or walk.stages.dry_friction or robot.armature is not None:
+    if actual.turning is not None:
+        torque = torque + jnp.vecmat(held.foot_moment, actual.turning.jacobian)
+    if walk.structure.stages.armature or walk.structure.stages.dry_friction or robot.armature is not None:
         own: Any = jnp.zeros_like(robot.joint_lower) if robot.armature is None else robot.armature
-        own = own + drive.armature if walk.stages.dry_friction else own
+        own = own + drive.armature if walk.structure.stages.dry_friction else own
         robot = dataclasses.replace(robot, armature=(own + jnp.asarray(parameters.armature)) * share)
     if robot.spring is not None and robot.spring_rest is not None:
         torque = torque - robot.spring * (state.joint_angles - robot.spring_rest)
@@ -231,13 +210,14 @@ def _accelerations(
 
 
 def _stability_margins(
-    walk: Walk, stand: _Stand, net_wrench: tuple[Array, Array], com: Array, cargo: Array
+    walk: Walk, actual: control_loop.Actual, push: Array, com: Array, cargo: Array
 ) -> tuple[Array, Array]:
     """Return TSM, m, and GIA margin, m/s^2.
 
     A gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet.
     """
-    parameters, axes = walk.parameters, support_axes(stand.feet.position, stand.grip.support)
+    net_wrench = net_external_wrench(actual.wrench + push, actual.state.base_position)
+    parameters, axes = walk.parameters, support_axes(actual.feet.position, actual.grip.support)
     mass = cargo + parameters.mass_scale * walk.robot.total_mass
     holding = jnp.where(jnp.isfinite(parameters.holding_limit), parameters.holding_limit, 0.0)
     tsm = tumble_stability_margin(axes, net_wrench, mass, norm(jnp.asarray(parameters.gravity)), holding)

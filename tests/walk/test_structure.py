@@ -43,8 +43,8 @@ def test_another_robot_is_another(model_of, old, new):
 def test_code_of_ones_own_is_known_by_its_content(case):
     scenario = case("case_1_2", "pd")
     law = mc.Simulation(scenario).law
-    mine = dataclasses.replace(mc.METRICS["travel"], name="mine", finish=lambda running, _: running.end[0])
-    other = dataclasses.replace(mine, finish=lambda running, _: running.end[1])
+    mine = dataclasses.replace(mc.METRICS["travel"], name="mine", finish=lambda running, _: running[1][0])
+    other = dataclasses.replace(mine, finish=lambda running, _: running[1][1])
 
     class Own(type(law)):
         pass

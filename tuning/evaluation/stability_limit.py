@@ -336,14 +336,14 @@ def _stance(walk: Walk, step: Array) -> Carry:
     now = gait.schedule(plan, step)
     base = gait.base_reference(plan, now, gait.planned_start(plan, now.cycle))
     grip = plan.footholds + now.foothold[:, None] * plan.advance
-    grip = grip.at[:, 2].add(gait.ground_height(plan, now))
+    grip = grip.at[:, 2].add(gait.foothold_height(plan, now.foothold))
     reference = Reference(base, plan.base_orientation, gait.foot_targets(plan, now, grip))
     rotation = quaternion_to_matrix(plan.base_orientation)
     target = (reference.foot_position - base) @ rotation
     joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     state = dataclasses.replace(carry.state, base_position=base, joint_angles=joints)
     contact = carry.contact._replace(grip_point=grip, touching=now.closed)
-    if walk.stages.rotational:  # grips hold the attitudes that feet have now
+    if walk.structure.stages.rotational:  # grips hold the attitudes that feet have now
         frames = limb_frames(walk.robot, rotation, joints)
         contact = contact._replace(attitude=Attitude(frames.rotation[:, -1], now.closed))
     return carry._replace(state=state, contact=contact, memory=control_loop.begin(walk.controller, state, reference))

@@ -7,7 +7,6 @@ of a hundredth of the first value. They serve searches that follow gradients; re
 extremes.
 """
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,11 +14,16 @@ import jax.numpy as jnp
 from jax import Array
 from jax.lax import stop_gradient
 
-from mjx_climb.walk.metrics.metric import PREFIX, Metric, Value
+from mjx_climb.walk.metrics.metric import PREFIX, Context, Metric, Value
+from mjx_climb.walk.sample import Sample
 
 _SQUARINGS = 5
 ORDER = 2**_SQUARINGS
 _SHARPNESS = 100.0
+
+
+# how the values of one sample after the other become one number: `init`, `update` and `finish` of a metric
+_Reduction = tuple[Callable[[Array], Any], Callable[[Any, Array], Any], Callable[[Any], Array]]
 
 
 def peak(name: str, unit: str, long_name: str, value: Value) -> Metric:
@@ -27,51 +31,34 @@ def peak(name: str, unit: str, long_name: str, value: Value) -> Metric:
 
     `value` of a sample and the context may have any shape: the largest of its elements counts.
     """
-    return _with_companion(_metric(_PEAK, value, name, unit, long_name, False), _POWER_MEAN, value)
+    return _extreme((name, unit, long_name, False), value, _PEAK, _POWER_MEAN)
 
 
 def smallest(
     name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = True, scale: float | None = None
 ) -> Metric:
     """Return the metric that is the smallest over time of a value of either sign; `value` as of `peak`."""
-    metric = _metric(_SMALLEST, value, name, unit, long_name, larger_is_better)
-    return _with_companion(dataclasses.replace(metric, scale=scale), _SOFT_MINIMUM, value)
+    return _extreme((name, unit, long_name, larger_is_better), value, _SMALLEST, _SOFT_MINIMUM, scale)
 
 
 def largest(
     name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = False, scale: float | None = None
 ) -> Metric:
     """Return the metric that is the largest over time of a value of either sign; `value` as of `peak`."""
-    metric = _metric(_LARGEST, value, name, unit, long_name, larger_is_better)
-    return _with_companion(dataclasses.replace(metric, scale=scale), _SOFT_MAXIMUM, value)
+    return _extreme((name, unit, long_name, larger_is_better), value, _LARGEST, _SOFT_MAXIMUM, scale)
 
 
-class _Reduction(NamedTuple):
-    """How the values of one sample after the other become one number."""
-
-    init: Callable[[Array], Any]  # of a zero ()
-    take: Callable[[Any, Array], Any]  # the running value and the values of a sample
-    finish: Callable[[Any], Array]
-
-
-def _metric(
-    reduction: _Reduction, value: Value, name: str, unit: str, long_name: str, larger_is_better: bool
+def _extreme(
+    about: tuple[str, str, str, bool], value: Value, plain: _Reduction, smooth: _Reduction, scale: float | None = None
 ) -> Metric:
-    return Metric(
-        name,
-        unit,
-        long_name,
-        larger_is_better,
-        init=reduction.init,
-        update=lambda running, sample, context: reduction.take(running, value(sample, context)),
-        finish=lambda running, _: reduction.finish(running),
+    def update(reduction: _Reduction) -> Callable[[Any, Sample, Context], Any]:
+        return lambda running, sample, context: reduction[1](running, value(sample, context))
+
+    name, unit, long_name, better = about
+    companion = Metric(
+        PREFIX + name, unit, f"{long_name}, smooth", better, smooth[0], update(smooth), lambda mean, _: smooth[2](mean)
     )
-
-
-def _with_companion(metric: Metric, reduction: _Reduction, value: Value) -> Metric:
-    name, long_name = PREFIX + metric.name, f"{metric.long_name}, smooth"
-    smooth = _metric(reduction, value, name, metric.unit, long_name, metric.larger_is_better)
-    return dataclasses.replace(metric, smooth=smooth)
+    return Metric(*about, plain[0], update(plain), smooth=companion, scale=scale)
 
 
 class _Mean(NamedTuple):
@@ -83,17 +70,13 @@ class _Mean(NamedTuple):
     number: Array  # of values
 
 
-def _power(value: Array) -> Array:
-    for _ in range(_SQUARINGS):
-        value = value * value
-    return value
-
-
 def _with_large(mean: _Mean, values: Array) -> _Mean:
     extreme = jnp.maximum(stop_gradient(mean.extreme), jnp.max(stop_gradient(values)))
     scale = jnp.where(extreme > 0, extreme, 1.0)
-    total = mean.total * _power(mean.extreme / scale) + jnp.sum(_power(values / scale))
-    return _Mean(extreme, mean.unit, total, mean.number + values.size)
+    before, powers = mean.extreme / scale, values / scale
+    for _ in range(_SQUARINGS):
+        before, powers = before * before, powers * powers
+    return _Mean(extreme, mean.unit, mean.total * before + jnp.sum(powers), mean.number + values.size)
 
 
 def _with_small(mean: _Mean, values: Array) -> _Mean:
@@ -117,11 +100,9 @@ def _soft_minimum(mean: _Mean) -> Array:
     return mean.extreme - mean.unit * jnp.log(jnp.where(share > 0, share, 1.0))
 
 
-_PEAK = _Reduction(lambda zero: zero, lambda running, v: jnp.maximum(running, jnp.max(v)), lambda running: running)
-_LARGEST = _PEAK._replace(init=lambda zero: zero - jnp.inf)
-_SMALLEST = _Reduction(
-    lambda zero: zero + jnp.inf, lambda running, v: jnp.minimum(running, jnp.min(v)), lambda running: running
-)
-_POWER_MEAN = _Reduction(lambda zero: _Mean(zero, zero + 1, zero, zero), _with_large, _power_mean)
-_SOFT_MINIMUM = _Reduction(lambda zero: _Mean(zero + jnp.inf, zero, zero, zero), _with_small, _soft_minimum)
-_SOFT_MAXIMUM = _Reduction(_SOFT_MINIMUM.init, lambda mean, v: _with_small(mean, -v), lambda mean: -_soft_minimum(mean))
+_PEAK: _Reduction = (lambda zero: zero, lambda running, v: jnp.maximum(running, jnp.max(v)), lambda running: running)
+_LARGEST = (lambda zero: zero - jnp.inf, *_PEAK[1:])
+_SMALLEST: _Reduction = (lambda zero: zero + jnp.inf, lambda running, v: jnp.minimum(running, jnp.min(v)), _PEAK[2])
+_POWER_MEAN: _Reduction = (lambda zero: _Mean(zero, zero + 1, zero, zero), _with_large, _power_mean)
+_SOFT_MINIMUM: _Reduction = (lambda zero: _Mean(zero + jnp.inf, zero, zero, zero), _with_small, _soft_minimum)
+_SOFT_MAXIMUM: _Reduction = (_SOFT_MINIMUM[0], lambda mean, v: _with_small(mean, -v), lambda mean: -_soft_minimum(mean))

@@ -1,6 +1,6 @@
 """The metrics that come with the simulator, one table in one place; each reads as its name is written."""
 
-from typing import NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -31,62 +31,46 @@ def joint_limit_margins(sample: Sample, context: Context) -> Array:
     return jnp.minimum(sample.joint_angles - robot.joint_lower, robot.joint_upper - sample.joint_angles)
 
 
-class _Way(NamedTuple):
-    """Where the base was at the first sample and at the last, (2,) m each."""
-
-    start: Array
-    end: Array
+# --- metrics of several running values: tuples
 
 
-def _no_way(zero: Array) -> _Way:
+def _way_begun(zero: Array) -> tuple[Array, Array]:
     nowhere = jnp.stack([zero, zero])
-    return _Way(nowhere, nowhere)
+    return nowhere, nowhere
 
 
-def _longer_way(way: _Way, sample: Sample, context: Context) -> _Way:
+def _longer_way(way: tuple[Array, Array], sample: Sample, context: Context) -> tuple[Array, Array]:
+    """Return where the base was at the first sample, and at this one, (2,) m each."""
     here = sample.base_position[:2]
-    return _Way(jnp.where(context.first, here, way.start), here)
+    return jnp.where(context.first, here, way[0]), here
 
 
-def _travel(way: _Way, context: Context) -> Array:
-    moved = way.end - way.start
+def _travel(way: tuple[Array, Array], context: Context) -> Array:
+    moved = way[1] - way[0]
     return jnp.cos(context.heading) * moved[0] + jnp.sin(context.heading) * moved[1]
 
 
-class _Transport(NamedTuple):
-    """What a transport took."""
-
-    work: Array  # () J, integral of the power of all joints, each counted as positive
-    mass: Array  # () kg, the largest so far, cargo included
-    way: _Way
-
-
-def _more_transport(running: _Transport, sample: Sample, context: Context) -> _Transport:
+def _more_transport(running: Any, sample: Sample, context: Context) -> Any:
+    """Return the work of all joints, each power counted as positive, J, the largest mass so far, kg, and the way."""
+    work, mass, way = running
     power = jnp.abs(sample.joint_torque * sample.joint_rates).sum()
-    return _Transport(
-        work=running.work + power * context.time_step,
-        mass=jnp.maximum(running.mass, context.robot.total_mass + sample.cargo_mass),
-        way=_longer_way(running.way, sample, context),
-    )
+    mass = jnp.maximum(mass, context.robot.total_mass + sample.cargo_mass)
+    return work + power * context.time_step, mass, _longer_way(way, sample, context)
 
 
-def _cost_of_transport(running: _Transport, context: Context) -> Array:
+def _cost_of_transport(running: Any, context: Context) -> Array:
     """Return work by weight and travel; without gravity, or without travel, there is none: NaN."""
-    weight_travel = running.mass * norm(jnp.asarray(context.gravity)) * jnp.abs(_travel(running.way, context))
+    work, mass, way = running
+    weight_travel = mass * norm(jnp.asarray(context.gravity)) * jnp.abs(_travel(way, context))
     defined = weight_travel > 0
-    return jnp.where(defined, running.work / jnp.where(defined, weight_travel, 1.0), jnp.nan)
+    return jnp.where(defined, work / jnp.where(defined, weight_travel, 1.0), jnp.nan)
 
 
-class _Variation(NamedTuple):
-    """How much a force has varied, and its last value, () N each."""
-
-    total: Array
-    last: Array
-
-
-def _more_variation(running: _Variation, sample: Sample, context: Context) -> _Variation:
+def _more_variation(running: tuple[Array, Array], sample: Sample, context: Context) -> tuple[Array, Array]:
+    """Return by how much the largest foot force has varied, and its value now, N."""
+    total, last = running
     force = jnp.max(foot_forces(sample, context))
-    return _Variation(running.total + jnp.where(context.first, 0.0, jnp.abs(force - running.last)), force)
+    return total + jnp.where(context.first, 0.0, jnp.abs(force - last)), force
 
 
 def _first_limb(limb: Array, sample: Sample, _: Context) -> Array:
@@ -101,19 +85,19 @@ METRICS = MetricTable(
         peak("peak_foot_force", "N", "peak foot force", foot_forces),
         Metric(
             "force_variation", "N", "force variation", larger_is_better=False,
-            init=lambda zero: _Variation(zero, zero),
+            init=lambda zero: (zero, zero),
             update=_more_variation,
-            finish=lambda running, _: running.total,
+            finish=lambda running, _: running[0],
         ),
         peak("peak_pull_force", "N", "peak pull force", pull_forces),
         peak("peak_joint_torque", "N m", "peak joint torque", lambda sample, _: jnp.abs(sample.joint_torque)),
         Metric(
             "cost_of_transport", "1", "cost of transport", larger_is_better=False,
-            init=lambda zero: _Transport(zero, zero, _no_way(zero)),
+            init=lambda zero: (zero, zero, _way_begun(zero)),
             update=_more_transport,
             finish=_cost_of_transport,
         ),
-        Metric("travel", "m", "travel", larger_is_better=True, init=_no_way, update=_longer_way, finish=_travel),
+        Metric("travel", "m", "travel", larger_is_better=True, init=_way_begun, update=_longer_way, finish=_travel),
         peak(
             "base_deviation", "m", "base deviation",
             lambda sample, _: norm(sample.base_position - sample.base_reference),
