@@ -6,7 +6,6 @@ asks for, the plain one is taken, and a warning says so once.
 """
 
 import functools
-import itertools
 import math
 import sys
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ import numpy as np
 from jax import Array
 from jax.sharding import Sharding
 
-from mjx_climb.execution import devices, gpu_kernel, paths
+from mjx_climb.execution import devices, gpu_kernel, paths, probe
 from mjx_climb.execution.cache import cached_jit, enable_cache, source_digest
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.execution.one_robot import over_robots
@@ -30,11 +29,13 @@ _TANGENT = "tangent of "  # before the name of a result
 
 
 class _Call(NamedTuple):
-    """A function of one robot, and which of its arguments have a batch axis."""
+    """What is static of a program: a function of one robot, which arguments have a batch axis, and the way to go."""
 
     function: Callable[..., Any]
     structure: Any
     batched: tuple[bool, ...]  # of each leaf of the arguments
+    path: str
+    tangents: bool = False
 
 
 def run(
@@ -88,8 +89,8 @@ def run(
     on = device or paths.device_for(count, tangents, double=double)
     path = paths.path_for(on, double=double)
     share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and directions is None)
-    call = _Call(function, structure, tuple(batched))
-    program = _program(path, share, on, directions is not None, compile_briefly)
+    call = _Call(function, structure, tuple(batched), path, directions is not None)
+    program = _program(path, share, on, compile_briefly)
     enable_cache()
 
     @functools.cache
@@ -120,10 +121,11 @@ def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> An
         What the function returns, as arrays of numpy.
     """
     double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(arguments))
-    program = _program(paths.path_for("cpu", double=double), 1, "cpu", False, False)
+    path = paths.path_for("cpu", double=double)
+    program = _program(path, 1, "cpu", False)
     enable_cache()
     with devices.on_host(), jax.enable_x64(double):
-        return jax.tree.map(np.asarray, program(_Call(function, structure, ()), *arguments))
+        return jax.tree.map(np.asarray, program(_Call(function, structure, (), path), *arguments))
 
 
 def walking_with(robots: range, whole: int) -> range:
@@ -144,22 +146,16 @@ def _flat(value: np.ndarray, own: int, shape: tuple[int, ...]) -> np.ndarray:
 
 
 @functools.cache
-def _program(
-    path: str, share: int, device: str | None, with_tangents: bool, briefly: bool
-) -> Callable[..., dict[str, Array]]:
+def _program(path: str, share: int, device: str | None, briefly: bool) -> Callable[..., dict[str, Array]]:
     """Return the program of a path, or of the plain one where that cannot be; for so many robots at a time."""
-    carried_out = {True: _tangents, False: _values}[with_tangents]
 
     def compiled(path: str) -> Callable[..., dict[str, Array]]:
         options = paths.compiler_options(share, path, device, briefly=briefly)
-        if path == "kernel":
-            return cached_jit({True: _tangents_in_kernel, False: _values_in_kernel}[with_tangents], _identity, options)
-        return cached_jit({True: carried_out, False: _PLAIN[carried_out]}[path == "regions"], _identity, options)
+        program = cached_jit(_carried_out, _identity, options)
+        return lambda call, *trees: program(call._replace(path=path), *trees)
 
     plain = functools.cache(lambda: one_at_a_time(compiled("plain")) if device != "gpu" else compiled("plain"))
-    if path == "plain":
-        return plain()
-    return first_possible(compiled(path), plain, paths.NAMES[path])
+    return plain() if path == "plain" else first_possible(compiled(path), plain, probe.PATHS[path])
 
 
 def _identity(call: _Call, *trees: Any) -> str | None:
@@ -168,72 +164,54 @@ def _identity(call: _Call, *trees: Any) -> str | None:
     folder = Path(str(sys.modules[package].__file__)).parent
     laws = [type(tree) for tree in trees]
     try:
-        return repr((identity((call.function, call.structure, laws)), call.batched, source_digest(folder)))
+        return repr((identity((call.function, call.structure, laws)), *call[2:], source_digest(folder)))
     except Unidentifiable:
         return None
 
 
-def _values(call: _Call, *trees: Any, regions: bool = True) -> Any:
-    one = over_robots(functools.partial(call.function, call.structure), regions=regions)
+def _carried_out(call: _Call, *trees: Any) -> Any:
+    """Return the results of a batch, and tangents (B, k, ...) by their names after `_TANGENT`.
+
+    The directions of tangents are the last tree.
+    """
+    function = functools.partial(call.function, call.structure)
+    if call.path == "kernel":
+        if call.tangents:
+            return _tangents_in_kernel(function, call.batched, *trees)
+        return gpu_kernel.over_robots(function, call.batched)(*trees)
+    one = over_robots(function, regions=call.path == "regions")
     if not call.batched:
         return one(*trees)
     leaves, tree = jax.tree.flatten(trees)
+    carry_out = functools.partial(_with_tangents, one) if call.tangents else one
     mapped = [0 if batched else None for batched in call.batched]
-    return jax.vmap(lambda *leaves: one(*jax.tree.unflatten(tree, leaves)), in_axes=mapped)(*leaves)
+    return jax.vmap(lambda *leaves: carry_out(*jax.tree.unflatten(tree, leaves)), in_axes=mapped)(*leaves)
 
 
-def _tangents(call: _Call, *trees: Any, regions: bool = True) -> dict[str, Array]:
-    """Return values, and tangents (B, k, ...) by their names after `_TANGENT`; directions are the last tree."""
-    one = over_robots(functools.partial(call.function, call.structure), regions=regions)
-    leaves, tree = jax.tree.flatten(trees)
+def _with_tangents(one: Callable[..., dict[str, Array]], moving: Any, *trees: Any) -> dict[str, Array]:
+    """Return the results of one robot and their tangents (k, ...), along directions that are the last argument."""
+    *others, directions = trees
 
-    def of_one(*leaves: Array) -> tuple[Any, Any, Any]:
-        moving, *others, directions = jax.tree.unflatten(tree, leaves)
+    def real_ones(moving: Any) -> tuple[Any, Any]:
+        found = one(moving, *others)
+        real = {name: value for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)}
+        return real, {name: value for name, value in found.items() if name not in real}
 
-        def real_ones(moving: Any) -> tuple[Any, Any]:
-            found = one(moving, *others)
-            real = {name: value for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)}
-            return real, {name: value for name, value in found.items() if name not in real}
+    def along(direction: Any) -> Any:
+        return jax.jvp(real_ones, (moving,), (direction,), has_aux=True)
 
-        def along(direction: Any) -> tuple[Any, Any, Any]:
-            return jax.jvp(real_ones, (moving,), (direction,), has_aux=True)
-
-        found: tuple[Any, Any, Any] = jax.vmap(along, out_axes=(None, 0, None))(directions)
-        return found
-
-    mapped = [0 if batched else None for batched in call.batched]
-    real, tangents, others = jax.vmap(of_one, in_axes=mapped)(*leaves)
-    found: dict[str, Array] = real | others | {_TANGENT + name: value for name, value in tangents.items()}
+    real, tangents, rest = jax.vmap(along, out_axes=(None, 0, None))(directions)
+    found: dict[str, Array] = real | rest | {_TANGENT + name: value for name, value in tangents.items()}
     return found
 
 
-def _values_plain(call: _Call, *trees: Any) -> Any:
-    return _values(call, *trees, regions=False)
-
-
-def _tangents_plain(call: _Call, *trees: Any) -> dict[str, Array]:
-    return _tangents(call, *trees, regions=False)
-
-
-_PLAIN: dict[Callable[..., Any], Callable[..., Any]] = {_values: _values_plain, _tangents: _tangents_plain}
-
-
-def _values_in_kernel(call: _Call, *trees: Any) -> dict[str, Array]:
-    one = functools.partial(call.function, call.structure)
-    found: dict[str, Array] = gpu_kernel.over_robots(one, call.batched)(*trees)
-    return found
-
-
-def _tangents_in_kernel(call: _Call, *trees: Any) -> dict[str, Array]:
-    *arguments, directions = trees
-    count = len(jax.tree.leaves(arguments[0]))
+def _tangents_in_kernel(one: Callable[..., Any], batched: tuple[bool, ...], *trees: Any) -> dict[str, Array]:
+    moving, *others, directions = trees
     # what moves has the batch axis, as its directions have
-    robots = len(jax.tree.leaves(directions)[0])
-    moving, tree = jax.tree.flatten(arguments[0])
-    wide = [v if b else jnp.broadcast_to(v, (robots, *v.shape)) for v, b in zip(moving, call.batched, strict=False)]
-    arguments[0] = jax.tree.unflatten(tree, wide)
-    batched = [*itertools.repeat(True, count), *call.batched[count : len(call.batched) - count]]
-    one = functools.partial(call.function, call.structure)
-    values, tangents = gpu_kernel.tangents_over_robots(one, batched)(directions, *arguments)
+    robots, count = len(jax.tree.leaves(directions)[0]), len(jax.tree.leaves(moving))
+    own = iter(batched)
+    wide = jax.tree.map(lambda v: v if next(own) else jnp.broadcast_to(v, (robots, *v.shape)), moving)
+    every = [True] * count + list(batched[count : len(batched) - count])
+    values, tangents = gpu_kernel.tangents_over_robots(one, every)(directions, wide, *others)
     found: dict[str, Array] = values | {_TANGENT + n: value for n, value in tangents.items() if value is not None}
     return found

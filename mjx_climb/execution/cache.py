@@ -154,7 +154,12 @@ def cached_jit(
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             traced: _Result = jitted(structure, *trees)
             return traced
-        key = structure, tree, tuple(map(_kind, leaves)), _settings()
+        placed = (
+            sorted(f"{d.platform}:{d.id}" for d in leaf.devices()) if hasattr(leaf, "devices") else ()
+            for leaf in leaves
+        )
+        kinds = tuple((leaf.shape, str(leaf.dtype), *devices) for leaf, devices in zip(leaves, placed, strict=True))
+        key = structure, tree, kinds, _settings()
         if key not in executables:
             with locks.setdefault(key, threading.Lock()):
                 if key not in executables:
@@ -168,12 +173,6 @@ def cached_jit(
         return executables[key](*trees)
 
     return call
-
-
-def _kind(leaf: Any) -> Hashable:
-    sharding = getattr(leaf, "sharding", None)
-    devices = () if sharding is None else tuple(sorted(f"{d.platform}:{d.id}" for d in sharding.device_set))
-    return leaf.shape, str(leaf.dtype), devices
 
 
 def _settings() -> Hashable:
@@ -208,7 +207,10 @@ def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
         digest, content = file.read_bytes().split(b"\n", 1)
         if _digest(file, content) != digest:
             return None
-        device = _device(leaves)
+        default: Any = jax.config.values["jax_default_device"]
+        device = default if isinstance(default, jax.Device) else jax.devices(default)[0]
+        if placed := [leaf for leaf in leaves if isinstance(leaf, jax.Array)]:
+            [device] = placed[0].devices()
         serialized, inputs, outputs = pickle.loads(content)
         executable: Callable[..., Any] = serialize_executable.deserialize_and_load(
             serialized, inputs, outputs, device.client, [device]
@@ -218,16 +220,6 @@ def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
     monitoring.record_event(_HIT)
     monitoring.record_event_duration_secs(_SECONDS, time.perf_counter() - begin)
     return executable
-
-
-def _device(leaves: list[Any]) -> jax.Device:
-    """Return the one device on which an executable of these arrays runs."""
-    for leaf in leaves:
-        if isinstance(leaf, jax.Array):
-            [device] = leaf.devices()
-            return device
-    default: Any = jax.config.values["jax_default_device"]
-    return default if isinstance(default, jax.Device) else jax.devices(default)[0]
 
 
 def _stored(

@@ -85,7 +85,12 @@ class _Digests:
         if isinstance(value, types.FunctionType):
             return self._function(value)
         if isinstance(value, type):
-            body = {name: held for name, held in vars(value).items() if _in_body(name, held)}
+            # without the names that Python and dataclasses add, and that change no result
+            body = {
+                name: held
+                for name, held in vars(value).items()
+                if callable(held) or isinstance(held, classmethod) or not name.startswith(("__", "_abc_"))
+            }
             return "class", value.__qualname__, *map(self.of, value.__bases__), self.of(body)
         if isinstance(value, property):
             return "property", *map(self.of, (value.fget, value.fset, value.fdel))
@@ -96,7 +101,11 @@ class _Digests:
     def _function(self, function: types.FunctionType) -> Iterator[Any]:
         yield from ("function", self.of(function.__defaults__), self.of(function.__kwdefaults__))
         for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
-            yield from (self.of(held, f" ({name})") for held in _contents(cell))
+            try:
+                held = cell.cell_contents
+            except ValueError:  # not filled yet
+                continue
+            yield self.of(held, f" ({name})")
         yield self.of({name: held for name, held in vars(function).items() if name != "__wrapped__"})
         home = function.__globals__.get("__name__", "")
         yield _version(home)
@@ -145,18 +154,6 @@ class _Digests:
 
 def _hash(*parts: Any) -> str:
     return hashlib.sha256("\0".join(map(str, parts)).encode("utf-8", "surrogatepass")).hexdigest()
-
-
-def _contents(cell: types.CellType) -> tuple[Any, ...]:
-    try:
-        return (cell.cell_contents,)
-    except ValueError:  # not filled yet
-        return ()
-
-
-def _in_body(name: str, member: Any) -> bool:
-    """Return whether a member of a class may change results: not the names that Python and dataclasses add."""
-    return callable(member) or isinstance(member, classmethod) or not name.startswith(("__", "_abc_"))
 
 
 def _members(module: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:

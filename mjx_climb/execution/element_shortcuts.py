@@ -40,10 +40,6 @@ def _zero(dtype: np.dtype) -> Any:
     return 0
 
 
-def _one(dtype: np.dtype) -> Any:
-    return 1
-
-
 def _all_bits(dtype: np.dtype) -> Any:
     return ~np.zeros((), dtype)
 
@@ -112,7 +108,7 @@ def _remainder(a: Number, b: Number) -> Number | None:
 
 SHORTCUTS: dict[str, Shortcut] = {
     "add": _with(_zero, None, itself=False),
-    "mul": _with(_one, _zero, itself=False),
+    "mul": _with(lambda dtype: 1, _zero, itself=False),
     "and": _with(_all_bits, _zero, itself=True),
     "or": _with(_zero, _all_bits, itself=True),
     "max": _with(_least, _most, itself=True),

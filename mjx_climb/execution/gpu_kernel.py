@@ -145,7 +145,8 @@ def written(body: Body, batched: Sequence[bool]) -> str:
 
 
 def _launched(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> list[Array]:
-    robots, sizes = _robots(arrays, batched), [math.prod(leaf.shape) for leaf in body.outputs]
+    robots = next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
+    sizes = [math.prod(leaf.shape) for leaf in body.outputs]
     words = [_words(jnp.asarray(array)) for array in arrays]
     own = [array.reshape(robots, -1).T for array, axis in zip(words, batched, strict=True) if axis]
     common = [array.reshape(-1) for array, axis in zip(words, batched, strict=True) if not axis]
@@ -166,10 +167,6 @@ def _launched(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> lis
         _from_words(part, leaf.dtype).T.reshape(robots, *leaf.shape)
         for part, leaf in zip(parts, body.outputs, strict=True)
     ]
-
-
-def _robots(arrays: Sequence[Any], batched: Sequence[bool]) -> int:
-    return next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
 
 
 def _capability() -> str:

@@ -34,23 +34,18 @@ def over_robots(function: Callable[..., _Result], *, regions: bool = True) -> Ca
 
     def call(*arguments: Any) -> _Result:
         traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        program, outside = _of_traced_values(traced)
-        values = [*outside, *jax.tree.leaves(arguments)]
+        # traced values that the program closes over become its first arguments
+        known, outside = [], []
+        for variable, value in zip(traced.jaxpr.constvars, traced.consts, strict=True):
+            (outside if isinstance(value, jax.core.Tracer) else known).append((variable, value))
+        inputs = [*(variable for variable, _ in outside), *traced.jaxpr.invars]
+        program = new_program(traced.jaxpr, traced.jaxpr.eqns, inputs, traced.jaxpr.outvars, known)
+        values = [*(value for _, value in outside), *jax.tree.leaves(arguments)]
         results = _program.bind(*values, program=program, batch=(), varies=((),) * len(values), regions=regions)
         whole: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
         return whole
 
     return jax.jit(functools.wraps(function)(call))
-
-
-def _of_traced_values(traced: core.ClosedJaxpr) -> tuple[core.ClosedJaxpr, list[Any]]:
-    """Return a program that takes the traced values it closes over as its first arguments, and these values."""
-    pairs = list(zip(traced.jaxpr.constvars, traced.consts, strict=True))
-    outside = [(variable, value) for variable, value in pairs if isinstance(value, jax.core.Tracer)]
-    known = [(variable, value) for variable, value in pairs if not isinstance(value, jax.core.Tracer)]
-    inputs = [*(variable for variable, _ in outside), *traced.jaxpr.invars]
-    program = new_program(traced.jaxpr, traced.jaxpr.eqns, inputs, traced.jaxpr.outvars, known)
-    return program, [value for _, value in outside]
 
 
 def _abstract(*avals: Any, program: core.ClosedJaxpr, **how: Any) -> list[Any]:

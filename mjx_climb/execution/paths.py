@@ -15,7 +15,6 @@ from mjx_climb.execution import probe
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.scenario.messages import ConfigError
 
-NAMES = {"regions": "the regions of the CPU", "kernel": "the GPU kernel"}
 ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots go to the CPU although there is a GPU
 _FUSION_PAYS_BELOW = 48  # robots
 # Robots, times one and the tangents of each, that a few CPU cores simulate as soon as an H200: 8 s of any few take it
@@ -124,7 +123,7 @@ def first_possible(
             try:
                 return fast(structure, *arrays)
             except (NotImplementedError, JaxRuntimeError) as error:
-                if not isinstance(error, Unsupported) and _out_of_memory(error):
+                if "RESOURCE_EXHAUSTED" in str(error) and not isinstance(error, Unsupported):
                     raise
                 with alone:
                     if kind not in refused:
@@ -134,7 +133,3 @@ def first_possible(
         return plain()(structure, *arrays)
 
     return program
-
-
-def _out_of_memory(error: Exception) -> bool:
-    return "RESOURCE_EXHAUSTED" in str(error)

@@ -32,7 +32,7 @@ from mjx_climb.execution.gpu_kernel import tangents_over_robots
 from mjx_climb.files.writing import OutputError, write_text_atomically
 
 PATHS = {"regions": "the CPU's regions", "kernel": "the GPU kernel"}
-_WAITING = {path: threading.Lock() for path in PATHS}
+_WAITING = threading.Lock()
 _TRIAL = "from mjx_climb.execution import probe; probe.take({!r})"
 _PATIENCE = 300.0  # s, for a process that starts, imports JAX and compiles some hundred operations on a busy machine
 _CRASHES = (signal.SIGILL, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGSEGV)  # not somebody's wish
@@ -64,19 +64,15 @@ def works(path: str) -> bool:
 
     Where there is a GPU, all paths are needed: they are tried side by side.
     """
-    if jax.default_backend() == "gpu":
-        with ThreadPoolExecutor(len(PATHS)) as threads:
-            list(threads.map(_alone, PATHS))
-    found = _alone(path)
+    with _WAITING:  # shares of a batch come from several threads
+        if jax.default_backend() == "gpu":
+            begin()
+            for each in PATHS:
+                verdict(each)
+        found = verdict(path)
     if not found.works:
         warnings.warn(f"{PATHS[path]} cannot be used here ({found.seen}): walking by XLA's own, slower", stacklevel=3)
     return found.works
-
-
-def _alone(path: str) -> Verdict:
-    """Return the verdict of a path, which one thread at a time asks for."""
-    with _WAITING[path]:
-        return verdict(path)
 
 
 @functools.cache
@@ -91,7 +87,8 @@ def verdict(path: str) -> Verdict:
             pass  # not there, or not what was written: tried again
     found, lasting = _tried(path)
     if kept is not None and lasting:
-        _keep(found, kept)
+        with contextlib.suppress(OutputError):  # no room, no rights: tried again in the next process
+            write_text_atomically(kept, json.dumps(found._asdict()))
     return found
 
 
@@ -102,11 +99,6 @@ def _file(path: str) -> Path | None:
         return None
     made_of = repr([path, source_digest(Path(__file__).parent), machine()])
     return folder / "probes" / (hashlib.sha256(made_of.encode()).hexdigest() + ".json")
-
-
-def _keep(found: Verdict, file: Path) -> None:
-    with contextlib.suppress(OutputError):  # no room, no rights: tried again in the next process
-        write_text_atomically(file, json.dumps(found._asdict()))
 
 
 @functools.cache

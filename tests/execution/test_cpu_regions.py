@@ -128,7 +128,7 @@ def test_a_loop_has_lax_scans_derivatives(moving):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:the regions of the CPU cannot do")
+@pytest.mark.filterwarnings("ignore:the CPU's regions cannot do")
 def test_a_metric_with_large_arrays_is_as_by_numpy():
     """XLA works them out by several threads, and refuses a region that they are in."""
     rng = np.random.default_rng(1)

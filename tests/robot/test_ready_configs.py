@@ -39,7 +39,7 @@ def test_a_ready_config_begins_to_walk(name):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:the regions of the CPU cannot do")  # seven joints: too many operations
+@pytest.mark.filterwarnings("ignore:the CPU's regions cannot do")  # seven joints: too many operations
 @pytest.mark.parametrize("hardware", ["ideal", pytest.param("dynamixel_x", marks=pytest.mark.nightly)])
 def test_where_grips_transmit_moments_tangents_are_differences(hardware):
     """XLA has ended the process at such steps."""
