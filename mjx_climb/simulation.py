@@ -40,7 +40,6 @@ from mjx_climb.rollouts.resolve import (
     checked_dtype,
     floating_dtype,
     is_traced,
-    moving_gains,
     recorded,
     resolve,
     resolve_in,
@@ -135,10 +134,14 @@ class Simulation:
         """
         checked_engine(engine)
         check_stance(scenario)
-        values = {"scenario": scenario, "table": MetricTable(metrics), "engine": engine, "smooth": smooth}
-        values |= {"law": law_of(scenario) if law is None else checked(law)}
-        values |= {"law_name": "" if law is None else type(law).__name__}
-        vars(self).update(values)  # frozen from here on
+        vars(self).update(  # frozen from here on
+            scenario=scenario,
+            law=law_of(scenario) if law is None else checked(law),
+            law_name="" if law is None else type(law).__name__,
+            table=MetricTable(metrics),
+            engine=engine,
+            smooth=smooth,
+        )
         vars(self)["structure"] = self._structure(own_parameters(scenario))
 
     def _structure(self, parameters: Parameters) -> Structure:
@@ -256,7 +259,8 @@ class Simulation:
         check_time_step(self.scenario)
         if along is None:
             return execution.run(function, shape, arguments, axes, resolved.shape, **how)
-        moving, own = moving_gains(resolved, along)
+        law, own = resolved.law, {name: resolved.law.AXES.get(name, 0) for name in along}
+        moving = {name: np.asarray(getattr(law if name in law.GAINS else resolved.parameters, name)) for name in along}
         values, tangents = execution.run(
             function, shape, (moving, *arguments), (own, *axes), resolved.shape, directions=along, **how
         )

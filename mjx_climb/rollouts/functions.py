@@ -1,6 +1,5 @@
 """What a `Simulation` does, in one call or stepped by hand: names that notebooks and scripts begin with."""
 
-import functools
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -105,29 +104,17 @@ def simulator(
     Equal arguments give the same function, so that `jax.jit` compiles it once.
     """
     simulation = Simulation(scenario, law, metrics, engine, smooth=smooth)
-    return simulation.simulate if is_traced(simulation.law) else _same(_ByValue(simulation)).simulate
+    leaves, tree = jax.tree.flatten(simulation.law)
+    if is_traced(leaves):
+        return simulation.simulate
+    arrays = [np.asarray(leaf) for leaf in leaves]
+    values = tuple((array.shape, array.dtype.str, array.tobytes()) for array in arrays)
+    if len(_SIMULATIONS) >= 64:
+        del _SIMULATIONS[next(iter(_SIMULATIONS))]  # the oldest
+    return _SIMULATIONS.setdefault((scenario, simulation.structure, tree, values), simulation).simulate
 
 
-class _ByValue:
-    """A simulation as the key of a cache: equal to others of the same structure, scenario and law."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        leaves, tree = jax.tree.flatten(simulation.law)
-        arrays = [np.asarray(leaf) for leaf in leaves]
-        values = tuple((array.shape, array.dtype.str, array.tobytes()) for array in arrays)
-        self.simulation = simulation
-        self.key = simulation.scenario, simulation.structure, tree, values
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _ByValue) and self.key == other.key
-
-
-@functools.lru_cache(maxsize=64)
-def _same(key: _ByValue) -> Simulation:
-    return key.simulation
+_SIMULATIONS: dict[Any, Simulation] = {}  # of `simulator`, by what they simulate
 
 
 def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict[str, float | str | bool | None]:
@@ -183,7 +170,7 @@ class Environment:
 
         Arguments:
             gains: in place of the law's own, by name, with any leading batch axes.
-            parameters: with leading batch axes that broadcast with the gains'; the scenario's own where None.
+            parameters: in place of the scenario's, with leading batch axes that broadcast with the gains'.
             batch: further axes, where neither has them: `batch=(64,)` for 64 equal robots.
 
         Raises:
@@ -201,18 +188,14 @@ class Environment:
     def step(
         self, state: SimulationState, action: Action = None, gains: AnyGains | None = None
     ) -> tuple[SimulationState, Sample]:
-        """Return the robots one time step later, and all that is known about this step.
+        """Return what `Simulation.step` does, of all robots: a sample has their batch axes in place of time.
 
         Arguments:
             state: what `reset` or the last `step` returned.
             action: for this step, for all robots or with the batch axes of the state; None: what the law commands. The
                 law stays as it is while actions take its place.
-            gains: from this step on, in place of the law's, by name, `kp` and `kd` too, for all robots or with the
-                batch axes of the state. Those not given stay; so does what the law remembers.
-
-        Returns:
-            The state after the step, and a sample with the fields of `mjx_climb.Trajectory`, batch axes in place of
-            time, which is the state at the start of the step, and the forces and accelerations that act in it.
+            gains: from this step on, as `Simulation.with_gains` takes them, `kp` and `kd` too, for all robots or with
+                the batch axes of the state.
 
         Raises:
             ValueError: gains as of `reset`, or for more robots than there are.

@@ -150,8 +150,12 @@ def checked_gains(law: Law, values: Mapping[str, Any], array: Callable[[Any], An
     Raises:
         ValueError: in one line, a wrong shape, or a gain that is not positive.
     """
-    own = {name: values.get(name, getattr(law, name)) for name in law.GAINS}
-    whole = {name: array(_full_length(law, name, value)) for name, value in own.items()}
+    whole = {}
+    for name, field in law.GAINS.items():
+        value = _checked(f"gains.{name}", values.get(name, getattr(law, name)), field.length, field.bounds[0])
+        if field.length > 1:
+            value = _broadcast(value, (*value.shape[:-1], field.length))
+        whole[name] = array(value)
     changed: Law = dataclasses.replace(law, **whole)  # type: ignore[type-var]
     return changed
 
@@ -193,16 +197,6 @@ def values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
     return values
 
 
-def _full_length(law: Law, name: str, value: Any) -> Any:
-    """Return a gain with its last axis of so many values as the law says."""
-    field = law.GAINS[name]
-    value = _checked(f"gains.{name}", value, field.length, field.bounds[0])
-    if field.length == 1:
-        return value
-    value = value if value.ndim else value[None]
-    return _broadcast(value, (*value.shape[:-1], field.length))
-
-
 def _broadcast(value: Any, shape: tuple[int, ...]) -> Any:
     return np.broadcast_to(value, shape) if isinstance(value, np.ndarray) else jnp.broadcast_to(value, shape)
 
@@ -239,41 +233,26 @@ def check_same_gains(gains: AnyGains, directions: AnyGains) -> None:
     Raises:
         ValueError: in one line, which one.
     """
-    if not (isinstance(gains, Gains) and isinstance(directions, Gains)):
-        return
-    for name, rates in vars(directions).items():
-        value = getattr(gains, name)
-        if value is None and rates is not None:
-            raise ValueError(f"directions.{name}: expected None, as gains.{name} is, got rates")
-        if value is not None and rates is None:
-            raise ValueError(f"directions.{name}: expected rates of change, as gains.{name} is given, got None")
-
-
-def moving_gains(resolved: Resolved, directions: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-    """Return the gains (*batch, ...) that have directions, by name, and how many axes the value of one robot has."""
-    law, parameters = resolved.law, resolved.parameters
-    gains = {name: np.asarray(getattr(law if name in law.GAINS else parameters, name)) for name in directions}
-    return gains, {name: law.AXES.get(name, 0) for name in gains}
+    if isinstance(gains, Gains) and isinstance(directions, Gains):
+        for name, rates in vars(directions).items():
+            value = getattr(gains, name)
+            if value is None and rates is not None:
+                raise ValueError(f"directions.{name}: expected None, as gains.{name} is, got rates")
+            if value is not None and rates is None:
+                raise ValueError(f"directions.{name}: expected rates of change, as gains.{name} is given, got None")
 
 
 def resolved_directions(resolved: Resolved, directions: AnyGains, dtype: DTypeLike) -> dict[str, np.ndarray]:
     """Return directions (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number."""
-    law, shape = resolved.law, resolved.shape
+    law, shape, found = resolved.law, resolved.shape, {}
     lengths = {name: field.length for name, field in law.GAINS.items()} | {"kp": 1, "kd": 1}
     given = values_by_name(law, directions)
-    found = {
-        name: _direction_last(np.asarray(value, dtype), lengths[name], shape)
-        for name, value in given.items()
-        if name in lengths
-    }
+    for name in (name for name in given if name in lengths):
+        value, own = np.asarray(given[name], dtype), (lengths[name],) if lengths[name] > 1 else ()
+        (number, *batch) = value.shape[: value.ndim - len(own)]
+        value = np.broadcast_to(value, (number, *batch, *own))
+        value = value.reshape(number, *[1] * (len(shape) - len(batch)), *batch, *own)
+        found[name] = np.moveaxis(np.broadcast_to(value, (number, *shape, *own)), 0, len(shape))
     if not found:  # the law has none of these gains: nothing moves
         found = {"kp": np.zeros((*shape, len(next(iter(given.values())))), dtype)}
     return found
-
-
-def _direction_last(value: np.ndarray, length: int, shape: tuple[int, ...]) -> np.ndarray:
-    own = (length,) if length > 1 else ()
-    batch = value.shape[1 : value.ndim - len(own)]
-    value = np.broadcast_to(value, (*value.shape[: value.ndim - len(own)], *own))
-    value = value.reshape(len(value), *[1] * (len(shape) - len(batch)), *batch, *own)
-    return np.moveaxis(np.broadcast_to(value, (len(value), *shape, *own)), 0, len(shape))

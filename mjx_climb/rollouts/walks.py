@@ -1,6 +1,7 @@
 """Whole walks of one robot, from law and parameters to metrics or histories: what `mjx_climb.execution` carries out."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -43,11 +44,8 @@ def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metr
 def samples_of(structure: Structure, law: Law, parameters: Parameters) -> Sample:
     """Return every sample of a walk, stacked over time."""
     walk = prepare(structure, law, parameters)
-
-    def step(carry: Carry, number: Array) -> tuple[Carry, Sample]:
-        return advance(walk, carry, number)
-
-    return jax.lax.scan(step, begin(walk), jnp.arange(structure.steps))[1]
+    samples: Sample = jax.lax.scan(functools.partial(advance, walk), begin(walk), jnp.arange(structure.steps))[1]
+    return samples
 
 
 def _walked(
