@@ -60,7 +60,12 @@ def measure() -> dict[str, dict[str, Any]]:
     The gradient is the derivative by the logarithm of damping and stiffness together. Accelerations: base linear m/s^2,
     base angular rad/s^2, joints rad/s^2, world axes.
     """
-    walk, gradient = _walk()
+    gains = Gains(np.full(6, INERTIA), np.full(6, DAMPING), np.full(6, STIFFNESS))
+    # the derivative by a logarithm is that along the gain itself
+    along = {"damping": np.full((1, 6), DAMPING), "stiffness": np.full((1, 6), STIFFNESS)}
+    values, tangents = Simulation(SCENARIO).jvp(gains, along, dtype=np.float64)
+    walk = named({name: value.item() for name, value in values.items()}, ("LF", "LH", "RH", "RF"))
+    gradient = {name: tangents[name].item() for name, value in walk.items() if type(value) is float}
     with jax.enable_x64(True):
         accelerations = {engine: _acceleration(engine) for engine in sorted(ENGINES)}
     return {"walk": walk, "gradient": gradient, **accelerations, MUJOCO: _mujoco_acceleration()}
@@ -70,7 +75,13 @@ def deviations(
     measured: Mapping[str, Mapping[str, Any]], stored: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Deviation]:
     """Return for each part of `measure` the value that is furthest from the stored one."""
-    return {part: _furthest(values, stored.get(part, stored["acceleration"])) for part, values in measured.items()}
+    found = {}
+    for part, values in measured.items():
+        kept = stored.get(part, stored["acceleration"])
+        pairs = {name: (values.get(name), kept.get(name)) for name in {**kept, **values}}
+        each = [Deviation(_distance(*pair), name, *pair) for name, pair in pairs.items()]
+        found[part] = max(each, key=lambda deviation: deviation.size)
+    return found
 
 
 def load() -> dict[str, dict[str, Any]]:
@@ -79,26 +90,11 @@ def load() -> dict[str, dict[str, Any]]:
     return values
 
 
-def _furthest(values: Mapping[str, Any], stored: Mapping[str, Any]) -> Deviation:
-    pairs = {name: (values.get(name), stored.get(name)) for name in {**stored, **values}}
-    found = [Deviation(_distance(*pair), name, *pair) for name, pair in pairs.items()]
-    return max(found, key=lambda deviation: deviation.size)
-
-
 def _distance(value: Any, stored: Any) -> float:
     numbers = [v for v in (value, stored) if isinstance(v, float) and math.isfinite(v)]
     if len(numbers) < 2:
         return 0.0 if type(value) is type(stored) and value == stored else math.inf
     return float(abs(value - stored) / max(abs(stored), 1e-300))
-
-
-def _walk() -> tuple[dict[str, Any], dict[str, float]]:
-    gains = Gains(np.full(6, INERTIA), np.full(6, DAMPING), np.full(6, STIFFNESS))
-    # the derivative by a logarithm is that along the gain itself
-    along = {"damping": np.full((1, 6), DAMPING), "stiffness": np.full((1, 6), STIFFNESS)}
-    values, tangents = Simulation(SCENARIO).jvp(gains, along, dtype=np.float64)
-    walk = named({name: value.item() for name, value in values.items()}, ("LF", "LH", "RH", "RF"))
-    return walk, {name: tangents[name].item() for name, value in walk.items() if type(value) is float}
 
 
 def _state() -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:

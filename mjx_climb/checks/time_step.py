@@ -77,7 +77,12 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     Raises:
         ConfigError: in one line, the time step that would do.
     """
-    scenario = scenario if parameters is None else _with_parameters(scenario, parameters)
+    if parameters is not None:  # those that shorten the time step, where they are not the scenario's own
+        given = {key: float(getattr(parameters, name)) for key, name in _STIFFENING.items()}
+        sections = {"control": scenario.control, "contact": scenario.contact}
+        own = {key: getattr(sections[key.split(".")[0]], key.split(".")[1]) for key in given}
+        others = {key: value for key, value in given.items() if not math.isclose(value, own[key], rel_tol=1e-6)}
+        scenario = scenario.with_overrides(others) if others else scenario
     grows = growth(scenario)
     if grows <= 1 + _ROUNDING:
         return
@@ -89,15 +94,6 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
         f"control.kd {control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
         f"{largest_time_step(scenario, source):g} would do"
     )
-
-
-def _with_parameters(scenario: Scenario, parameters: Parameters) -> Scenario:
-    """Return a scenario with those parameters of a walk that shorten the time step, where they are not its own."""
-    given = {key: float(getattr(parameters, name)) for key, name in _STIFFENING.items()}
-    sections = {"control": scenario.control, "contact": scenario.contact}
-    own = {key: getattr(sections[key.split(".")[0]], key.split(".")[1]) for key in given}
-    others = {key: value for key, value in given.items() if not math.isclose(value, own[key], rel_tol=1e-6)}
-    return scenario.with_overrides(others) if others else scenario
 
 
 def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

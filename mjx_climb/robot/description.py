@@ -143,7 +143,6 @@ def _name(part: mujoco.MjsBody | mujoco.MjsJoint, name: str, taken: set[str]) ->
 
 
 def _as_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> None:
-    """Put three hinges, and their actuators, in the place of a ball joint and its own."""
     for actuator in [each for each in spec.actuators if each.trntype in _TURNED and each.target == ball.name]:
         own = {key: getattr(actuator, key) for key in _OF_ACTUATORS}
         for letter, gear in zip("xyz", actuator.gear[:3], strict=True):
@@ -192,7 +191,6 @@ def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
 
 
 def _drop_shapes(file: str, spec: mujoco.MjSpec, shaped: Collection[str]) -> None:
-    """Leave shapes that weigh, plain ones, and meshes of the bodies in `shaped`, without materials."""
     meshes = {mesh.name: found_mesh(file, spec, mesh.file) for mesh in spec.meshes} if shaped else {}
     urdf, (lowest, highest) = is_urdf(file), spec.compiler.inertiagrouprange
     from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -203,7 +201,10 @@ def _drop_shapes(file: str, spec: mujoco.MjSpec, shaped: Collection[str]) -> Non
         if not weighed and geom.mass != 0 and geom.density != 0 and lowest <= geom.group <= highest:
             continue
         meant = geom.parent.name in shaped and meshes.get(geom.meshname) is not None
-        if in_world or not (_plain(geom) or meant):
+        whole, between = _SIZES.get(geom.type, (0, 0))  # of a plain shape, which stays where all of its sizes are given
+        sizes = np.array(geom.size[: between if np.isfinite(geom.fromto).all() else whole])
+        plain = whole and not geom.meshname and (sizes > 0).all()
+        if in_world or not (plain or meant):
             spec.delete(geom)
         else:
             geom.mass = 0
@@ -230,13 +231,6 @@ def found_mesh(file: str, spec: mujoco.MjSpec, mesh: str) -> str | None:
     places += [around / path for around in folder.parents[:3] for path in (name, inside)] if inside else []
     readable = Path(mesh).suffix.lower() in (".stl", ".obj", ".msh")
     return next((str(path) for path in places if readable and path.is_file()), None)
-
-
-def _plain(geom: mujoco.MjsGeom) -> bool:
-    """Return whether a shape is one that MuJoCo knows without a mesh, and has a size."""
-    whole, between = _SIZES.get(geom.type, (0, 0))
-    needed = between if np.isfinite(geom.fromto).all() else whole
-    return bool(whole) and not geom.meshname and bool((np.array(geom.size[:needed]) > 0).all())
 
 
 def impossible(body: mujoco.MjsBody) -> bool:
@@ -279,25 +273,19 @@ def _moments(body: mujoco.MjsBody) -> np.ndarray:
 def _limit_torques(spec: mujoco.MjSpec) -> None:
     """Write what the actuators can give, in sum, into the joints that they turn, where these have no limits."""
     most: dict[str, float] = collections.defaultdict(float)
-    for actuator in spec.actuators:
-        if actuator.trntype in _TURNED:
-            most[actuator.target] += _most(actuator)
+    off = mujoco.mjtLimited.mjLIMITED_FALSE
+    for actuator in (each for each in spec.actuators if each.trntype in _TURNED):
+        force, control = np.array(actuator.forcerange), np.array(actuator.ctrlrange)
+        direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        if not (force.any() and actuator.forcelimited != off):
+            limited = direct and control.any() and actuator.ctrllimited != off
+            force = control * actuator.gainprm[0] if limited else None
+        torque = np.inf if force is None else one_limit(*np.sort(force * float(actuator.gear[0])))
+        most[actuator.target] += torque
     for name, torque in most.items():
         joint = spec.joint(name)
         if joint.actfrcrange[1] <= 0 and 0 < torque < np.inf:
             joint.actfrcrange, joint.actfrclimited = [-torque, torque], mujoco.mjtLimited.mjLIMITED_TRUE
-
-
-def _most(actuator: mujoco.MjsActuator) -> float:
-    """Return the torque that an actuator can give, N m, both ways if it is not one that only pulls; inf: any."""
-    off = mujoco.mjtLimited.mjLIMITED_FALSE
-    force, control = np.array(actuator.forcerange), np.array(actuator.ctrlrange)
-    direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
-    if not (force.any() and actuator.forcelimited != off):
-        if not (direct and control.any() and actuator.ctrllimited != off):
-            return np.inf
-        force = control * actuator.gainprm[0]
-    return one_limit(*np.sort(force * float(actuator.gear[0])))
 
 
 def one_limit(lower: float, upper: float) -> float:

@@ -199,7 +199,10 @@ def _footed(model: mujoco.MjModel, bodies: list[int], shaped: mujoco.MjModel) ->
     end = 2 * model.body_ipos[bodies[-1]] if ends is None else axes.T @ (ends - data.xpos[bodies[-1]])
     turns = model.jnt_type[joints[-1]] == mujoco.mjtJoint.mjJNT_HINGE
     if ends is None and turns and np.linalg.norm(end - local) < _SHORT:
-        end = local + axes.T @ _across(data.xaxis[joints[-1]], anchor - data.xanchor[joints[-2 if joints[1:] else -1]])
+        # as long as the link before, and square to the joint's axis: along it no joint would move the foot
+        axis, link = data.xaxis[joints[-1]], anchor - data.xanchor[joints[-2 if joints[1:] else -1]]
+        across = link - axis * (axis @ link)
+        end = local + axes.T @ across * (np.linalg.norm(link) / (np.linalg.norm(across) or 1.0))
     at = tuple(round(float(v), 5) + 0.0 for v in end)  # no -0.0
     foot, plain = model.body(bodies[-1]).name, bool(what) and " mesh " not in what  # many a head ends in a mesh
     return Chain(tuple(joints), foot, (at[0], at[1], at[2]), plain, what, ends is None)
@@ -220,22 +223,12 @@ def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tup
     points = np.array([point for point, _ in ends])
     away = np.linalg.norm(points - anchor, axis=1)
     far = np.flatnonzero(away >= _AS_FAR * away.max())
-    return points[far].mean(0), _in_words(model, ends[int(np.argmax(away))][1], bool(colliding))
-
-
-def _in_words(model: mujoco.MjModel, geom: int, collides: bool) -> str:
-    """Return a shape as a user knows it: "collision mesh 'tip' of 'calf'"."""
-    kind = mujoco.mjtGeom(model.geom_type[geom])
+    # in words: "collision mesh 'tip' of 'calf'"
+    geom = ends[int(np.argmax(away))][1]
+    kind, body = mujoco.mjtGeom(model.geom_type[geom]), model.body(model.geom_bodyid[geom]).name
     name = f" {model.mesh(model.geom_dataid[geom]).name!r}" if kind == mujoco.mjtGeom.mjGEOM_MESH else ""
     shape = kind.name.removeprefix("mjGEOM_").lower()
-    return f"{'collision' if collides else 'visual'} {shape}{name} of {model.body(model.geom_bodyid[geom]).name!r}"
-
-
-def _across(axis: np.ndarray, link: np.ndarray) -> np.ndarray:
-    """Return a link turned square to an axis, as long as before."""
-    across = link - axis * (axis @ link)
-    length = np.linalg.norm(across)
-    return np.asarray(across * (np.linalg.norm(link) / length) if length > 0 else across)
+    return points[far].mean(0), f"{'collision' if colliding else 'visual'} {shape}{name} of {body!r}"
 
 
 def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.ndarray]:

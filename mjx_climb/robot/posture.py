@@ -34,7 +34,13 @@ def limb_joints(model: mujoco.MjModel, feet: np.ndarray, near: np.ndarray | None
     angles (limb, joint) to begin with: where all feet get there from these, no other posture is looked for.
     """
     robot = unposed_robot(model)
-    starts = robot.joint_lower + (robot.joint_upper - robot.joint_lower) * _starts(robot.joints)[:, None]
+    if robot.joints == 3:
+        fractions = (np.arange(_STARTS) + 0.5) / _STARTS
+        shares = np.array([[0.5, femur, tibia] for femur in fractions for tibia in fractions])
+    else:
+        spread = np.random.default_rng(0).uniform(0.1, 0.9, (_OTHER_STARTS, robot.joints))
+        shares = np.concatenate([np.full((1, robot.joints), 0.5), spread])
+    starts = robot.joint_lower + (robot.joint_upper - robot.joint_lower) * shares[:, None]
     if near is not None:
         angles, missed = _reached(robot, feet, near[None])
         if missed.max() < MET:
@@ -68,15 +74,6 @@ def _reached(robot: Robot, feet: np.ndarray, starts: np.ndarray) -> tuple[np.nda
     angles = wrapped if robot.sliding is None else np.where(robot.sliding, angles, wrapped)
     within = ((angles >= robot.joint_lower - MET) & (angles <= robot.joint_upper + MET)).all(-1)
     return angles, np.where(within, missed, np.inf)
-
-
-def _starts(joints: int) -> np.ndarray:
-    """Return postures to start from, each joint's as a share of its range, (start, joint)."""
-    if joints == 3:
-        fractions = (np.arange(_STARTS) + 0.5) / _STARTS
-        return np.array([[0.5, femur, tibia] for femur in fractions for tibia in fractions])
-    spread = np.random.default_rng(0).uniform(0.1, 0.9, (_OTHER_STARTS, joints))
-    return np.concatenate([np.full((1, joints), 0.5), spread])
 
 
 def driven_mask(model: mujoco.MjModel) -> np.ndarray:

@@ -1,7 +1,7 @@
 """What a robot's file suggests for a scenario: base, limbs, feet, stance, a gait in proportion, what was left out."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,14 +68,16 @@ def propose(
     _looks(full, model, trunk, notes)
     if written := len(full.keys) - model.nkey:
         why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
-        notes.ignored(f"{written} keyframes", why if base is None else "they begin at the file's own root")
-
-    section = _section(path, model, limbs, {"locked": held, "springs": springs, "base": base})
+        notes.ignored(f"{written} keyframes", "they begin at the file's own root" if base else why)
+    section: dict[str, Any] = {"file": path, "height": 1.0, "limbs": {}}
+    for name, chain in limbs.items():
+        section["limbs"][name] = {"joints": [model.joint(j).name for j in chain.joints], "foot": chain.foot}
+        section["limbs"][name] |= {"at": list(chain.at)} if any(chain.at) else {}
+    section |= {key: value for key, value in (("locked", held), ("springs", springs), ("base", base)) if value}
     stance = _stance(model, trunk, limbs, section, hips, notes)
     section["height"] = stance.height
     for limb, foothold in zip(section["limbs"].values(), stance.footholds, strict=True):
-        limb["foothold"] = [float(v) for v in foothold]
-
+        limb["foothold"] = foothold.tolist()
     gait = _gait(section, stance, reach, notes)
     stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
     notes.changed("contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
@@ -83,17 +85,8 @@ def propose(
         _hold_turns(section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2, notes)
     _drives(model, limbs, notes)
     notes.taken(f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another")
-    walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"]}
-    return Proposal({"robot": section, **walk, **proportions}, tuple(notes))
-
-
-def _section(path: str, model: mujoco.MjModel, limbs: dict[str, Chain], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section of a robot without its footholds and height, of other keys those with a value."""
-    section: dict[str, Any] = {"file": path, "height": 1.0, "limbs": {}}
-    for name, chain in limbs.items():
-        section["limbs"][name] = {"joints": [model.joint(j).name for j in chain.joints], "foot": chain.foot}
-        section["limbs"][name] |= {"at": list(chain.at)} if any(chain.at) else {}
-    return section | {key: value for key, value in others.items() if value}
+    walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"], **proportions}
+    return Proposal({"robot": section, **walk}, tuple(notes))
 
 
 def _stance(

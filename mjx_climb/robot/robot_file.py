@@ -17,6 +17,13 @@ SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; man
 REACH = 1.0  # m, of a sliding joint without limits, either way
 _SHORT = 1e-3  # m, links too short to draw
 _LIMITED = mujoco.mjtLimited.mjLIMITED_TRUE
+_COLORS = {  # red, green, blue, opacity
+    "ground": [0.60, 0.56, 0.51, 1],
+    "shell": [0.86, 0.87, 0.88, 1],
+    "servo": [0.16, 0.17, 0.19, 1],
+    "frame": [0.95, 0.55, 0.15, 1],
+    "gripper": [0.30, 0.33, 0.37, 1],
+}
 
 
 class _Link(NamedTuple):
@@ -68,7 +75,14 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     if not trunk.mass:
         name = file.model.body(file.base).name
         raise _error(source, "file", f"a mass of the base link {name!r}", "none", name)
-    spec = _scene()
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    for material, color in _COLORS.items():
+        spec.add_material(name=material, rgba=color)
+    spec.worldbody.add_light(pos=[0.3, -0.6, 1.5], dir=[-0.2, 0.4, -1])
+    ground = spec.worldbody.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
+    ground.material, ground.contype, ground.conaffinity = "ground", 0, 0
     body = spec.worldbody.add_body(name="base")
     body.add_freejoint(name="base")
     _weigh(body, trunk.seen_from(trunk.center, axes))
@@ -77,7 +91,7 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "shell", size=[0.95 * half[0], 0.95 * half[1], 0.2 * half[:2].min()])
     names = _joint_names([limb.joints for limb in file.limbs.values()])
     for limb in file.limbs:
-        _add_limb(file, limb, names, body, _Frame(trunk.center, axes))
+        _add_limb(file, limb, names, body, (trunk.center, axes))
     return spec, axes.T @ (trunk.center - data.xpos[file.base])
 
 
@@ -271,15 +285,14 @@ def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
     return names if told_apart else [f"joint{n + 1}" for n in range(len(places))]
 
 
-class _Frame(NamedTuple):
-    """A body's frame in the file."""
+def _add_limb(
+    file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody, frame: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next.
 
-    origin: np.ndarray  # (3,) m
-    axes: np.ndarray  # (3, 3), columns
-
-
-def _add_limb(file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody, frame: _Frame) -> None:
-    """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next."""
+    `frame` is the base's in the file: origin (3,) m and axes (3, 3), columns.
+    """
+    origin, axes = frame
     chain, foot = file.chains[limb], file.foot(limb)
     stands, anchors = [file.model.jnt_bodyid[joint] for joint in chain], list(file.data.xanchor[chain])
     # of several joints of one body the last one moves its mass
@@ -288,12 +301,9 @@ def _add_limb(file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody
         for n, at in enumerate(stands)
     ]
     for n, (joint, axis, end) in enumerate(zip(chain, file.axes(limb), [*anchors[1:], foot], strict=True)):
-        inner, frame = frame, _Frame(anchors[n], _axes_along(axis, end - anchors[n]))
-        body = body.add_body(
-            name=f"{limb}_{names[n]}",
-            pos=inner.axes.T @ (frame.origin - inner.origin),
-            quat=quaternion(inner.axes.T @ frame.axes),
-        )
+        place, inner = axes.T @ (anchors[n] - origin), axes
+        origin, axes = anchors[n], _axes_along(axis, end - anchors[n])
+        body = body.add_body(name=f"{limb}_{names[n]}", pos=place, quat=quaternion(inner.T @ axes))
         dof, name = file.model.jnt_dofadr[joint], file.model.joint(joint).name
         moved = add_joint(body, file.model, joint, f"{limb}_{names[n]}")
         moved.axis, moved.range, moved.limited = [0, 0, 1], file.limits(limb, joint), _LIMITED
@@ -301,13 +311,13 @@ def _add_limb(file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody
             moved.damping = [moved.damping[0] + spring.damping, 0, 0]  # beside the file's
             moved.stiffness, moved.springref, moved.group = [spring.stiffness, 0, 0], spring.rest, PASSIVE
         if links[n].mass:
-            _weigh(body, links[n].seen_from(*frame))
+            _weigh(body, links[n].seen_from(origin, axes))
         elif any(link.mass for link in links[n:]) or file.model.dof_armature[dof]:
             _weigh(body, _PAD)
         else:
             raise _error(file.source, f"limbs.{limb}.joints", "links that have a mass", f"none at {name!r}", name)
-        _draw(body, frame.axes.T @ (end - frame.origin), first=n == 0, last=n == len(chain) - 1)
-    at_foot = frame.axes.T @ (foot - frame.origin)
+        _draw(body, axes.T @ (end - origin), first=n == 0, last=n == len(chain) - 1)
+    at_foot = axes.T @ (foot - origin)
     for name in names[len(chain) :]:
         body = body.add_body(name=f"{limb}_{name}", pos=at_foot)
         hinge = body.add_joint(name=f"{limb}_{name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1.0)
@@ -347,24 +357,6 @@ def compiled_robot(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 # ------------------------------------------------------------------------------------------------------------
 # What is drawn: the shapes of the robots that come with mjx_climb
-
-
-def _scene() -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    for name, color in (
-        ("ground", [0.60, 0.56, 0.51, 1]),
-        ("shell", [0.86, 0.87, 0.88, 1]),
-        ("servo", [0.16, 0.17, 0.19, 1]),
-        ("frame", [0.95, 0.55, 0.15, 1]),
-        ("gripper", [0.30, 0.33, 0.37, 1]),
-    ):
-        spec.add_material(name=name, rgba=color)
-    spec.worldbody.add_light(pos=[0.3, -0.6, 1.5], dir=[-0.2, 0.4, -1])
-    ground = spec.worldbody.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
-    ground.material, ground.contype, ground.conaffinity = "ground", 0, 0
-    return spec
 
 
 def _shape(body: mujoco.MjsBody, kind: mujoco.mjtGeom, material: str, **where: list[float]) -> None:

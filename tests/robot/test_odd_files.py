@@ -91,7 +91,7 @@ def test_an_end_that_is_guessed_is_told(saved):
 
 
 def test_joints_driven_in_any_way(saved):
-    """By a motor, one in the parent's frame, and a tendon; the fourth limb's last joint has none."""
+    """By a motor, one in the parent's frame, a tendon: not the fourth limb's last. A ball joint's drive its hinges."""
     tendons = "".join(f'<fixed name="t{n}"><joint joint="L{n}_2" coef="2"/></fixed>' for n in range(3))
     motors = "".join(
         f'<motor joint="L{n}_0"/><motor jointinparent="L{n}_1"/>{f"""<motor tendon="t{n}"/>""" if n < 3 else ""}'
@@ -100,6 +100,10 @@ def test_joints_driven_in_any_way(saved):
     text = PLAIN.replace("</worldbody>", f"</worldbody><tendon>{tendons}</tendon><actuator>{motors}</actuator>")
     joints = {f"L{n}_{k}" for n in range(4) for k in range(3)}
     assert driven_joints(described(str(saved(text)))) == joints - {"L3_2"}
+    ball = re.sub(r'<joint name="L0_1"[^>]*>', '<joint name="L0_1" type="ball"/>', PLAIN)
+    motors = '<motor joint="L0_1" gear="0 1 0"/><motor joint="L0_1" gear="0 0 2"/>'
+    text = ball.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
+    assert driven_joints(described(str(saved(text)))) == {"L0_1_y", "L0_1_z"}
 
 
 LIMITS = {
@@ -121,13 +125,6 @@ def test_torque_limits_of_actuators(saved):
         joint = model.joint(f"L{n // 3}_{n % 3}").id
         assert bool(model.jnt_actfrclimited[joint]) == (limit is not None)
         assert limit is None or model.jnt_actfrcrange[joint, 1] == limit
-
-
-def test_motors_of_a_ball_joint_drive_its_hinges(saved):
-    ball = re.sub(r'<joint name="L0_1"[^>]*>', '<joint name="L0_1" type="ball"/>', PLAIN)
-    motors = '<motor joint="L0_1" gear="0 1 0"/><motor joint="L0_1" gear="0 0 2"/>'
-    text = ball.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
-    assert driven_joints(described(str(saved(text)))) == {"L0_1_y", "L0_1_z"}
 
 
 def test_small_and_bounded_weights_are_mujocos(saved):
