@@ -129,11 +129,17 @@ def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Pa
     choices = get_args(kind) if get_origin(kind) is Literal else ()
     repeated = get_origin(kind) in (dict, list, tuple)
     plain = kind if kind in (bool, Path) else Path if repeated and get_args(kind)[0] is Path else str
+    ends: dict[str, Any] = {}  # the range is shown where it has two, or begins above 1
+    for extra in field.metadata:
+        ends |= {name: getattr(extra, name) for name in ("ge", "le") if hasattr(extra, name)}
+    bounds = f", {ends['ge']} or more" if ends.get("ge", 0) > 1 else ""
+    if len(ends) == 2:
+        bounds = f", {ends['ge']} to {ends['le']}"
     shown = default_in_words or shell.default_in_words or null
     if not isinstance(default, str | int | float | Path) or (shown and kind is not bool):
         default = None
     how: dict[str, Any] = {
-        "help": f"{text[:1].upper()}{text[1:]}{_bounds(field)}{REPEATABLE * (repeated and not shell.argument)}.",
+        "help": f"{text[:1].upper()}{text[1:]}{bounds}{REPEATABLE * (repeated and not shell.argument)}.",
         "metavar": shell.metavar or (f"<{'|'.join(choices)}>" if choices else "N" if kind in (int, float) else None),
         "show_default": shown or not (default is None or default is False),
         "autocompletion": _completion(shell.complete, choices) if choices or shell.complete else None,
@@ -148,16 +154,6 @@ def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Pa
         default = str(default)
     annotation = Annotated[annotation, declared]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-
-
-def _bounds(field: FieldInfo) -> str:
-    """Return the range of a number in words where it has two ends, or begins above 1."""
-    ends: dict[str, Any] = {}
-    for extra in field.metadata:
-        ends |= {name: getattr(extra, name) for name in ("ge", "le") if hasattr(extra, name)}
-    if len(ends) == 2:
-        return f", {ends['ge']} to {ends['le']}"
-    return f", {ends['ge']} or more" if ends.get("ge", 0) > 1 else ""
 
 
 def _completion(kind: str | None, choices: tuple[str, ...]) -> Callable[[str], list[str]]:

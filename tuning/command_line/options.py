@@ -84,7 +84,7 @@ class Walk(Options):
         """
         import mjx_climb as mc
         from mjx_climb.scenario.yaml_text import pairs
-        from tuning.gains.own_section import taken, without
+        from tuning.gains.own_section import of_one, taken, without
 
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(self.law, self.metrics)
         changes = dict(pairs(self.changes, source))
@@ -95,7 +95,16 @@ class Walk(Options):
         own = mc.load_scenario(source, {key: value for key, value in changes.items() if key.split(".")[0] == "own"})
         _, law, metrics = taken(own, law, metrics, source)
         if law is not None:
-            changes, law = _taken_by(law, changes)
+            gains = {f"control.{name}" for name in law.GAINS}
+            mine = {key: changes.pop(key) for key in list(changes) if key in gains}
+            for key in changes:
+                if key.split(".")[0] == "control" and key not in ("control.kp", "control.kd"):
+                    expected = f"one of {', '.join([*law.GAINS, 'kp', 'kd'])} in control"
+                    raise InputError(f"--set {key}: expected {expected}, which {type(law).__name__} reads")
+            try:
+                law = of_one(law, {key[8:]: value for key, value in mine.items()}) if mine else law
+            except (TypeError, ValueError) as error:
+                raise InputError(f"--set {', '.join(mine)}: {error}") from None
         scenario = scenario_from(Path(source), changes, self.hardware, self.controller)
         return Loaded(without(scenario), law, metrics, self.engine)
 
@@ -211,22 +220,6 @@ def own_objects(law: str | None, metrics: tuple[str, ...]) -> "tuple[mc.Law | No
     from tuning.problem import own_file
 
     return None if law is None else load_law(law), own_file.metrics(metrics)
-
-
-def _taken_by(law: "mc.Law", changes: dict[str, Any]) -> "tuple[dict[str, Any], mc.Law]":
-    """Return the changes that are not of a law of one's own, and the law with the others."""
-    from tuning.gains.own_section import of_one
-
-    own = {key: value for key, value in changes.items() if key.startswith("control.") and key[8:] in law.GAINS}
-    rest = {key: value for key, value in changes.items() if key not in own}
-    for key in rest:
-        if key.split(".")[0] == "control" and key not in ("control.kp", "control.kd"):
-            expected = ", ".join([*law.GAINS, "kp", "kd"])
-            raise InputError(f"--set {key}: expected one of {expected} in control, which {type(law).__name__} reads")
-    try:
-        return rest, of_one(law, {key[8:]: value for key, value in own.items()}) if own else law
-    except (TypeError, ValueError) as error:
-        raise InputError(f"--set {', '.join(own)}: {error}") from None
 
 
 @contextlib.contextmanager

@@ -111,14 +111,23 @@ class Team:
         import hashlib
         import tarfile
 
+        import numpy as np
+        from jax.experimental import multihost_utils
+
         self.heard = True
         self.agree(hashlib.sha256(repr((ARGUMENTS.get(), asked)).encode()).digest())
         buffer, folder = io.BytesIO(), kept / "parts"
         if self._process.number == 0 and folder.is_dir():
             with tarfile.open(fileobj=buffer, mode="w") as files:
                 files.add(folder, "parts")
-        archive = _from_first(buffer.getvalue())
-        if self._process.number and archive:
+        content = buffer.getvalue()  # which process 0 sends, first its length
+        size = int(multihost_utils.broadcast_one_to_all(np.array(len(content), np.int32)))
+        if not size:
+            return
+        whole: np.ndarray = np.zeros(size, np.uint8)
+        whole[: len(content)] = np.frombuffer(content, np.uint8)
+        archive = np.asarray(multihost_utils.broadcast_one_to_all(whole)).tobytes()
+        if self._process.number:
             with tarfile.open(fileobj=io.BytesIO(archive)) as files:
                 files.extractall(kept, filter="data")
 
@@ -151,8 +160,23 @@ def joined(apart: bool = False) -> Iterator[Team]:
         import tempfile
 
         temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mjx_climb-")))
-        stack.enter_context(_own_output())
-        _meet(own)
+        # libraries that connect processes greet each other on standard output: it is kept for this program
+        sys.stdout.flush()
+        stdout = stack.enter_context(open(os.dup(1), "w"))
+        stack.enter_context(contextlib.redirect_stdout(stdout))
+        _to_nowhere(1)
+        import jax
+
+        jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM for itself
+        try:
+            jax.distributed.initialize(own.address, own.of, own.number, initialization_timeout=PATIENCE)
+            jax.devices()
+        except (RuntimeError, ValueError) as error:
+            reason = str(error).partition("\n")[0]
+            raise InputError(
+                f"'{own.said}': expected {own.of} processes that meet, got {reason} "
+                f"(JAX_NUM_PROCESSES=1 lets each walk alone)"
+            ) from None
         team = Team(own, temporary)
         if own.number:
             sys.stderr.flush()
@@ -191,42 +215,7 @@ def leave(code: int) -> None:
         os._exit(code)
 
 
-def _meet(process: Process) -> None:
-    import jax
-
-    jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM for itself
-    try:
-        jax.distributed.initialize(process.address, process.of, process.number, initialization_timeout=PATIENCE)
-        jax.devices()
-    except (RuntimeError, ValueError) as error:
-        reason = str(error).partition("\n")[0]
-        raise InputError(
-            f"'{process.said}': expected {process.of} processes that meet, got {reason} "
-            f"(JAX_NUM_PROCESSES=1 lets each walk alone)"
-        ) from None
-
-
-@contextlib.contextmanager
-def _own_output() -> Iterator[None]:
-    """Keep standard output for this program: libraries that connect processes greet each other there."""
-    sys.stdout.flush()
-    with open(os.dup(1), "w") as own, contextlib.redirect_stdout(own):
-        _to_nowhere(1)
-        yield
-
-
 def _to_nowhere(stream: int) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream)
     os.close(nowhere)
-
-
-def _from_first(content: bytes) -> bytes:
-    """Return what process 0 gives."""
-    import numpy as np
-    from jax.experimental import multihost_utils
-
-    size = int(multihost_utils.broadcast_one_to_all(np.array(len(content), np.int32)))
-    whole: np.ndarray = np.zeros(size, np.uint8)
-    whole[: len(content)] = np.frombuffer(content, np.uint8)
-    return bytes(np.asarray(multihost_utils.broadcast_one_to_all(whole)).tobytes()) if size else b""

@@ -43,7 +43,7 @@ COMMANDS = {  # what each does
     "doctor": "Examine this installation.",
 }
 _MODULES = {  # of commands that are not in a module of their own name
-    "sweep": "shards", "judge": "shards", "merge": "shards", "tune": "searches", "pareto": "searches",
+    "sweep": "searches", "judge": "searches", "merge": "searches", "tune": "searches", "pareto": "searches",
     "schedule": "searches", "plot": "results", "margins": "results", "reproduce": "results", "export": "results",
     "schema": "robot", "bench": "machine", "doctor": "machine",
 }  # fmt: skip

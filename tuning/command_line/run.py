@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from tuning.command_line.session import Session
 
 MOST_SNAPSHOTS = 12
-Metrics = Mapping[str, Any]  # of one walk
 
 
 def _pixels(text: str) -> tuple[int, int]:
@@ -141,7 +140,7 @@ def run(walk: Walk, output: Output, pictures: Pictures) -> None:
 
 def _walked(
     loaded: Loaded, name: str, shell: "Session", pictures: Pictures
-) -> "tuple[dict[str, mc.Trajectory], Metrics]":
+) -> "tuple[dict[str, mc.Trajectory], dict[str, Any]]":
     """Walk, write and print; return the walks in the order in which they are shown, and the metrics of the first."""
     import mjx_climb as mc
     from mjx_climb.files import dataset, scenario_files
@@ -178,7 +177,7 @@ def _walked(
 
 def _show(
     walks: "Mapping[str, mc.Trajectory]",
-    metrics: Mapping[str, Metrics],
+    metrics: Mapping[str, Mapping[str, Any]],
     loaded: Loaded,
     rival: str | None,
     shell: "Session",
@@ -206,7 +205,7 @@ def _show(
             shell.show(remedies(walks[name].scenario, float(metrics[name]["detached_at"] or 0.0), law))
 
 
-def verdict(trajectory: "mc.Trajectory", metrics: Metrics) -> str:
+def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
     """Return in one line how the walk went."""
     import numpy as np
 

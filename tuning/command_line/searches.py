@@ -1,26 +1,34 @@
-"""`mjx-climb tune`, `pareto` and `schedule`: searches for gains."""
+"""`mjx-climb tune`, `pareto`, `schedule`, `sweep`, `judge` and `merge`: searches whose finished parts are kept."""
 
 import dataclasses
+import importlib
 import math
+import shlex
 from collections.abc import Sequence
+from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field, model_validator
 
 from mjx_climb.scenario import shipped
 from tuning.command_line import processes
 from tuning.command_line.from_models import command
 from tuning.command_line.interruption import Interrupted, kept_in
-from tuning.command_line.options import ENSEMBLE, Output, SearchFile, Walk
-from tuning.command_line.program import InputError, origin, repeated
-from tuning.problem.search import ROBUST_WEIGHTS, Pareto, Schedule, Search, check_metrics
+from tuning.command_line.options import ENSEMBLE, LAW, METRICS, SHARD, Output, SearchFile, Walk, own_objects
+from tuning.command_line.program import InputError, origin, repeated, typed_but
+from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Search, check_metrics
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from tuning.background import Begin
     from tuning.command_line.processes import Team
     from tuning.command_line.session import Session
     from tuning.problem.ensemble import Ensemble
+    from tuning.searches.judge import Draw
+    from tuning.searches.sweep import Grid as Work
 
 
 class Many(Options):
@@ -193,15 +201,12 @@ def schedule(
                 found = schedules.run(points, out=out, progress=kept.rounds(show))
             written = shell.write(found, "")
         rows = schedules.rows(found.data)
-        table = _schedule_table(rows, found.data.attrs["searched"].split())
-        shell.show(table, *written.outcome, _one_for_all(*schedules.one_for_all(found.data)))
+        level, load, loss = schedules.one_for_all(found.data)
+        one = "one for all: every set of gains breaks a limit at some other operating point"
+        if loss < math.inf:
+            one = f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
+        shell.show(_schedule_table(rows, found.data.attrs["searched"].split()), *written.outcome, one)
         shell.written(written.files, to_json(rows))
-
-
-def _one_for_all(level: float, load: float, loss: float) -> str:
-    if loss < math.inf:
-        return f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
-    return "one for all: every set of gains breaks a limit at some other operating point"
 
 
 def _schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
@@ -220,3 +225,243 @@ def _schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table"
         verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
         table.add_row(*cells, number(tuned), *(change(tuned, other) for other in others), verdict.strip())
     return table
+
+
+RANGE = "LOW:HIGH:COUNT"
+ROWS = {  # by command: file, stage and unit
+    "sweep": ("sweep.nc", "grid", "walks"),
+    "judge": ("judged.nc", "fresh draw", "members"),
+}
+
+_End = Annotated[float, Field(ge=1e-30, le=1e30)]  # single precision, with room for squares of moderate gains
+Range = tuple[_End, _End, Annotated[int, Field(ge=2, le=100_000)]]
+_Typed = Annotated[Range | None, BeforeValidator(lambda text: text.split(":"))]
+
+
+class Grid(Options):
+    """What is swept."""
+
+    stiffness: _Typed = setting(
+        None, "virtual stiffness K, N/m and N m/rad: evenly spaced on a logarithmic scale", metavar=RANGE
+    )
+    damping: _Typed = setting(None, "virtual damping D, N s/m and N m s/rad, spaced likewise", metavar=RANGE)
+    axis: dict[str, Range] = setting(
+        {},
+        "gain of the law, SI units, spaced likewise; in place of either of these, or twice for both",
+        metavar=f"NAME={RANGE}",
+    )
+    batch_size: int | None = setting(None, "robots that walk at a time; null: parts of a few seconds", ge=1)
+    shard: str | None = SHARD
+
+    @property
+    def ranges(self) -> dict[str, Range]:
+        """The ranges by the name of the gain, the horizontal one first."""
+        own = {"stiffness": self.stiffness, "damping": self.damping}
+        return {name: span for name, span in own.items() if span is not None} | self.axis
+
+    @model_validator(mode="after")
+    def _two_in_order(self) -> Self:
+        both = [name for name in self.axis if getattr(self, name, None) is not None]
+        if both or len(self.ranges) != 2:
+            got = ", ".join([*self.ranges, *both]) or "none"
+            raise ValueError(f"--stiffness, --damping, --axis: expected two gains to sweep, got {got}")
+        for name, (low, high, _) in self.ranges.items():
+            if not low < high:
+                option = f"--axis {name}" if name in self.axis else f"--{name}"
+                raise ValueError(f"{option}: expected {RANGE} with LOW below HIGH, got {low:g} and {high:g}")
+        return self
+
+    def work(self, walk: Walk) -> "Work":
+        """Return the walks of the grid."""
+        import numpy as np
+
+        from tuning.problem.evaluation import Problem
+        from tuning.searches.sweep import grid_of
+
+        axes = {name: np.geomspace(*span) for name, span in self.ranges.items()}
+        for name, values in axes.items():
+            if not (np.diff(values.astype(np.float32)) > 0).all():
+                expected = f"{RANGE} whose values single precision tells apart"
+                raise InputError(f"--axis {name}: expected {expected}, got {len(values)} too close together")
+        loaded = walk.load()
+        if loaded.law is None and loaded.scenario.control.controller == "pd":
+            raise InputError("--controller: expected a law with gains to sweep, got pd")
+        try:
+            return grid_of(Problem(loaded.scenario, **loaded.how), axes, walk.values(loaded.law), self.batch_size)
+        except ValueError as error:
+            raise InputError(str(error).replace("axes", "--axis", 1).replace("--axis.", "--axis ", 1)) from None
+
+    def said(self, work: "Work", here: int, there: int) -> list[str]:
+        """Return how many walks there are, on what, and how long they take where that is long."""
+        import jax
+
+        from mjx_climb.execution.paths import device_for
+        from tuning.command_line.session import duration
+        from tuning.searches.sweep import expected_duration
+
+        scenario = work.walked.scenario
+        sizes = " x ".join(f"{len(values)} {name}" for name, values in work.axes.items())
+        device = jax.devices(device_for(work.rows, 0, double=False))[0]  # too few for a GPU
+        said = [f"{work.rows} walks ({sizes}) of {scenario.steps} steps on {device.device_kind}"]
+        seconds = expected_duration(here - there, scenario.steps, device.platform)
+        if seconds > 600:  # of shorter sweeps progress says enough
+            said.append(f"expect some {duration(seconds)}, or spread them over machines with --shard")
+        return said
+
+    def compared(self, work: "Work", begin: "Begin") -> Any:
+        """Begin what the grid is compared with."""
+        from tuning.output import comparisons
+
+        begin(lambda _: importlib.import_module("tuning.output.sweep"))  # 0.4 s, matplotlib's most of all
+        problem = work.problem
+        return comparisons.of_grid(problem.scenario, problem.law, work.gains, work.axes, problem.engine, begin)
+
+
+class Rivals(Judge):
+    """Which gains are judged, on what."""
+
+    gains: tuple[Path, ...] = setting(..., "gains file to judge", metavar="FILE")
+    ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
+    shard: str | None = SHARD
+
+    def work(self, walk: Walk) -> "Draw":
+        """Return the walks of the gains."""
+        from tuning.gains import gains_file
+        from tuning.problem.ensemble import Ensemble
+        from tuning.problem.evaluation import Problem
+        from tuning.searches.judge import draw_of
+
+        loaded = walk.load()
+        if loaded.law is None and loaded.scenario.control.controller == "pd":
+            raise InputError("--controller: expected a law whose gains are judged, got pd, which walks beside them")
+        named = {file.stem: gains_file.load(file, loaded.law) for file in self.gains}
+        if len(named) < len(self.gains) or named.keys() & {"config", "pd"}:
+            got = ", ".join(file.stem for file in self.gains)
+            raise InputError(f"--gains: expected files of different names, none config or pd, got {got}")
+        ensemble = Ensemble.load(shipped.found(self.ensemble))
+        return draw_of(Problem(loaded.scenario, **loaded.how), named, ensemble, self.members)
+
+    def said(self, work: "Draw", here: int, _: int) -> list[str]:
+        """Return how many walks there are."""
+        return [f"{here} members, {len(work.gains) + 1} walks of {work.problem.scenario.steps} steps each"]
+
+    def compared(self, work: "Draw", begin: "Begin") -> None:
+        """Return nothing: all that is compared is drawn."""
+
+
+def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> None:
+    """Walk the rows of a grid or a draw, all or a shard's, and write the result of all."""
+    with processes.joined(apart=asked.shard is not None) as team, output.session() as shell:
+        part, which = processes.shard_from(asked.shard)
+        from tuning.background import background
+        from tuning.searches import shards
+
+        work, name = asked.work(walk), walk.config.stem
+        file, stage, unit = ROWS[kind]
+        out = shell.claim(file, name, kind, team=team)
+        about = {"again": typed_but("--shard", shards.SHARD), "name": name, "repeat": again}
+        rows = shards.Rows(work, out, part, about)
+        here, there, folder = len(rows.rows), rows.there, rows.folder or out
+        kept_already = f"{there} are there already" if there else ""
+        shell.say("; ".join(filter(None, [*asked.said(work, here, there), which, team.said, kept_already])))
+        shell.opening(work.problem.scenario)
+        team.begin(folder, work.identity())
+        with kept_in(folder, f"of {here} {unit}", there) as kept, background() as begin:
+            compared = asked.compared(work, begin) if rows.shard is None else None
+            with shell.stage(stage, unit=unit) as show:
+                arrays = rows.walk(kept.counting(show))
+            if rows.shard is not None:
+                merge = f"mjx-climb merge {shlex.quote(str(out))}"
+                shell.say(f"{folder} is whole; once all {rows.shard.count} are: {merge}")
+                shell.print_json(dumps({"shard": rows.shard.number, "of": rows.shard.count, unit: here}))
+                return
+            written = shell.write(work.result(arrays), again, compared)
+        shell.result(work.problem, written)
+
+
+@command("results/<config>-sweep")
+def sweep(grid: Grid, walk: Walk, output: Output) -> None:
+    """Walk a grid of stiffness and damping, or of two other gains, the same on all axes, in single precision.
+
+    Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
+    side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a sheet with a
+    map of each metric and the law's limit of stability (maps.png), the table (comparison.json), the resolved scenario
+    (config.yaml), and all of it with the walks over time as a page for a browser (report.html). `mjx-climb plot DIR`
+    draws each of them by itself.
+
+    Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
+    gives the inertia and the joint gains of the grid, and a further walk to compare with.
+
+    With --shard, or as a task of a Slurm array, a sweep is spread over machines: each walks its part of the grid into
+    a folder below DIR, and `mjx-climb merge DIR` writes what one machine would have written.
+
+    \b
+    Examples:
+      mjx-climb sweep case_1_2 --stiffness 1e2:1e6:16 --damping 1e0:1e5:16
+      mjx-climb sweep case_2 --stiffness 1e3:1e5:8 --damping 1e1:1e4:8 --gains best.yaml
+      mjx-climb sweep case_2 --stiffness 1e2:1e6:128 --damping 1e0:1e5:128 --shard 3/16
+      mjx-climb sweep case_2 --law my_law.py:Filtered --axis cutoff=1:100:8 --damping 1e1:1e4:8
+    """
+    again = repeated(["sweep"], "--stiffness", "--damping", "--axis", "--batch-size", "--engine")
+    _walk_rows(grid, walk, output, "sweep", again)
+
+
+@command("results/<config>-judge")
+def judge(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> None:
+    """Judge gains on walks that no search over the ensemble has seen, beside the config's own and pd.
+
+    As tune --ensemble judges its result: pushes, cargo, slope, grips, masses and hardware are drawn with another seed,
+    nothing is torn off, and a walk fails where it pulls beyond the holding limit. Prints mean and worst 5 % of each
+    metric; writes to DIR every walk (judged.nc), a picture, the summary and a page. `mjx-climb plot DIR` draws other
+    metrics.
+
+    Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
+    array, the members are spread over machines, and `mjx-climb merge DIR` writes what one machine would have written.
+
+    \b
+    Examples:
+      mjx-climb judge case_1_2 --gains results/case_1_2-tune/gains.yaml --members 512
+      mjx-climb judge case_2 --gains a.yaml --gains b.yaml --ensemble mine.yaml --members 100000 --shard 3/16
+    """
+    again = "the same command, with config.yaml and --ensemble ensemble.yaml"
+    _walk_rows(rivals, walk, output, "judge", again)
+
+
+class Merge(Options):
+    """What is put together."""
+
+    folders: tuple[Path, ...] = setting(
+        ..., "the shards' folders, or one that holds them all", metavar="FOLDER...", argument=True
+    )
+    law: str | None = LAW
+    metrics: tuple[str, ...] = METRICS
+
+
+@command("that which holds the shards")
+def merge(asked: Merge, output: Output) -> None:
+    """Put the shards of a sweep or of judge together, and write what one machine would have written.
+
+    On CPUs sweep.nc and judged.nc are the same files, bit for bit. What stands beside a grid walks here: best, config's
+    own and pd. Shards of different settings, files or versions are refused; of one that died it is said which walks are
+    missing and which command finishes it. The shards stay as they are. Of a law or metrics of one's
+    own the files are run that the shards took along, unless they are given again.
+
+    \b
+    Examples:
+      mjx-climb merge results/case_1_2-sweep
+      mjx-climb merge node1/shard-1-of-2 node2/shard-2-of-2 --out results/both
+    """
+    with output.session() as shell:
+        from tuning.searches import judge as judging
+        from tuning.searches import shards
+
+        law, table = own_objects(asked.law, asked.metrics)
+        kept = shards.find(asked.folders)
+        target, about = output.out or shards.home(kept), kept[0].about
+        if target is None:
+            raise InputError("--out: expected a folder for the result, as the shards lie in several places")
+        kind = "judge" if kept[0].identity["kind"] == judging.KIND else "sweep"
+        shell.claim(ROWS[kind][0], about.get("name", "the scenario"), at=target)
+        found = shards.merged(kept, law, table)
+        written = shell.write(found, about.get("repeat") or "the same command")
+        shell.result(found.problem, written, before=f"{len(kept)} shards, ")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tuning.searches.result import Result, Written
 
 WIDTH = 100  # of tables in a file
+WORDS = ("", "metric", "unit", "measure", "command", "goal on two cores")  # columns that hold no numbers
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
 WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers
@@ -124,9 +125,12 @@ class Session:
 
     def opening(self, scenario: "mc.Scenario | None" = None) -> None:
         """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
+        from tuning.command_line import machine
         from tuning.report import numbers
 
-        self.say(_cache_state(), *(f"warning: {line}" for line in (numbers.ahead_of(scenario) if scenario else ())))
+        (cache,) = machine.cache()
+        warnings = numbers.ahead_of(scenario) if scenario else ()
+        self.say(f"compilation cache: {cache.text}", *(f"warning: {line}" for line in warnings))
 
     def write(self, found: "Result", again: str, compared: Any = None) -> "Written":
         """Write a result with its report, in which `again` is the command that repeats it."""
@@ -200,8 +204,7 @@ def plain_table(*columns: str) -> Table:
     """Return an empty table: words to the left, numbers to the right."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
     for name in columns:
-        left = name in ("", "metric", "unit")
-        table.add_column(name, justify="left" if left else "right", no_wrap=True)
+        table.add_column(name, justify="left" if name in WORDS else "right", no_wrap=True)
     return table
 
 
@@ -236,15 +239,3 @@ def duration(seconds: float) -> str:
         return f"{seconds:.{1 if seconds < 10 else 0}f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def _cache_state() -> str:
-    """Return one line on XLA's compilation cache."""
-    from mjx_climb.execution import cache
-
-    folder = cache.cache_in_use()
-    if folder is None:
-        return f"compilation cache: off ({cache.VARIABLE})"
-    with contextlib.suppress(OSError):
-        return f"compilation cache: {folder}, {len(list(Path(folder).glob('*-cache'))) or 'no'} programs"
-    return f"compilation cache: {folder}"

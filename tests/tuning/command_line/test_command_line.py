@@ -18,7 +18,7 @@ import tuning
 from mjx_climb import plots
 from mjx_climb.execution import devices
 from tests.shell import PROGRAM, ROOT, environment, finish
-from tuning.command_line import main, options, session, shards
+from tuning.command_line import main, options, searches, session
 from tuning.command_line.from_models import made
 from tuning.command_line.program import InputError, user_error
 from tuning.gains import gains_file
@@ -392,7 +392,7 @@ def test_version_and_no_arguments(call):
 
 
 def test_ranges_are_even_on_a_logarithmic_scale():
-    grid = made(shards.Grid, {"stiffness": "1e2:1e6:5", "axis": {"kp": ("1", "4", "3")}})
+    grid = made(searches.Grid, {"stiffness": "1e2:1e6:5", "axis": {"kp": ("1", "4", "3")}})
     axes = grid.work(options.Walk(config=Path(CONFIG))).axes
     np.testing.assert_allclose(axes["stiffness"], [1e2, 1e3, 1e4, 1e5, 1e6])
     np.testing.assert_allclose(axes["kp"], [1, 2, 4])
