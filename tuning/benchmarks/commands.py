@@ -1,13 +1,18 @@
-"""What a user waits for: whole commands in processes of their own, with an empty cache and with a full one."""
+"""What only a fresh process can tell: whole commands, cold and warm, and a walk's compile times.
 
+`python -m tuning.benchmarks.commands value|gradient BATCH STEPS ENGINE` compiles and runs a walk of a batch, or its
+gradient by two gains, twice, and prints as JSON how long each took and when the first was done.
+"""
+
+import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 PROGRAM = ("-m", "tuning.command_line")
 IMPORT, HELP, RUN, SWEEP, TUNE = "import mjx_climb", "--help", "run", "sweep of the README", "tune, twelve gains"
@@ -37,24 +42,56 @@ def measure(names: Sequence[str], say: Callable[[str], object]) -> dict[str, Wai
     """
     found = {}
     for name in names:
+        clock, processors = [], []
         with tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True) as folder:
-            say(f"{name}, cold")
-            cold, cold_cpu = _run(COMMANDS[name], Path(folder))
-            say(f"{name}, warm")
-            warm, warm_cpu = _run(COMMANDS[name], Path(folder))
-        found[name] = Waited(cold, warm, cold_cpu, warm_cpu)
+            for state in ("cold", "warm"):
+                say(f"{name}, {state}")
+                before, begin = os.times(), time.perf_counter()
+                _python(COMMANDS[name], f"{folder}/cache", cwd=folder, stderr=subprocess.DEVNULL)
+                clock.append(time.perf_counter() - begin)
+                after = os.times()
+                used = after.children_user + after.children_system - before.children_user - before.children_system
+                processors.append(used)
+        found[name] = Waited(*clock, *processors)
     return found
 
 
-def _run(arguments: Sequence[str], folder: Path) -> tuple[float, float]:
-    """Return the seconds of a run of Python in a folder, on the clock and of processors."""
+def compiled(what: str, batch: int, steps: int, engine: str, cache: str) -> dict[str, float]:
+    """Return seconds from a process's start to its first result, of that result and of the same again.
+
+    Arguments:
+        what: "value" or "gradient".
+        batch, steps, engine: of the walk.
+        cache: folder of XLA's cache, "off" for none.
+    """
+    begin = time.time()
+    output = _python(("-m", "tuning.benchmarks.commands", what, str(batch), str(steps), engine), cache)
+    told = json.loads(output.splitlines()[-1])
+    return {"from_start": told["done"] - begin, "first": told["first"], "again": told["again"]}
+
+
+def _python(arguments: Sequence[str], cache: str, **how: Any) -> str:
+    """Return what Python prints in a process of its own; `how` are further arguments of `subprocess.run`."""
     environment = {name: v for name, v in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     # for a package that is not installed, as a checkout
     paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
-    environment |= {"MJX_CLIMB_CACHE": str(folder / "cache"), "PYTHONPATH": paths}
-    before, begin = os.times(), time.perf_counter()
+    environment |= {"MJX_CLIMB_CACHE": cache, "PYTHONPATH": paths}
     command = [sys.executable, *arguments]
-    subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True)
-    seconds, after = time.perf_counter() - begin, os.times()
-    used = after.children_user + after.children_system - before.children_user - before.children_system
-    return seconds, used
+    return str(subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True, **how).stdout)
+
+
+def _time_a_walk(what: str, batch: int, steps: int, engine: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a terminal interrupts its whole family: the parent says it
+    from tuning.benchmarks import programs
+
+    begin = time.perf_counter()
+    run = programs.walk(batch, steps, engine) if what == "value" else programs.gradient(2, batch, steps, engine)
+    run()
+    first, done = time.perf_counter() - begin, time.time()
+    begin = time.perf_counter()
+    run()
+    print(json.dumps({"first": first, "again": time.perf_counter() - begin, "done": done}))
+
+
+if __name__ == "__main__":
+    _time_a_walk(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4])

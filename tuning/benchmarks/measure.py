@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tuning.benchmarks import fresh, operations
+from mjx_climb.execution import devices
+from tuning.benchmarks import commands, operations
 
 Timed = tuple[int, Callable[[], object]]  # env-steps, and what does them
-Seconds = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,6 @@ def _on_cpu() -> bool:
     return jax.default_backend() == "cpu"
 
 
-def threads() -> int:
-    """Return how many CPU cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def in_turns(rounds: int, work: Mapping[str, Timed]) -> dict[str, float]:
     """Return the median seconds per env-step of each: all of them in each round, after one that does not count."""
     seconds: dict[str, list[float]] = {name: [] for name in work}
@@ -75,50 +70,49 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
 
     Times are in s; ratios say how many times faster this program is than the peer, or what a gradient costs in values.
     """
-    result: dict[str, Any] = {"engine": engine, "batch": batch, "steps": plan.steps, "rounds": plan.rounds}
     with _cache() as cache:
         say("compiling in fresh processes")
-        value = fresh.measure("value", batch, plan.steps, engine, cache)
-        warm = fresh.measure("value", batch, plan.steps, engine, cache)
-        gradient = fresh.measure("gradient", batch, plan.steps // 2, engine, cache)
-        result |= _compiled(value, warm, gradient)
+        value = commands.compiled("value", batch, plan.steps, engine, cache)
+        warm = commands.compiled("value", batch, plan.steps, engine, cache)
+        gradient = commands.compiled("gradient", batch, plan.steps // 2, engine, cache)
         say("compiling the rest")
-        ours, single, peers, close = _work(engine, batch, plan)
-        for _, run in [*ours.values(), *single.values()]:  # side by side they were once seen to wait for each other
-            run()
         with contextlib.ExitStack() as stack:
-            stack.callback(close)
+            ours, single, peers, numpy_loop = _work(engine, batch, plan, stack)
+            for _, run in [*ours.values(), *single.values()]:  # side by side they were once seen to wait for each other
+                run()
             say("closed loops and their peers, in turns")
             rates = in_turns(plan.rounds, {**ours, **peers})
-            single_rates = in_turns(plan.rounds, {**single, "numpy_loop": _numpy_loop(plan.peer_steps)})
+            single_rates = in_turns(plan.rounds, {**single, **numpy_loop})
         say("growth")
-        result |= _growth(engine, batch, plan)
-        result |= _operations(engine, batch, plan.steps)
-    own = rates["closed_loop"]
-    result |= {
+        growth, counted = _growth(engine, batch, plan), _operations(engine, batch, plan.steps)
+    own, against = rates["closed_loop"], ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp")
+    return {
+        "engine": engine, "batch": batch, "steps": plan.steps, "rounds": plan.rounds,
+        # tracing included: what a first call takes longer than the next
+        "compile_value_s": value["first"] - value["again"],
+        "compile_gradient_s": gradient["first"] - gradient["again"],
+        "warm_start_s": warm["from_start"] - warm["again"],  # the run is left out but for one step of it
+        **growth,
+        **counted,
         "closed_loop_steps_per_s": 1 / own,
-        "vs_mujoco_c": rates["mujoco_c"] / own,
-        "vs_mjx": rates["mjx"] / own,
-        "vs_mujoco_batch": rates["mujoco_batch"] / own,
-        "vs_mujoco_warp": rates["mujoco_warp"] / own if "mujoco_warp" in rates else None,
+        **{f"vs_{name}": rates[name] / own if name in rates else None for name in against},
         "vs_numpy_loop_single": single_rates["numpy_loop"] / single_rates["single"],
-        "gradient_cost_2": rates["gradient_2"] / rates["value"],
-        "gradient_cost_12": rates["gradient_12"] / rates["value"] if 12 in plan.tangents else None,
+        **{f"gradient_cost_{n}": rates[f"gradient_{n}"] / rates["value"] if n in plan.tangents else None
+           for n in (2, 12)},
         "single_steps_per_s": 1 / single_rates["single"],
         "peers_steps_per_s": {
-            name: 1 / rate
-            for name, rate in {**rates, **single_rates}.items()
-            if name in ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp", "numpy_loop")
+            name: 1 / rate for name, rate in {**rates, **single_rates}.items() if name in (*against, "numpy_loop")
         },
-    }
-    return result | _machine()
+        **_machine(),
+    }  # fmt: skip
 
 
-def _work(
-    engine: str, batch: int, plan: Plan
-) -> tuple[dict[str, Timed], dict[str, Timed], dict[str, Timed], Callable[[], object]]:
-    """Return what this program runs in turns, with a batch and with one robot; the former's peers; what ends them."""
-    from tuning.benchmarks import mujoco_batch, mujoco_rollout, mujoco_warp, programs
+def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> tuple[dict[str, Timed], ...]:
+    """Return what this program runs in turns, with a batch and with one robot, and the peers of both.
+
+    The stack ends their threads.
+    """
+    from tuning.benchmarks import bare_dynamics, numpy_walk, programs
 
     steps = plan.steps
     few, fewer = steps // 2, steps // 4  # a gradient's cost per step does not depend on their number
@@ -131,55 +125,38 @@ def _work(
         length = few if tangents == 2 else fewer
         ours[f"gradient_{tangents}"] = (batch * length, programs.gradient(tangents, batch, length, engine))
     whole = round(8.0 / programs.TIME_STEP)  # one robot is walked for its whole walk
-    single: dict[str, Timed] = {"single": (whole, programs.walk(1, whole, engine))}
-    case, gains = programs.scenario(steps), programs.gains(batch)
-    bare = mujoco_rollout.Peer(case, batch, plan.peer_steps, threads())
-    steered = mujoco_batch.Peer(case, gains, threads())
+    case, cores, length = programs.scenario(steps), devices.usable_cores(), plan.peer_steps
+    bare = bare_dynamics.Rollout(case, batch, length, cores)
+    stack.callback(bare.pool.close)
+    steered = numpy_walk.Batch(case, programs.gains(batch), cores)
     peers: dict[str, Timed] = {
-        "mujoco_c": (batch * plan.peer_steps, bare.run),
-        "mujoco_batch": (batch * plan.peer_steps // 2, lambda: steered.run(plan.peer_steps // 2)),
+        "mujoco_c": (batch * length, bare.run),
+        "mujoco_batch": (batch * length // 2, lambda: steered.run(length // 2)),
     }
-    if not _on_cpu() and mujoco_warp.is_installed():  # on a CPU it steps on one core, which nobody would take it for
-        falling = mujoco_warp.Peer(case, batch)
-        peers["mujoco_warp"] = (batch * plan.peer_steps, lambda: falling.run(plan.peer_steps))
-    return ours, single, peers, bare.close
-
-
-def _numpy_loop(steps: int) -> Timed:
-    from tuning.benchmarks import mujoco_loop, programs
-
-    peer = mujoco_loop.Peer(programs.scenario(steps), programs.gains(1))
-    return steps, lambda: peer.run(steps)
-
-
-def _compiled(value: Seconds, warm: Seconds, gradient: Seconds) -> dict[str, float]:
-    """Return compile times, tracing included: what a first call takes longer than the next."""
-    return {
-        "compile_value_s": value["first"] - value["again"],
-        "compile_gradient_s": gradient["first"] - gradient["again"],
-        # the run is left out but for one step of it
-        "warm_start_s": warm["from_start"] - warm["again"],
-    }
+    if not _on_cpu() and bare_dynamics.has_warp():  # on a CPU it steps on one core, which nobody would take it for
+        falling = bare_dynamics.Warp(case, batch)
+        peers["mujoco_warp"] = (batch * length, lambda: falling.run(length))
+    loop = numpy_walk.Loop(programs.scenario(length), programs.gains(1))
+    single: dict[str, Timed] = {"single": (whole, programs.walk(1, whole, engine))}
+    return ours, single, peers, {"numpy_loop": (length, lambda: loop.run(length))}
 
 
 def _growth(engine: str, batch: int, plan: Plan) -> dict[str, object]:
     from tuning.benchmarks import programs
 
-    by_batch = {str(b): (b * plan.steps, programs.walk(b, plan.steps, engine)) for b in plan.batches}
-    by_length = {str(n): (batch * n, programs.walk(batch, n, engine)) for n in plan.lengths}
-    for _, run in [*by_batch.values(), *by_length.values()]:
-        run()
-    rounds = max(plan.rounds // 2, 2)
-    rates = in_turns(rounds, by_batch), in_turns(rounds, by_length)
-    seconds = [
-        [rate[name] * work[name][0] for name in work] for rate, work in zip(rates, (by_batch, by_length), strict=True)
-    ]
-    return {
-        "batch_exponent": exponent(plan.batches, seconds[0]),
-        "step_exponent": exponent(plan.lengths, seconds[1]),
-        "seconds_by_batch": dict(zip(by_batch, seconds[0], strict=True)),
-        "seconds_by_steps": dict(zip(by_length, seconds[1], strict=True)),
-    }
+    found: dict[str, object] = {}
+    for name, plural, sizes in (("batch", "batch", plan.batches), ("step", "steps", plan.lengths)):
+        work = {}
+        for size in sizes:
+            robots, steps = (size, plan.steps) if name == "batch" else (batch, size)
+            work[str(size)] = (robots * steps, programs.walk(robots, steps, engine))
+        for _, run in work.values():
+            run()
+        rates = in_turns(max(plan.rounds // 2, 2), work)
+        seconds = {size: rate * work[size][0] for size, rate in rates.items()}
+        found[f"{name}_exponent"] = exponent(sizes, list(seconds.values()))
+        found[f"seconds_by_{plural}"] = seconds
+    return found
 
 
 def _operations(engine: str, batch: int, steps: int) -> dict[str, float]:
@@ -207,7 +184,7 @@ def _machine() -> dict[str, object]:
     names = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
     return {
         "devices": [device.device_kind for device in jax.devices()],
-        "threads": threads(),
+        "threads": devices.usable_cores(),
         "processor": _processor(),
         "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "versions": {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in names},

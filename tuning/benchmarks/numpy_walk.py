@@ -1,13 +1,14 @@
-"""The walk under base admittance as a MuJoCo user would write it in NumPy, for the peers of the benchmark.
+"""Peers: the walk under base admittance as a MuJoCo user would write it in NumPy, without any metrics.
 
 A second implementation: gait, grip, Eq. 3 of the paper and inverse kinematics share no code with `mjx_climb`, whose
 scenario and MuJoCo model alone they read. Arrays are components first, limbs second, robots last, all contiguous.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
+from mujoco import batch
 
 import mjx_climb as mc
 from mjx_climb.mujoco_import import mujoco
@@ -16,17 +17,8 @@ from mjx_climb.scenario.model import Cargo, Push
 
 FEET = ("LF_foot", "LH_foot", "RH_foot", "RF_foot")
 BASE = 1  # body
-
-
-def load(scenario: mc.Scenario) -> mujoco.MjModel:
-    """Return the scenario's robot under its gravity, with a sensor for the velocity of each foot."""
-    spec = load_spec(scenario.robot)
-    for foot in FEET:
-        spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot)
-    model = spec.compile()
-    model.opt.gravity[:] = scenario.gravity
-    model.opt.timestep = scenario.time_step
-    return model
+# after this step, with the walk's forces and the state (qpos, qvel) at its start
+Watch = Callable[[int, "Walker", np.ndarray, np.ndarray], None]
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -38,11 +30,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
-def _cubic(s: float) -> float:
-    return s * s * (3.0 - 2.0 * s)
-
-
-class Disturbance:
+class _Disturbance:
     """Cargo and pushes over time, the same for all robots."""
 
     def __init__(self, scenario: mc.Scenario):
@@ -175,6 +163,100 @@ class Walker:
         return angles
 
 
+class _Peer:
+    """Robots on their way."""
+
+    def __init__(self, scenario: mc.Scenario, gains: Mapping[str, np.ndarray]):
+        """Load the scenario's robot, with a sensor for the velocity of each foot, and begin its walk."""
+        spec = load_spec(scenario.robot)
+        for foot in FEET:
+            spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot)
+        self.model = spec.compile()
+        self.model.opt.gravity[:] = scenario.gravity
+        self.model.opt.timestep = scenario.time_step
+        self.walker, self.disturbance = Walker(self.model, scenario, gains), _Disturbance(scenario)
+        self.step, self.cargo, self.base_mass = 0, 0.0, self.model.body_mass[BASE]
+        self.sites = [self.model.site(foot).id for foot in FEET]
+        self.tibias = self.model.site_bodyid[self.sites]
+
+
+class Batch(_Peer):
+    """Many robots, `mujoco.batch` stepping them on threads."""
+
+    def __init__(self, scenario: mc.Scenario, gains: Mapping[str, np.ndarray], threads: int):
+        super().__init__(scenario, gains)
+        # persistent, so that a step goes on from the kinematics that the controller saw
+        self.batch = batch.Batch(self.model, len(gains["stiffness"]), threads, persistent=True)
+        for field in ("site_xpos", "xipos", "sensordata"):
+            self.batch.bind(field)
+        self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_VEL)
+
+    def run(self, steps: int, watch: Watch | None = None) -> None:
+        """Walk on for some steps."""
+        b, walker = self.batch, self.walker
+        qpos, qvel, site, xipos, sensed = b.qpos, b.qvel, b.site_xpos, b.xipos, b.sensordata
+        joint_force, body_wrench = b.qfrc_applied, b.xfrc_applied
+        count = len(qpos)
+
+        def joints(values: np.ndarray) -> np.ndarray:
+            return np.ascontiguousarray(values.reshape(count, -1, 3).transpose(2, 1, 0))
+
+        for step in range(self.step, self.step + steps):
+            if (cargo := self.disturbance.cargo(step)) != self.cargo:
+                self.cargo = cargo
+                b.expand("body_mass")[:, BASE] = self.base_mass + cargo
+                b.set_const()
+                b.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+            foot = np.ascontiguousarray(site[:, self.sites].transpose(2, 1, 0))
+            base = np.ascontiguousarray(qpos[:, :3].T)
+            walker(step, base, foot, joints(sensed), joints(qpos[:, 7:]), joints(qvel[:, 6:]))
+            # MuJoCo takes a body's force at its centre of mass
+            arm = foot - xipos[:, self.tibias].transpose(2, 1, 0)
+            body_wrench[:, self.tibias, :3] = walker.foot_force.transpose(2, 1, 0)
+            body_wrench[:, self.tibias, 3:] = cross(arm, walker.foot_force).transpose(2, 1, 0)
+            body_wrench[:, BASE] = self.disturbance.push(step)
+            joint_force[:, 6:] = walker.torque.transpose(2, 1, 0).reshape(count, -1)
+            if watch is not None:
+                watch(step, walker, qpos, qvel)
+            b.step(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self.step += steps
+
+
+class Loop(_Peer):
+    """One robot, with gains (1, 6), in a loop of Python with the controller between the halves of a step."""
+
+    def __init__(self, scenario: mc.Scenario, gains: Mapping[str, np.ndarray]):
+        super().__init__(scenario, gains)
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+
+    def run(self, steps: int, watch: Watch | None = None) -> None:
+        """Walk on for some steps."""
+        m, d, walker = self.model, self.data, self.walker
+        for step in range(self.step, self.step + steps):
+            if (cargo := self.disturbance.cargo(step)) != self.cargo:
+                self.cargo = cargo
+                m.body_mass[BASE] = self.base_mass + cargo
+                mujoco.mj_setConst(m, mujoco.MjData(m))
+            mujoco.mj_step1(m, d)
+            foot = d.site_xpos[self.sites].T
+            sensed, angles, rates = (v.reshape(-1, 3).T[..., None] for v in (d.sensordata, d.qpos[7:], d.qvel[6:]))
+            walker(step, d.qpos[:3, None], foot[..., None], sensed, angles, rates)
+            force = walker.foot_force[..., 0]
+            d.xfrc_applied[self.tibias, :3] = force.T
+            d.xfrc_applied[self.tibias, 3:] = cross(foot - d.xipos[self.tibias].T, force).T
+            d.xfrc_applied[BASE] = self.disturbance.push(step)
+            d.qfrc_applied[6:] = walker.torque[..., 0].T.ravel()
+            if watch is not None:
+                watch(step, walker, d.qpos[None], d.qvel[None])
+            mujoco.mj_step2(m, d)
+        self.step += steps
+
+
+def _cubic(s: float) -> float:
+    return s * s * (3.0 - 2.0 * s)
+
+
 def _turned_back(rotation_vector: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Turn vectors (3, 4, N) by the inverse of rotation vectors (3, N), after Rodrigues."""
     angle = np.sqrt((rotation_vector * rotation_vector).sum(0))
@@ -191,18 +273,15 @@ def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.nd
     """Return rows of the exact step of `M xdd + D xd + K x = f` over (x, xd, f), (2, 3, 6, N)."""
     m, d, k = (np.asarray(gains[name], float) for name in ("inertia", "damping", "stiffness"))
     system = np.zeros((*k.shape, 3, 3))
-    system[..., 0, 1] = 1.0
-    system[..., 1, :] = np.stack([-k / m, -d / m, 1 / m], axis=-1)
-    return np.ascontiguousarray(_exponential(system * time_step)[..., :2, :].transpose(2, 3, 1, 0))
-
-
-def _exponential(matrices: np.ndarray) -> np.ndarray:
-    """Return the exponential of each matrix (..., 3, 3): the Taylor series of a halved one, squared as often."""
-    halvings = max(math.ceil(math.log2(np.abs(matrices).sum(-1).max())) + 1, 0)
+    system[..., 0, 1] = time_step
+    system[..., 1, :] = np.stack([-k / m, -d / m, 1 / m], axis=-1) * time_step
+    # the matrix exponential: the Taylor series of a halved matrix by Horner's rule, squared as often as it was halved
+    halvings = max(math.ceil(math.log2(np.abs(system).sum(-1).max())) + 1, 0)
     result = np.eye(3)
-    for order in range(15, 0, -1):  # Horner; what is left out is below 0.5^16 / 16!
-        result = np.eye(3) + matrices / 2**halvings @ result / order
-    return np.linalg.matrix_power(result, 2**halvings)
+    for order in range(15, 0, -1):  # what is left out is below 0.5^16 / 16!
+        result = np.eye(3) + system / 2**halvings @ result / order
+    result = np.linalg.matrix_power(result, 2**halvings)
+    return np.ascontiguousarray(result[..., :2, :].transpose(2, 3, 1, 0))
 
 
 def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndarray]:

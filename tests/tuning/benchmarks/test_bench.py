@@ -40,14 +40,16 @@ def test_a_command_is_timed_twice_with_a_cache_of_its_own(monkeypatch):
 def test_ratios_are_how_many_times_faster_this_program_is(monkeypatch):
     seconds = {name: float(n) for n, name in enumerate(("closed_loop", "mujoco_c", "mjx", "mujoco_batch"), 1)}
     seconds |= {"value": 2.0, "gradient_2": 10.0, "single": 4.0, "numpy_loop": 12.0}
-    monkeypatch.setattr(measure.fresh, "measure", lambda *_: None)
+    times = {"from_start": 9.0, "first": 7.0, "again": 2.0}
+    monkeypatch.setattr(commands, "compiled", lambda *_: times)
     monkeypatch.setattr(measure, "in_turns", lambda *_: seconds)
-    monkeypatch.setattr(measure, "_work", lambda *_: ({}, {}, {}, lambda: None))
-    for name in ("_compiled", "_growth", "_operations"):
+    monkeypatch.setattr(measure, "_work", lambda *_: ({}, {}, {}, {}))
+    for name in ("_growth", "_operations"):
         monkeypatch.setattr(measure, name, lambda *_: {})
     result = measure.measure("limb", 1, measure.Plan(1, 2, 1, (2,), (), ()), lambda _: None)
     names = ("vs_mujoco_c", "vs_mjx", "vs_mujoco_batch", "vs_numpy_loop_single", "gradient_cost_2")
     assert [result[name] for name in names] == [2.0, 3.0, 4.0, 3.0, 5.0]
+    assert [result[name] for name in ("compile_value_s", "warm_start_s", "gradient_cost_12")] == [5.0, 7.0, None]
     assert result["peers_steps_per_s"]["mjx"] == pytest.approx(1 / 3)
 
 

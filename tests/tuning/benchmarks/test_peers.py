@@ -6,7 +6,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.robot.constants import load_model
 from tests.robot.test_robot_file import keys, urdf
-from tuning.benchmarks import mujoco_batch, mujoco_loop, mujoco_rollout, mujoco_warp
+from tuning.benchmarks import bare_dynamics, numpy_walk
 
 CASE = "configs/case_1_2.yaml"
 SETS = [  # damping, stiffness; inertia 1
@@ -83,13 +83,13 @@ def check(judge, ours, rows):
 @pytest.mark.slow
 def test_mujoco_batch_walks_the_same_walk(scenario, ours):
     judge = Judge(scenario)
-    mujoco_batch.Peer(scenario, gains(SETS), threads=2).run(scenario.steps, judge.watch)
+    numpy_walk.Batch(scenario, gains(SETS), threads=2).run(scenario.steps, judge.watch)
     check(judge, ours, slice(None))
 
 
 def test_loop_over_mj_step_walks_the_same_walk(scenario, ours):
     judge = Judge(scenario)
-    mujoco_loop.Peer(scenario, gains(SETS[1:2])).run(scenario.steps, judge.watch)
+    numpy_walk.Loop(scenario, gains(SETS[1:2])).run(scenario.steps, judge.watch)
     check(judge, ours, slice(1, 2))
 
 
@@ -108,16 +108,16 @@ def of_ones_own(request, tmp_path_factory):
 def test_robots_of_ones_own_walk_the_same_walk(of_ones_own):
     walked = mc.rollout_metrics(of_ones_own, mc.Gains(**gains(SETS)), dtype=np.float64)
     judge = Judge(of_ones_own)
-    mujoco_batch.Peer(of_ones_own, gains(SETS), threads=2).run(of_ones_own.steps, judge.watch)
+    numpy_walk.Batch(of_ones_own, gains(SETS), threads=2).run(of_ones_own.steps, judge.watch)
     check(judge, walked, slice(None))
 
 
 def test_robots_of_ones_own_fall_freely(of_ones_own):
     """Everything falls alike, so joints and attitude stay; n steps of semi-implicit Euler fall g dt^2 n (n + 1) / 2."""
     steps, start = 20, load_model(of_ones_own.robot).key_qpos[0]
-    peer = mujoco_rollout.Peer(of_ones_own, 2, steps, threads=1)
+    peer = bare_dynamics.Rollout(of_ones_own, 2, steps, threads=1)
     peer.run()
-    peer.close()
+    peer.pool.close()
     path = np.asarray(of_ones_own.gravity) * of_ones_own.time_step**2 * steps * (steps + 1) / 2
     ends = peer.states[:, -1, 1:20]  # after the time
     np.testing.assert_allclose(ends, [start + np.pad(path, (0, 16))] * 2, atol=1e-12)
@@ -125,10 +125,10 @@ def test_robots_of_ones_own_fall_freely(of_ones_own):
 
 def test_mujoco_warp_falls_as_mujoco_does(of_ones_own):
     pytest.importorskip("mujoco_warp")
-    peer, other = mujoco_warp.Peer(of_ones_own, 2), mujoco_rollout.Peer(of_ones_own, 2, 20, threads=1)
+    peer, other = bare_dynamics.Warp(of_ones_own, 2), bare_dynamics.Rollout(of_ones_own, 2, 20, threads=1)
     peer.run(19)  # and one to compile
     other.run()
-    other.close()
+    other.pool.close()
     np.testing.assert_allclose(peer.data.qpos.numpy(), other.states[:, -1, 1:20], atol=1e-6)
 
 
@@ -136,7 +136,7 @@ def test_peers_lose_a_gripper_in_the_same_step():
     scenario = mc.load_scenario(CASE, ["duration=0.4", "contact.holding_limit=1.0", "gait.cycle=1.6"])
     ours = mc.rollout_metrics(scenario, mc.Gains(**gains(SETS)), dtype=np.float64)
     lost = []
-    peer = mujoco_batch.Peer(scenario, gains(SETS), threads=1)
+    peer = numpy_walk.Batch(scenario, gains(SETS), threads=1)
     peer.run(scenario.steps, lambda step, walker, *_: lost.append(walker.lost.copy()))
     lost = np.stack(lost)
     assert lost.any(1)[-1].all(), "the test needs a limit that is passed"
@@ -146,4 +146,4 @@ def test_peers_lose_a_gripper_in_the_same_step():
 def test_peers_refuse_another_law():
     scenario = mc.load_scenario(CASE, ["control.controller=pd"])
     with pytest.raises(ValueError, match="base admittance"):
-        mujoco_loop.Peer(scenario, gains(SETS[:1]))
+        numpy_walk.Loop(scenario, gains(SETS[:1]))
