@@ -1,7 +1,7 @@
 """Elements written as operations of JAX's on whole rows: what the regions of a CPU consist of."""
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import jax
@@ -13,17 +13,6 @@ from jax.extend import core
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.elements import Elements, Number, Value, Writer, known
 from mjx_climb.execution.trigonometry import in_single
-
-# Operands of an elementwise operation that must have the shape of its result; others may be single numbers.
-_WHOLE: dict[str, Callable[[int], bool]] = {
-    "select_n": lambda place: place > 0,
-    "clamp": lambda place: place == 1,
-    "add_any": lambda place: True,
-}
-
-
-def _nowhere(_: int) -> bool:
-    return False
 
 
 class ArrayWriter(Writer):
@@ -52,9 +41,10 @@ class ArrayWriter(Writer):
 
     def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Number]) -> Value:
         shape = self._common_shape(operands)
-        whole = _WHOLE.get(primitive.name, _nowhere)
+        # places of operands that must have the shape of the result; others may be single numbers
+        whole = {"select_n": range(1, len(operands)), "clamp": [1], "add_any": [0, 1]}.get(primitive.name, ())
         rows = [
-            self.rows(number, shape) if isinstance(number, Value) or whole(place) else number
+            self.rows(number, shape) if isinstance(number, Value) or place in whole else number
             for place, number in enumerate(operands)
         ]
         single = in_single(primitive.name, rows) if all(isinstance(o, Value) for o in operands) else None
@@ -65,7 +55,7 @@ class ArrayWriter(Writer):
         if all(isinstance(number, np.generic) for number in numbers):
             return self.value(cast(Array, np.array(numbers).reshape(-1, *[1] * len(self.batch))))
         shape = (1, *self._common_shape(numbers)[1:])
-        rows = [self._row(number, lane, shape) for lane, number in enumerate(numbers)]
+        rows = [self.rows(self._lane(number, lane), shape) for lane, number in enumerate(numbers)]
         made = self.value(lax.concatenate(rows, 0))
         self._parts[id(made)] = made, numbers
         return made
@@ -83,27 +73,16 @@ class ArrayWriter(Writer):
     def over_lanes(self, combine: core.Primitive, value: Value) -> Value:
         if len(value.content) == 1:
             raise AssertionError("a value of which all lanes have the same is not combined over them")
-        rows = [self._row(self._of_parts(value, lane), lane, None) for lane in range(self.lanes)]
+        parts = self._parts[id(value)][1] if id(value) in self._parts else [value] * self.lanes
+        mine, ones = map(self._lane, parts, range(self.lanes)), (1,) * (1 + len(self.batch))
+        rows = [n.content if isinstance(n, Value) else lax.broadcast(jnp.asarray(n), ones) for n in mine]
         return self.value(functools.reduce(combine.bind, rows))
-
-    def _of_parts(self, value: Value, lane: int) -> Number:
-        return self._parts[id(value)][1][lane] if id(value) in self._parts else value
 
     def _lane(self, number: Number, lane: int) -> Number:
         """Return what a lane has of a number, as one that all lanes have."""
         if not isinstance(number, Value) or len(number.content) == 1:
             return number
         return self.value(lax.slice_in_dim(number.content, lane, lane + 1))
-
-    def _row(self, number: Number, lane: int, shape: tuple[int, ...] | None) -> Array:
-        mine = self._lane(number, lane)
-        if shape is None:
-            return (
-                mine.content
-                if isinstance(mine, Value)
-                else lax.broadcast(jnp.asarray(mine), (1,) * (1 + len(self.batch)))
-            )
-        return self.rows(mine, shape)
 
     def _common_shape(self, numbers: Sequence[Number]) -> tuple[int, ...]:
         return np.broadcast_shapes(*(n.content.shape for n in numbers if isinstance(n, Value)))

@@ -167,14 +167,14 @@ class _Program(NamedTuple):
 # --- cutting
 
 
-def in_kernels(function: Callable[..., list[Any]], equations: int = EQUATIONS) -> Callable[..., list[Any]]:
-    """Return a function with its equations in regions of so many, each a kernel of its own; for a CPU."""
+def in_kernels(function: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
+    """Return a function with its equations in regions, each a kernel of its own; for a CPU."""
 
     def cut(*arguments: Any) -> list[Any]:
         closed = jax.make_jaxpr(function)(*arguments)
         constants = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
         values = constants | dict(zip(closed.jaxpr.invars, arguments, strict=True))
-        for part in _regions(closed, equations):
+        for part in _regions(closed):
             inputs = [variable for variable in part.jaxpr.invars if variable not in constants]
             results = _one_kernel(part, inputs, constants)(*(values[variable] for variable in inputs))
             values |= zip(part.jaxpr.outvars, results if inputs else _unseen(results), strict=True)
@@ -183,10 +183,11 @@ def in_kernels(function: Callable[..., list[Any]], equations: int = EQUATIONS) -
     return cut
 
 
-def _regions(closed: core.ClosedJaxpr, most: int) -> list[core.ClosedJaxpr]:
-    """Return regions of at most so many equations, in order of execution, without what nothing depends on.
+def _regions(closed: core.ClosedJaxpr) -> list[core.ClosedJaxpr]:
+    """Return regions of at most `EQUATIONS`, in order of execution, without what nothing depends on.
 
-    Equations of constants alone are in each region that reads them, see `_unseen`.
+    Equations that put many rows together are apart. Those of constants alone are in each region that reads them, see
+    `_unseen`.
     """
     jaxpr = closed.jaxpr
     of_constants, others, known = [], [], set(jaxpr.constvars)
@@ -196,15 +197,21 @@ def _regions(closed: core.ClosedJaxpr, most: int) -> list[core.ClosedJaxpr]:
             of_constants.append(equation)
         else:
             others.append(equation)
+
+    def puts_together(equation: core.JaxprEqn) -> bool:
+        return equation.primitive.name == "concatenate" and len(equation.invars) > MOST_ROWS
+
+    alike = [list(run) for _, run in itertools.groupby(others, puts_together)]
+    groups = [run[start : start + EQUATIONS] for run in alike for start in range(0, len(run), EQUATIONS)]
     results = variables_of(jaxpr.outvars)
     later, found = dict(results), []
-    for group in reversed(_groups(others, most)):
+    for group in reversed(groups):
         whole = [*needed(of_constants, [atom for equation in group for atom in equation.invars]), *group]
         repeated = variables_of([variable for equation in whole[: -len(group)] for variable in equation.outvars])
         wanted = {variable: None for variable in later if variable not in repeated}
         found.append(region(jaxpr, whole, wanted | dict.fromkeys(_stored(group))))
         later |= variables_of(found[-1].jaxpr.invars)
-    if known_results := [equation for equation in needed(of_constants, jaxpr.outvars)]:
+    if known_results := needed(of_constants, jaxpr.outvars):
         found.append(region(jaxpr, known_results, results))
     return found[::-1]
 
@@ -233,16 +240,6 @@ def _stored(equations: Sequence[core.JaxprEqn]) -> list[core.Var]:
 
 
 _FREE = {"slice", "reshape", "broadcast_in_dim", "concatenate"}  # no arithmetic
-
-
-def _groups(equations: Sequence[core.JaxprEqn], most: int) -> list[list[core.JaxprEqn]]:
-    """Return equations in groups of at most so many; those that put many rows together apart."""
-
-    def puts_together(equation: core.JaxprEqn) -> bool:
-        return equation.primitive.name == "concatenate" and len(equation.invars) > MOST_ROWS
-
-    alike = [list(run) for _, run in itertools.groupby(equations, puts_together)]
-    return [run[start : start + most] for run in alike for start in range(0, len(run), most)]
 
 
 def _one_kernel(

@@ -151,15 +151,6 @@ def expression(name: str, parameters: Mapping[str, Any], operands: Sequence[Numb
     return table[name].format(*names)
 
 
-def type_of(name: str, parameters: Mapping[str, Any], operands: Sequence[Number]) -> np.dtype:
-    """Return the type of an operation's result."""
-    if name in _COMPARISONS:
-        return np.dtype(bool)
-    converts, place = name == "convert_element_type", int(name in ("select_n", "clamp"))
-    found: np.dtype = parameters["new_dtype"] if converts else operands[place].dtype
-    return np.dtype(found)
-
-
 def _choice(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
     which, *cases = names
     if operands[0].dtype == bool:
@@ -252,8 +243,11 @@ class CudaWriter(Writer):
         return "\n".join([FUNCTIONS + constants + head + table, *_needed(self._lines, rows), *rows, "}\n"])
 
     def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Number]) -> Value:
-        text = expression(primitive.name, parameters, operands, [_text(operand) for operand in operands])
-        return self._value(type_of(primitive.name, parameters, operands), text)
+        name = primitive.name
+        text = expression(name, parameters, operands, [_text(operand) for operand in operands])
+        dtype = operands[int(name in ("select_n", "clamp"))].dtype
+        dtype = np.dtype(bool) if name in _COMPARISONS else parameters.get("new_dtype", dtype)
+        return self._value(dtype, text)
 
     def each_its_own(self, numbers: Sequence[Number]) -> Value:
         padded = [*numbers, *[numbers[0]] * (self.width - self.lanes)]

@@ -10,7 +10,7 @@ import contextlib
 import math
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import jax
@@ -116,7 +116,14 @@ def spread(
         walked = walk(shares[number], SingleDeviceSharding(_of(devices, number)))
         return {name: np.asarray(value) for name, value in walked.items()}
 
-    with _threads(devices) as threads:
+    # An executor for each device of this process: the host launches every step of a loop and would keep others waiting.
+    # CPU devices share the cores among them.
+    mine = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
+    each = max(1, usable_cores() // len(mine)) if devices[0].platform == "cpu" else 1
+    with contextlib.ExitStack() as stack:
+        threads = {number: ThreadPoolExecutor(each) for number in mine}
+        for executor in threads.values():
+            stack.callback(executor.shutdown, cancel_futures=True)
         walking = {threads[number % len(devices)].submit(walk_share, number): number for number in own}
         for done, future in enumerate(as_completed(walking), 1):
             future.result()  # what went wrong is raised at once
@@ -130,21 +137,6 @@ def spread(
 
 def _of(devices: list[jax.Device], share: int) -> jax.Device:
     return devices[share % len(devices)]
-
-
-@contextlib.contextmanager
-def _threads(devices: list[jax.Device]) -> Iterator[dict[int, ThreadPoolExecutor]]:
-    """Give an executor to each device of this process: the host launches every step of a loop and would keep others
-    waiting. CPU devices share the cores among them.
-    """
-    own = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
-    each = max(1, usable_cores() // len(own)) if devices[0].platform == "cpu" else 1
-    threads = {number: ThreadPoolExecutor(each) for number in own}
-    try:
-        yield threads
-    finally:
-        for executor in threads.values():
-            executor.shutdown(cancel_futures=True)
 
 
 def usable_cores() -> int:

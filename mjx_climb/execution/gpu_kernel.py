@@ -245,8 +245,9 @@ def _library() -> ctypes.CDLL:
 
 def _places() -> list[str]:
     """Return where the library may be: of the CUDA that JAX's plugin is made for, then of any."""
+    plugins = {package.name for package in importlib.metadata.distributions()}
     found = []
-    for major in sorted(("13", "12"), key=lambda major: not _plugin(major)):
+    for major in sorted(("13", "12"), key=lambda major: f"jax-cuda{major}-plugin" not in plugins):
         name = f"libnvrtc.so.{major}"
         spec = importlib.util.find_spec("nvidia")
         for folder in () if spec is None else spec.submodule_search_locations or ():
@@ -254,11 +255,3 @@ def _places() -> list[str]:
                 found.append(str(Path(folder) / inside / name))
         found.append(name)
     return found
-
-
-def _plugin(major: str) -> bool:
-    try:
-        importlib.metadata.version(f"jax-cuda{major}-plugin")
-    except importlib.metadata.PackageNotFoundError:
-        return False
-    return True

@@ -35,7 +35,8 @@ def over_robots(function: Callable[..., _Result], *, regions: bool = True) -> Ca
     def call(*arguments: Any) -> _Result:
         traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         # traced values that the program closes over become its first arguments
-        known, outside = [], []
+        known: list[tuple[core.Var, Any]] = []
+        outside: list[tuple[core.Var, Any]] = []
         for variable, value in zip(traced.jaxpr.constvars, traced.consts, strict=True):
             (outside if isinstance(value, jax.core.Tracer) else known).append((variable, value))
         inputs = [*(variable for variable, _ in outside), *traced.jaxpr.invars]

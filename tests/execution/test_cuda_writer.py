@@ -3,7 +3,6 @@
 import ctypes
 import dataclasses
 import functools
-import importlib.util
 import itertools
 import math
 import shutil
@@ -25,12 +24,9 @@ from mjx_climb.execution.tangents import tangents_of
 from mjx_climb.rollouts.resolve import resolve_in
 from mjx_climb.rollouts.walks import metrics_of
 from mjx_climb.walk.structure import structure
+from tests.execution import primitives
 
 HERE = Path(__file__).parent
-_SPEC = importlib.util.spec_from_file_location("primitives", HERE / "primitives.py")
-primitives = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(primitives)
-
 pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
 STEPS = 120
 

@@ -1,8 +1,6 @@
 """Every operation by the fast paths of compilation: as XLA does it, or refused; never wrong."""
 
-import importlib.util
 import inspect
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -10,10 +8,7 @@ import pytest
 
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.gpu_kernel import over_robots
-
-_SPEC = importlib.util.spec_from_file_location("primitives", Path(__file__).parent / "primitives.py")
-primitives = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(primitives)
+from tests.execution import primitives
 
 ROBOTS = 9
 

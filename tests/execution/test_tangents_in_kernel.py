@@ -1,8 +1,5 @@
 """Slopes by the GPU kernel, carried out on the CPU, against JAX's own forward derivatives."""
 
-import importlib.util
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +7,7 @@ import pytest
 
 from mjx_climb.execution import probe
 from mjx_climb.execution.gpu_kernel import tangents_over_robots
-
-_SPEC = importlib.util.spec_from_file_location("primitives", Path(__file__).parent / "primitives.py")
-primitives = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(primitives)
+from tests.execution import primitives
 
 ROBOTS, DIRECTIONS = 3, 2
 NO_SLOPES = {"custom_vjp_call", "nextafter"}  # nor has JAX
