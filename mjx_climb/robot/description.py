@@ -279,9 +279,9 @@ def _limit_torques(spec: mujoco.MjSpec) -> None:
         direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
         if not (force.any() and actuator.forcelimited != off):
             limited = direct and control.any() and actuator.ctrllimited != off
-            force = control * actuator.gainprm[0] if limited else None
-        torque = np.inf if force is None else one_limit(*np.sort(force * float(actuator.gear[0])))
-        most[actuator.target] += torque
+            force = control * actuator.gainprm[0] if limited else np.full(2, np.nan)
+        torque = one_limit(*np.sort(force * float(actuator.gear[0])))
+        most[actuator.target] += np.inf if np.isnan(torque) else torque
     for name, torque in most.items():
         joint = spec.joint(name)
         if joint.actfrcrange[1] <= 0 and 0 < torque < np.inf:

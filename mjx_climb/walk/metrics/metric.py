@@ -168,7 +168,8 @@ def accumulate(metrics: MetricTable, running: Running, sample: Sample, context: 
 
     values = []
     for metric, value in zip(metrics, running.values, strict=True):
-        updated, before = metric.update(value, sample, context), jax.tree.structure(value)
+        updated = metric.update(value, sample, context)
+        before: Any = jax.tree.structure(value)
         if before != jax.tree.structure(updated):
             raise ValueError(f"metric {metric.name}: expected `update` to return a value structured as `init` does")
         values.append(jax.tree.map(choose, value, updated))
