@@ -14,6 +14,8 @@ from mjx_climb.execution import devices
 Result = TypeVar("Result")
 Callback = Callable[..., None]  # called with walks done, walks in all, and perhaps a text
 Work = Callable[[Callback], Result]  # returns its result; the callback hears of its progress
+# opens a stage of a work: its name, whether programs may have to be compiled in it, and the unit of its progress
+Stage = Callable[..., contextlib.AbstractContextManager[Callback]]
 _CORES = 4  # that a work keeps busy by itself
 _FEWEST = 2  # works at once: while one loads its executable or simulates its last robots, another has a core
 
@@ -33,7 +35,7 @@ def background(busy: int = 0) -> Iterator[Begin]:
     """
     cores = devices.usable_cores()
     if cores == 1 or jax.process_count() > 1:  # several processes must do the same in the same order
-        yield _when_asked
+        yield lambda work: work
         return
     pool = ThreadPoolExecutor(min(max(_FEWEST, cores // _CORES), max(1, cores - busy)))
     ended = threading.Event()
@@ -62,24 +64,11 @@ def background(busy: int = 0) -> Iterator[Begin]:
         pool.shutdown(cancel_futures=True)
 
 
-def _when_asked(work: Work[Result]) -> Work[Result]:
-    return work
-
-
 def ignore(*_: Any) -> None:
     """Take no notice of a work's progress."""
 
 
-class Stage(Protocol):
-    """Opens a stage of a work; while it is open, the callback that it gives is called with its progress."""
-
-    def __call__(
-        self, name: str, *, compiles: bool = True, unit: str = "walks"
-    ) -> contextlib.AbstractContextManager[Callback]:
-        """Open the stage `name`; `compiles` says whether programs may have to be compiled in it."""
-
-
 @contextlib.contextmanager
-def silent(name: str, *, compiles: bool = True, unit: str = "walks") -> Iterator[Callback]:
-    """Show no progress."""
+def silent(*_: Any, **__: Any) -> Iterator[Callback]:
+    """Show no progress of a stage."""
     yield ignore

@@ -9,23 +9,16 @@ a library that hangs, the system does (glibc's): a handler is good for one signa
 
 import contextlib
 import ctypes
-import math
 import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextvars import ContextVar
-from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from tuning.searches.rounds import Progress
 
 CODE = 130  # exit code, as of shells
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_SHOW_CURSOR = b"\x1b[?25h"  # progress bars hide it
 
 
 class Watch:
@@ -33,9 +26,9 @@ class Watch:
 
     def __init__(self) -> None:
         self.requested = False
-        self._woken, self._waker = socket.socketpair()
-        self._waker.setblocking(False)
-        signal.set_wakeup_fd(self._waker.fileno(), warn_on_full_buffer=False)
+        self._woken, self.waker = socket.socketpair()
+        self.waker.setblocking(False)
+        signal.set_wakeup_fd(self.waker.fileno(), warn_on_full_buffer=False)
         for number in SIGNALS:
             signal.signal(number, self._note)
         self._put_back = _for_one_signal()
@@ -57,13 +50,6 @@ class Watch:
             _say(b"interrupted: ends after what is under way; a second signal ends it at once")
         self._woken.close()
 
-    def finish(self) -> None:
-        """Stop listening and ignore both signals: Python takes handlers away before it ends; the default is death."""
-        for number in SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-        signal.set_wakeup_fd(-1)
-        self._waker.close()
-
 
 _WATCH: ContextVar[Watch | None] = ContextVar("watch", default=None)
 
@@ -74,18 +60,19 @@ def watch() -> None:
         _WATCH.set(Watch())
 
 
+def finish() -> None:
+    """Stop watching and ignore both signals: Python takes handlers away before it ends, and the default is death."""
+    if (watching := _WATCH.get()) is not None:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        signal.set_wakeup_fd(-1)
+        watching.waker.close()
+        _WATCH.set(None)
+
+
 def requested() -> bool:
     """Return whether the program was asked to end."""
-    watching = _WATCH.get()
-    return watching is not None and watching.requested
-
-
-def finish() -> None:
-    """Stop watching: from here on both signals change nothing, for the process is about to end."""
-    watching = _WATCH.get()
-    if watching is not None:
-        watching.finish()
-        _WATCH.set(None)
+    return (watching := _WATCH.get()) is not None and watching.requested
 
 
 def check() -> None:
@@ -96,51 +83,6 @@ def check() -> None:
 
 class Interrupted(Exception):
     """Ctrl-C, and what was kept."""
-
-
-class Kept:
-    """How much of a command's work is kept, counted as it goes on."""
-
-    def __init__(self, done: int = 0):
-        self.done = done
-
-    def counting(self, show: Callable[..., None]) -> Callable[..., None]:
-        """Return a function that counts what `show` is called with, its first argument."""
-
-        def counted(done: int, *rest: object) -> None:
-            self.done = done
-            show(done, *rest)
-
-        return counted
-
-    def rounds(self, show: Callable[..., None]) -> "Callable[[Progress], None]":
-        """Return the same for the rounds of a search, which are shown with what is best so far."""
-
-        def counted(now: "Progress") -> None:
-            slope = f", gradient {now.gradient_norm:.2g}" if math.isfinite(now.gradient_norm) else ""
-            best = f"{now.best:.4f}" if math.isfinite(now.best) else "none feasible yet"
-            text = f"{now.phase} {now.rounds}/{now.rounds_in_all}: best {best}{slope}, {now.alive} of {now.batch} alive"
-            self.counting(show)(now.rounds, now.rounds_in_all, f"{text}, {now.env_steps / 1e6:.2f} M env-steps")
-
-        return counted
-
-
-@contextlib.contextmanager
-def kept_in(out: Path, what: str, done: int = 0) -> Iterator[Kept]:
-    """Say what is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
-
-    Interrupted is raised in place of KeyboardInterrupt, and of what goes wrong after the user asked to stop: a process
-    that walked beside this one, for example, was stopped as well and may be gone first.
-    """
-    kept = Kept(done)
-    try:
-        yield kept
-    except Interrupted:  # it says more
-        raise
-    except (KeyboardInterrupt, Exception) as error:
-        if not (isinstance(error, KeyboardInterrupt) or requested()):
-            raise
-        raise Interrupted(f"{kept.done} {what} are kept in {out}; the same command goes on from there") from None
 
 
 def _for_one_signal() -> Callable[[int], None]:
@@ -162,8 +104,6 @@ def _for_one_signal() -> Callable[[int], None]:
 
 def _say(text: bytes) -> None:
     """Write a line to standard error past Python's buffers: the main thread may be about to write."""
-    cursor = _SHOW_CURSOR if os.isatty(2) else b""
-    try:
+    cursor = b"\x1b[?25h" if os.isatty(2) else b""  # progress bars hide it
+    with contextlib.suppress(OSError):  # nobody reads it
         os.write(2, b"%smjx-climb: %s\n" % (cursor, text))
-    except OSError:  # nobody reads it
-        pass

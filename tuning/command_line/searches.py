@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from mjx_climb.scenario import shipped
 from tuning.command_line import processes
 from tuning.command_line.from_models import command
-from tuning.command_line.interruption import Interrupted, kept_in
+from tuning.command_line.interruption import Interrupted
 from tuning.command_line.options import ENSEMBLE, LAW, METRICS, SHARD, Output, SearchFile, Walk, own_objects
 from tuning.command_line.program import InputError, origin, repeated, typed_but
 from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Search, check_metrics
@@ -107,19 +107,19 @@ def _tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, shell: "
         problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.how)
     files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
     again, compared = repeated(["tune", *files], "--engine"), None
-    with kept_in(out, "rounds") as kept, background(busy=1) as begin:
+    with shell.keeping("rounds"), background(busy=1) as begin:
         begin(lambda _: folder.writer(kind))  # matplotlib takes half a second
         if drawn is None:
             comparisons.load_tests(problem, wanted, begin)
             compared = comparisons.of_search(problem, wanted, begin, out=out)
-        with shell.stage("search", unit="rounds") as show:
-            found: Any = searches.run(problem, wanted, out=out, progress=kept.rounds(show))
+        with shell.rounds("search") as show:
+            found: Any = searches.run(problem, wanted, out=out, progress=show)
         if ensemble.judges is not None:
             found = dataclasses.replace(found, judges=ensemble.judges)
         if found.interrupted:
             found.write_found(out, origin(name, again))
             best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
-            raise Interrupted(f"the best of {kept.done} rounds is in {out}: {best}")
+            raise Interrupted(f"the best of {shell.done} rounds is in {out}: {best}")
         written = shell.write(found, again, compared)
     shell.result(problem, written, gains=True)
 
@@ -156,9 +156,9 @@ def pareto(
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(space, "--better"):
             problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.how)
-        with kept_in(out, "rounds") as kept:
-            with shell.stage("front", unit="rounds") as show:
-                found = fronts.run(problem, wanted, asked, out=out, progress=kept.rounds(show))
+        with shell.keeping("rounds"):
+            with shell.rounds("front") as show:
+                found = fronts.run(problem, wanted, asked, out=out, progress=show)
             again = repeated(["pareto", "--search", "search.yaml"], "--better", "--against", "--points", "--engine")
             written = shell.write(found, again)
         shell.show(from_page(front_table(found.data, found.knee, loaded.metrics)), *written.outcome)
@@ -196,9 +196,9 @@ def schedule(
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(space, walk.config):
             points = schedules.operating_points(loaded.scenario, wanted, asked, **loaded.how)
-        with kept_in(out, "rounds") as kept:
-            with shell.stage("schedule", unit="rounds") as show:
-                found = schedules.run(points, out=out, progress=kept.rounds(show))
+        with shell.keeping("rounds"):
+            with shell.rounds("schedule") as show:
+                found = schedules.run(points, out=out, progress=show)
             written = shell.write(found, "")
         rows = schedules.rows(found.data)
         level, load, loss = schedules.one_for_all(found.data)
@@ -366,10 +366,10 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
         shell.say("; ".join(filter(None, [*asked.said(work, here, there), which, team.said, kept_already])))
         shell.opening(work.problem.scenario)
         team.begin(folder, work.identity())
-        with kept_in(folder, f"of {here} {unit}", there) as kept, background() as begin:
+        with shell.keeping(f"of {here} {unit}", folder, there), background() as begin:
             compared = asked.compared(work, begin) if rows.shard is None else None
-            with shell.stage(stage, unit=unit) as show:
-                arrays = rows.walk(kept.counting(show))
+            with shell.stage(stage, unit=unit, keeps=True) as show:
+                arrays = rows.walk(show)
             if rows.shard is not None:
                 merge = f"mjx-climb merge {shlex.quote(str(out))}"
                 shell.say(f"{folder} is whole; once all {rows.shard.count} are: {merge}")

@@ -1,6 +1,7 @@
 """One command's tables and JSON, and its stages on standard error: a live bar on a terminal, plain lines in a file."""
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from tuning.command_line import interruption
+from tuning.command_line.interruption import Interrupted
 from tuning.command_line.program import origin
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from tuning.report import page
     from tuning.report.comparison import Compared
     from tuning.searches.result import Result, Written
+    from tuning.searches.rounds import Progress as Rounds
 
 WIDTH = 100  # of tables in a file
 WORDS = ("", "metric", "unit", "measure", "command", "goal on two cores")  # columns that hold no numbers
@@ -96,7 +99,7 @@ class Session:
         self.begin = time.perf_counter()
         self.console = console(stderr=True)
         self.tables = self.console if output.json_only else console(file=stdout)
-        self.output, self.name, self.out = output, "", Path()
+        self.output, self.name, self.out, self.done = output, "", Path(), 0
         self._json = stdout if output.json_only else None
 
     def claim(self, file: str, name: str, *kind: str, team: "Team | None" = None, at: Path | None = None) -> Path:
@@ -157,8 +160,43 @@ class Session:
         self.written(written.files, written.summary, before)
 
     @contextlib.contextmanager
-    def stage(self, name: str, *, compiles: bool = True, unit: str = "walks") -> Iterator[Callable[..., None]]:
+    def keeping(self, what: str, folder: Path | None = None, done: int = 0) -> Iterator[None]:
+        """Say what is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
+
+        Interrupted is raised in place of KeyboardInterrupt, and of what goes wrong after the user asked to stop: a
+        process that walked beside this one, for example, was stopped as well and may be gone first.
+        """
+        self.done = done
+        try:
+            yield
+        except Interrupted:  # it says more
+            raise
+        except (KeyboardInterrupt, Exception) as error:
+            if not (isinstance(error, KeyboardInterrupt) or interruption.requested()):
+                raise
+            kept = f"{self.done} {what} are kept in {folder or self.out}"
+            raise Interrupted(f"{kept}; the same command goes on from there") from None
+
+    @contextlib.contextmanager
+    def rounds(self, name: str) -> Iterator["Callable[[Rounds], None]"]:
+        """Show the stage of a search whose rounds are kept, with what is best so far."""
+
+        def shown(now: "Rounds") -> None:
+            slope = f", gradient {now.gradient_norm:.2g}" if math.isfinite(now.gradient_norm) else ""
+            best = f"{now.best:.4f}" if math.isfinite(now.best) else "none feasible yet"
+            text = f"{now.phase} {now.rounds}/{now.rounds_in_all}: best {best}{slope}, {now.alive} of {now.batch} alive"
+            show(now.rounds, now.rounds_in_all, f"{text}, {now.env_steps / 1e6:.2f} M env-steps")
+
+        with self.stage(name, unit="rounds", keeps=True) as show:
+            yield shown
+
+    @contextlib.contextmanager
+    def stage(
+        self, name: str, *, compiles: bool = True, unit: str = "walks", keeps: bool = False
+    ) -> Iterator[Callable[..., None]]:
         """Show one stage; the function that it gives takes how many walks are done, how many there are, and a text.
+
+        `keeps`: what is done here is kept where the command is stopped.
 
         Raises:
             KeyboardInterrupt: at its beginning and whenever it is told, where the user wants the command to end.
@@ -175,6 +213,8 @@ class Session:
             bar.update(task, description=f"{name}: walking")
 
         def advanced(done: int, total: int, text: str | None = None) -> None:
+            if keeps:
+                self.done = done
             compilation.since = now = time.perf_counter()
             left = estimate.update(done, total, now)
             text = text or f"{name}: {done} of {total} {unit}"

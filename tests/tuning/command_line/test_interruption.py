@@ -18,6 +18,8 @@ from mjx_climb.execution.devices import LostProcess
 from mjx_climb.files import dataset
 from tests import interrupts
 from tuning.command_line import interruption, main
+from tuning.command_line.options import Output
+from tuning.command_line.session import Session
 
 ROOT = Path(__file__).parents[3]
 RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.2"]
@@ -131,8 +133,8 @@ def test_the_second_signal_ends_what_lets_no_python_run(number):
 def test_what_is_kept_is_said_where_another_process_was_stopped_first(asked, monkeypatch, tmp_path):
     monkeypatch.setattr(interruption, "requested", lambda: asked)
     expected = (interruption.Interrupted, "4 walks are kept") if asked else (LostProcess, "gone")
-    with pytest.raises(expected[0], match=expected[1]), interruption.kept_in(tmp_path, "walks") as kept:
-        kept.done = 4
+    shell = Session(sys.stdout, Output())
+    with pytest.raises(expected[0], match=expected[1]), shell.keeping("walks", tmp_path, done=4):
         raise LostProcess("gone")
 
 
