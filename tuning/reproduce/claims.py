@@ -5,7 +5,6 @@ M. Imai, K. Uno, K. Yoshida, "Admittance control-based floating base reaction mi
 A claim is a function of two walks, the baseline's and the proposed controller's, and of what is published for the case.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -36,40 +35,37 @@ CASES: dict[str, Case] = {
 
 
 class Method(NamedTuple):
-    """A controller, and what it changes in a case's config."""
+    """A controller, by what it changes in a case's config."""
 
     title: str
-    changes: dict[str, str]
+    controller: str
+    reading: str = "virtual_model"
+    reference: str = "nominal"
 
-
-def _method(title: str, controller: str, reading: str = "virtual_model", reference: str = "nominal") -> Method:
-    changes = {"controller": controller, "reading": reading}
-    return Method(title, {f"control.{n}": v for n, v in changes.items()} | {"gait.base_reference": reference})
+    @property
+    def changes(self) -> dict[str, str]:
+        """The changed keys."""
+        keys = ("control.controller", "control.reading", "gait.base_reference")
+        return dict(zip(keys, self[1:], strict=True))
 
 
 BASELINE, BASELINE_ACTUAL = "pd", "pd_actual"
 READINGS = ("virtual_model", "measured_pose")
 METHODS: dict[str, Method] = {
-    BASELINE: _method("pd", "pd"),
+    BASELINE: Method("pd", "pd"),
     # each cycle's base reference starts from where the base has sagged to: perhaps why the paper's baseline fails
-    BASELINE_ACTUAL: _method("pd, actual base", "pd", reference="actual"),
-    "virtual_model": _method("virtual model", "base_admittance"),
-    "measured_pose": _method("measured pose", "base_admittance", "measured_pose"),
-    "end_effector": _method("end effector", "end_effector_admittance"),
+    BASELINE_ACTUAL: Method("pd, actual base", "pd", reference="actual"),
+    "virtual_model": Method("virtual model", "base_admittance"),
+    "measured_pose": Method("measured pose", "base_admittance", "measured_pose"),
+    "end_effector": Method("end effector", "end_effector_admittance"),
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class Walk:
+class Walk(NamedTuple):
     """A walk with grippers of the case's holding limit and, where one let go, the same with grippers that never do."""
 
     trajectory: mc.Trajectory
     unlimited: mc.Trajectory | None = None
-
-    @property
-    def whole(self) -> mc.Trajectory:
-        """The walk to compare levels with: one that was not cut short by a detachment."""
-        return self.trajectory if self.unlimited is None else self.unlimited
 
 
 class Verdict(NamedTuple):
@@ -87,7 +83,7 @@ class Pair(NamedTuple):
     proposed: Any
 
     @classmethod
-    def of(cls, measure: Callable[[mc.Trajectory], Any], walks: "Pair") -> "Pair":
+    def of(cls, measure: Callable[[Any], Any], walks: "Pair") -> "Pair":
         """Measure both walks."""
         return cls(measure(walks.baseline), measure(walks.proposed))
 
@@ -95,19 +91,13 @@ class Pair(NamedTuple):
     def change(self) -> float | None:
         """The relative change from the baseline, None where there is none."""
         before, after = self
-        if before is None or after is None or not before or not math.isfinite(after / before):
-            return None
-        return float(after / before - 1)
+        defined = before and after is not None and math.isfinite(after / before)
+        return float(after / before - 1) if defined else None
 
     @property
     def falls(self) -> bool:
         """Whether the proposed controller has less, by more than `UNCHANGED`."""
         return bool(self.proposed < (1 - UNCHANGED) * self.baseline)
-
-    @property
-    def defined(self) -> bool:
-        """Whether both are finite numbers."""
-        return bool(np.isfinite(self).all())
 
     def in_words(self, unit: str = "") -> str:
         """Return "from a to b unit (+c %)"."""
@@ -120,14 +110,10 @@ def _measured(**pairs: Pair) -> dict[str, Any]:
     return {name: pair._asdict() for name, pair in pairs.items()} | {"change": next(iter(pairs.values())).change}
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Claims
-
-
 def force_oscillation(walks: Pair, _: Case) -> Verdict:
     """The reaction force oscillates less: the variation of the largest foot force falls."""
     force = Pair.of(lambda walk: np.linalg.norm(walk.foot_force, axis=-1).max(1), walks)
-    varied, peak = Pair(*map(_variation, force)), Pair(*(float(values.max()) for values in force))
+    varied, peak = Pair.of(_variation, force), Pair.of(lambda values: float(values.max()), force)
     return Verdict(
         varied.falls,
         _measured(force_variation=varied, peak_foot_force=peak),
@@ -156,24 +142,39 @@ def torque_spikes(walks: Pair, _: Case) -> Verdict:
     )
 
 
+def _peak_torque_away_from_grip_changes(walk: mc.Trajectory) -> float:
+    """Return the peak joint torque, N m, without the moments in which a gripper has just opened or shut.
+
+    A foot that lifts off is at once commanded along its planned swing, wherever it was, and one whose gripper shuts to
+    where it stands: a jump that dies away within a few steps.
+    """
+    kept = np.ones(walk.time.size, bool)
+    for row in _changes(walk.support):
+        kept[row : row + round(SETTLED / walk.scenario.time_step)] = False
+    return float(np.abs(walk.joint_torque[kept]).max(initial=0.0))
+
+
 def detachment(walks: Pair, published: Case) -> Verdict:
     """A gripper detaches under the baseline and none under the proposed controller."""
-    lost, pull = Pair.of(_first_loss, walks), Pair.of(_peak_pull, walks)
-    limit = walks.baseline.scenario.contact.holding_limit
+    lost, limit = Pair.of(_first_loss, walks), walks.baseline.scenario.contact.holding_limit
+
+    def peak_pull(walk: mc.Trajectory) -> float:  # of a gripper that the ground pulls down
+        pulling = walk.support & (walk.foot_force[..., 2] < 0)
+        return float(np.where(pulling, np.linalg.norm(walk.foot_force, axis=-1), 0.0).max())
+
+    pull = Pair.of(peak_pull, walks)
     measured = {
-        "detached_at": Pair(*(loss and loss[0] for loss in lost))._asdict(),
-        "detached_limb": Pair(*(loss and loss[1] for loss in lost))._asdict(),
+        "detached_at": Pair.of(lambda loss: loss and loss[1], lost)._asdict(),
+        "detached_limb": Pair.of(lambda loss: loss and loss[2], lost)._asdict(),
         "peak_pull_force": pull._asdict(),
         "holding_limit": limit,
     }
     if any(lost):
-        holds = lost.proposed is None
-        told = [
-            f"{who} holds all the way" if loss is None else f"{who} loses {loss[1]} at {loss[0]:.2f} s"
-            for who, loss in zip(("the baseline", "the proposed controller"), lost, strict=True)
-        ]
-        words = f"Detachment is {'avoided' if holds else 'not avoided'}: {told[0]}, {told[1]}."
-        return Verdict(holds, measured, words)
+        baseline, proposed = ("holds all the way" if loss is None else f"loses {loss[2]} at {loss[1]:.2f} s"
+                              for loss in lost)  # fmt: skip
+        avoided = "avoided" if lost.proposed is None else "not avoided"
+        words = f"Detachment is {avoided}: the baseline {baseline}, the proposed controller {proposed}."
+        return Verdict(lost.proposed is None, measured, words)
     paper = "while in the paper the baseline fails" if published.baseline_fails else "and the paper reports none"
     bear = "" if limit is None else f" of the {limit:g} N that they bear"
     return Verdict(
@@ -184,19 +185,28 @@ def detachment(walks: Pair, published: Case) -> Verdict:
     )
 
 
+def _first_loss(walk: mc.Trajectory) -> tuple[int, float, str] | None:
+    """Return in which row, when (s) and which gripper was torn off first."""
+    row = int(walk.torn_off.any(1).argmax())
+    lost = walk.torn_off[row]
+    return (row, float(walk.time[row]), walk.limbs[int(lost.argmax())]) if lost.any() else None
+
+
 def margin_fluctuation(walks: Pair, _: Case) -> Verdict:
     """TSM and GIA margin fluctuate less: the variation of both falls, as far as all grippers hold in both walks."""
-    rows = min(walk.time.size if (row := _first_loss_row(walk)) is None else row for walk in walks)
+    rows = min(loss[0] if (loss := _first_loss(walk)) else walk.time.size for walk in walks)
     if rows < 2:
         return Verdict(None, {}, "Nothing can be said of the margins: a gripper is lost at once.")
     tsm = Pair.of(lambda walk: _variation(walk.tsm[:rows]), walks)
     gia = Pair.of(lambda walk: _variation(walk.gia_margin[:rows]), walks)
-    defined = [pair for pair in (tsm, gia) if pair.defined]
-    holds = all(pair.falls for pair in defined) if defined else None
-    parts = [
-        f"variation of the {name} {pair.in_words(unit)}" if pair.defined else f"no {name} is defined"
-        for name, pair, unit in (("TSM", tsm, "m"), ("GIA margin", gia, "m/s^2"))
-    ]
+    falls, parts = [], []
+    for name, pair, unit in (("TSM", tsm, "m"), ("GIA margin", gia, "m/s^2")):
+        if np.isfinite(pair).all():
+            falls.append(pair.falls)
+            parts.append(f"variation of the {name} {pair.in_words(unit)}")
+        else:
+            parts.append(f"no {name} is defined")
+    holds = all(falls) if falls else None
     return Verdict(
         holds,
         _measured(gia_margin_variation=gia, tsm_variation=tsm) | {"until": float(walks.baseline.time[rows - 1])},
@@ -225,14 +235,37 @@ def moves_with_push(walks: Pair, _: Case) -> Verdict:
     if not shifts.baseline:
         return Verdict(None, {}, "Nothing pushes the base in this case.")
     holds = all(ours > 0 and Pair(ours, theirs).falls for theirs, ours in zip(*shifts, strict=True))
-    mean = Pair(*(float(np.mean(values)) for values in shifts))
     theirs, ours = (", ".join(f"{1e3 * value:.2f}" for value in values) for values in shifts)
     return Verdict(
         holds,
-        _measured(mean_shift=mean) | {"shifts": shifts._asdict()},
+        _measured(mean_shift=Pair.of(lambda values: float(np.mean(values)), shifts)) | {"shifts": shifts._asdict()},
         f"The base {'moves further with every push' if holds else 'does not move further with every push'}: "
         f"on average over each push {ours} mm along it, {theirs} mm under the baseline.",
     )
+
+
+def _push_shifts(walk: mc.Trajectory) -> list[float]:
+    """Return for each push how far the base went along it, m: the mean over the push, beyond where it began.
+
+    What the base does off its reference counts, not the walk itself.
+    """
+    force, shifts = walk.push[:, :3], []
+    for rows in np.split(np.arange(len(force)), _changes(force)):
+        strength = np.linalg.norm(force[rows[0]])
+        if strength > 0:
+            offset = (walk.base_position[rows] - walk.base_reference[rows]) @ (force[rows[0]] / strength)
+            shifts.append(float(offset.mean() - offset[0]))
+    return shifts
+
+
+def _variation(values: np.ndarray) -> float:
+    """Return the sum of all changes from step to step, over everything that changes."""
+    return float(np.abs(np.diff(values, axis=0)).sum())
+
+
+def _changes(values: np.ndarray) -> np.ndarray:
+    """Return the rows of values (T, n) that differ from the ones before."""
+    return np.flatnonzero((values[1:] != values[:-1]).any(1)) + 1
 
 
 class Claim(NamedTuple):
@@ -256,7 +289,7 @@ CLAIMS: dict[str, Claim] = {
 def judge(name: str, baseline: Walk, proposed: Walk, published: Case) -> Verdict:
     """Return the verdict on one claim; on walks that diverged there is none."""
     claim = CLAIMS[name]
-    walks = Pair(*(walk.whole if claim.whole else walk.trajectory for walk in (baseline, proposed)))
+    walks = Pair(*((claim.whole and walk.unlimited) or walk.trajectory for walk in (baseline, proposed)))
     for who, walk in zip(("baseline", "proposed controller"), walks, strict=True):
         if not (np.isfinite(walk.base_position).all() and np.isfinite(walk.foot_force).all()):
             return Verdict(None, {}, f"Nothing can be said: the walk of the {who} diverges.")
@@ -278,57 +311,3 @@ def judge_all(walks: Mapping[str, Walk], published: Case) -> dict[str, dict[str,
             if name == "detachment" and published.baseline_fails:
                 found["detachment_actual"] = judge(name, walks[BASELINE_ACTUAL], walks[reading], published)
     return verdicts
-
-
-# ------------------------------------------------------------------------------------------------------------
-# Measures
-
-
-def _variation(values: np.ndarray) -> float:
-    """Return the sum of all changes from step to step, over everything that changes."""
-    return float(np.abs(np.diff(values, axis=0)).sum())
-
-
-def _first_loss_row(walk: mc.Trajectory) -> int | None:
-    lost = walk.torn_off.any(1)
-    return int(lost.argmax()) if lost.any() else None
-
-
-def _first_loss(walk: mc.Trajectory) -> tuple[float, str] | None:
-    """Return when (s) and which gripper was torn off first."""
-    row = _first_loss_row(walk)
-    return None if row is None else (float(walk.time[row]), walk.limbs[int(walk.torn_off[row].argmax())])
-
-
-def _peak_pull(walk: mc.Trajectory) -> float:
-    """Return the largest force of a gripper that the ground pulls down, N."""
-    pulling = walk.support & (walk.foot_force[..., 2] < 0)
-    return float(np.where(pulling, np.linalg.norm(walk.foot_force, axis=-1), 0.0).max())
-
-
-def _peak_torque_away_from_grip_changes(walk: mc.Trajectory) -> float:
-    """Return the peak joint torque, N m, without the moments in which a gripper has just opened or shut.
-
-    A foot that lifts off is at once commanded along its planned swing, wherever it was, and one whose gripper shuts to
-    where it stands: a jump that dies away within a few steps.
-    """
-    kept = np.ones(walk.time.size, bool)
-    for row in np.flatnonzero((walk.support[1:] != walk.support[:-1]).any(1)) + 1:
-        kept[row : row + round(SETTLED / walk.scenario.time_step)] = False
-    return float(np.abs(walk.joint_torque[kept]).max(initial=0.0))
-
-
-def _push_shifts(walk: mc.Trajectory) -> list[float]:
-    """Return for each push how far the base went along it, m: the mean over the push, beyond where it began.
-
-    What the base does off its reference counts, not the walk itself.
-    """
-    force = walk.push[:, :3]
-    changed = np.flatnonzero((force[1:] != force[:-1]).any(1)) + 1
-    shifts = []
-    for rows in np.split(np.arange(len(force)), changed):
-        strength = np.linalg.norm(force[rows[0]])
-        if strength > 0:
-            offset = (walk.base_position[rows] - walk.base_reference[rows]) @ (force[rows[0]] / strength)
-            shifts.append(float(offset.mean() - offset[0]))
-    return shifts

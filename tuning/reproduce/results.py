@@ -50,8 +50,8 @@ def reproduced(folder: Path, stage: Stage) -> Iterator[tuple[str, Reproduction]]
     for name, scenario in scenarios().items():
         case, walks = CASES[name], {}
         dataset.write_text_atomically(folder / f"{stem(name)}.yaml", scenario.to_yaml())
-        for method, (title, changes) in METHODS.items():
-            walks[method] = walk = walked(scenario.with_overrides(changes), stage, f"case {name}, {title}")
+        for method, what in METHODS.items():
+            walks[method] = walk = walked(scenario.with_overrides(what.changes), stage, f"case {name}, {what.title}")
             for key, trajectory in {method: walk.trajectory, f"{method}-unlimited": walk.unlimited}.items():
                 if trajectory is not None:
                     dataset.save(dataset.to_dataset(trajectory), folder / f"{stem(name)}-{key}.nc")
@@ -73,34 +73,32 @@ def walked(scenario: mc.Scenario, stage: Stage, label: str) -> Walk:
 
 def as_json(found: Found) -> dict[str, Any]:
     """Return all cases as plain values."""
-    return {"cases": {name: _case_as_json(case) for name, case in found.items()}}
-
-
-def _case_as_json(found: Reproduction) -> dict[str, Any]:
-    runs = {}
-    for method, walk in found.walks.items():
-        scenario = walk.trajectory.scenario
-        control, law = scenario.control, scenario.control.controller
-        runs[method] = {
-            "controller": law,
-            "reading": control.reading if law == "base_admittance" else None,
-            "base_reference": scenario.gait.base_reference,
-            "gains": None if law == "pd" else {name: getattr(control, name) for name in mc.Gains.AXES},
-            "metrics": found.metrics[method],
-            "metrics_without_detachment": None if walk.unlimited is None else mc.metrics(walk.unlimited),
+    cases: dict[str, Any] = {}
+    for name, what in found.items():
+        case, runs = what.published, {}
+        for method, walk in what.walks.items():
+            scenario = walk.trajectory.scenario
+            control, law = scenario.control, scenario.control.controller
+            runs[method] = {
+                "controller": law,
+                "reading": control.reading if law == "base_admittance" else None,
+                "base_reference": scenario.gait.base_reference,
+                "gains": None if law == "pd" else {name: getattr(control, name) for name in mc.Gains.AXES},
+                "metrics": what.metrics[method],
+                "metrics_without_detachment": None if walk.unlimited is None else mc.metrics(walk.unlimited),
+            }
+        paper = {
+            "cost_of_transport": claims.Pair(case.baseline_cost, case.proposed_cost)._asdict(),
+            "baseline_detaches": case.baseline_fails,
+            "claims": {claim: CLAIMS[claim].text for claim in CLAIMS},
         }
-    judged = [
-        {"claim": name, "text": claim_text(name), "reading": reading, **verdict._asdict()}
-        for reading, verdicts in found.verdicts.items()
-        for name, verdict in verdicts.items()
-    ]
-    case = found.published
-    published = {
-        "cost_of_transport": claims.Pair(case.baseline_cost, case.proposed_cost)._asdict(),
-        "baseline_detaches": case.baseline_fails,
-        "claims": {name: claim.text for name, claim in CLAIMS.items()},
-    }
-    return {"title": case.title, "paper": published, "runs": runs, "claims": judged}
+        judged = [
+            {"claim": claim, "text": claim_text(claim), "reading": reading, **verdict._asdict()}
+            for reading, verdicts in what.verdicts.items()
+            for claim, verdict in verdicts.items()
+        ]
+        cases[name] = {"title": case.title, "paper": paper, "runs": runs, "claims": judged}
+    return {"cases": cases}
 
 
 def claim_text(name: str) -> str:
@@ -111,48 +109,35 @@ def claim_text(name: str) -> str:
 
 
 def tables(found: Found) -> tuple[Table, Table]:
-    """Return all metrics of all walks beside the paper's numbers, and its claims."""
-    return metrics_table(found), claims_table(found)
-
-
-def metrics_table(found: Found) -> Table:
-    """Return all metrics of all walks, with the paper's numbers."""
+    """Return all metrics of all walks beside the paper's numbers; and for each claim whether it holds in each case and
+    reading, with the change of its main quantity."""
     columns = ["metric", "unit", "paper, baseline", "paper, proposed", *(m.title for m in METHODS.values())]
     sections = []
-    for name, case in found.items():
-        costs = ["" if cost is None else _short(cost) for cost in case.published[2:4]]
-        failures = ["fails", "holds"] if case.published.baseline_fails else ["", ""]
-        stated = {"cost_of_transport": costs, "detached_at": failures}
-        rows = [
-            [
-                words(metric),
-                unit(metric),
-                *stated.get(metric, ["", ""]),
-                *(_cell(metric, m) for m in case.metrics.values()),
-            ]
-            for metric in case.metrics[BASELINE]
-        ]
-        sections.append((f"case {name}: {case.published.title}", rows))
-    return Table("Metrics beside the paper's numbers", columns, sections)
-
-
-def _cell(metric: str, metrics: Mapping[str, Any]) -> str:
-    if metric == "detached_at" and metrics[metric] is None and not metrics["diverged"]:
-        return "holds"
-    return _short(metrics[metric])
+    for name, what in found.items():
+        case, rows = what.published, []
+        stated = {
+            "cost_of_transport": ["" if c is None else _short(c) for c in (case.baseline_cost, case.proposed_cost)],
+            "detached_at": ["fails", "holds"] if case.baseline_fails else ["", ""],
+        }
+        for metric in what.metrics[BASELINE]:
+            cells = [_short(metrics[metric]) for metrics in what.metrics.values()]
+            if metric == "detached_at":
+                cells = ["holds" if cell == "-" and not metrics["diverged"] else cell
+                         for cell, metrics in zip(cells, what.metrics.values(), strict=True)]  # fmt: skip
+            rows.append([words(metric), unit(metric), *stated.get(metric, ["", ""]), *cells])
+        sections.append((f"case {name}: {case.title}", rows))
+    verdicts = {f"{name} {TITLES[r]}": case.verdicts[r] for name, case in found.items() for r in READINGS}
+    names = dict.fromkeys(name for held in verdicts.values() for name in held)
+    judged = [[claim_text(name), *(_word(held.get(name)) for held in verdicts.values())] for name in names]
+    caption = "The paper's claims, and the change of what each is about"
+    return (
+        Table("Metrics beside the paper's numbers", columns, sections),
+        Table(caption, ["claim", *verdicts], [("", judged)], 1),
+    )
 
 
 def _short(value: float | str | None) -> str:
     return number(value).replace("e+0", "e")
-
-
-def claims_table(found: Found) -> Table:
-    """Return for each claim whether it holds in each case and reading, with the change of its main quantity."""
-    verdicts = {f"{name} {TITLES[r]}": case.verdicts[r] for name, case in found.items() for r in READINGS}
-    names = dict.fromkeys(name for held in verdicts.values() for name in held)
-    rows = [[claim_text(name), *(_word(held.get(name)) for held in verdicts.values())] for name in names]
-    caption = "The paper's claims, and the change of what each is about"
-    return Table(caption, ["claim", *verdicts], [("", rows)], 1)
 
 
 def _word(verdict: Verdict | None) -> str:
@@ -216,19 +201,19 @@ def sentences(found: Found) -> dict[str, list[str]]:
 
 def as_markdown(found: Found) -> str:
     """Return the tables and sentences as Markdown."""
+
+    def row(cells: Sequence[str]) -> str:
+        return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
     lines = []
     for table in tables(found):
         for heading, rows in table.sections:
             lines += [f"**{heading[0].upper()}{heading[1:]}**", ""] if heading else []
-            lines += [_row(table.columns), _row(["---"] * len(table.columns)), *map(_row, rows), ""]
+            lines += [row(table.columns), row(["---"] * len(table.columns)), *map(row, rows), ""]
     lines += [*(f"- {line}" for line in overall(found)), ""]
     for heading, said in sentences(found).items():
         lines += [f"**{heading}**", "", *(f"- {sentence}" for sentence in said), ""]
     return "\n".join(lines)
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
 
 
 def page(found: Found, folder: Path, origin: Origin) -> Page:
