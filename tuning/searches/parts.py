@@ -30,7 +30,7 @@ _DIGEST = 64  # characters
 
 
 class Parts:
-    """The parts that belong to one computation; in a `with` block they are saved beside what goes on in it.
+    """The parts of one computation in `out`/parts; in a `with` block they are saved beside what goes on in it.
 
     Where `out` is None nothing is kept.
     """
@@ -38,30 +38,28 @@ class Parts:
     def __init__(
         self, out: str | os.PathLike[str] | None, identity: Mapping[str, Any] | Callable[[], Mapping[str, Any]]
     ):
-        """Claim `out`/parts for the computation that `identity` (plain JSON values) determines bit by bit.
+        """Claim the folder for the computation that `identity` (plain JSON values) determines bit by bit.
 
         Raises:
             OutputError: the folder cannot be written, or holds parts of another computation.
         """
-        self.out, self._disk, self._saving = None if out is None else Path(out), None, None
+        self.out = None if out is None else Path(out)
+        self._disk: ThreadPoolExecutor | None = None
+        self._saving: Future[None] | None = None
         if self.out is None:
             return
         self.folder = self.out / FOLDER
         self._identity = json.dumps(identity() if callable(identity) else identity)
-        wanted = json.loads(self._identity)
-        stored = identity_in(self.folder)
-        if stored is not None and stored != wanted:
+        wanted, stored = json.loads(self._identity), identity_in(self.folder)
+        if stored is None:
+            sealed = {"sha256": _digest(self._identity), "of": wanted}
+            write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
+        elif stored != wanted:
             differs = ", ".join(differences(stored, wanted)) or "its keys"
             raise OutputError(
                 f"{out}: expected no unfinished sweep but this one, got another that differs in {differs} "
                 f"(repeat its command to finish it, remove {self.folder}, or choose another --out)"
             )
-        if stored is None:
-            sealed = {"sha256": _digest(self._identity), "of": wanted}
-            write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
-
-    _disk: ThreadPoolExecutor | None
-    _saving: Future[None] | None
 
     def __enter__(self) -> Self:
         self._disk = ThreadPoolExecutor(1)
@@ -99,15 +97,14 @@ class Parts:
         if self._disk is None:
             self._write(number, arrays)
             return
-        if self._saving is not None:
-            saving, self._saving = self._saving, None
+        saving, self._saving = self._saving, None
+        if saving is not None:
             saving.result()
         self._saving = self._disk.submit(self._write, number, arrays)
 
     def _write(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
         buffer = io.BytesIO()
-        contents: dict[str, Any] = dict(arrays)
-        np.savez(buffer, **contents)
+        np.savez(buffer, **dict[str, Any](arrays))
         write_bytes_atomically(self._file(number), self._sealed(number, buffer.getvalue()))
 
     def _file(self, number: int) -> Path:
@@ -115,8 +112,7 @@ class Parts:
 
     def _sealed(self, number: int, archive: bytes) -> bytes:
         """Return an archive without a comment with the digest of it, its number and its computation as its comment."""
-        seal = _digest(self._identity, str(number), archive)
-        return archive[:-2] + _DIGEST.to_bytes(2, "little") + seal.encode()
+        return archive[:-2] + _DIGEST.to_bytes(2, "little") + _digest(self._identity, str(number), archive).encode()
 
 
 def clear(out: Path) -> None:
@@ -170,18 +166,13 @@ def identity_in(folder: Path) -> dict[str, Any] | None:
     """Return the identity that the parts in a folder have: None where there is none, empty where it is damaged."""
     try:
         stored = json.loads((folder / IDENTITY).read_text())
-        found = stored["of"]
-        whole = isinstance(found, dict) and stored["sha256"] == _digest(json.dumps(found))
+        found: dict[str, Any] = stored["of"]
+        return found if isinstance(found, dict) and stored["sha256"] == _digest(json.dumps(found)) else {}
     except FileNotFoundError:
         return None
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return {}
-    return found if whole else {}
 
 
 def _digest(*contents: str | bytes) -> str:
-    """Return a digest of some contents, of length `_DIGEST`."""
-    digest = hashlib.sha256()
-    for content in contents:
-        digest.update((content.encode() if isinstance(content, str) else content) + b"\n")
-    return digest.hexdigest()
+    return hashlib.sha256(b"".join((c.encode() if isinstance(c, str) else c) + b"\n" for c in contents)).hexdigest()

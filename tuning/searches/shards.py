@@ -35,17 +35,12 @@ Counted = Callable[[int, int], None]  # rows done, rows in all
 
 @dataclasses.dataclass(frozen=True)
 class Shard:
-    """One of several equal runs of rows."""
+    """One of several equal runs of rows; ConfigError where its number is none from 1 to the count."""
 
-    number: int  # from 1
+    number: int
     count: int
 
     def __post_init__(self) -> None:
-        """Refuse a number that is none from 1 to the count.
-
-        Raises:
-            ConfigError: it is none.
-        """
         if not 1 <= self.number <= self.count:
             raise ConfigError(f"shard: expected a number from 1 to how many there are, got {self}")
 
@@ -82,7 +77,7 @@ class Work(Protocol):
         """Return what a row is, in words."""
 
     def write_asked(self, folder: Path) -> None:
-        """Write what a merge needs beside the identity to make the same work again."""
+        """Write what a merge needs beside the identity to make the same work again: `read_asked` of its module."""
 
 
 class Kept(NamedTuple):
@@ -93,11 +88,16 @@ class Kept(NamedTuple):
     identity: Mapping[str, Any]
     about: Mapping[str, Any]  # what else is said of it
 
+    @property
+    def work(self) -> dict[str, Any]:
+        """The identity of the work that it is a shard of."""
+        return {name: value for name, value in self.identity.items() if name != "shard"}
+
 
 def parts_of(work: Work, rows: range) -> list[range]:
     """Return the parts in which some of the rows walk: those of all rows, as far as they are among them."""
-    parts = [range(begin, begin + work.size) for begin in range(0, work.rows, work.size)]
-    cut = [range(max(part.start, rows.start), min(part.stop, rows.stop)) for part in parts]
+    begins = range(0, work.rows, work.size)
+    cut = [range(max(begin, rows.start), min(begin + work.size, rows.stop)) for begin in begins]
     return [part for part in cut if part]
 
 
@@ -126,27 +126,21 @@ class Rows:
         """
         self._work, self.shard = work, None if shard is None else Shard(*shard)
         self.rows = range(work.rows) if self.shard is None else self.shard.rows(work.rows)
-        self._cut = parts_of(work, self.rows)
-        if self.shard is None or out is None:
-            self.folder = None if out is None else Path(out)
+        self._cut, self.folder = parts_of(work, self.rows), None if out is None else Path(out)
+        if self.shard is None or self.folder is None:
             self._parts = Parts(self.folder, work.identity)
-        else:
-            self.folder = self.shard.folder(Path(out))
-            self._parts = self._claim(self.shard, Path(out), self.folder, about)
-
-    def _claim(self, shard: Shard, out: Path, folder: Path, about: Mapping[str, str]) -> Parts:
-        if shard.count > self._work.rows:
-            limit = f"expected at most {self._work.rows} shards, one walk each"
-            raise ConfigError(f"shard {shard}: {limit}, got {shard.count}")
-        for other in _folders_in(out):
-            if not other.name.endswith(f"-of-{shard.count}"):
-                raise OutputError(
-                    f"{out}: expected shards of {shard.count}, got {other.name} (remove it, or choose another --out)"
-                )
-        parts = Parts(folder, lambda: {**self._work.identity(), "shard": [shard.number, shard.count]})
-        self._work.write_asked(folder)
-        write_text_atomically(folder / FILE, json.dumps({**about}, indent=1) + "\n")
-        return parts
+            return
+        number, count = self.shard.number, self.shard.count
+        if count > work.rows:
+            raise ConfigError(f"shard {self.shard}: expected at most {work.rows} shards, one walk each, got {count}")
+        for other in _folders_in(self.folder):
+            if not other.name.endswith(f"-of-{count}"):
+                got = f"{other.name} (remove it, or choose another --out)"
+                raise OutputError(f"{self.folder}: expected shards of {count}, got {got}")
+        self.folder = self.shard.folder(self.folder)
+        self._parts = Parts(self.folder, lambda: {**work.identity(), "shard": [number, count]})
+        work.write_asked(self.folder)
+        write_text_atomically(self.folder / FILE, json.dumps({**about}, indent=1) + "\n")
 
     @property
     def there(self) -> int:
@@ -159,28 +153,22 @@ class Rows:
         `progress` is called with the rows that are there already first, then after each part.
         """
         found = [self._parts.load(number) for number in range(len(self._cut))]
-        done = sum(len(part) for part, arrays in zip(self._cut, found, strict=True) if arrays is not None)
+        lacking = [number for number, arrays in enumerate(found) if arrays is None]
+        done = len(self.rows) - sum(len(self._cut[number]) for number in lacking)
         if progress is not None:
             progress(done, len(self.rows))
-        for number, part in enumerate(self._cut):
-            if found[number] is not None:
-                continue
-            arrays = found[number] = _walk_part(self._work, part)
+        for number in lacking:
+            arrays = found[number] = _walk_part(self._work, self._cut[number])
             self._parts.save(number, arrays)  # before it is counted as done
-            done += len(part)
+            done += len(self._cut[number])
             if progress is not None:
                 progress(done, len(self.rows))
         return _concatenated([arrays for arrays in found if arrays is not None])
 
 
 def walk_shard(work: Work, shard: tuple[int, int], out: str | os.PathLike[str], progress: Counted | None) -> Path:
-    """Simulate a shard of some work for `merge`, and return its own folder below `out`.
-
-    Raises:
-        ConfigError, OutputError: as of `Rows`.
-    """
-    again = f"the same call of tuning.{work.identity()['kind']}_shard for {SHARD}"
-    rows = Rows(work, out, shard, {"again": again})
+    """Simulate a shard of some work for `merge`, and return its own folder below `out`; errors as of `Rows`."""
+    rows = Rows(work, out, shard, {"again": f"the same call of tuning.{work.identity()['kind']}_shard for {SHARD}"})
     rows.walk(progress)
     return Path(rows.folder or out)
 
@@ -198,10 +186,7 @@ def _walk_part(work: Work, part: range) -> dict[str, np.ndarray]:
 
 
 def merge(
-    folders: Sequence[str | os.PathLike[str]],
-    *,
-    law: mc.Law | None = None,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
+    folders: Sequence[str | os.PathLike[str]], *, law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS
 ) -> "Swept | Judged":
     """Return what shards in some folders were part of, as `sweep` or `judge` return it: on CPUs bit by bit.
 
@@ -219,7 +204,7 @@ def merge(
     return merged(find([Path(folder) for folder in folders]), law, mc.MetricTable(metrics))
 
 
-def merged(found: Sequence["Kept"], law: mc.Law | None, metrics: mc.MetricTable) -> "Swept | Judged":
+def merged(found: Sequence[Kept], law: mc.Law | None, metrics: mc.MetricTable) -> "Swept | Judged":
     """Return what shards that `find` found were part of; `merge` with its errors."""
     config = found[0].folder / "config.yaml"
     own = taken(mc.load_scenario(config), law, metrics, str(config))
@@ -241,18 +226,14 @@ def find(folders: Sequence[Path]) -> list[Kept]:
         if not own:
             raise ConfigError(f"{folder}: expected a shard's folder, or one that holds shards, got none")
         found += map(_read, own)
-    first = found[0]
-    for other in found[1:]:
-        if other.shard.count != first.shard.count:
-            raise ConfigError(
-                f"{other.folder}: expected a shard of {first.shard.count} as {first.folder}, got {other.shard}"
-            )
-        if differs := finished_parts.differences(_without_shard(first), _without_shard(other)):
-            raise ConfigError(
-                f"{other.folder}: expected a shard of the same as {first.folder}, got one that differs in "
-                f"{', '.join(differs)}"
-            )
-    by_number: dict[int, Kept] = {}
+    first, by_number = found[0], dict[int, Kept]()
+    for each in found:
+        if each.shard.count != first.shard.count:
+            wanted = f"a shard of {first.shard.count} as {first.folder}"
+            raise ConfigError(f"{each.folder}: expected {wanted}, got {each.shard}")
+        if differs := finished_parts.differences(first.work, each.work):
+            got = f"one that differs in {', '.join(differs)}"
+            raise ConfigError(f"{each.folder}: expected a shard of the same as {first.folder}, got {got}")
     for each in found:
         if (twin := by_number.setdefault(each.shard.number, each)) is not each:
             raise ConfigError(f"{each.folder}: expected each shard once, got {each.shard} in {twin.folder} as well")
@@ -271,56 +252,42 @@ def joined(work: Work, found: Sequence[Kept]) -> dict[str, np.ndarray]:
     Raises:
         ConfigError: they are shards of something else than `work`, made elsewhere than here for example, or not whole.
     """
-    begun = {each.shard.number: each for each in found}
-    count = found[0].shard.count
+    first, begun = found[0], {each.shard.number: each for each in found}
     # a merge may run on another kind of machine: it walks nothing of the shards
-    own = {**work.identity(), "platform": found[0].identity.get("platform")}
-    if differs := finished_parts.differences(_without_shard(found[0]), json.loads(json.dumps(own))):
-        raise ConfigError(
-            f"{found[0].folder}: expected a shard of what is merged here, got one that differs in {', '.join(differs)}"
-        )
+    own = json.loads(json.dumps({**work.identity(), "platform": first.identity.get("platform")}))
+    if differs := finished_parts.differences(first.work, own):
+        got = f"one that differs in {', '.join(differs)}"
+        raise ConfigError(f"{first.folder}: expected a shard of what is merged here, got {got}")
     whole: list[dict[str, np.ndarray]] = []
-    lacking: list[str] = []
-    for number in range(1, count + 1):
-        shard = Shard(number, count)
+    lacking: dict[str, str] = {}  # by shard, in words
+    for number in range(1, first.shard.count + 1):
+        shard, kept = Shard(number, first.shard.count), begun.get(number)
         parts = parts_of(work, shard.rows(work.rows))
-        kept = Parts(
-            begun[number].folder if number in begun else None, begun[number].identity if number in begun else {}
-        )
-        loaded = [kept.load(at) for at in range(len(parts))]
-        missing = [part for part, arrays in zip(parts, loaded, strict=True) if arrays is None]
-        if missing:
-            lacking.append(_lack(work, shard, missing, number in begun))
+        there = Parts(None, {}) if kept is None else Parts(kept.folder, kept.identity)
+        loaded = [there.load(at) for at in range(len(parts))]
         whole += [arrays for arrays in loaded if arrays is not None]
+        runs: list[range] = []  # of missing rows
+        for part in (part for part, arrays in zip(parts, loaded, strict=True) if arrays is None):
+            begins = runs.pop().start if runs and runs[-1].stop == part.start else part.start
+            runs.append(range(begins, part.stop))
+        if runs:
+            state = "is not there: it lacks" if kept is None else "lacks"
+            count = f"{sum(map(len, runs))} of {len(shard.rows(work.rows))} walks"
+            named = ", ".join(f"{work.name(run[0])} to {work.name(run[-1])}" for run in runs)
+            lacking[str(shard)] = f"shard {shard} {state} {count} ({named})"
     if lacking:
-        raise ConfigError(f"{home(found) or found[0].folder}: {'; '.join(lacking)}; {_remedy(found, lacking)}")
+        one, *more = lacking
+        others = f", and likewise {', '.join(more)}" if more else ""
+        remedy = f"to finish it: {str(first.about['again']).replace(SHARD, one)}{others}"
+        raise ConfigError(f"{home(found) or first.folder}: {'; '.join([*lacking.values(), remedy])}")
     return _concatenated(whole)
-
-
-def _lack(work: Work, shard: Shard, missing: Sequence[range], begun: bool) -> str:
-    """Return in words which rows of a shard are missing."""
-    rows = sum(map(len, missing))
-    runs = [missing[0]]
-    for part in missing[1:]:
-        runs[-1:] = [range(runs[-1].start, part.stop)] if part.start == runs[-1].stop else [runs[-1], part]
-    named = ", ".join(f"{work.name(run[0])} to {work.name(run[-1])}" for run in runs)
-    state = "lacks" if begun else "is not there: it lacks"
-    return f"shard {shard} {state} {rows} of {len(shard.rows(work.rows))} walks ({named})"
-
-
-def _remedy(found: Sequence[Kept], lacking: Sequence[str]) -> str:
-    numbers = [text.split()[1] for text in lacking]
-    command = str(found[0].about["again"]).replace(SHARD, numbers[0])
-    others = f", and likewise {', '.join(numbers[1:])}" if numbers[1:] else ""
-    return f"to finish it: {command}{others}"
 
 
 def _folders_in(folder: Path) -> list[Path]:
     try:
-        names = sorted(os.listdir(folder))
+        return [folder / name for name in sorted(os.listdir(folder)) if fnmatch.fnmatch(name, "shard-*-of-*")]
     except (OSError, ValueError):  # ValueError: a null byte
         return []
-    return [folder / name for name in names if fnmatch.fnmatch(name, "shard-*-of-*")]
 
 
 def _read(folder: Path) -> Kept:
@@ -332,10 +299,6 @@ def _read(folder: Path) -> Kept:
         return Kept(folder, Shard(*identity["shard"]), identity, about)
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         raise ConfigError(f"{folder}: expected the folder of a shard, got one that is damaged or empty") from None
-
-
-def _without_shard(kept: Kept) -> dict[str, Any]:
-    return {name: value for name, value in kept.identity.items() if name != "shard"}
 
 
 def _concatenated(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
