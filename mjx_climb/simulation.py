@@ -23,7 +23,6 @@ from jax import Array
 from numpy.typing import DTypeLike
 
 from mjx_climb import execution
-from mjx_climb.checks.stance import check_stance
 from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE, checked_engine
@@ -31,6 +30,7 @@ from mjx_climb.dynamics.state import State
 from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot.stance import check_stance
 from mjx_climb.rollouts.histories import together
 from mjx_climb.rollouts.resolve import (
     AnyGains,

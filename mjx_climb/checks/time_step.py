@@ -18,7 +18,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import PASSIVE
-from mjx_climb.robot.posture import limb_joints
+from mjx_climb.robot.stance import limb_joints
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
@@ -133,7 +133,7 @@ def _moved(robot: str | RobotFile, ahead: float, up: float) -> np.ndarray:
     data.qpos[:] = model.key_qpos[0]
     mujoco.mj_kinematics(model, data)
     targets = data.site_xpos + np.array([ahead, 0, up])
-    solved = limb_joints(model, (targets - data.qpos[:3]) @ data.xmat[1].reshape(3, 3))
+    solved = limb_joints(load_robot(robot), (targets - data.qpos[:3]) @ data.xmat[1].reshape(3, 3))
     return np.where(solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(len(targets), -1))
 
 

@@ -12,7 +12,7 @@ from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.quantities.swing import rest_to_rest
 from mjx_climb.robot.constants import Robot, load_robot
-from mjx_climb.robot.posture import MET, limb_joints
+from mjx_climb.robot.stance import MET, limb_joints
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import HeightMap, Scenario
 
@@ -76,7 +76,7 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
         above = height - height.mean()
         feet = _stance_feet(robot)
         feet[:, 2] += above
-        missed = limb_joints(robot.model, feet).errors
+        missed = limb_joints(robot, feet).errors
         if missed.max() > MET:
             limb = int(np.argmax(np.where(missed > MET, np.abs(above), -1)))
             name = robot.limbs[limb]
@@ -99,7 +99,7 @@ def _check_stride(scenario: Scenario, source: str) -> None:
 
     def missed(stride: float) -> np.ndarray:
         planned = [feet + stride * np.outer(along, [1, 0, 0]) for along in extremes]
-        errors = [limb_joints(robot.model, each, robot.stance_joints).errors for each in planned]
+        errors = [limb_joints(robot, each, robot.stance_joints).errors for each in planned]
         return np.asarray(np.array(errors).max(0) > MET)
 
     low, high = 0.0, min(gait.stride, 10 * float(np.abs(feet).max()))  # no limb is as long as that

@@ -117,16 +117,14 @@ def model_path(name: str | RobotFile) -> Path:
 def load_model(name: str | RobotFile) -> mujoco.MjModel:
     """Return the compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
     if isinstance(name, RobotFile):
-        from mjx_climb.robot.robot_file import compiled_robot  # which looks for a stance with the constants of a robot
-
-        return compiled_robot(name, load_spec(name))
+        return load_spec(name).compile()
     return mujoco.MjModel.from_xml_path(str(model_path(name)))
 
 
 def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
     """Return the editable description that `load_model` compiles."""
     if isinstance(name, RobotFile):
-        from mjx_climb.robot.robot_file import spec_of
+        from mjx_climb.robot.stance import spec_of  # which looks for a stance with the constants of a robot
 
         return spec_of(name)
     return mujoco.MjSpec.from_file(str(model_path(name)))

@@ -8,9 +8,9 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, described, driven_joints, impossible, one_limit
-from mjx_climb.robot.limbs import Chain, Note, Notes, base_of, limbs_of, middle_of, robot_in, stood_on
+from mjx_climb.robot.limbs import Chain, Note, Notes, at_zero, base_of, foot_of, limbs_of, middle_of, robot_in, stood_on
 from mjx_climb.robot.robot_file import REACH
-from mjx_climb.robot.stance import STANDING, Hips, Stance, checked, keyframe, of_keyframe, searched, stretched, worth_of
+from mjx_climb.robot.stance import STANDING, Stance, Standing, checked, searched
 
 EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
@@ -59,8 +59,11 @@ def propose(
     trunk = int(model.body_rootid[hub])  # joints from there to the hub are of no limb, and held
     notes.taken(f"base {model.body(trunk).name!r}", why)
     limbs = stood_on(path, model, limbs_of(path, full, model, hub, notes), trunk, stand_on)
-    hips = stretched(model, trunk, limbs)
-    reach, mass = float(hips.reach.mean()), float(model.body_subtreemass[trunk])
+    data = at_zero(model)
+    points = [np.array([*data.xanchor[list(c.joints)], foot_of(model, data, c)]) for c in limbs.values()]
+    hips = (np.array([row[0] for row in points]) - data.xpos[trunk]) @ data.xmat[trunk].reshape(3, 3)
+    lengths = np.array([np.linalg.norm(np.diff(row, axis=0), axis=1).sum() for row in points])
+    reach, mass = float(lengths.mean()), float(model.body_subtreemass[trunk])
     slides = any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for chain in limbs.values() for j in chain.joints)
     proportions = _proportions(mass, reach, slides)
     held = _held(model, trunk, limbs, notes)
@@ -74,7 +77,10 @@ def propose(
         section["limbs"][name] = {"joints": [model.joint(j).name for j in chain.joints], "foot": chain.foot}
         section["limbs"][name] |= {"at": list(chain.at)} if any(chain.at) else {}
     section |= {key: value for key, value in (("locked", held), ("springs", springs), ("base", base)) if value}
-    stance = _stance(model, trunk, limbs, section, hips, notes)
+    stance = _of_keyframe(model, trunk, limbs, section, notes)
+    if stance is None:
+        notes.changed("stance", "searched: joints off their limits, limbs as far from singular as they get")
+        stance = searched(section, hips, float(lengths.min()))
     section["height"] = stance.height
     for limb, foothold in zip(section["limbs"].values(), stance.footholds, strict=True):
         limb["foothold"] = foothold.tolist()
@@ -89,20 +95,29 @@ def propose(
     return Proposal({"robot": section, **walk}, tuple(notes))
 
 
-def _stance(
-    model: mujoco.MjModel, base: int, limbs: dict[str, Chain], section: dict[str, Any], hips: Hips, notes: Notes
-) -> Stance:
-    """Return how the robot stands: as its keyframe has it, where that is a stance, else the best that is found."""
-    if (key := keyframe(model)) is not None:
-        what = f"keyframe {model.key(key).name!r}"
-        standing = of_keyframe(model, base, limbs, key)
-        if standing is not None and (stance := checked(section, standing)) is not None:
-            notes.taken(f"stance of {what}", "the feet stand where it puts them")
-            return stance
-        why = "no stance: feet above the base, or with them level limbs singular or joints at their limits"
-        notes.ignored(what, why)
-    notes.changed("stance", "searched: joints off their limits, limbs as far from singular as they get")
-    return searched(section, hips)
+def _keyframe(model: mujoco.MjModel) -> int | None:
+    """Return the keyframe that a robot stands in: by its name, or the first."""
+    names = [model.key(k).name for k in range(model.nkey)]
+    return next((names.index(n) for n in ("stance", "stand", "home") if n in names), 0 if names else None)
+
+
+def _of_keyframe(
+    model: mujoco.MjModel, base: int, limbs: dict[str, Chain], section: dict[str, Any], notes: Notes
+) -> Stance | None:
+    """Return how the robot stands in its keyframe, where that is a stance."""
+    if (key := _keyframe(model)) is None:
+        return None
+    what, data = f"keyframe {model.key(key).name!r}", mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[key]
+    mujoco.mj_kinematics(model, data)
+    feet = np.array([foot_of(model, data, chain) for chain in limbs.values()])
+    feet = (feet - data.xpos[base]) @ data.xmat[base].reshape(3, 3)
+    height = -float(feet[:, 2].mean())
+    if height > 0 and (stance := checked(section, Stance(height, feet[:, :2]))):
+        notes.taken(f"stance of {what}", "the feet stand where it puts them")
+        return stance
+    notes.ignored(what, "no stance: feet above the base, or with them level limbs singular or joints at their limits")
+    return None
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -117,7 +132,7 @@ def _resting(model: mujoco.MjModel, joint: int, value: float) -> float:
 def _held(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], notes: Notes) -> dict[str, float]:
     """Return the joints of no limb and where they are held: at the keyframe's value, or as near to zero as they go."""
     ours = {joint for chain in limbs.values() for joint in chain.joints}
-    key, held = keyframe(model), {}
+    key, held = _keyframe(model), {}
     for joint in range(model.njnt):
         elsewhere = model.body_rootid[model.jnt_bodyid[joint]] != model.body_rootid[base]
         if joint in ours or int(model.jnt_type[joint]) not in JOINTS or elsewhere:
@@ -209,7 +224,7 @@ def _gait(section: dict[str, Any], stance: Stance, reach: float, notes: Notes) -
     (height, footholds), names = stance, list(section["limbs"])
     order = sorted(range(len(names)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
     longest, highest = _STRIDE * reach / _REACH, _STEP_HEIGHT * reach / _REACH
-    worth = worth_of(section, footholds, _MISSED * reach)
+    worth = Standing(section, footholds, _MISSED * reach).worth
     for shorter in (2**halvings for halvings in range(_HALVINGS + 1)):
         stride, step = longest / shorter, highest / shorter
         stances = [Stance(height, footholds + np.array([x, 0.0])) for x in (-stride, stride)]

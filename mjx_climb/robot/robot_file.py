@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.constants import Robot, robot_from_model
 from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, line_of
 from mjx_climb.robot.limbs import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
-from mjx_climb.robot.posture import MET, limb_joints
 from mjx_climb.scenario.model import Limb, RobotFile
 
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
@@ -41,8 +41,8 @@ class _Link(NamedTuple):
 _PAD = _Link(1e-9, np.zeros(3), 1e-12 * np.eye(3))  # of a joint that only fills up a limb, at its foot
 
 
-def spec_of(source: RobotFile) -> mujoco.MjSpec:
-    """Return a robot file as simulated: floating base, limbs of as many joints each, foot sites, rest stance.
+def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, Robot, np.ndarray]:
+    """Return a robot as simulated before it stands, and its base's centre of mass in its link's frame, (3,) m.
 
     The base frame has the axes of the file's base link and sits at the base's centre of mass. Only masses, joints with
     the armature, damping and dry friction of their drives, and feet are taken over; the bodies are drawn as plain
@@ -52,29 +52,12 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     Raises:
         RobotError: in one line, the key of the config, what was expected and what the file has.
     """
-    spec, offset = unposed(source)
-    limbs = _around(source)
-    feet = np.array([[*limb.foothold, -source.height] for limb in limbs.values()]) - offset
-    joints = limb_joints(compiled_robot(source, spec), feet)
-    for limb, error in zip(limbs, joints.errors, strict=True):
-        if error > MET:
-            expected = f"a foothold within reach and joint limits at a height of {source.height:g} m"
-            got = f"one that the foot misses by {error * 1e3:.3g} mm" if np.isfinite(error) else "one beyond the limits"
-            raise _error(source, f"limbs.{limb}.foothold", expected, got)
-    position = [offset[0], offset[1], source.height + offset[2]]
-    spec.add_key(name="stance", qpos=[*position, 1, 0, 0, 0, *joints.angles.ravel()])
-    spec.body("base").pos = position
-    return spec
-
-
-def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
-    """Return the robot of `spec_of` before it stands, and its base's centre of mass in its link's frame, (3,) m."""
     file = _File(source)
     file.check()
     data, axes, trunk = file.data, file.data.xmat[file.base].reshape(3, 3), file.link(file.base)
     if not trunk.mass:
         name = file.model.body(file.base).name
-        raise _error(source, "file", f"a mass of the base link {name!r}", "none", name)
+        raise refusal(source, "file", f"a mass of the base link {name!r}", "none", name)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
@@ -92,10 +75,16 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, np.ndarray]:
     names = _joint_names([limb.joints for limb in file.limbs.values()])
     for limb in file.limbs:
         _add_limb(file, limb, names, body, (trunk.center, axes))
-    return spec, axes.T @ (trunk.center - data.xpos[file.base])
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        got = str(error).splitlines()[0]
+        raise refusal(source, "file", "masses and inertias that a body can have", got) from None
+    # it rests with its springs slack
+    return spec, robot_from_model(model, "robot", model.qpos_spring), axes.T @ (trunk.center - data.xpos[file.base])
 
 
-def _error(source: RobotFile, key: str, expected: str, got: str, element: str | None = None) -> RobotError:
+def refusal(source: RobotFile, key: str, expected: str, got: str, element: str | None = None) -> RobotError:
     """Return what is wrong in one line, with that of the file where an element of that name stands."""
     place = source.file if element is None else line_of(source.file, element)
     return RobotError(" ".join(f"{place}: robot.{key}: expected {expected}, got {got}".split()))
@@ -127,7 +116,7 @@ class _File:
     def _joint(self, key: str, name: str, expected: str = "a revolute or prismatic joint of the file") -> int:
         joint = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if joint < 0 or self.model.jnt_type[joint] not in JOINTS:
-            raise _error(self.source, key, expected, "none of that name" if key.startswith("locked") else repr(name))
+            raise refusal(self.source, key, expected, "none of that name" if key.startswith("locked") else repr(name))
         return int(joint)
 
     def _chain(self, name_of_limb: str, limb: Limb) -> list[int]:
@@ -138,11 +127,11 @@ class _File:
         joints = [self._joint(key, name, expected) for name in limb.joints]
         for joint, name in zip(joints, limb.joints, strict=True):
             if joint in self.held:
-                raise _error(self.source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}", name)
+                raise refusal(self.source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}", name)
         for inner, outer in itertools.pairwise(zip(joints, limb.joints, strict=True)):
             if self._inner(outer[0])[0] != inner[0]:
                 got = f"{outer[1]!r} not next after {inner[1]!r}"
-                raise _error(self.source, key, "a chain from the base outwards", got, outer[1])
+                raise refusal(self.source, key, "a chain from the base outwards", got, outer[1])
         return joints
 
     def _inner(self, joint: int) -> tuple[int, int]:
@@ -164,7 +153,7 @@ class _File:
             if other != base or base == 0 or joint >= 0:
                 expected = f"all limbs to begin at one base link, as {first} does at {self.model.body(base).name!r}"
                 name = self.model.joint(self.chains[limb][0]).name
-                raise _error(self.source, f"limbs.{limb}.joints", expected, repr(self.model.body(other).name), name)
+                raise refusal(self.source, f"limbs.{limb}.joints", expected, repr(self.model.body(other).name), name)
         return base
 
     def check(self) -> None:
@@ -172,23 +161,23 @@ class _File:
         model, ours = self.model, [joint for chain in self.chains.values() for joint in chain]
         if len(set(ours)) != len(ours):
             twice = model.joint(next(joint for joint in ours if ours.count(joint) > 1)).name
-            raise _error(self.source, "limbs", "different joints", f"{twice!r} twice", twice)
+            raise refusal(self.source, "limbs", "different joints", f"{twice!r} twice", twice)
         for joint in range(model.njnt):
             floats = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and model.jnt_bodyid[joint] == self.base
             if joint not in ours and joint not in self.held and not floats and self._of_robot(model.jnt_bodyid[joint]):
                 name = model.joint(joint).name
                 expected = f"no joints but those named and the base's own (robot.locked.{name}: 0 would hold it)"
-                raise _error(self.source, "limbs", expected, repr(name), name)
+                raise refusal(self.source, "limbs", expected, repr(name), name)
         for constraint in np.flatnonzero(model.eq_active0):
             self._check_constraint(int(constraint))
         named = {name for limb in self.limbs.values() for name in limb.joints}
         for name in self.springs:
             if name not in named:
-                raise _error(self.source, f"springs.{name}", "a joint of a limb", "one of none", name)
+                raise refusal(self.source, f"springs.{name}", "a joint of a limb", "one of none", name)
         for key, limb in self.limbs.items():
             if self.springs.keys() >= set(limb.joints):
                 got = "springs in all"
-                raise _error(self.source, f"limbs.{key}.joints", "a joint that is driven", got, limb.joints[0])
+                raise refusal(self.source, f"limbs.{key}.joints", "a joint that is driven", got, limb.joints[0])
 
     def _of_robot(self, body: int) -> bool:
         return bool(self.model.body_rootid[body] == self.model.body_rootid[self.base])
@@ -207,7 +196,7 @@ class _File:
             idle = False
         if not idle:
             name = next(filter(None, names), "")
-            raise _error(self.source, "file", "no equality constraints between moving parts", f"one at {name!r}", name)
+            raise refusal(self.source, "file", "no equality constraints between moving parts", f"one at {name!r}", name)
 
     def link(self, first: int) -> _Link:
         """Return the bodies of a rigid part as one, those without a mass left out; world axes."""
@@ -228,10 +217,10 @@ class _File:
         site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = model.site_bodyid[site] if site >= 0 else mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body < 0:
-            raise _error(self.source, f"limbs.{limb}.foot", "a site, body or link of the file", repr(name))
+            raise refusal(self.source, f"limbs.{limb}.foot", "a site, body or link of the file", repr(name))
         if self.part[body] != model.jnt_bodyid[last]:
             expected = f"a place on the link of joint {model.joint(last).name!r}"
-            raise _error(self.source, f"limbs.{limb}.foot", expected, f"{name!r}, which is not fixed to it")
+            raise refusal(self.source, f"limbs.{limb}.foot", expected, f"{name!r}, which is not fixed to it")
         return foot_of(model, self.data, self.limbs[limb])
 
     def axes(self, limb: str) -> list[np.ndarray]:
@@ -259,7 +248,7 @@ class _File:
         if not lower < upper:
             name = self.model.joint(joint).name
             expected, got = f"limits of {name!r} in ascending order", f"{lower:g} to {upper:g}"
-            raise _error(self.source, f"limbs.{limb}.joints", expected, got, name)
+            raise refusal(self.source, f"limbs.{limb}.joints", expected, got, name)
         if not slides and upper - lower > 2 * np.pi and lower <= -np.pi and upper >= np.pi:
             return -np.pi, np.pi  # as free as a joint without limits
         return lower, upper
@@ -315,7 +304,7 @@ def _add_limb(
         elif any(link.mass for link in links[n:]) or file.model.dof_armature[dof]:
             _weigh(body, _PAD)
         else:
-            raise _error(file.source, f"limbs.{limb}.joints", "links that have a mass", f"none at {name!r}", name)
+            raise refusal(file.source, f"limbs.{limb}.joints", "links that have a mass", f"none at {name!r}", name)
         _draw(body, axes.T @ (end - origin), first=n == 0, last=n == len(chain) - 1)
     at_foot = axes.T @ (foot - origin)
     for name in names[len(chain) :]:
@@ -341,18 +330,6 @@ def _axes_along(axis: np.ndarray, towards: np.ndarray) -> np.ndarray:
         across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     x = across / np.linalg.norm(across)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
-
-
-def compiled_robot(source: RobotFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Return the model of what `spec_of` or `unposed` describe.
-
-    Raises:
-        RobotError: masses or inertias that no body can have.
-    """
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise _error(source, "file", "masses and inertias that a body can have", str(error).splitlines()[0]) from None
 
 
 # ------------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geome
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.proposal import propose
-from mjx_climb.robot.stance import Stance, worth_of
+from mjx_climb.robot.stance import Stance, Standing
 from mjx_climb.rollouts import remedies
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
@@ -191,7 +191,7 @@ def test_the_stance_is_the_least_singular(saved):
     """None of others as far off the joints' limits is farther from singular."""
     section = propose(saved(climbers.mjcf(4, 3))).sections["robot"]
     feet = np.array([limb["foothold"] for limb in section["limbs"].values()])
-    worth = worth_of(section, feet)
+    worth = Standing(section, feet).worth
     others = [Stance(height, share * feet) for height in (0.05, 0.12, 0.2) for share in (0.6, 0.8, 1.0, 1.2)]
     assert worth(Stance(section["height"], feet)) >= max(worth(stance) for stance in others) > 0
 
