@@ -218,7 +218,7 @@ class Standing:
         return least * min(share / _WELL, 1.0) if least > _SINGULAR else 0.0
 
     def sampled(self, away: np.ndarray, reach: float) -> Stance | None:
-        """Return a stance from postures at random, at the height where the worst limb has most room; None: there is none.
+        """Return a stance from postures at random, at the height where the worst limb has most room, or None.
 
         `away` (limb, 2) are directions out from the base. What counts is room to the limits, and a foot far out.
         """
