@@ -5,12 +5,12 @@ for the axis by name. It is never guessed from a shape: a quaternion has four co
 """
 
 import dataclasses
+import math
 import typing
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
 
 import jax.numpy as jnp
-import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 from jax.extend import core
 
@@ -23,63 +23,58 @@ _NAME = "limbs"
 
 def of_limbs(tree: Tree) -> Tree:
     """Return a dataclass as it is, its arrays marked whose declared shape (jaxtyping) begins with the limbs."""
-    hints = typing.get_type_hints(type(tree))
-    named = {field.name: hints[field.name] for field in dataclasses.fields(cast(Any, tree))}
-    marked = {
-        name: checkpoint_name(jnp.asarray(value), _NAME)
-        for name, hint in named.items()
-        if (value := getattr(tree, name)) is not None and _begins_with_limbs(hint)
-    }
+    marked = {}
+    for name, hint in typing.get_type_hints(type(tree)).items():
+        of_array = (getattr(kind, "dim_str", "") for kind in typing.get_args(hint) or [hint])  # of a union any
+        if any(shape.split(" ")[0] == "limb" for shape in of_array) and getattr(tree, name) is not None:
+            marked[name] = checkpoint_name(jnp.asarray(getattr(tree, name)), _NAME)
     result: Tree = dataclasses.replace(cast(Any, tree), **marked)
     return result
-
-
-def _begins_with_limbs(hint: Any) -> bool:
-    """Return whether a type, or one that it is a union of, is an array with the limbs first."""
-    return any(getattr(kind, "dim_str", "").split(" ")[0] == "limb" for kind in typing.get_args(hint) or [hint])
 
 
 class LimbAxes:
     """The axis of the limbs of each variable of a flat program, its loops' bodies included, and how many limbs."""
 
-    def __init__(self, program: core.ClosedJaxpr, of_arguments: Sequence[Axis] = ()) -> None:
+    def __init__(self, program: core.ClosedJaxpr) -> None:
         self.count = 1
         self._axes: dict[core.Var, int] = {}
-        self._body(program.jaxpr, of_arguments or [None] * len(program.jaxpr.invars))
+        self._body(program.jaxpr, [None] * len(program.jaxpr.invars))
 
     def of(self, atom: core.Var | core.Literal) -> Axis:
         """Return the axis of a value, None where it has none."""
         return None if isinstance(atom, core.Literal) else self._axes.get(atom)
 
     def _body(self, jaxpr: core.Jaxpr, axes: Sequence[Axis]) -> list[Axis]:
-        for variable, axis in zip(jaxpr.invars, axes, strict=True):
-            self._note(variable, axis)
+        self._note(jaxpr.invars, axes)
         for equation in jaxpr.eqns:
-            for variable, axis in zip(equation.outvars, self._through(equation), strict=True):
-                self._note(variable, axis)
+            self._note(equation.outvars, self._through(equation))
         return [self.of(atom) for atom in jaxpr.outvars]
 
-    def _note(self, variable: core.Var, axis: Axis) -> None:
-        aval: Any = variable.aval
-        if axis is not None and aval.shape[axis] == self.count:
-            self._axes[variable] = axis
+    def _note(self, variables: Sequence[core.Var], axes: Sequence[Axis]) -> None:
+        for variable, axis in zip(variables, axes, strict=True):
+            if axis is not None and _shape(variable)[axis] == self.count:
+                self._axes[variable] = axis
 
     def _through(self, equation: core.JaxprEqn) -> Sequence[Axis]:
         name, given = equation.primitive.name, [self.of(atom) for atom in equation.invars]
         if name == "name" and equation.params["name"] == _NAME:
-            self.count = cast(Any, equation.invars[0].aval).shape[0]
+            self.count = _shape(equation.invars[0])[0]
             return [0]
         if name == "scan":
             return self._scan(equation, given)
         if (inner := inner_program(equation)) is not None:
             return self._body(inner.jaxpr, given)
-        if all(axis is None for axis in given):
-            return [None] * len(equation.outvars)
-        if name in _MOVES:
-            return _MOVES[name](equation, given)
-        shape = cast(Any, equation.outvars[0].aval).shape
-        whole = [a for a, atom in zip(given, equation.invars, strict=True) if cast(Any, atom.aval).shape == shape]
-        axis = next((axis for axis in whole if axis is not None), None)  # of operations that keep the shape
+        moves = [(axis, atom) for axis, atom in zip(given, equation.invars, strict=True) if axis is not None]
+        if not moves:
+            axis = None
+        elif name == "dot_general":
+            axis = _of_product(equation, given)
+        else:
+            (axis, operand), after = moves[0], _shape(equation.outvars[0])
+            if name in _MOVES:
+                axis = _MOVES[name](equation.params, axis, _shape(operand), after)
+            elif _shape(operand) != after:
+                axis = None
         return [axis] * len(equation.outvars)
 
     def _scan(self, equation: core.JaxprEqn, given: list[Axis]) -> list[Axis]:
@@ -100,12 +95,18 @@ def _shape(atom: Any) -> tuple[int, ...]:
     return tuple(atom.aval.shape)
 
 
-def _reshaped(before: Sequence[int], after: Sequence[int], axis: int) -> Axis:
-    """Return where an axis is after a reshape that keeps it and all that is before it."""
-    count = int(np.prod(before[:axis]))
-    for place in range(len(after)):
-        if int(np.prod(after[:place])) == count and after[place] == before[axis]:
-            return place
+def _of_product(equation: core.JaxprEqn, given: list[Axis]) -> Axis:
+    """Return where the axis of either operand is in a product of matrices: those of a batch, of the left, the right."""
+    summed, batched = equation.params["dimension_numbers"]
+    before = len(batched[0])
+    for operand, axis in enumerate(given):
+        if axis in batched[operand]:
+            return list(batched[operand]).index(axis)
+        gone = (*summed[operand], *batched[operand])
+        free = [a for a in range(len(_shape(equation.invars[operand]))) if a not in gone]
+        if axis in free:
+            return before + free.index(axis)
+        before += len(free)
     return None
 
 
@@ -120,64 +121,33 @@ def _among(axis: int, new: Sequence[int]) -> int:
     return axis
 
 
-def _one(rule: Callable[[dict[str, Any], int, Any], Axis]) -> Callable[[core.JaxprEqn, list[Axis]], list[Axis]]:
-    """Return the rule of an operation whose first operand counts."""
-
-    def through(equation: core.JaxprEqn, given: list[Axis]) -> list[Axis]:
-        axis = None if given[0] is None else rule(equation.params, given[0], equation)
-        return [axis] * len(equation.outvars)
-
-    return through
+def _reshaped(p: dict[str, Any], axis: int, before: Sequence[int], after: Sequence[int]) -> Axis:
+    """Return where an axis is after a reshape that keeps it and all that is before it."""
+    count = math.prod(before[:axis])
+    places = (n for n, size in enumerate(after) if math.prod(after[:n]) == count and size == before[axis])
+    return None if p["dimensions"] else next(places, None)
 
 
-def _whole_slice(p: dict[str, Any], axis: int, e: Any) -> Axis:
-    return axis if _shape(e.outvars[0])[axis] == _shape(e.invars[0])[axis] else None
-
-
-def _side_by_side(equation: core.JaxprEqn, given: list[Axis]) -> list[Axis]:
-    axis = next((axis for axis in given if axis is not None), None)
-    return [None if axis == equation.params["dimension"] else axis]
-
-
-def _stacked(equation: core.JaxprEqn, given: list[Axis]) -> list[Axis]:
-    axis = next((axis for axis in given if axis is not None), None)
-    return [None if axis is None else _among(axis, [equation.params["axis"]])]
-
-
-def _product_of_matrices(equation: core.JaxprEqn, given: list[Axis]) -> list[Axis]:
-    summed, shared = equation.params["dimension_numbers"]
-    place = 0
-    for operand, axis in enumerate(given):
-        free = [
-            a for a in range(len(_shape(equation.invars[operand]))) if a not in (*summed[operand], *shared[operand])
-        ]
-        if axis in shared[operand]:
-            return [list(shared[operand]).index(axis)]
-        if axis in free:
-            return [len(shared[0]) + place + free.index(axis)]
-        place += len(free)
-    return [None]
-
-
-_REDUCTIONS = "reduce_sum reduce_max reduce_min reduce_prod reduce_and reduce_or reduce_xor argmax argmin".split()
-_MOVES: dict[str, Callable[[core.JaxprEqn, list[Axis]], Sequence[Axis]]] = {
-    **dict.fromkeys(_REDUCTIONS, _one(lambda p, axis, e: _without(axis, p["axes"]))),
-    "broadcast_in_dim": _one(lambda p, axis, e: p["broadcast_dimensions"][axis]),
-    "concatenate": _side_by_side,
-    "dot_general": _product_of_matrices,
-    "dynamic_slice": _one(_whole_slice),
-    "dynamic_update_slice": _one(lambda p, axis, e: axis),
-    "expand_dims": _one(lambda p, axis, e: _among(axis, p["dimensions"])),
-    "gather": _one(lambda p, axis, e: None),
-    "pad": _one(_whole_slice),
-    "reshape": _one(
-        lambda p, axis, e: None if p["dimensions"] else _reshaped(_shape(e.invars[0]), _shape(e.outvars[0]), axis)
+# Where the operation's first operand with an axis of the limbs has it in the result, by parameters, axis and shapes,
+# None where it is none any more. What is not here keeps it together with the shape.
+_Move = Callable[[dict[str, Any], int, tuple[int, ...], tuple[int, ...]], Axis]
+_MOVES: dict[str, _Move] = {
+    **dict.fromkeys(
+        "reduce_sum reduce_max reduce_min reduce_prod reduce_and reduce_or reduce_xor argmax argmin".split(),
+        lambda p, axis, *_: _without(axis, p["axes"]),
     ),
-    "rev": _one(lambda p, axis, e: None if axis in p["dimensions"] else axis),
-    "slice": _one(_whole_slice),
-    "split": _one(lambda p, axis, e: None if axis == p["axis"] else axis),
-    "squeeze": _one(lambda p, axis, e: _without(axis, p["dimensions"])),
-    "stack": _stacked,
-    "transpose": _one(lambda p, axis, e: list(p["permutation"]).index(axis)),
-    "unstack": _one(lambda p, axis, e: _without(axis, [p["axis"]])),
+    **dict.fromkeys(
+        ("dynamic_slice", "pad", "slice"), lambda _, axis, before, after: axis if before[axis] == after[axis] else None
+    ),
+    "broadcast_in_dim": lambda p, axis, *_: p["broadcast_dimensions"][axis],
+    "concatenate": lambda p, axis, *_: None if axis == p["dimension"] else axis,
+    "expand_dims": lambda p, axis, *_: _among(axis, p["dimensions"]),
+    "gather": lambda *_: None,
+    "reshape": _reshaped,
+    "rev": lambda p, axis, *_: None if axis in p["dimensions"] else axis,
+    "split": lambda p, axis, *_: None if axis == p["axis"] else axis,
+    "squeeze": lambda p, axis, *_: _without(axis, p["dimensions"]),
+    "stack": lambda p, axis, *_: _among(axis, [p["axis"]]),
+    "transpose": lambda p, axis, *_: list(p["permutation"]).index(axis),
+    "unstack": lambda p, axis, *_: _without(axis, [p["axis"]]),
 }
