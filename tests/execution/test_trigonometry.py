@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjx_climb.execution import devices, over_robots
-from mjx_climb.execution.trigonometry import in_single
+from mjx_climb.execution.array_writer import in_single
 
 
 @pytest.fixture(autouse=True)
