@@ -87,7 +87,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
 
 def _tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, shell: "Session", team: "Team") -> None:
     from tuning.background import background
-    from tuning.output import comparisons, folder
+    from tuning.output import comparisons
     from tuning.searches import tune as searches
 
     loaded, drawn = walk.load_with_gains(), ensemble.load()
@@ -108,7 +108,7 @@ def _tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, shell: "
     files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
     again, compared = repeated(["tune", *files], "--engine"), None
     with shell.keeping("rounds"), background(busy=1) as begin:
-        begin(lambda _: folder.writer(kind))  # matplotlib takes half a second
+        begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
         if drawn is None:
             comparisons.load_tests(problem, wanted, begin)
             compared = comparisons.of_search(problem, wanted, begin, out=out)
@@ -312,7 +312,7 @@ class Grid(Options):
         """Begin what the grid is compared with."""
         from tuning.output import comparisons
 
-        begin(lambda _: importlib.import_module("tuning.output.sweep"))  # 0.4 s, matplotlib's most of all
+        begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
         problem = work.problem
         return comparisons.of_grid(problem.scenario, problem.law, work.gains, work.axes, problem.engine, begin)
 

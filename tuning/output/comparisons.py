@@ -22,8 +22,6 @@ from tuning.searches.tune import start_of
 GIVEN = "gains file"  # the name of a walk with gains that are not the config's
 # inertia, damping and stiffness of cases 1.1, 1.2 and 2
 PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
-CONVERGENCE = "How the search converged."
-_BY_TANGENTS = {"gradient", "lbfgs"}  # methods
 
 
 class OfGrid(NamedTuple):
@@ -67,11 +65,7 @@ def of_search(problem: Problem, search: Search, begin: Begin, *, out: Path | Non
     scenario, law, engine = problem.scenario, problem.law, problem.engine
     on_the_map = law is None and JOINT.keys().isdisjoint(problem.space.gains)  # then one map serves all results
     return OfSearch(
-        begin(
-            lambda report: retuned_pd.search(
-                problem, search, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
-            )
-        ),
+        begin(retuned(problem, search, out)),
         {"pd": begin(one_walk(under_pd(scenario), None, engine)), "config": begin(one_walk(scenario, law, engine))},
         begin(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
         {
@@ -81,9 +75,16 @@ def of_search(problem: Problem, search: Search, begin: Begin, *, out: Path | Non
     )
 
 
+def retuned(problem: Problem, search: Search, out: Path | None) -> Work[Tuned | None]:
+    """Return a work that searches kp and kd of pd as the gains were searched; `out` keeps its rounds."""
+    return lambda report: retuned_pd.search(
+        problem, search, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
+    )
+
+
 def load_tests(problem: Problem, search: Search, begin: Begin) -> None:
     """Begin to load the executable of a result's tests, which takes long, where the search does not use it."""
-    if search.method not in _BY_TANGENTS:
+    if search.method not in ("gradient", "lbfgs"):
         begin(lambda _: verification.slopes_at(problem, start_of(problem)))
 
 

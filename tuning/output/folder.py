@@ -1,11 +1,10 @@
 """The folder of a result: the one place that knows what it holds, and that writes it."""
 
 import dataclasses
-import importlib
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import xarray as xr
@@ -31,7 +30,6 @@ RESULTS = (
     "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json", "judged.nc",
 )  # fmt: skip
 _WITHOUT_PARTS = ("trajectory.nc", "margins.json", "reproduce.json")
-_OF_THEIR_OWN = ("tune", "sweep")  # kinds with a module in this package; the others share one
 
 
 class Contents(NamedTuple):
@@ -42,11 +40,6 @@ class Contents(NamedTuple):
     pictures: Pictures = MappingProxyType({})
     page: Callable[[Origin], Page] | None = None
     again: str = ""  # the command or call that repeats it in the folder
-
-
-def writer(kind: str) -> ModuleType:
-    """Return the module whose function `kind` gives the contents; it imports matplotlib."""
-    return importlib.import_module(f"tuning.output.{kind if kind in _OF_THEIR_OWN else 'ensembles'}")
 
 
 class Folder:
@@ -60,7 +53,7 @@ class Folder:
         figures: Collection[str] = ("png",),
         stage: Stage = silent,
     ):
-        """Make the folder; `result` is the file by which it is known, the others are as of `Result.write`."""
+        """Make the folder; `result` is the file by which it is known, the rest is as of `Result.write`."""
         check_own(path, result)
         self.path, self.stage, self._result = path, stage, result
         self._origin, self._figures = origin, {"png", *figures}
@@ -69,7 +62,9 @@ class Folder:
 
     def write(self, found: Result, begun: Any = None) -> Written:
         """Write a result as its kind declares it, remove the parts that its search kept, and say what was written."""
-        made: Contents = getattr(writer(found.KIND), found.KIND)(found, self, begun)
+        from tuning.output import results  # which imports matplotlib
+
+        made: Contents = getattr(results, found.KIND)(found, self, begun)
         for name, content in made.files.items():
             self.add(name, content)
         self.draw(made.pictures)
@@ -91,7 +86,7 @@ class Folder:
             name = "from Python" if self._origin is None else self._origin.name
             gains_file.save(found.gains, self.path / "gains.yaml", found.comment(name), problem.law)
             self._files.append("gains.yaml")
-        data = made_from(found.data, scenario)
+        data = found.data.assign_attrs(scenario=scenario.to_yaml())
         self.add(self._result, data)
         for name, settings in (("search.yaml", found.search), ("ensemble.yaml", found.ensemble)):
             if settings is not None:
@@ -151,11 +146,6 @@ def write_config(
     written = scenario_files.copied(scenario if own is None else scenario.with_overrides({"own": own}), folder)
     dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(written, folder))
     return written if own is None else written.with_overrides({"own": None})
-
-
-def made_from(data: xr.Dataset, scenario: mc.Scenario) -> xr.Dataset:
-    """Return a dataset that names as its own a scenario whose files were copied."""
-    return data.assign_attrs(scenario=scenario.to_yaml())
 
 
 def without_folders(text: str) -> str:

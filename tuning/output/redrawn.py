@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
-from tuning.output import sweep
+from tuning.output import results
 from tuning.report import pictures
 from tuning.report.comparison import Compared
 from tuning.report.explorer import axes_of
@@ -64,11 +64,11 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
 def _maps(data: xr.Dataset, compared: Compared, metrics: Sequence[str], sheet: str) -> Drawn:
     """Yield the sheet of all maps, or a map of each metric."""
     if not metrics:
-        yield sheet, sweep.sheet(data, compared)
+        yield sheet, results.sheet(data, compared)
     _check(metrics, data, axes_of(data))
     for name in metrics:
         baseline = compared["pd"][1].get(name) if "pd" in compared else None
-        yield f"{sheet}-{name}", plots.plot_map(data, name, sweep.marks(data, compared), baseline=baseline)
+        yield f"{sheet}-{name}", plots.plot_map(data, name, results.marks(data, compared), baseline=baseline)
 
 
 def _search(folder: Path, data: xr.Dataset) -> Drawn:

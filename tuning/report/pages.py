@@ -21,8 +21,7 @@ from tuning.searches.pareto import Front, without_sensor
 from tuning.searches.result import Tuned
 
 if TYPE_CHECKING:
-    from tuning.output.sweep import Comparison as SweepComparison
-    from tuning.output.tune import Comparison as TuneComparison
+    from tuning.output.results import SweepComparison, TuneComparison
 
 ROWS = 20  # of the table of a front
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",

@@ -47,7 +47,7 @@ class Result:
     """What was found, and for what; its kinds say what else is known of it."""
 
     FILE: ClassVar[str]  # of the data; by it the folder of a result is known
-    KIND: ClassVar[str]  # the command; a function of this name in `tuning/output/` gives what it writes
+    KIND: ClassVar[str]  # the command; a function of this name in `tuning/output/results.py` gives what it writes
 
     data: xr.Dataset
     problem: Problem

@@ -1,7 +1,5 @@
 """The folder of a result: what it holds is said, the parts of the search go, another command's result stays."""
 
-import types
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,7 +7,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
 from tuning.gains import gains_file
-from tuning.output import folder
+from tuning.output import folder, results
 from tuning.output.folder import Folder
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
@@ -32,7 +30,7 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
         place.found(found)
         return folder.Contents(Written(), {"more.txt": "more"})
 
-    monkeypatch.setattr(folder, "writer", lambda _: types.SimpleNamespace(tune=tune))
+    monkeypatch.setattr(results, "tune", tune)
     found = found_in(mc.load_scenario("case_1_2"))
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
     written = Folder(tmp_path, found.FILE).write(found)

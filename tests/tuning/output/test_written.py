@@ -11,8 +11,7 @@ import mjx_climb as mc
 from tuning import background
 from tuning.evaluation import margins
 from tuning.gains import gains_file
-from tuning.output import comparisons
-from tuning.output import tune as tuned
+from tuning.output import comparisons, results
 from tuning.problem.search import Search
 from tuning.searches import result, retuned_pd
 from tuning.tune import tune
@@ -87,10 +86,10 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
     nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
     scenario = mc.load_scenario("case_1_2")
     for module, name, value in (
-        (tuned.verification, "tests", nothing), (tuned.verification, "tuned", lambda _: scenario),
-        (tuned.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
-        (tuned.margins, "find", nothing), (tuned, "_with_joint_gains", nothing), (tuned, "differences", nothing),
-        (tuned, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
+        (results.verification, "tests", nothing), (results.verification, "tuned", lambda _: scenario),
+        (results.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
+        (results.margins, "find", nothing), (results, "_with_joint_gains", nothing), (results, "differences", nothing),
+        (results, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
         (retuned_pd, "rival_of", lambda found, retuned, step: step), (retuned_pd, "worth", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
@@ -101,5 +100,5 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
     )  # fmt: skip
     begun = comparisons.OfSearch(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {})
     with pytest.raises(Given) as given:
-        tuned.compare(found, types.SimpleNamespace(stage=background.silent, path=None, draw=nothing), begun)
+        results.compare_tuned(found, types.SimpleNamespace(stage=background.silent, path=None, draw=nothing), begun)
     assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)

@@ -13,8 +13,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.rollouts.histories import LINES, histories
 from tuning.evaluation import verification
-from tuning.output import sweep as sweep_output
-from tuning.output import tune as tune_output
+from tuning.output import results
 from tuning.output.folder import without_folders
 from tuning.problem.evaluation import Problem
 from tuning.report import comparison, explorer, page, pages
@@ -312,7 +311,7 @@ def tuned_page(named):
     gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
 
     def made(over, **changed):
-        compared = tune_output.Comparison(walks, compared_of(walks, gains), over, None, CHECKED, None)
+        compared = results.TuneComparison(walks, compared_of(walks, gains), over, None, CHECKED, None)
         found = found_for(scenario, mc.Gains(**gains | changed))
         return pages.tune_page(found, compared, ["a line"], ["a test"], ORIGIN)
 
@@ -375,7 +374,7 @@ def test_the_page_of_a_sweep_says_which_walk_is_best(held):
     best = grid.isel(stiffness=1, damping=0) if held else None
     scenario = mc.Scenario().with_overrides({"duration": 0.2, "control.controller": "pd"})
     walks = dict.fromkeys(rows, mc.rollout(scenario))
-    compared = sweep_output.Comparison(grid, best, walks, rows, 1, [], None)
+    compared = results.SweepComparison(grid, best, walks, rows, 1, [], None)
     lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
     made = pages.sweep_page(Problem(scenario), compared, lines, {}, ["widen it"], ORIGIN)
     expected = []

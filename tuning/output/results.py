@@ -1,0 +1,480 @@
+"""What each kind of result leaves in its folder: one function for a kind, of its name, gives the contents."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import mjx_climb as mc
+from mjx_climb import plots
+from mjx_climb.control import PD
+from mjx_climb.execution import devices
+from mjx_climb.files import scenario_files
+from mjx_climb.quantities.parameters import gains as scenario_gains
+from tuning.background import Callback, Stage, Work, background, ignore
+from tuning.evaluation import maps, margins, stability_limit, verification
+from tuning.evaluation.verification import Verification
+from tuning.gains.gains_file import by_name
+from tuning.output import comparisons
+from tuning.output.comparisons import GIVEN, OfGrid, OfSearch, beside_retuned, one_walk
+from tuning.output.folder import Contents, Folder, write_config
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.objectives import Goal, Objective
+from tuning.report import page, pages, pictures
+from tuning.report.comparison import Compared, differences, gains_of
+from tuning.report.explorer import axes_of
+from tuning.report.numbers import failed, remarks, to_json
+from tuning.searches import judge as judging
+from tuning.searches import retuned_pd
+from tuning.searches import schedule as schedules
+from tuning.searches.judge import Judged
+from tuning.searches.pareto import Front
+from tuning.searches.result import Robust, Tuned, Written
+from tuning.searches.retuned_pd import Rival, Worth
+from tuning.searches.schedule import Scheduled
+from tuning.searches.shards import Rows
+from tuning.searches.sweep import HISTORIES, Swept, best_cell, holding
+
+MAPS = "All metrics over both gains; brighter is better."
+CONVERGENCE = "How the search converged."
+WALKS = "The walks over time: red crosses mark a torn gripper, shading a disturbance."
+PATH = "The way of the search over the map; the red line is the limit of stability."
+MARGINS = "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges."
+SHARES = "Share of the walks below a value."
+FRONT = "The front, and all that was walked on the way."
+SCHEDULE = "Gains by gravity and cargo."
+Metrics = Mapping[str, Any]  # of one walk, as `mjx_climb.metrics` gives them
+_HATCHED = ("detached_limb", "diverged")  # shown on every map
+_VARIATION = "force_variation"
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Fresh draws, schedules and fronts
+
+
+def judge(found: Judged, folder: Folder, _: None = None) -> Contents:
+    """Every walk, means and worst, the picture, the page."""
+    ensemble = found.ensemble
+    assert ensemble is not None
+    found, metrics = folder.found(found), found.problem.metrics
+    summed = judging.summary(found.data)
+    sentence = f"{ensemble.members} walks each; {judging.failed_in_words(summed)}"
+    summary = to_json(judging.plain(summed, pages.shown(metrics)))
+    return Contents(
+        Written(data=found.data, summed=summed, outcome=[sentence], summary=summary),
+        {"summary.json": summary + "\n"},
+        {"judged": (SHARES, lambda: pictures.plot_judged(found.data))},
+        lambda origin: page.Page(
+            title=f"Gains on the walks of {origin.name}", origin=origin, verdict=f"{sentence}.",
+            scenario=found.scenario, tables=[pages.judged_table(summed, metrics)], facts={"seed": ensemble.seed},
+        ),
+    )  # fmt: skip
+
+
+def schedule(found: Scheduled, folder: Folder, _: None = None) -> Contents:
+    """The table, all metrics, and a picture; no report."""
+    data = folder.found(found).data
+    return Contents(
+        Written(data=data, outcome=[schedules.worth(data)]),
+        {"schedule.csv": schedules.to_csv(data), "schedule.yaml": schedules.to_yaml(data)},
+        {"schedule": (SCHEDULE, lambda: pictures.plot_schedule(data))},
+    )
+
+
+def pareto(found: Front, folder: Folder, _: None = None) -> Contents:
+    """The front with its gains, a picture, the knee, and the report with the walks along the front."""
+    found = folder.found(found)
+    problem, data, asked, scenario = found.problem, found.data, found.asked, found.scenario
+    how: dict[str, Any] = {"law": problem.law, "engine": problem.engine}
+    names, metrics = data.attrs["gains"].split(), (asked.against, asked.better)
+    with folder.stage("walks along the front"):
+        walks = {"pd": mc.rollout(under_pd(scenario), engine=problem.engine), "config": mc.rollout(scenario, **how)}
+        on_front = {name: data[name].values for name in names}
+        histories = mc.rollout_histories(scenario, on_front, metrics=problem.metrics, **how)
+
+    def rows(columns: tuple[str, ...], along: str, prefix: str = "") -> list[dict[str, Any]]:
+        return [{n: data[f"{prefix}{n}"].values[i] for n in columns} for i in range(data.sizes[along])]
+
+    config, pd = ({n: data[f"reference_{n}"].sel(reference=name).item() for n in metrics} for name in ("config", "pd"))
+    summary = to_json(
+        {
+            "front": rows((*metrics, *names), "front"), "knee": found.knee, "config": config, "pd": pd,
+            "pd_over_kp_and_kd": rows(("kp", "kd", *metrics), "without", "without_"),
+            "force_sensor": {"in_words": found.worth},
+        }
+    )  # fmt: skip
+    again = "mjx-climb pareto config.yaml --search search.yaml "
+    again += f"--better {asked.better} --against {asked.against} --points {asked.points} --out again"
+    return Contents(
+        Written(walks=walks, data=data, outcome=[found.worth], summary=summary),
+        {"summary.json": summary + "\n"},
+        {"front": (FRONT, lambda: pictures.plot_front(data))},
+        lambda origin: pages.pareto_page(found, histories, walks, origin),
+        again,
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A search over an ensemble
+
+
+def robust(found: Robust, folder: Folder, _: None = None) -> Contents:
+    """Gains, all points, a fresh draw that tests them, pictures and report."""
+    found = folder.found(found)
+    walks, summed, worth, outcome = _compare_robust(found, folder)
+    plain: dict[str, Any] = judging.plain(summed, pages.shown(found.problem.metrics))
+    for name, own in plain.items():
+        own["objective"] = float(summed["objective"].sel(gains=name))
+        own["broken_limits"] = summed["broken"].sel(gains=name).to_series().to_dict()
+    plain["search"] = {
+        "objective": found.value, "feasible": found.feasible, "env_steps": found.env_steps,
+        "gains": by_name(found.gains),
+    }  # fmt: skip
+    summary = to_json(plain if worth is None else plain | worth.summary)
+    return Contents(
+        Written(data=walks, summed=summed, outcome=outcome, summary=summary),
+        {"judged.nc": walks, "summary.json": summary + "\n"},
+        {
+            "convergence": (CONVERGENCE, lambda: pictures.plot_convergence(found)),
+            "judged": (SHARES, lambda: pictures.plot_judged(walks)),
+        },
+        lambda origin: pages.robust_page(found, summed, outcome, origin),
+        "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again",
+    )
+
+
+def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Dataset, Worth | None, list[str]]:
+    """Simulate a result, the scenario's own gains, pd and pd retuned on walks that the search never saw.
+
+    Returns: the walks, their mean and worst (see `tuning.searches.judge`), what a force sensor is worth, and all in
+    lines. The folder keeps the rounds in which pd is retuned.
+    """
+    problem, ensemble, goal = found.problem, found.ensemble, found.problem.objective
+    assert isinstance(goal, Objective)
+    with folder.stage("retuned pd", unit="rounds") as told:
+        retuned = comparisons.retuned(problem, found.search, folder.path)(told)
+    walked, pd, step = problem, {}, None
+    if retuned is not None:  # as short a time step as it needs, for all that are compared
+        pd = {retuned_pd.NAME: retuned.gains}
+        shortest = retuned_pd.time_step_for(found.scenario, retuned_pd.joint_of(retuned))
+        step = None if shortest == found.scenario.time_step else shortest
+        walked = dataclasses.replace(problem, scenario=found.scenario.with_overrides({"time_step": shortest}))
+    rivals = {"robust": found.gains, "config": problem.law or scenario_gains(found.scenario)}
+    fresh = judging.fresh(ensemble.model_copy(update={"members": found.judges}))
+    draws = {
+        "fresh draw": judging.through(walked, rivals, fresh, pd),
+        "its own draw": judging.through(problem, {"robust": found.gains}, ensemble),
+    }
+    drawn = {}
+    for name, draw in draws.items():
+        with folder.stage(name, unit="members") as told:
+            drawn[name] = draw.dataset(Rows(draw).walk(told))
+    walks, seen = drawn.values()
+    broken, scores = judging.broken(walks, goal), judging.scores(walks, goal)
+    summed = judging.summary(walks).assign(objective=scores, broken=broken)
+    outcome = [f"{found.judges} walks each that the search never saw; {judging.failed_in_words(summed)}"]
+    worth = None
+    if retuned is not None:
+        means = judging.plain(summed, pages.shown(problem.metrics))
+        both = {name: means[name]["mean"] for name in ("robust", retuned_pd.NAME)}
+        values = [{"objective": float(scores.sel(gains=n)), _VARIATION: mean[_VARIATION]} for n, mean in both.items()]
+        worth = _worth(both.values(), values, retuned_pd.rival_of(found, retuned, step), problem)
+        outcome.append(worth.in_words)
+    if binding := judging.binding(seen, goal, "robust"):
+        outcome.append(f"held by its limits: {'; '.join(binding)}")
+    for limit, share in broken.sel(gains="robust").to_series().items():
+        if share:
+            outcome.append(f"warning: {share:.1%} of the fresh walks break {limit}")
+    if not found.feasible:
+        outcome.append("warning: no gains kept every limit in every member of the search")
+    return walks, summed, worth, outcome
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A sweep
+
+
+def sweep(found: Swept, folder: Folder, begun: OfGrid | None = None) -> Contents:
+    """Simulate the best, the scenario's own gains and pd, with the contents that `mjx-climb sweep` writes."""
+    problem, (scenario, law) = found.problem, found.walker()
+    walked = write_config(scenario, folder.path, law, problem.metrics)
+    problem = dataclasses.replace(problem, scenario=scenario_files.copied(problem.scenario, folder.path))
+    data = found.data.assign_attrs(scenario=walked.to_yaml())
+    found = dataclasses.replace(found, problem=problem, data=data)
+    compared = compare_sweep(found, folder.stage, begun)
+    data, best, (scenario, law) = compared.data, compared.best, found.walker()
+    folder.add("sweep.nc", data)
+    count, edges = data["diverged"].size, compared.at_edge
+    with background() as begin:
+        how = {**problem.walks, "law": law}
+        walking = begin(lambda _: pages.with_histories(data, scenario, best, **how) if count > HISTORIES else data)
+        folder.draw({"maps": (MAPS, lambda: sheet(data, compared.rows))})
+        with folder.stage("histories") if count > HISTORIES else contextlib.nullcontext():
+            histories = walking(ignore)
+    walks = {
+        "config" if name == "paper" else name: {"gains": gains, "metrics": metrics}
+        for name, (gains, metrics) in compared.rows.items()
+    }
+    sensor = {} if compared.worth is None else compared.worth.summary
+    counts = {"walks": count, "failed": compared.failed, "best_at_edge_of": edges}
+    summary = to_json({"best": None} | walks | sensor | {"grid": counts})
+    widen = [f"the best lies on the edge of the grid: widen {name}" for name in edges]
+    worth = [] if compared.worth is None else [compared.worth.in_words]
+    if best is None:
+        outcome = [f"no walk of the grid held: all {count} detached or diverged"]
+    else:
+        at = ", ".join(f"{name} {best[name].item():.4g}" for name in found.axes)
+        outcome = [f"best: {at} ({compared.failed} of {count} walks detached or diverged)", *widen]
+    outcome += worth + remarks({name: metrics for name, (_, metrics) in compared.rows.items()})
+    listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
+    return Contents(
+        Written(walks=compared.walks, compared=compared.rows, data=data, outcome=outcome, summary=summary),
+        {"comparison.json": summary + "\n"},
+        page=lambda origin: pages.sweep_page(
+            dataclasses.replace(problem, scenario=scenario), compared, histories, marks(data, compared.rows),
+            [*worth, *widen], origin,
+        ),
+        again=f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed}).write("again")',
+    )  # fmt: skip
+
+
+class SweepComparison(NamedTuple):
+    """The best walk of a grid beside the scenario's own gains and pd, walked in double precision."""
+
+    data: xr.Dataset  # the grid, with the limit of stability
+    best: xr.Dataset | None  # its cell, None where all failed
+    walks: Mapping[str, mc.Trajectory]  # best, pd retuned, gains file, config (or paper), pd: as far as there are such
+    rows: Compared  # gains and metrics of these
+    failed: int  # walks of the grid
+    at_edge: list[str]  # gains whose end of the axis the best cell lies on
+    worth: Worth | None  # of a force sensor: the best against pd retuned
+
+
+def compare_sweep(found: Swept, stage: Stage, begun: OfGrid | None = None) -> SweepComparison:
+    """Simulate what the grid is compared with, and work out its limit of stability."""
+    problem, best = found.problem, best_cell(found.data)
+    axes = {name: found.data[name].values for name in found.axes}
+    others = begun or comparisons.of_grid(
+        problem.scenario, problem.law, found.gains, axes, problem.engine, lambda work: work
+    )
+    # side by side: most of the time goes to the compiler, which has a program of its own for each
+    with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
+
+        def begin(work: Work[Any]) -> Work[Any]:
+            future = pool.submit(work, ignore)
+            return lambda _: future.result()
+
+        limits, asked, ours = begin(others.limits), dict(others.walks), None
+        if best is not None:
+            ours = found.walker({name: best[name].item() for name in found.axes})
+            asked["best"] = one_walk(*ours, problem.engine)
+        walking = {name: begin(walk) for name, walk in reversed(asked.items())}
+        rival, limit = limits(ignore)
+        if best is not None and (rival is None or (rival.lacks and best[_VARIATION] < rival.value)):
+            rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
+        if rival is not None:
+            beside = beside_retuned(problem.scenario, rival.joint, ours, problem.engine, begin)
+            walking[retuned_pd.NAME], step, level = beside
+        walked = {name: each(ignore) for name, each in walking.items()}
+        radius = stability_limit.on_map(limit, found.data)
+    config = next(name for name in others.walks if name not in ("pd", GIVEN))
+    walks = {name: walked[name] for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walked}
+    rows = {name: (gains_of(walk), mc.metrics(walk, problem.metrics)) for name, walk in walks.items()}
+    worth = None
+    if rival is not None:
+        rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
+        if best is not None:
+            metrics = rows["best"][1] if level is None else mc.metrics(level(ignore), problem.metrics)
+            scored = [{_VARIATION: np.nan if failed(each) else each[_VARIATION]} for each in (metrics, theirs)]
+            spread = max(retuned_pd.spread(holding(found.data, _VARIATION).values), rival.spread)
+            worth = _worth(
+                (metrics, theirs), scored, rival._replace(spread=spread, step=step), problem, " on this grid"
+            )
+    data = found.data.assign(spectral_radius=radius)
+    failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
+    edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
+    return SweepComparison(data, best, walks, rows, failures, edges, worth)
+
+
+def sheet(data: xr.Dataset, compared: Compared) -> Figure:
+    """Draw the maps of all metrics that have values, with the gains and with pd's values to compare with."""
+    metrics = [str(n) for n, v in data.items() if "larger_is_better" in v.attrs and n not in _HATCHED]
+    known = [name for name in metrics if np.isfinite(data[name]).any()]
+    baselines = {name: value for name, value in compared["pd"][1].items() if value is not None}
+    return plots.plot_maps(data, known, marks(data, compared), baselines=baselines, columns=3)
+
+
+def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]]:
+    """Return the two gains of the walks that have one of each."""
+    found = {}
+    for name, (gains, _) in compared.items():
+        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes_of(data)):
+            x, y = (float(np.ravel(gains[key])[0]) for key in axes_of(data))
+            found[name] = x, y
+    return found
+
+
+def _worth(
+    metrics: Iterable[Metrics], scored: Iterable[Metrics], rival: Rival, problem: Problem, place: str = ""
+) -> Worth:
+    """Return what a force sensor is worth, from the metrics of ours and of pd retuned, and what both are scored by."""
+    (ours, theirs), (values, without) = metrics, scored
+    others = differences(ours, theirs, problem.metrics, but=(_VARIATION,))
+    return retuned_pd.worth(values, without, rival, place=place, others=others)
+
+
+# ------------------------------------------------------------------------------------------------------------
+# A search for gains
+
+
+def tune(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Contents:
+    """Simulate, test and draw the result, with the contents that `mjx-climb tune` writes."""
+    found = folder.found(found)
+    compared = compare_tuned(found, folder, begun)
+    over, rows, checked, goal = compared.over, compared.rows, compared.checked, found.problem.objective
+    broken = {name: verification.broken_limits(goal, metrics) for name, (_, metrics) in rows.items()}
+    outcome = [] if compared.worth is None else [compared.worth.in_words]
+    outcome += [f"warning: {line}" for line in checked.warnings]
+    if broken["config"]:
+        outcome.append(f"the config's own gains break limits: {'; '.join(broken['config'])}")
+    outcome += remarks({name: metrics for name, (_, metrics) in rows.items()})
+    tests = _outcome_of(checked, found) + _turns(found, compared.walks["tuned"])
+    plain: dict[str, Any] = {
+        name: {"gains": gains, "metrics": metrics, "broken_limits": broken[name]}
+        for name, (gains, metrics) in rows.items()
+    }
+    plain["search"] = {
+        **found.search.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
+        "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
+    }  # fmt: skip
+    plain |= {} if compared.worth is None else compared.worth.summary
+    summary = to_json(plain | {"verification": {**dataclasses.asdict(checked), "passed": checked.passed}})
+    files: dict[str, Any] = {"summary.json": summary + "\n"}
+    drawn: dict[str, Any] = {"margins": (MARGINS, lambda: pictures.plot_margins(compared.hardware, "tuned"))}
+    if over is not None:
+        files["map.nc"] = over
+        drawn["path"] = PATH, lambda: pictures.plot_path(found, over)
+    return Contents(
+        Written(walks=compared.walks, compared=rows, data=over, outcome=outcome + tests, summary=summary),
+        files,
+        drawn,
+        lambda origin: pages.tune_page(found, compared, outcome, tests, origin),
+        "mjx-climb tune config.yaml --search search.yaml --out again",
+    )
+
+
+class TuneComparison(NamedTuple):
+    """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
+
+    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
+    rows: Compared  # tuned, retuned_pd, config, pd
+    over: xr.Dataset | None  # the map around it
+    hardware: margins.Found  # on worse hardware
+    checked: Verification
+    worth: Worth | None  # of a force sensor: the result against pd retuned
+
+
+def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> TuneComparison:
+    """Simulate a result, what it is compared with and the map around it, and test it; draw the walks meanwhile."""
+    scenario, problem, stage = found.scenario, found.problem, folder.stage
+    ours, engine = (verification.tuned(found), found.law), problem.engine
+    with background() as begin:
+        tested = begin(lambda _: verification.tests(found, problem))  # the longest to compile
+        others = begun or comparisons.of_search(problem, found.search, begin, out=folder.path)
+        mapped = others.over or begin(lambda told: verification.map_of(found, problem, progress=told))
+        walking = {**others.walks, "tuned": begin(one_walk(*ours, engine))}
+        with stage("retuned pd", unit="rounds") as told:
+            retuned = others.retuned(told)
+        rivals, beside = {"config": margins.Walker(problem.law, {})}, None
+        if retuned is not None:
+            joint = retuned_pd.joint_of(retuned)
+            beside = beside_retuned(scenario, joint, ours, engine, begin)
+            walking[retuned_pd.NAME] = beside.walk
+            if beside.step is None:
+                rivals["retuned pd"] = margins.Walker(PD(), joint)
+
+        def find_margins(told: Callback) -> margins.Found:
+            walked = {name: asked(ignore) for name, asked in others.on_hardware.items()}  # begun before this
+            how: dict[str, Any] = {"law": found.law, "engine": engine}
+            return margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
+
+        margin, walks = begin(find_margins), {}
+        for name, walk in walking.items():
+            with stage(name) as told:
+                walks[name] = walk(told)
+        metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
+        folder.draw(
+            {
+                "convergence": (CONVERGENCE, lambda: pictures.plot_convergence(found)),
+                "walks": (WALKS, lambda: plots.plot_comparison(walks)),
+            }
+        )
+        with stage("map") as told:
+            over = mapped(told)
+        with stage("margins") as told:
+            hardware = margin(told)
+        with stage("verification"):
+            checked = verification.verify(
+                found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested(ignore)
+            )
+    gains, worth = {name: _with_joint_gains(walk) for name, walk in walks.items()}, None
+    if retuned is not None and beside is not None:
+        both = (
+            metrics["tuned"] if beside.level is None else mc.metrics(beside.level(ignore), problem.metrics),
+            metrics[retuned_pd.NAME],
+        )
+        scored = [_scored(problem.objective, each) for each in both]
+        worth = _worth(both, scored, retuned_pd.rival_of(found, retuned, beside.step), problem)
+        gains[retuned_pd.NAME] = joint
+    order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
+    return TuneComparison(walks, {name: (gains[name], metrics[name]) for name in order}, over, hardware, checked, worth)
+
+
+def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
+    """Return what isotropic gains mean for rotations: nothing much, where the law shifts the base."""
+    if found.search.space != "isotropic" or not np.any(walk.base_displacement):
+        return []
+    moved = np.linalg.norm(walk.base_displacement.reshape(-1, 2, 3), axis=-1)
+    shift, turn = 1e3 * np.nanmax(moved, axis=0)
+    return [
+        "one number for N/m and N m/rad alike makes rotations far stiffer at the feet than translations: the law "
+        f"shifts the base by up to {shift:.2g} mm and turns it by {turn:.2g} mrad; --space split tunes both"
+    ]
+
+
+def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
+    """Return the gains of a walk, those of the joint loop last; None where its controller has none."""
+    gains, control = gains_of(walk), walk.scenario.control
+    return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
+
+
+def _scored(target: Goal, metrics: Metrics) -> dict[str, float]:
+    """Return what gains are compared by."""
+    variation = metrics[_VARIATION]
+    if variation is None or failed(metrics):
+        return {"objective": np.nan, _VARIATION: np.nan}
+    return {"objective": float(maps.score_of(target, metrics).value), _VARIATION: float(variation)}
+
+
+def _outcome_of(checked: Verification, found: Tuned) -> list[str]:
+    """Return the outcome of the tests in a few lines, without their warnings."""
+    limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
+    lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]
+    if checked.binding_limits:
+        lines.append(f"held by its limits: {'; '.join(checked.binding_limits)}")
+    kinds = {kind: [n for n, k in checked.shape.items() if k == kind] for kind in ("plateau", "slope", "cliff")}
+    lines.append("within 20 %: " + "; ".join(f"{kind} in {', '.join(n)}" for kind, n in kinds.items() if n))
+    steepest = max(checked.slopes, key=lambda name: abs(checked.slopes[name]))
+    lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
+    if checked.grid_value is not None:
+        lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
+    for name, margin in checked.margins.items():
+        holds, better = (margins.in_words(name, margin.worst, reached) for reached in (margin.holds, margin.better))
+        lines.append(f"margin, {margins.QUANTITIES[name].title}: holds up to {holds}, better than pd up to {better}")
+    lines.append(f"closed loop in its worst stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
+    return lines
