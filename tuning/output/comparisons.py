@@ -93,25 +93,20 @@ def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.
     return lambda _: mc.rollout(scenario, law=law, engine=engine)
 
 
-class Retuned(NamedTuple):
-    """Pd with joint gains of its own, and what it is compared with, at as short a time step as it needs."""
-
-    walk: Work[mc.Trajectory]
-    step: float | None  # None: the scenario's
-    level: Work[mc.Trajectory] | None  # the other at this time step
-
-
 def beside_retuned(
     scenario: mc.Scenario,
     joint: Mapping[str, float],
     ours: tuple[mc.Scenario, mc.Law | None] | None,
     engine: str,
     begin: Begin,
-) -> Retuned:
-    """Begin the walks by which pd with its joint gains is compared with ours, where there are such."""
+) -> tuple[Work[mc.Trajectory], float | None, Work[mc.Trajectory] | None]:
+    """Begin the walks by which pd with joint gains of its own is compared with ours, where there are such.
+
+    Returns: its walk; the time step, as short as it needs, and our walk at this step, None where it is the scenario's.
+    """
     alone = retuned_pd.walker(scenario, joint)
     step, level = None, None
     if ours is not None and alone.time_step != scenario.time_step:
         step = alone.time_step
         level = begin(one_walk(ours[0].with_overrides({"time_step": step}), ours[1], engine))
-    return Retuned(begin(one_walk(alone, None, engine)), step, level)
+    return begin(one_walk(alone, None, engine)), step, level

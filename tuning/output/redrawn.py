@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from matplotlib.figure import Figure
 
 from mjx_climb import plots
@@ -19,13 +18,12 @@ from tuning.report.comparison import Compared
 from tuning.report.explorer import axes_of
 from tuning.searches import result
 
-Drawn = Iterator[tuple[str, Figure]]
 RESULTS = ("trajectory.nc", "sweep.nc", "map.nc", "search.nc", "judged.nc", "front.nc", "schedule.nc")
 OF_METRICS = ("sweep.nc", "map.nc", "judged.nc")
-SUMMARIES = {"sweep.nc": "comparison.json", "map.nc": "summary.json"}
+MAPS = {"sweep.nc": ("maps", "comparison.json"), "map.nc": ("map", "summary.json")}  # picture, walks to mark on it
 
 
-def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
+def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Figure]]:
     """Yield every picture of a folder and what its file is called, without an ending.
 
     Arguments:
@@ -48,54 +46,41 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Drawn:
             yield "feet", plots.plot_feet(trajectory)
             continue
         data = dataset.load(folder / name)
-        if name in SUMMARIES:
-            yield from _maps(data, _compared(folder / SUMMARIES[name]), metrics, "map" if name == "map.nc" else "maps")
-        elif name == "search.nc":
-            yield from _search(folder, data)
+        if name in OF_METRICS:
+            dims = axes_of(data) if name in MAPS else ("gains", "member")
+            of_both = [str(n) for n, v in data.items() if set(v.dims) == set(dims) and v.dtype.kind in "fi"]
+            for metric in metrics:
+                if metric not in of_both:
+                    raise ConfigError(f"--metric: expected one of {', '.join(of_both)}, got {metric!r}")
+        if name in MAPS:
+            stem, compared = MAPS[name][0], _compared(folder / MAPS[name][1])
+            if not metrics:
+                yield stem, results.sheet(data, compared)
+            for metric in metrics:
+                baseline = compared["pd"][1].get(metric) if "pd" in compared else None
+                yield f"{stem}-{metric}", plots.plot_map(data, metric, results.marks(data, compared), baseline=baseline)
+        elif name == "search.nc" and "law" not in data.attrs:  # the file of a law of one's own is not here
+            found = result.load(folder / name)
+            yield "convergence", pictures.plot_convergence(found)
+            if "map.nc" in there:
+                yield "path", pictures.plot_path(found, dataset.load(folder / "map.nc"))
         elif name == "judged.nc":
-            _check(metrics, data, ("gains", "member"))
             yield "judged", pictures.plot_judged(data, *([metrics] if metrics else []))
         elif name == "front.nc":
             yield "front", pictures.plot_front(data)
-        else:
+        elif name == "schedule.nc":
             yield "schedule", pictures.plot_schedule(data)
-
-
-def _maps(data: xr.Dataset, compared: Compared, metrics: Sequence[str], sheet: str) -> Drawn:
-    """Yield the sheet of all maps, or a map of each metric."""
-    if not metrics:
-        yield sheet, results.sheet(data, compared)
-    _check(metrics, data, axes_of(data))
-    for name in metrics:
-        baseline = compared["pd"][1].get(name) if "pd" in compared else None
-        yield f"{sheet}-{name}", plots.plot_map(data, name, results.marks(data, compared), baseline=baseline)
-
-
-def _search(folder: Path, data: xr.Dataset) -> Drawn:
-    if "law" in data.attrs:
-        return  # its file is not here
-    found = result.load(folder / "search.nc")
-    yield "convergence", pictures.plot_convergence(found)
-    if (folder / "map.nc").is_file():
-        yield "path", pictures.plot_path(found, dataset.load(folder / "map.nc"))
-
-
-def _check(metrics: Sequence[str], data: xr.Dataset, dims: tuple[str, str]) -> None:
-    known = [str(name) for name, values in data.items() if set(values.dims) == set(dims) and values.dtype.kind in "fi"]
-    for metric in metrics:
-        if metric not in known:
-            raise ConfigError(f"--metric: expected one of {', '.join(known)}, got {metric!r}")
 
 
 def _compared(file: Path) -> Compared:
     """Return gains and metrics of the walks that a summary holds; none where it cannot be read."""
     try:
-        found: dict[str, Any] = json.loads(file.read_text())
-        walks = {name: entry for name, entry in found.items() if isinstance(entry, dict) and "metrics" in entry}
-        return {name: (_numbers(entry.get("gains")), entry["metrics"]) for name, entry in walks.items()}
+        found: dict[str, Any] = {}
+        for name, entry in json.loads(file.read_text()).items():
+            if isinstance(entry, dict) and "metrics" in entry:
+                gains = entry.get("gains")
+                arrays = None if gains is None else {n: np.asarray(v) for n, v in gains.items() if v is not None}
+                found[name] = arrays, entry["metrics"]
+        return found
     except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return {}
-
-
-def _numbers(gains: dict[str, Any] | None) -> dict[str, Any] | None:
-    return None if gains is None else {name: np.asarray(value) for name, value in gains.items() if value is not None}

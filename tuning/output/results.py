@@ -278,8 +278,8 @@ def compare_sweep(found: Swept, stage: Stage, begun: OfGrid | None = None) -> Sw
         if best is not None and (rival is None or (rival.lacks and best[_VARIATION] < rival.value)):
             rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
         if rival is not None:
-            beside = beside_retuned(problem.scenario, rival.joint, ours, problem.engine, begin)
-            walking[retuned_pd.NAME], step, level = beside
+            own = beside_retuned(problem.scenario, rival.joint, ours, problem.engine, begin)
+            walking[retuned_pd.NAME], step, level = own
         walked = {name: each(ignore) for name, each in walking.items()}
         radius = stability_limit.on_map(limit, found.data)
     config = next(name for name in others.walks if name not in ("pd", GIVEN))
@@ -390,12 +390,11 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
         walking = {**others.walks, "tuned": begin(one_walk(*ours, engine))}
         with stage("retuned pd", unit="rounds") as told:
             retuned = others.retuned(told)
-        rivals, beside = {"config": margins.Walker(problem.law, {})}, None
+        rivals = {"config": margins.Walker(problem.law, {})}
         if retuned is not None:
             joint = retuned_pd.joint_of(retuned)
-            beside = beside_retuned(scenario, joint, ours, engine, begin)
-            walking[retuned_pd.NAME] = beside.walk
-            if beside.step is None:
+            walking[retuned_pd.NAME], step, level = beside_retuned(scenario, joint, ours, engine, begin)
+            if step is None:
                 rivals["retuned pd"] = margins.Walker(PD(), joint)
 
         def find_margins(told: Callback) -> margins.Found:
@@ -423,13 +422,11 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
                 found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested(ignore)
             )
     gains, worth = {name: _with_joint_gains(walk) for name, walk in walks.items()}, None
-    if retuned is not None and beside is not None:
-        both = (
-            metrics["tuned"] if beside.level is None else mc.metrics(beside.level(ignore), problem.metrics),
-            metrics[retuned_pd.NAME],
-        )
+    if retuned is not None:
+        at_step = metrics["tuned"] if level is None else mc.metrics(level(ignore), problem.metrics)
+        both = at_step, metrics[retuned_pd.NAME]
         scored = [_scored(problem.objective, each) for each in both]
-        worth = _worth(both, scored, retuned_pd.rival_of(found, retuned, beside.step), problem)
+        worth = _worth(both, scored, retuned_pd.rival_of(found, retuned, step), problem)
         gains[retuned_pd.NAME] = joint
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     return TuneComparison(walks, {name: (gains[name], metrics[name]) for name in order}, over, hardware, checked, worth)
