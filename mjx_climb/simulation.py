@@ -31,13 +31,10 @@ from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.stance import check_stance
-from mjx_climb.rollouts.histories import together
 from mjx_climb.rollouts.resolve import (
     AnyGains,
     Resolved,
-    check_same_gains,
     checked,
-    checked_dtype,
     floating_dtype,
     is_traced,
     recorded,
@@ -46,7 +43,7 @@ from mjx_climb.rollouts.resolve import (
     resolved_directions,
 )
 from mjx_climb.rollouts.trajectory import Trajectory
-from mjx_climb.rollouts.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of
+from mjx_climb.rollouts.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of, together
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.control_loop import Action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
@@ -145,7 +142,7 @@ class Simulation:
         vars(self)["structure"] = self._structure(own_parameters(scenario))
 
     def _structure(self, parameters: Parameters) -> Structure:
-        """Return what a walk is compiled for: parameters say which stages of hardware there are."""
+        """Return what a walk under these parameters is compiled for: they say which stages of hardware there are."""
         return structure(self.scenario, self.engine, parameters, law=self.law, metrics=self.table, smooth=self.smooth)
 
     def rollout(
@@ -240,7 +237,6 @@ class Simulation:
         Raises:
             ValueError: rates of a gain that the law does not have, or `kp` or `kd` in one of two `Gains` alone.
         """
-        check_same_gains(gains, directions)
         values, tangents = self._run(metrics_of_moved, gains, parameters, directions, **how)
         return values, tangents
 
@@ -254,18 +250,18 @@ class Simulation:
         **how: Any,
     ) -> Any:
         resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
-        shape, arguments, axes = self._structure(resolved.parameters), resolved[:2], resolved.axes
-        along = None if directions is None else resolved_directions(resolved, directions, dtype)
         check_time_step(self.scenario)
-        if along is None:
-            return execution.run(function, shape, arguments, axes, resolved.shape, **how)
-        law, own = resolved.law, {name: resolved.law.AXES.get(name, 0) for name in along}
-        moving = {name: np.asarray(getattr(law if name in law.GAINS else resolved.parameters, name)) for name in along}
+        law, own, batch, _ = resolved
+        shape, arguments, axes = self._structure(own), (law, own), resolved.axes
+        if directions is None:
+            return execution.run(function, shape, arguments, axes, batch, **how)
+        along = resolved_directions(resolved, gains, directions)
+        moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in along}
+        of_moving = {name: law.AXES.get(name, 0) for name in along}
         values, tangents = execution.run(
-            function, shape, (moving, *arguments), (own, *axes), resolved.shape, directions=along, **how
+            function, shape, (moving, *arguments), (of_moving, *axes), batch, directions=along, **how
         )
-        batch = len(resolved.shape)
-        return values, {name: np.moveaxis(value, batch, 0) for name, value in tangents.items()}
+        return values, {name: np.moveaxis(value, len(batch), 0) for name, value in tangents.items()}
 
     def simulate(self, gains: AnyGains | None = None, parameters: Parameters | None = None) -> Metrics:
         """Return the metrics as a pure function of gains and parameters, for `jit`, `vmap`, `jvp`, `jacfwd` and `grad`.
@@ -283,11 +279,10 @@ class Simulation:
         Raises:
             ValueError: gains that the law does not have, or cannot have, or a metric that does not keep its shapes.
         """
-        dtype = checked_dtype(floating_dtype(self.law if gains is None else gains))
-        array = functools.partial(jnp.asarray, dtype=dtype)
-        resolved = resolve(self.scenario, self.law, gains, parameters, array)
+        dtype = floating_dtype(self.law if gains is None else gains)
+        resolved = resolve(self.scenario, self.law, gains, parameters, dtype)
         walk = _carried_out(metrics_of, self.structure)
-        found: Metrics = over_batch(walk, (resolved.law, resolved.parameters), resolved.axes, resolved.shape)
+        found: Metrics = over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
         return found
 
     def reset(
@@ -337,16 +332,12 @@ class Simulation:
         Raises:
             ValueError: gains that the law does not have, or cannot have, or for more robots than there are.
         """
-        shape, array = state.step.shape, functools.partial(jnp.asarray, dtype=state.parameters.kp.dtype)
-        resolved = resolve(self.scenario, state.law, gains, state.parameters, array)
+        shape = state.step.shape
+        resolved = resolve(self.scenario, state.law, gains, state.parameters, state.parameters.kp.dtype)
         if resolved.shape != shape:
             raise ValueError(f"gains: expected batch axes that broadcast to the state's {shape}, got {resolved.shape}")
-        changed: SimulationState = over_batch(
-            functools.partial(_with_law, self.structure),
-            (state, resolved.law, resolved.parameters),
-            (axes_behind(state, shape), *resolved.axes),
-            shape,
-        )
+        change, axes = functools.partial(_with_law, self.structure), (axes_behind(state, shape), *resolved.axes)
+        changed: SimulationState = over_batch(change, (state, *resolved[:2]), axes, shape)
         return changed
 
     def resolved_for_steps(
@@ -357,15 +348,14 @@ class Simulation:
         Raises:
             ValueError: as `reset` says, but for batch axes.
         """
-        dtype = checked_dtype(jnp.result_type(float) if dtype is None else dtype)
-        resolved = resolve(self.scenario, self.law, gains, parameters, functools.partial(jnp.asarray, dtype=dtype))
-        if not is_traced(resolved.own):
-            asked = self._structure(resolved.own).stages
-            if asked != self.structure.stages:
-                raise ValueError(
-                    "parameters: expected the stages of hardware and the longest delays of the scenario, "
-                    f"{self.structure.stages}, got {asked}; make the simulation of a scenario that has them"
-                )
+        precision = jnp.result_type(float) if dtype is None else dtype
+        resolved = resolve(self.scenario, self.law, gains, parameters, precision)
+        own = self.structure.stages
+        if not is_traced(resolved.own) and (asked := self._structure(resolved.own).stages) != own:
+            raise ValueError(
+                f"parameters: expected the stages of hardware and the longest delays of the scenario, {own}, got "
+                f"{asked}; make the simulation of a scenario that has them"
+            )
         return resolved
 
 

@@ -38,34 +38,20 @@ def rollout(
 
 
 def rollout_metrics(
-    scenario: Scenario,
-    gains: AnyGains | None = None,
-    parameters: Parameters | None = None,
-    *,
-    law: Law | None = None,
-    metrics: Iterable[Metric] = METRICS,
-    **options: Any,
+    scenario: Scenario, gains: AnyGains | None = None, parameters: Parameters | None = None, **options: Any
 ) -> dict[str, np.ndarray]:
     """Return `Simulation.metrics`: a batch of robots, metrics alone.
 
-    Options are `engine` and `smooth` of a `Simulation`, and those of its method.
+    Options are `law`, `metrics`, `engine` and `smooth` of a `Simulation`, and those of its method.
     """
-    simulation, how = _simulation(scenario, law, metrics, options)
-    return simulation.metrics(gains, parameters, **how)
+    return _simulation(scenario, options).metrics(gains, parameters, **options)
 
 
 def rollout_histories(
-    scenario: Scenario,
-    gains: AnyGains | None = None,
-    parameters: Parameters | None = None,
-    *,
-    law: Law | None = None,
-    metrics: Iterable[Metric] = METRICS,
-    **options: Any,
+    scenario: Scenario, gains: AnyGains | None = None, parameters: Parameters | None = None, **options: Any
 ) -> dict[str, np.ndarray]:
     """Return `Simulation.histories`: metrics and some histories of a batch; options as of `rollout_metrics`."""
-    simulation, how = _simulation(scenario, law, metrics, options)
-    return simulation.histories(gains, parameters, **how)
+    return _simulation(scenario, options).histories(gains, parameters, **options)
 
 
 def rollout_jvp(
@@ -73,22 +59,16 @@ def rollout_jvp(
     gains: AnyGains,
     directions: AnyGains,
     parameters: Parameters | None = None,
-    *,
-    law: Law | None = None,
-    metrics: Iterable[Metric] = METRICS,
     **options: Any,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return `Simulation.jvp`: metrics of a batch, and their tangents; options as of `rollout_metrics`."""
-    simulation, how = _simulation(scenario, law, metrics, options)
-    return simulation.jvp(gains, directions, parameters, **how)
+    return _simulation(scenario, options).jvp(gains, directions, parameters, **options)
 
 
-def _simulation(
-    scenario: Scenario, law: Law | None, metrics: Iterable[Metric], options: dict[str, Any]
-) -> tuple[Simulation, dict[str, Any]]:
-    """Return a simulation, and the options that are its method's."""
-    of = {name: options.pop(name) for name in ("engine", "smooth") if name in options}
-    return Simulation(scenario, law, metrics, **of), options
+def _simulation(scenario: Scenario, options: dict[str, Any]) -> Simulation:
+    """Return a simulation with its options, which leave the dictionary."""
+    names = ("law", "metrics", "engine", "smooth")
+    return Simulation(scenario, **{name: options.pop(name) for name in names if name in options})
 
 
 def simulator(
@@ -107,8 +87,7 @@ def simulator(
     leaves, tree = jax.tree.flatten(simulation.law)
     if is_traced(leaves):
         return simulation.simulate
-    arrays = [np.asarray(leaf) for leaf in leaves]
-    values = tuple((array.shape, array.dtype.str, array.tobytes()) for array in arrays)
+    values = tuple((array.shape, array.dtype.str, array.tobytes()) for array in map(np.asarray, leaves))
     if len(_SIMULATIONS) >= 64:
         del _SIMULATIONS[next(iter(_SIMULATIONS))]  # the oldest
     return _SIMULATIONS.setdefault((scenario, simulation.structure, tree, values), simulation).simulate
@@ -178,12 +157,9 @@ class Environment:
                 with hardware that the scenario does not have.
         """
         resolved = self.simulation.resolved_for_steps(gains, parameters, self.dtype)
-        shape = jnp.broadcast_shapes(resolved.shape, tuple(batch))
-        check_robots(shape)
-        state: SimulationState = over_batch(
-            self.simulation.start, (resolved.law, resolved.parameters), resolved.axes, shape
-        )
-        return state
+        shape = check_robots(jnp.broadcast_shapes(resolved.shape, tuple(batch)))
+        start: SimulationState = over_batch(self.simulation.start, resolved[:2], resolved.axes, shape)
+        return start
 
     def step(
         self, state: SimulationState, action: Action = None, gains: AnyGains | None = None

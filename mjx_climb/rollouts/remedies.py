@@ -9,7 +9,7 @@ from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.control import Law
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.rollouts.functions import rollout, rollout_metrics
+from mjx_climb.rollouts.functions import metrics, rollout, rollout_metrics
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 
@@ -75,10 +75,8 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
             check_time_step(scenario, parameters=parameters)
         except ConfigError:
             continue
-        walk = rollout(scenario, parameters=parameters, law=law)
-        with np.errstate(over="ignore"):  # where it diverges
-            force = np.linalg.norm(walk.foot_force, axis=-1)
-        pull = force[walk.support & (walk.foot_force[..., 2] < 0)].max(initial=0.0)
-        pulls.append(f"{change} {pull:.3g} N".strip() if np.isfinite(force).all() else f"{change} it diverges".strip())
+        found = metrics(rollout(scenario, parameters=parameters, law=law))
+        how = "it diverges" if found["diverged"] else f"{found['peak_pull_force']:.3g} N"
+        pulls.append(f"{change} {how}".strip())
     limit = scenario.contact.holding_limit
     return f"pull on grips that never let go: {', '.join(pulls)}; contact.holding_limit is {limit:g} N"

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from mjx_climb.control import PD, Law
+from mjx_climb.dynamics.spatial import namespace
 from mjx_climb.quantities.batches import batch_shape, own_axes
 from mjx_climb.quantities.parameters import Gains, Parameters, check_ranges, own_parameters, with_whole_steps
 from mjx_climb.scenario.model import Scenario
@@ -19,7 +21,7 @@ from mjx_climb.scenario.model import Scenario
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name
 
 _JOINT_LOOP = {"kp": 0.0, "kd": 0.0}
-_NUMBERS = {1: "one", 3: "three", 6: "six"}
+_NUMBERS = {3: "three", 6: "six"}
 
 
 class Resolved(NamedTuple):
@@ -37,61 +39,55 @@ class Resolved(NamedTuple):
 
 
 def resolve(
-    scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | None, array: Callable[[Any], Any]
+    scenario: Scenario,
+    law: Law,
+    gains: AnyGains | None,
+    parameters: Parameters | None,
+    dtype: DTypeLike,
+    xp: ModuleType = jnp,
 ) -> Resolved:
     """Return the law with the gains given in place of its own, and parameters with the joint gains among them.
 
-    Parameters are the scenario's where there are none; `array` makes arrays of the precision of the simulation.
+    Parameters are the scenario's where there are none; all are arrays of a precision, of JAX or of NumPy (`xp`).
 
     Raises:
-        ValueError: in one line, an unknown name, a wrong shape, a gain that is not positive, or a parameter that no
-            scenario could have. Of what is being traced only shapes are known.
+        ValueError: in one line, an unknown name, a wrong shape, a gain that is not positive, a parameter that no
+            scenario could have, or a precision other than float32 and float64. Of what is being traced only shapes are
+            known.
     """
+    array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
     own = own_parameters(scenario) if parameters is None else parameters
     check_ranges(own)
-    values = values_by_name(law, gains)
+    values = _values_by_name(law, gains)
     joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
     law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
     parameters = jax.tree.map(array, with_whole_steps(own, scenario.time_step))
     parameters = dataclasses.replace(parameters, **joint)
     # gains of a law without any still say how many robots there are
     others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
-    shape = jnp.broadcast_shapes(batch_shape(law, parameters), *others)
-    check_robots(shape)
+    shape = check_robots(jnp.broadcast_shapes(batch_shape(law, parameters), *others))
     if shape != batch_shape(law, parameters):
-        parameters = dataclasses.replace(parameters, kp=_broadcast(parameters.kp, shape))
+        parameters = dataclasses.replace(parameters, kp=xp.broadcast_to(parameters.kp, shape))
     return Resolved(law, parameters, shape, own)
 
 
 def resolve_in(
     scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike
 ) -> Resolved:
-    """Return what `resolve` does, as arrays of NumPy of a precision.
-
-    Raises:
-        ValueError: as `resolve`, and a precision other than float32 and float64.
-    """
-    array = functools.partial(np.asarray, dtype=checked_dtype(dtype))
+    """Return what `resolve` does, as arrays of NumPy."""
     with jax.enable_x64(True):
-        return resolve(scenario, law, gains, parameters, array)
+        return resolve(scenario, law, gains, parameters, dtype, np)
 
 
-def check_robots(shape: tuple[int, ...]) -> None:
-    """Refuse a batch of nobody.
-
-    Raises:
-        ValueError: in one line, the batch axes.
-    """
+def check_robots(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return a batch shape; raise a ValueError where it has nobody."""
     if 0 in shape:
         raise ValueError(f"gains and parameters: expected one robot or more, got batch axes {shape}")
+    return shape
 
 
 def checked_dtype(dtype: DTypeLike) -> np.dtype:
-    """Return the precision of a walk.
-
-    Raises:
-        ValueError: other than float32 and float64.
-    """
+    """Return the precision of a walk; raise a ValueError for other than float32 and float64."""
     if np.dtype(dtype) not in (np.float32, np.float64):
         raise ValueError(f"dtype: expected float32 or float64, got {np.dtype(dtype)}")
     return np.dtype(dtype)
@@ -99,9 +95,9 @@ def checked_dtype(dtype: DTypeLike) -> np.dtype:
 
 def floating_dtype(tree: Any) -> Any:
     """Return the precision of a tree's arrays, or the one in force where it holds plain numbers alone."""
-    arrays = [leaf for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
-    floats = [leaf for leaf in arrays if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    return jnp.result_type(*floats) if floats else jnp.result_type(float)
+    dtypes = [leaf.dtype for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
+    floats = [dtype for dtype in dtypes if jnp.issubdtype(dtype, jnp.floating)]
+    return jnp.result_type(*(floats or [float]))
 
 
 def is_traced(tree: Any) -> bool:
@@ -115,7 +111,7 @@ def with_gains(law: Law, gains: AnyGains) -> Law:
     Raises:
         ValueError: a name that it does not have.
     """
-    values = {name: value for name, value in values_by_name(law, gains).items() if name in law.GAINS}
+    values = {name: value for name, value in _values_by_name(law, gains).items() if name in law.GAINS}
     changed: Law = dataclasses.replace(law, **values)  # type: ignore[type-var]
     return changed
 
@@ -131,16 +127,14 @@ def recorded(scenario: Scenario, gains: AnyGains | None, resolved: Resolved) -> 
     A law of translations leaves the rotations as they were given, or as the scenario has them.
     """
     law, parameters = resolved.law, resolved.parameters
-    joint = {name: getattr(parameters, name) for name in _JOINT_LOOP if name in values_by_name(law, gains)}
+    joint = {name: getattr(parameters, name) for name in _JOINT_LOOP if name in _values_by_name(law, gains)}
     if not has_gains_of_the_paper(law):
         return {name: getattr(law, name) for name in law.GAINS} | joint
-    six = {}
+    place, six = gains if isinstance(gains, Gains) else scenario.control, {}
     for name in Gains.AXES:
-        place = gains if isinstance(gains, Gains) else scenario.control
-        value = np.array(np.broadcast_to(np.asarray(getattr(place, name), parameters.kp.dtype), 6))
-        own = getattr(law, name, value)
-        value[: own.size] = own
-        six[name] = value
+        six[name] = np.array(np.broadcast_to(np.asarray(getattr(place, name), parameters.kp.dtype), 6))
+        own = getattr(law, name, six[name])
+        six[name][: own.size] = own
     return Gains(**six, **joint)
 
 
@@ -154,7 +148,7 @@ def checked_gains(law: Law, values: Mapping[str, Any], array: Callable[[Any], An
     for name, field in law.GAINS.items():
         value = _checked(f"gains.{name}", values.get(name, getattr(law, name)), field.length, field.bounds[0])
         if field.length > 1:
-            value = _broadcast(value, (*value.shape[:-1], field.length))
+            value = namespace(value).broadcast_to(value, (*value.shape[:-1], field.length))
         whole[name] = array(value)
     changed: Law = dataclasses.replace(law, **whole)  # type: ignore[type-var]
     return changed
@@ -172,13 +166,12 @@ def checked(law: Law) -> Law:
     try:
         hash(jax.tree.structure(law))
     except TypeError as error:
-        raise ValueError(
-            f"{type(law).__name__}: expected fields that can be hashed beside its gains: {error}"
-        ) from None
+        what = f"{type(law).__name__}: expected fields that can be hashed beside its gains: {error}"
+        raise ValueError(what) from None
     return law
 
 
-def values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
+def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
     """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
     if gains is None:
         return {}
@@ -191,14 +184,11 @@ def values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
             return values
     else:
         values = dict(gains) if isinstance(gains, Mapping) else {name: getattr(gains, name) for name in gains.GAINS}
-    if unknown := [name for name in values if name not in law.GAINS and name not in _JOINT_LOOP]:
-        known = ", ".join([*law.GAINS, *_JOINT_LOOP])
-        raise ValueError(f"gains.{unknown[0]}: expected one of {known}, the gains of {type(law).__name__}")
+    known = [*law.GAINS, *_JOINT_LOOP]
+    if unknown := [name for name in values if name not in known]:
+        names = f"{', '.join(known)}, the gains of {type(law).__name__}"
+        raise ValueError(f"gains.{unknown[0]}: expected one of {names}")
     return values
-
-
-def _broadcast(value: Any, shape: tuple[int, ...]) -> Any:
-    return np.broadcast_to(value, shape) if isinstance(value, np.ndarray) else jnp.broadcast_to(value, shape)
 
 
 def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
@@ -224,35 +214,25 @@ def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
     return value
 
 
-# --- directions in the gains, along which tangents are asked for
-
-
-def check_same_gains(gains: AnyGains, directions: AnyGains) -> None:
-    """Refuse `kp` or `kd` in one of two `Gains` alone.
+def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: AnyGains) -> dict[str, np.ndarray]:
+    """Return rates of gains (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number.
 
     Raises:
-        ValueError: in one line, which one.
+        ValueError: in one line, `kp` or `kd` in one of two `Gains` alone.
     """
     if isinstance(gains, Gains) and isinstance(directions, Gains):
         for name, rates in vars(directions).items():
-            value = getattr(gains, name)
-            if value is None and rates is not None:
-                raise ValueError(f"directions.{name}: expected None, as gains.{name} is, got rates")
-            if value is not None and rates is None:
-                raise ValueError(f"directions.{name}: expected rates of change, as gains.{name} is given, got None")
-
-
-def resolved_directions(resolved: Resolved, directions: AnyGains, dtype: DTypeLike) -> dict[str, np.ndarray]:
-    """Return directions (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number."""
-    law, shape, found = resolved.law, resolved.shape, {}
+            if (getattr(gains, name) is None) != (rates is None):
+                so = f"rates of change, as gains.{name} is given" if rates is None else f"None, as gains.{name} is"
+                raise ValueError(f"directions.{name}: expected {so}, got {'None' if rates is None else 'rates'}")
+    law, shape, dtype, found = resolved.law, resolved.shape, resolved.parameters.kp.dtype, {}
     lengths = {name: field.length for name, field in law.GAINS.items()} | {"kp": 1, "kd": 1}
-    given = values_by_name(law, directions)
+    given = _values_by_name(law, directions)
     for name in (name for name in given if name in lengths):
         value, own = np.asarray(given[name], dtype), (lengths[name],) if lengths[name] > 1 else ()
         (number, *batch) = value.shape[: value.ndim - len(own)]
         value = np.broadcast_to(value, (number, *batch, *own))
         value = value.reshape(number, *[1] * (len(shape) - len(batch)), *batch, *own)
         found[name] = np.moveaxis(np.broadcast_to(value, (number, *shape, *own)), 0, len(shape))
-    if not found:  # the law has none of these gains: nothing moves
-        found = {"kp": np.zeros((*shape, len(next(iter(given.values())))), dtype)}
-    return found
+    # where the law has none of these gains nothing moves
+    return found or {"kp": np.zeros((*shape, len(next(iter(given.values())))), dtype)}

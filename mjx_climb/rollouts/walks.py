@@ -1,18 +1,25 @@
-"""Whole walks of one robot, from law and parameters to metrics or histories: what `mjx_climb.execution` carries out."""
+"""Whole walks of one robot, from law and parameters to metrics or histories: what `mjx_climb.execution` carries out.
+
+Histories that are kept for a batch are small: the least and the largest value of `LINES` in each stretch of a walk.
+"""
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from mjx_climb.control import Law
+from mjx_climb.dynamics.spatial import norm
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
-from mjx_climb.rollouts.histories import extremes, lines
+from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.walk.metrics import Context
 from mjx_climb.walk.metrics.metric import Running, accumulate, finish, start
 from mjx_climb.walk.sample import Sample
@@ -20,6 +27,16 @@ from mjx_climb.walk.step import Carry, advance, begin, prepare
 from mjx_climb.walk.structure import Structure
 
 Metrics = dict[str, Array]
+
+STRETCHES = 200
+_LEAST = "least of "  # before a line's name
+
+# name: unit, long name, and the metric that is its largest value
+LINES: dict[str, tuple[str, str, str]] = {
+    "foot_force_history": ("N", "largest foot force", "peak_foot_force"),
+    "base_deviation_history": ("m", "base off its reference", "base_deviation"),
+    "joint_torque_history": ("N m", "largest joint torque", "peak_joint_torque"),
+}
 
 
 def metrics_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
@@ -37,8 +54,8 @@ def metrics_of_moved(structure: Structure, gains: Mapping[str, Array], law: Law,
 
 def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
     """Return the metrics of a walk, and the extremes of `LINES` in each stretch of time beside them."""
-    metrics, over_time = _walked(structure, law, parameters, lines)
-    return metrics | extremes(over_time)
+    metrics, over_time = _walked(structure, law, parameters, _lines)
+    return metrics | _extremes(over_time)
 
 
 def samples_of(structure: Structure, law: Law, parameters: Parameters) -> Sample:
@@ -74,8 +91,7 @@ def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parame
     def step(running: Running, sample: Sample) -> tuple[Running, None]:
         return accumulate(table, running, sample, context), None
 
-    running = jax.lax.scan(step, start(table, dtype), samples)[0]
-    return finish(table, running, context)
+    return finish(table, jax.lax.scan(step, start(table, dtype), samples)[0], context)
 
 
 def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Context:
@@ -84,3 +100,57 @@ def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Cont
     scaled = {name: getattr(robot, name) * parameters.mass_scale for name in names}
     robot = dataclasses.replace(robot, **scaled)
     return Context(robot, parameters.gravity, parameters.heading, structure.time_step)
+
+
+# --- histories
+
+
+class Stretches(NamedTuple):
+    """How a walk is cut up."""
+
+    number: int
+    steps: int  # of one stretch; the last may be shorter
+
+
+def stretches(steps: int) -> Stretches:
+    """Return the stretches of a walk of so many steps: `STRETCHES` of them, or fewer."""
+    length = math.ceil(steps / STRETCHES)
+    return Stretches(math.ceil(steps / length), length)
+
+
+def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
+    """Return `LINES` of one walk, (2, stretches): the least and the largest value in each stretch."""
+    return together({name: np.asarray(value) for name, value in _extremes(_lines(trajectory)).items()})
+
+
+def _lines(sample: Any) -> dict[str, Any]:
+    """Return `LINES` of a `Sample`, (), or of a `Trajectory`, (time,); by JAX or by NumPy, as its arrays are."""
+    return {
+        "foot_force_history": norm(sample.foot_force).max(-1),
+        "base_deviation_history": norm(sample.base_position - sample.base_reference),
+        "joint_torque_history": abs(sample.joint_torque).max((-2, -1)),
+    }
+
+
+def _extremes(over_time: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the least and the largest value of lines (time,) in each stretch, (stretches,), for `together`.
+
+    They are results of their own: put together within a compiled program each stretch would be an operation.
+    """
+    found: dict[str, Any] = {}
+    for name, line in over_time.items():
+        xp, (steps,) = line.__array_namespace__(), line.shape
+        number, length = stretches(steps)
+        # the last stretch is filled up with its last value
+        rows = xp.concatenate([line, xp.repeat(line[-1:], number * length - steps)]).reshape(number, length)
+        found |= {f"{_LEAST}{name}": rows.min(1), name: rows.max(1)}
+    return found
+
+
+def together(found: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return results of walks with both extremes (..., stretches) of a line in one array, (..., 2, stretches)."""
+    return {
+        name: np.stack([found[f"{_LEAST}{name}"], value], axis=-2) if name in LINES else value
+        for name, value in found.items()
+        if not name.startswith(_LEAST)
+    }

@@ -70,8 +70,7 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
     stages = stages_of(scenario, own_parameters(scenario))._replace(control_period=True)
 
     def resolved(parameters):
-        array = lambda value: jnp.asarray(value, parameters.kp.dtype)  # noqa: E731
-        return resolve(scenario, law_of(scenario), None, parameters, array).parameters
+        return resolve(scenario, law_of(scenario), None, parameters, parameters.kp.dtype).parameters
 
     def steps_of_one(one):
         windows, period = disturbance.windows(one, STEP), hardware_of(one, stages, STEP).pace.period

@@ -7,7 +7,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.quantities.parameters import own_parameters
-from mjx_climb.rollouts.histories import histories
+from mjx_climb.rollouts.walks import histories
 from tests import oracle
 from tests.conftest import six_gains
 from tests.robot import climbers

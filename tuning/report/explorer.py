@@ -11,7 +11,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
-from mjx_climb.rollouts.histories import LINES, histories, stretches
+from mjx_climb.rollouts.walks import LINES, histories, stretches
 from tuning.report.numbers import gain, plain, plain_unit
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one

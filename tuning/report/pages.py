@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import mjx_climb as mc
-from mjx_climb.rollouts.histories import LINES
+from mjx_climb.rollouts.walks import LINES
 from tuning.evaluation.verification import Verification
 from tuning.gains.gains_file import by_name
 from tuning.problem.evaluation import Problem

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.rollouts.histories import LINES, histories
+from mjx_climb.rollouts.walks import LINES, histories
 from tuning.evaluation import verification
 from tuning.output import results
 from tuning.output.folder import without_folders

@@ -13,7 +13,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
-from mjx_climb.rollouts.histories import LINES
+from mjx_climb.rollouts.walks import LINES
 from tuning.problem.evaluation import Problem
 from tuning.searches import parts
 from tuning.searches import sweep as sweeps
