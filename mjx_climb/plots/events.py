@@ -1,7 +1,6 @@
 """What happened in a walk, for those who draw it: how far it goes, torn grippers, changes of grip, disturbances."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -65,18 +64,16 @@ def disturbances(trajectory: Trajectory) -> list[tuple[float, float, str, str]]:
     if (cargo := disturbance.cargo).mass > 0:
         windows.append((cargo.start, cargo.stop, f"cargo {cargo.mass:g} kg", CARGO))
     for push in disturbance.pushes:
-        parts = [_component(push.force, "N"), _component(push.moment, "N m")]
-        windows.append((push.start, push.stop, ", ".join(filter(None, parts)) or "push", PUSH))
+        words = []
+        for vector, unit in ((push.force, "N"), (push.moment, "N m")):
+            used = [axis for axis in range(3) if vector[axis]]
+            if len(used) == 1:
+                words.append(f"{vector[used[0]]:+g} {unit} {AXES[used[0]]}".replace("-", "\N{MINUS SIGN}"))
+            elif used:
+                words.append(f"{math.hypot(*vector):.3g} {unit}")
+        windows.append((push.start, push.stop, ", ".join(words) or "push", PUSH))
     cut = [(start, end if stop is None else min(stop, end), label, color) for start, stop, label, color in windows]
     return [window for window in cut if window[0] < window[1]]
-
-
-def _component(vector: Sequence[float], unit: str) -> str:
-    """Return a vector in few characters: its component along an axis, or its length."""
-    used = [axis for axis in range(3) if vector[axis]]
-    if len(used) == 1:
-        return f"{vector[used[0]]:+g} {unit} {AXES[used[0]]}".replace("-", "\N{MINUS SIGN}")
-    return f"{math.hypot(*vector):.3g} {unit}" if used else ""
 
 
 def largest_foot_force(trajectory: Trajectory) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Maps of a metric over two gains."""
 
-import dataclasses
-import functools
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -31,13 +30,9 @@ Marks = Mapping[str, tuple[float, float]]  # points (x, y) by their name in the 
 
 @style()
 def plot_map(
-    dataset: xr.Dataset,
-    metric: str,
-    marks: Marks | None = None,
-    *,
-    baseline: float | None = None,
+    dataset: xr.Dataset, metric: str, marks: Marks | None = None, *, baseline: float | None = None,
     title: str | None = None,
-) -> Figure:
+) -> Figure:  # fmt: skip
     """Draw a metric over two gains, both on logarithmic axes; brighter is better.
 
     Arguments:
@@ -53,7 +48,8 @@ def plot_map(
     `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
-    handles, bar = _Grid(dataset, marks or {}, _axes(dataset, metric)).draw(figure.subplots(), metric, baseline)
+    grid = _Grid(dataset, _axes(dataset, metric), marks or {})
+    handles, bar = grid.draw(figure.subplots(), metric, baseline)
     bar.set_label(_label(dataset[metric], metric))
     legend_below(figure, handles, 3)
     if title:
@@ -63,14 +59,9 @@ def plot_map(
 
 @style()
 def plot_maps(
-    dataset: xr.Dataset,
-    metrics: Sequence[str],
-    marks: Marks | None = None,
-    *,
-    baselines: Mapping[str, float] | None = None,
-    columns: int = 2,
-    title: str | None = None,
-) -> Figure:
+    dataset: xr.Dataset, metrics: Sequence[str], marks: Marks | None = None, *,
+    baselines: Mapping[str, float] | None = None, columns: int = 2, title: str | None = None,
+) -> Figure:  # fmt: skip
     """Draw a sheet of maps, one per metric, with one legend.
 
     `baselines` are by metric; all other arguments are those of `plot_map`.
@@ -79,8 +70,7 @@ def plot_maps(
         raise ValueError("expected at least one metric to draw")
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
     figure, axes = _sheet(rows, columns)
-    handles = {}
-    grid = _Grid(dataset, marks or {}, _axes(dataset, metrics[0]))
+    grid, handles = _Grid(dataset, _axes(dataset, metrics[0]), marks or {}), {}
     for metric, panel in zip(metrics, axes.flat, strict=False):
         found, _ = grid.draw(panel, metric, (baselines or {}).get(metric))
         panel.set_title(_label(dataset[metric], metric), y=1.0)  # where it is anyway, without a search for it
@@ -105,102 +95,104 @@ def plot_maps(
 def _sheet(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
     """Return a figure and its panels (rows, columns), with room for labels by measure: no layout is worked out."""
     width, height = COLUMN * columns, 0.5 + 2.3 * rows
-    left, right, beside = 0.62, 0.5, 0.55
-    bottom, top, between = 0.75, 0.45, 0.35
-    cell_width = (width - left - right - (columns - 1) * beside) / columns
-    cell_height = (height - bottom - top - (rows - 1) * between) / rows
+    (left, right, beside), (bottom, top, between) = (0.62, 0.5, 0.55), (0.75, 0.45, 0.35)
+    room = {
+        "left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height,
+        "wspace": beside / ((width - left - right - (columns - 1) * beside) / columns),
+        "hspace": between / ((height - bottom - top - (rows - 1) * between) / rows),
+    }  # fmt: skip
     figure = Figure(figsize=(width, height))
-    figure.subplots_adjust(
-        left / width, bottom / height, 1 - right / width, 1 - top / height, beside / cell_width, between / cell_height
-    )
+    figure.subplots_adjust(**room)
     return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
 
 
-@dataclasses.dataclass(frozen=True)
 class _Grid:
     """Walks over two gains, and what all maps of them show."""
 
-    dataset: xr.Dataset
-    marks: Marks
-    axes: tuple[str, str]  # horizontal, vertical
-
-    @functools.cached_property
-    def limit(self) -> list[np.ndarray]:
-        """Lines (N, 2) of the limit of stability."""
-        return stability_lines(self.dataset, *self.axes)
+    def __init__(self, dataset: xr.Dataset, axes: tuple[str, str], marks: Marks):
+        self.dataset, self.axes, self.marks = dataset, axes, marks  # axes: horizontal, vertical
+        self.edges = [_log_edges(dataset[name].values) for name in axes]
+        self.limit = stability_lines(dataset, *axes)
+        self.torn, self.failed = _torn_off(dataset, *axes), failed_walks(dataset, *axes)
 
     def draw(self, panel: Axes, metric: str, baseline: float | None) -> tuple[list[Artist], Colorbar]:
         """Draw the map of a metric with its colour bar; return the handles of its legend, and the bar."""
         if {*self.axes} != {*_axes(self.dataset, metric)}:
             raise ValueError(f"{metric}: expected dimensions {' and '.join(self.axes)}")
-        x, y = (self.dataset[name] for name in self.axes)
-        failed, torn = failed_walks(self.dataset, *self.axes), _torn_off(self.dataset, *self.axes)
+        variable, failed, edges = self.dataset[metric], self.failed, self.edges
         values = comparable(self.dataset, metric).transpose(*self.axes[::-1]).values.astype(float)
-        edges = _log_edges(x.values), _log_edges(y.values)
-        colormap, norm, extend = _colors(self.dataset[metric], values, failed, baseline)
+        colormap, norm, extend = _colors(variable, values, failed, baseline)
         panel.set_facecolor(GREY)
         mesh = panel.pcolormesh(
             *edges, np.ma.masked_invalid(values), cmap=colormap, norm=norm, linewidth=0,
             rasterized=values.size > 1e4,
         )  # fmt: skip
-        panel.set(xscale="log", yscale="log", xlabel=_label(x, self.axes[0]), ylabel=_label(y, self.axes[1]))
+        x_label, y_label = (_label(self.dataset[name], name) for name in self.axes)
+        panel.set(xscale="log", yscale="log", xlabel=x_label, ylabel=y_label)
 
         shades = colormap(norm(np.nan_to_num(values, nan=norm.vmin or 0.0)))[..., :3] @ [0.299, 0.587, 0.114]
-        empty = np.isnan(values)
-        dark = (shades < 0.4) & ~empty
-        handles = [
-            *_hatch(panel, edges, torn, dark, "gripper torn off"),
-            *_hatch(panel, edges, failed & ~torn, dark, "diverged"),
-        ]
+        empty, handles = np.isnan(values), []
+        for name, cells in (("gripper torn off", self.torn), ("diverged", failed & ~self.torn)):
+            handles += _hatch(panel, edges, cells, (shades < 0.4) & ~empty, name)
         if metric == "detached_at" and (held := empty & ~failed).any():
             panel.pcolormesh(*edges, np.ma.masked_where(~held, held), cmap=ListedColormap([HELD]), linewidth=0)
             handles.append(Patch(facecolor=HELD, label="held all the way"))
             empty &= failed
         if empty.any():
             handles.append(Patch(facecolor=GREY, label="no value"))
-        handles += self._draw_marks(panel)
-        # a mark beside the grid is shown too
-        panel.set_xlim(*_span(edges[0], [mark[0] for mark in self.marks.values()]))
-        panel.set_ylim(*_span(edges[1], [mark[1] for mark in self.marks.values()]))
-
+        handles += self._mark(panel)
         bar = panel.figure.colorbar(mesh, ax=panel, extend=extend, fraction=0.05, pad=0.02, aspect=25)
         bar.outline.set_linewidth(0.6)
-        _name_values(bar, self.dataset[metric], panel, baseline)
+        _name_values(bar, variable, panel, baseline)
         return handles, bar
 
-    def _draw_marks(self, panel: Axes) -> list[Artist]:
-        """Draw the marks and the limit of stability, and return the handles of their legend."""
+    def _mark(self, panel: Axes) -> list[Artist]:
+        """Draw the marks and the limit of stability; return the handles of their legend."""
         handles: list[Artist] = []
-        for number, (name, place) in enumerate(self.marks.items()):
-            marker = _MARKERS[number % len(_MARKERS)]
+        for (name, (x, y)), marker in zip(self.marks.items(), itertools.cycle(_MARKERS), strict=False):
             size = 9 if marker == "*" else 6
-            handles += panel.plot(
-                *([at] for at in place), marker, mfc="white", mec=BLACK, mew=0.9, ms=size, zorder=4, label=name
-            )
+            handles += panel.plot(x, y, marker, mfc="white", mec=BLACK, mew=0.9, ms=size, zorder=4, label=name)
         for line in self.limit:
             panel.plot(*line.T, color=RED, linewidth=1.0, zorder=3, gid="stability limit")
-        return [*handles, key("stability limit", color=RED, linewidth=1.0)] if self.limit else handles
+        if self.limit:
+            handles.append(key("stability limit", color=RED, linewidth=1.0))
+        for number, (axis, edges) in enumerate(zip("xy", self.edges, strict=True)):
+            places, low, high = [mark[number] for mark in self.marks.values()], edges.min(), edges.max()
+            beside = [at / 1.5 for at in places if at < low] + [at * 1.5 for at in places if at > high]
+            panel.set(**{f"{axis}lim": (min([low, *beside]), max([high, *beside]))})  # a mark beside the grid too
+        return handles
 
 
 def _name_values(bar: Colorbar, variable: xr.DataArray, panel: Axes, baseline: float | None) -> None:
-    """Name values on a colour bar, and the baseline, or, where all cells are equal, the one value on the map."""
+    """Name values on a colour bar, and the baseline, or, where all cells are equal, the one value on the map.
+
+    The baseline is a red line, with an arrow at the end beyond which it lies.
+    """
     known: np.ndarray = np.unique(np.ma.asarray(bar.mappable.get_array()).compressed())
-    low, high = bar.mappable.get_clim()
+    low, high = np.asarray(bar.mappable.get_clim(), float)
     if flags := variable.attrs.get("flag_meanings", "").split():
         bar.set_ticks(np.asarray(variable.attrs["flag_values"], float).tolist(), labels=flags)
         bar.ax.minorticks_off()
-    elif known.size == 1:
+        return
+    if known.size == 1:
         bar.set_ticks([])
         text = f"all cells: {known[0]:.4g}"
         panel.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", gid="constant")
-    else:
-        if isinstance(bar.norm, LogNorm) and high < 1e3 * low:  # so few decades want ticks between them
-            bar.locator = LogLocator(subs=(1, 2, 5))
-            bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
-            bar.minorformatter = NullFormatter()
-            bar.update_ticks()
-        if baseline is not None:
-            _mark_on_bar(bar, float(baseline))
+        return
+    if isinstance(bar.norm, LogNorm) and high < 1e3 * low:  # so few decades want ticks between them
+        bar.locator = LogLocator(subs=(1, 2, 5))
+        bar.formatter = LogFormatterSciNotation(minor_thresholds=(math.inf, math.inf))
+        bar.minorformatter = NullFormatter()
+        bar.update_ticks()
+    if baseline is not None:
+        arrow = " \N{UPWARDS ARROW}" if baseline > high else " \N{DOWNWARDS ARROW}" if baseline < low else ""
+        place = min(max(float(baseline), low), high)
+        bar.ax.axhline(place, color=RED, linewidth=1.4, gid="baseline")
+        bar.ax.annotate(
+            f"pd{arrow}", (0, place), xycoords=bar.ax.get_yaxis_transform(), xytext=(-2, 0),
+            textcoords="offset points", ha="right", va="center", fontsize=6.5, color=RED,
+            bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6}, zorder=6,
+        )  # fmt: skip
 
 
 def _colors(
@@ -212,35 +204,25 @@ def _colors(
         norm = BoundaryNorm([*(codes - 0.5), codes[-1] + 0.5], len(codes))
         return ListedColormap(["0.9", *LIMB_COLORS][: len(flags)]), norm, "neither"
     larger = larger_is_better(variable)
-    scale, extend = color_scale(values, failed, baseline, larger)
     constant = np.unique(values[np.isfinite(values)]).size == 1
     colormap = ListedColormap([SAME]) if constant else mpl.colormaps["viridis" if larger else "viridis_r"]
-    return colormap, scale, extend
+    return colormap, *color_scale(values, failed, baseline, larger)
 
 
-def _hatch(
-    panel: Axes, edges: tuple[np.ndarray, np.ndarray], cells: np.ndarray, dark: np.ndarray, name: str
-) -> list[Artist]:
+def _hatch(panel: Axes, edges: Sequence[np.ndarray], cells: np.ndarray, dark: np.ndarray, name: str) -> list[Artist]:
     """Hatch cells (y, x), in light lines where they are dark, and return the handle of the legend if there are any."""
     if not cells.any():
         return []
     x, y = edges
     look: dict[str, Any] = {"hatch": _HATCHES[name], "linewidth": 0}
     for part, color in ((cells & ~dark, "0.15"), (cells & dark, "0.85")):
-        if part.any():  # one shape: each cell would be hatched by itself
-            rows, starts, ends = _runs(part)
+        if part.any():  # one shape, of all cells that lie side by side: each would be hatched by itself
+            steps = np.diff(np.pad(part.astype(int), ((0, 0), (1, 1))), axis=1)
+            (rows, starts), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
             corners = [(x[starts], y[rows]), (x[ends], y[rows]), (x[ends], y[rows + 1]), (x[starts], y[rows + 1])]
-            corners.append(corners[0])
-            path = Path.make_compound_path_from_polys(np.moveaxis(np.array(corners), -1, 0))
+            path = Path.make_compound_path_from_polys(np.moveaxis(np.array([*corners, corners[0]]), -1, 0))
             panel.add_artist(PathPatch(path, facecolor="none", edgecolor=color, gid=name, **look))
     return [Patch(facecolor="white", edgecolor="0.15", label=name, **look)]
-
-
-def _runs(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the row, the first column and the one after the last of all cells (y, x) that lie side by side."""
-    steps = np.diff(np.pad(cells.astype(int), ((0, 0), (1, 1))), axis=1)
-    rows, starts = np.nonzero(steps == 1)
-    return rows, starts, np.nonzero(steps == -1)[1]
 
 
 def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping") -> list[np.ndarray]:
@@ -256,19 +238,6 @@ def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping
         return []
     lines = Figure().subplots().contour(np.log(radius[x]), np.log(radius[y]), excess, [0.0]).allsegs[0]
     return [np.exp(line) for line in lines if len(line) > 1]
-
-
-def _mark_on_bar(bar: Colorbar, value: float) -> None:
-    """Draw the line of pd across a colour bar, or an arrow at the end beyond which its value lies."""
-    low, high = np.asarray(bar.mappable.get_clim(), float)
-    arrow = " \N{UPWARDS ARROW}" if value > high else " \N{DOWNWARDS ARROW}" if value < low else ""
-    place = min(max(value, low), high)
-    bar.ax.axhline(place, color=RED, linewidth=1.4, gid="baseline")
-    bar.ax.annotate(
-        f"pd{arrow}", (0, place), xycoords=bar.ax.get_yaxis_transform(), xytext=(-2, 0), textcoords="offset points",
-        ha="right", va="center", fontsize=6.5, color=RED, bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6},
-        zorder=6,
-    )  # fmt: skip
 
 
 def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
@@ -316,19 +285,8 @@ def _log_edges(centers: np.ndarray) -> np.ndarray:
     if not (np.isfinite(centers).all() and (centers > 0).all()):
         raise ValueError("a map needs gains above 0: its axes are logarithmic")
     logs = np.log(np.asarray(centers, float))
-    if logs.size == 1:
-        return np.asarray(np.exp(logs[0] + np.array([-0.5, 0.5])))
-    middle = (logs[1:] + logs[:-1]) / 2
-    return np.asarray(np.exp(np.concatenate([[2 * logs[0] - middle[0]], middle, [2 * logs[-1] - middle[-1]]])))
-
-
-def _span(edges: np.ndarray, marks: Sequence[float]) -> tuple[float, float]:
-    """Return the limits that show all cells, and the marks beside them with a margin."""
-    low, high = edges.min(), edges.max()
-    return (
-        min([low, *(mark / 1.5 for mark in marks if mark < low)]),
-        max([high, *(mark * 1.5 for mark in marks if mark > high)]),
-    )
+    half = np.diff(logs) / 2 if logs.size > 1 else np.array([0.5])
+    return np.asarray(np.exp([logs[0] - half[0], *(logs[:-1] + half), logs[-1] + half[-1]]))
 
 
 def color_scale(

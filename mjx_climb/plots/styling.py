@@ -100,7 +100,11 @@ def save_figure(
         raise ValueError(f"formats: expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        if not _is_mathematics(text.get_text()):
+        try:
+            for line in text.get_text().split("\n"):
+                if line.count("$") > 1:
+                    MathTextParser("path").parse(line)
+        except ValueError:  # what stands between dollars, as in a limb's name, need not be mathematics
             text.set_parse_math(False)
     if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
@@ -111,14 +115,3 @@ def save_figure(
         figure.savefig(buffer, format=kind, dpi=dpi, metadata=_METADATA[kind])
         paths.append(write_bytes_atomically(f"{os.fspath(path_stem)}.{kind}", buffer.getvalue()))
     return tuple(paths)
-
-
-def _is_mathematics(text: str) -> bool:
-    """Return whether matplotlib can set what stands between dollars; a limb's name need not be mathematics."""
-    try:
-        for line in text.split("\n"):
-            if line.count("$") > 1:
-                MathTextParser("path").parse(line)
-    except ValueError:
-        return False
-    return True

@@ -1,7 +1,8 @@
 """Walks drawn: one with all that it does over time, several over one another, and the way of the feet."""
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,22 +44,18 @@ class _Panel(NamedTuple):
     width: float = 0.8  # of lines, points
     reference: np.ndarray | None = None  # (T, N), dashed
 
-    def furthest(self) -> np.ndarray:
-        """Return for each row the value that is furthest from zero, (T,): it carries the mark of a failure."""
-        index = np.abs(np.nan_to_num(self.lines)).argmax(1)
-        return np.take_along_axis(self.lines, index[:, None], 1)[:, 0]
-
 
 @style()
 def plot_walk(trajectory: Trajectory) -> Figure:
     """Draw one walk over time: forces, torques, base, margins and support, on one time axis.
 
-    Disturbances are shaded and named, changes of grip are thin vertical lines, and the first torn
-    gripper is a red cross.
+    Disturbances are shaded and named, changes of grip are thin vertical lines, and the first torn gripper is a red
+    cross.
     """
     joints, limbs = load_robot(trajectory.scenario.robot).joint_names, limb_colors(trajectory)
     position, reference = trajectory.base_position, trajectory.base_reference
     base, wanted = (1e3 * (path - reference[0]) for path in (position, reference))
+    shift = 1e3 * trajectory.base_displacement
     panels = [
         _Panel("largest foot\nforce [N]", largest_foot_force(trajectory)[:, None], height=1.4, from_zero=True),
         *(
@@ -67,29 +64,26 @@ def plot_walk(trajectory: Trajectory) -> Figure:
         ),
         _Panel("base\n[mm]", base, AXIS_COLORS, height=1.2, reference=wanted),
         _Panel("base off\nref. [mm]", 1e3 * (position - reference), AXIS_COLORS),
+        _Panel("shift $\\Delta x$\n[mm]", shift[:, :3], AXIS_COLORS),
+        _Panel("turn $\\Delta x$\n[mrad]", shift[:, 3:], AXIS_COLORS),
+        _Panel("TSM [m]", trajectory.tsm[:, None], from_zero=True),
+        _Panel("GIA margin\n[m/s$^2$]", trajectory.gia_margin[:, None], from_zero=True),
     ]
-    if np.any(trajectory.base_displacement):
-        shift = 1e3 * trajectory.base_displacement
-        panels.append(_Panel("shift $\\Delta x$\n[mm]", shift[:, :3], AXIS_COLORS))
-        panels.append(_Panel("turn $\\Delta x$\n[mrad]", shift[:, 3:], AXIS_COLORS))
-    panels.append(_Panel("TSM [m]", trajectory.tsm[:, None], from_zero=True))
-    panels.append(_Panel("GIA margin\n[m/s$^2$]", trajectory.gia_margin[:, None], from_zero=True))
-
+    if not shift.any():
+        panels = [panel for panel in panels if "Delta" not in panel.label]
     heights = [*(panel.height for panel in panels), 0.9]
     figure, axes = _over_time(heights, end_of(trajectory), 0.5 + 0.77 * len(heights))
     _draw_lines(axes, trajectory, panels)
-    _begin_at_zero(axes, panels)
     _name_the_axes(axes[1 + len(joints)])
     _mark_holding_limit(axes[0], trajectory.scenario.contact.holding_limit)
     _draw_gait(axes[-1], trajectory)
     _mark_events(axes, trajectory)
     if (rows := finite_rows(trajectory)) < trajectory.time.size:  # there is no state any more
+        gone = trajectory.time[rows], end_of(trajectory)
         for place in axes:
-            place.axvspan(
-                trajectory.time[rows], end_of(trajectory), color=GREY, linewidth=0, zorder=0.2, gid="diverged"
-            )
+            place.axvspan(*gone, color=GREY, linewidth=0, zorder=0.2, gid="diverged")
     _mark_failure(axes, trajectory, panels)
-    legend(figure, _keys(zip(trajectory.limbs, limbs, strict=True)))
+    legend(figure, _keys(zip(trajectory.limbs, limbs, strict=True), linewidth=1.2))
     return figure
 
 
@@ -109,16 +103,15 @@ def plot_comparison(
         raise ValueError("expected at least one walk to compare")
     first, *_ = trajectories.values()
     walks = {name: _compared(trajectory, per_limb=per_limb) for name, trajectory in trajectories.items()}
-    panels, *_ = walks.values()
+    heights = [panel.height for panel in next(iter(walks.values()))]
     end = max(map(end_of, trajectories.values()))
-    figure, axes = _over_time([panel.height for panel in panels], end, 0.7 + 0.95 * len(panels))
+    figure, axes = _over_time(heights, end, 0.7 + 0.95 * len(heights))
     level, handles = 0, []
-    for number, (name, lines) in enumerate(walks.items()):
+    for number, (name, panels) in enumerate(walks.items()):
         color, width = SERIES[number % len(SERIES)]
-        _draw_lines(axes, trajectories[name], lines, color=color, linewidth=width, zorder=2 + 0.1 * number)
-        level += _mark_failure(axes, trajectories[name], lines, color if number else "0.3", level)
+        _draw_lines(axes, trajectories[name], panels, color=color, linewidth=width, zorder=2 + 0.1 * number)
+        level += _mark_failure(axes, trajectories[name], panels, color if number else "0.3", level)
         handles.append(key(name, color=color, linewidth=max(1.2, width)))
-    _begin_at_zero(axes, panels)
     _mark_events(axes, first)
     legend(figure, handles, title)
     return figure
@@ -126,17 +119,16 @@ def plot_comparison(
 
 def _compared(trajectory: Trajectory, *, per_limb: bool) -> list[_Panel]:
     torque = np.abs(trajectory.joint_torque).max(2)
-    each = [(f"{limb} largest\ntorque [N m]", torque[:, number]) for number, limb in enumerate(trajectory.limbs)]
-    lines = [
-        ("largest foot\nforce [N]", largest_foot_force(trajectory)),
-        ("largest joint\ntorque [N m]", torque.max(1)),
-        *(each if per_limb else []),
-        ("TSM [m]", trajectory.tsm),
-        ("GIA margin\n[m/s$^2$]", trajectory.gia_margin),
-        ("base off its\nreference [mm]", 1e3 * lengths(trajectory.base_position - trajectory.base_reference)),
-    ]
-    panels = [_Panel(label, values[:, None], from_zero=True) for label, values in lines]
-    return [panels[0]._replace(height=1.2), *panels[1:]]
+    lines = {
+        "largest foot\nforce [N]": largest_foot_force(trajectory),
+        "largest joint\ntorque [N m]": torque.max(1),
+        **{f"{limb} largest\ntorque [N m]": torque[:, i] for i, limb in enumerate(trajectory.limbs) if per_limb},
+        "TSM [m]": trajectory.tsm,
+        "GIA margin\n[m/s$^2$]": trajectory.gia_margin,
+        "base off its\nreference [mm]": 1e3 * lengths(trajectory.base_position - trajectory.base_reference),
+    }
+    first, *others = (_Panel(label, values[:, None], from_zero=True) for label, values in lines.items())
+    return [first._replace(height=1.2), *others]
 
 
 def limb_colors(trajectory: Trajectory) -> list[str]:
@@ -168,12 +160,15 @@ def _over_time(heights: Sequence[float], end: float, height: float) -> tuple[Fig
 def _draw_lines(axes: Sequence[Axes], trajectory: Trajectory, panels: Sequence[_Panel], **look: Any) -> None:
     """Draw all lines of a walk, each panel into its axes; `look` is in place of the panel's own."""
     for place, panel in zip(axes, panels, strict=False):
+        place.set_ylabel(panel.label)
+        place.autoscale(axis="y")  # for this walk too
         for values, color in zip(panel.lines.T, panel.colors, strict=True):
             _draw_line(place, trajectory, values, **{"color": color, "linewidth": panel.width, **look})
         if panel.reference is not None:
             for values, color in zip(panel.reference.T, panel.colors, strict=True):
                 _draw_line(place, trajectory, values, color=color, linestyle=_DASHED)
-        place.set_ylabel(panel.label)
+        if panel.from_zero:
+            place.set_ylim(bottom=0)
 
 
 def _draw_line(place: Axes, trajectory: Trajectory, values: np.ndarray, **look: Any) -> None:
@@ -197,47 +192,37 @@ def _draw_line(place: Axes, trajectory: Trajectory, values: np.ndarray, **look: 
     place.autoscale_view(scalex=False)
 
 
-def _begin_at_zero(axes: Sequence[Axes], panels: Sequence[_Panel]) -> None:
-    for place, panel in zip(axes, panels, strict=False):
-        if panel.from_zero:
-            place.set_ylim(bottom=0)
-
-
-def _keys(colors: Any) -> list[Line2D]:
+def _keys(colors: Iterable[tuple[str, str]], **look: Any) -> list[Line2D]:
     """Return the lines of a legend from names and colours."""
-    return [key(name, color=color, linewidth=1.2) for name, color in colors]
+    return [key(name, color=color, **look) for name, color in colors]
 
 
 def _name_the_axes(panel: Axes) -> None:
     """Name the three axes and the reference in a panel, above what it shows."""
-    handles = [key(name, color=color) for name, color in zip(AXES, AXIS_COLORS, strict=True)]
+    handles = _keys(zip(AXES, AXIS_COLORS, strict=True))
     panel.legend(
         handles=[*handles, key("reference", color="0.3", linestyle=_DASHED)], loc="upper left",
         ncols=4, handlelength=1.0, columnspacing=0.7, handletextpad=0.3, borderaxespad=0.1, fontsize=6.5,
     )  # fmt: skip
-    _leave_headroom(panel, 0.3)
-
-
-def _leave_headroom(panel: Axes, share: float) -> None:
     low, high = panel.get_ylim()
-    panel.set_ylim(low, high + share * (high - low))
+    panel.set_ylim(low, high + 0.3 * (high - low))
 
 
 def _mark_holding_limit(panel: Axes, limit: float | None) -> None:
     """Draw the holding limit where it is within reach of the forces, else say where it is."""
     if limit is None:
         return
-    near = limit < 2.5 * panel.get_ylim()[1]
+    _, top = panel.get_ylim()
+    words, near = "holding limit", limit < 2.5 * top
     if near:
         panel.axhline(limit, color=BLACK, linestyle=":", linewidth=0.8)
-        panel.set_ylim(top=max(panel.get_ylim()[1], 1.08 * limit))
+        panel.set_ylim(top=max(top, 1.08 * limit))
     else:
-        _leave_headroom(panel, 0.2)
-    words = "holding limit" if near else f"holding limit {limit:g} N \N{UPWARDS ARROW}"
-    place = (1, limit if near else panel.get_ylim()[1])
+        words += f" {limit:g} N \N{UPWARDS ARROW}"
+        panel.set_ylim(top=1.2 * top)
     panel.annotate(
-        words, place, xycoords=panel.get_yaxis_transform(), xytext=(-2, -2), ha="right", va="top",
-        gid="holding limit", **_SMALL,
+        words, (1, limit if near else 1.2 * top), xycoords=panel.get_yaxis_transform(), xytext=(-2, -2), ha="right",
+        va="top", gid="holding limit", **_SMALL,
     )  # fmt: skip
 
 
@@ -271,15 +256,14 @@ def _mark_events(axes: Sequence[Axes], trajectory: Trajectory) -> None:
             panel.axvspan(start, stop, color=color, linewidth=0, zorder=0, gid="disturbance")
         middle, half = (start + stop) / 2, 0.5 * letter * (len(label) + 1)
         busy = {line for line, other, width in placed if abs(other - middle) < half + width}
-        level = next(line for line in range(len(placed) + 1) if line not in busy)
+        level = next(line for line in itertools.count() if line not in busy)
         placed.append((level, middle, half))
         first.annotate(
             label, (middle, 1), xycoords=first.get_xaxis_transform(), xytext=(0, 2 + 8 * level), ha="center",
             va="bottom", gid="disturbance label", **_SMALL,
         )  # fmt: skip
-    for panel in axes:
-        for change in grip_changes(trajectory):
-            panel.axvline(change, color="0.7", linewidth=0.4, linestyle=(0, (4, 2)), zorder=0.5, gid="grip change")
+    for panel, change in itertools.product(axes, grip_changes(trajectory)):
+        panel.axvline(change, color="0.7", linewidth=0.4, linestyle=(0, (4, 2)), zorder=0.5, gid="grip change")
 
 
 def _mark_failure(
@@ -290,26 +274,25 @@ def _mark_failure(
     What failed when stands in the first panel, `level` lines below its top. False where nothing failed.
     """
     failures = []  # instants, s, and words
-    if torn := detachments(trajectory):
-        instant, limb = torn[0]
+    for instant, limb in detachments(trajectory)[:1]:
+        failures.append((instant, f"{limb} torn off, {instant:.2f} s"))
         row = int(np.searchsorted(trajectory.time, instant))
         for place, panel in zip(axes, panels, strict=False):
             place.axvline(instant, color=RED, linewidth=0.5, zorder=1.5)
-            _draw_cross(place, instant, panel.furthest()[row])
-        failures.append((instant, f"{limb} torn off, {instant:.2f} s"))
+            values = panel.lines[row]
+            _draw_cross(place, instant, values[np.abs(np.nan_to_num(values)).argmax()])
     if (rows := finite_rows(trajectory)) < trajectory.time.size:
         instant = float(trajectory.time[rows])
         failures.append((instant, f"diverged, {instant:.2f} s"))
-    if not failures:
-        return False
-    at, first = failures[0][0], axes[0]
-    late = at > 0.5 * first.get_xlim()[1]
-    first.annotate(
-        "\n".join(words for _, words in failures), (at, 1), xycoords=first.get_xaxis_transform(),
-        xytext=(-4 if late else 4, -3 - 17 * level), ha="right" if late else "left", va="top", color=color,
-        bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8}, zorder=6, gid="failure", **_SMALL,
-    )  # fmt: skip
-    return True
+    if failures:
+        at, first = failures[0][0], axes[0]
+        late = at > 0.5 * first.get_xlim()[1]
+        first.annotate(
+            "\n".join(words for _, words in failures), (at, 1), xycoords=first.get_xaxis_transform(),
+            xytext=(-4 if late else 4, -3 - 17 * level), ha="right" if late else "left", va="top", color=color,
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8}, zorder=6, gid="failure", **_SMALL,
+        )  # fmt: skip
+    return bool(failures)
 
 
 def _draw_cross(panel: Axes, x: float, y: float) -> None:
@@ -368,7 +351,7 @@ def plot_feet(trajectory: Trajectory) -> Figure:
         side.annotate(words, (0.02, 0.95), xycoords="axes fraction", va="top", color=RED, fontsize=6.5, gid="failure")
     side.set(ylim=(bottom, top), ylabel="height [mm]")
     above.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), ylabel="to the left [mm]", xlabel="ahead [mm]")
-    legend(figure, _keys([*limbs, ("base", BLACK)]))
+    legend(figure, _keys([*limbs, ("base", BLACK)], linewidth=1.2))
     return figure
 
 
