@@ -56,6 +56,12 @@ def signals():
 
 
 @pytest.fixture
+def cpu_alone(monkeypatch):
+    """Have the package see no GPU, on any machine."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+
+
+@pytest.fixture
 def without_nvrtc(monkeypatch):
     """Have kernels for GPUs written, on any machine, but not compiled; return the list to which they come."""
     kernels = []

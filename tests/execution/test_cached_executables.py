@@ -159,5 +159,5 @@ def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
     monkeypatch.setattr(probe, "_tried", lambda path: (probe.Verdict(True, "tried"), True))
     assert probe.verdict.__wrapped__("regions").works
-    left = [path.name for path in tmp_path.rglob("*") if not path.name.endswith("-cache")]  # XLA writes its own
-    assert left == ["programs", "probes"]
+    for folder in ("programs", "probes"):  # XLA writes its own beside
+        assert list((tmp_path / folder).iterdir()) == []

@@ -175,7 +175,7 @@ def test_without_nvrtc_the_reason_is_told(monkeypatch):
     gpu_kernel._library.cache_clear()
 
 
-def test_without_a_gpu_nothing_is_moved():
+def test_without_a_gpu_nothing_is_moved(cpu_alone):
     assert paths.device_for(1, 0, double=False) is None
 
 

@@ -400,12 +400,15 @@ def test_ranges_are_even_on_a_logarithmic_scale():
 
 @pytest.mark.parametrize(("count", "said"), [(1000, "; expect some 30 min, or spread them over machines"), (100, "")])
 def test_a_long_sweep_says_before_how_long_it_takes(count, said, monkeypatch, capsys, tmp_path):
+    """On a CPU; how long a GPU takes is not foretold."""
+
     def walk(*_):
         raise _Called
 
     monkeypatch.setattr(devices, "usable_cores", lambda: 2)
     monkeypatch.setattr(comparisons, "of_grid", lambda *_: None)
     monkeypatch.setattr(Rows, "walk", walk)
+    monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices(backend="cpu"))
     with pytest.raises(_Called):
         main(["sweep", CONFIG, "--stiffness", f"1:9:{count}", "--damping", f"1:9:{count}", "--out", str(tmp_path)])
     line = next(line for line in capsys.readouterr().err.splitlines() if "walks (" in line)

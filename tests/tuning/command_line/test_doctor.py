@@ -78,9 +78,11 @@ def test_a_value_that_is_off_is_seen(doctor, monkeypatch, part, name, value, see
         assert found["parts"]["walk"]["deviation"] == {"walk": None}
 
 
-def test_a_gpu_that_jax_does_not_use_is_seen(doctor, monkeypatch, tmp_path):
+def test_a_gpu_that_jax_does_not_use_is_seen(doctor, monkeypatch, tmp_path, cpu_alone):
     monkeypatch.setattr(machine, "NVIDIA", tmp_path)
-    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    installed = machine.versions_of
+    plugins = ("jax-cuda12-plugin", "jax-cuda13-plugin")
+    monkeypatch.setattr(machine, "versions_of", lambda *names: installed(*names) | dict.fromkeys({*names} & {*plugins}))
     monkeypatch.setenv("JAX_PLATFORMS", "")
     code, found = doctor()
     assert (code, list(wrong(found))) == (1, ["devices"])

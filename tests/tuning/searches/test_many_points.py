@@ -80,7 +80,7 @@ def test_members_and_settings_say_how_many(kernel):
     assert cma_es.rounds(task(Search(iterations=3))) == 3
 
 
-def test_without_a_kernel_all_is_the_packages():
+def test_without_a_kernel_all_is_the_packages(cpu_alone):
     sizes, _ = searched(task(Search()))
     assert set(sizes) == {9}
     assert len(sizes) == cma_es.GENERATIONS

@@ -74,7 +74,7 @@ def test_shards_joined_are_the_whole(three):
 
 @pytest.mark.parametrize("in_regions", [True, False])
 @pytest.mark.parametrize("whole", [1, 5, 40, 72, 150, 500])
-def test_robots_keep_place_and_program(whole, in_regions):
+def test_robots_keep_place_and_program(whole, in_regions, cpu_alone):
     """They walk in whole shares that begin where those of the whole batch do, by the same program."""
     share = devices.share_size(whole, None, in_regions=in_regions)
     for start in range(0, whole, 7):
