@@ -122,7 +122,7 @@ class Simulation:
             metrics: what walks are evaluated by, as `mjx_climb.METRICS + (mine,)`.
             engine: the dynamics, one of `mjx_climb.ENGINES`.
             smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics
-                have smooth companions, see `mjx_climb.walk.metrics.extremes`.
+                have smooth companions, see `mjx_climb.walk.metrics`.
 
         Raises:
             ConfigError: no such engine, or a rest stance that is singular.

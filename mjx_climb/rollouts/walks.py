@@ -20,8 +20,7 @@ from mjx_climb.dynamics.spatial import norm
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
-from mjx_climb.walk.metrics import Context
-from mjx_climb.walk.metrics.metric import Running, accumulate, finish, start
+from mjx_climb.walk.metrics import Context, Running, accumulate, finish, start
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, advance, begin, prepare
 from mjx_climb.walk.structure import Structure

@@ -12,8 +12,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.dynamics.spatial import norm
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.walk.metrics import FAILURES, Context, Metric, largest, peak, smallest, total
-from mjx_climb.walk.metrics.metric import accumulate, finish, start
+from mjx_climb.walk.metrics import FAILURES, Context, Metric, accumulate, finish, largest, peak, smallest, start, total
 from mjx_climb.walk.sample import Sample
 
 SPEED = peak("peak_base_speed", "m/s", "largest speed of the base", lambda s, _: norm(s.base_linear_velocity))
