@@ -163,11 +163,12 @@ def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:
     return limbs
 
 
-def _frame(axis: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Return a rotation matrix with z along `axis` and x as near to the columns of `reference` as that allows."""
-    x = reference[:, np.argmin(np.abs(reference.T @ axis).round(6))]
+def frame_along(axis: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return a rotation matrix with z along the unit vector `axis`, and x as near to a direction as that allows."""
     x = x - axis * (axis @ x)
-    x /= np.linalg.norm(x)
+    if np.linalg.norm(x) < 1e-6:
+        x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    x = x / np.linalg.norm(x)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
@@ -238,7 +239,8 @@ def _links(model: mujoco.MjModel, data: mujoco.MjData, chains: list[list[int]], 
         for link, body in enumerate(chain):
             joint = model.body_jntadr[body]
             parent, anchor = axes, data.xanchor[joint]
-            axes = _frame(data.xaxis[joint], data.xmat[body].reshape(3, 3))
+            axis, own = data.xaxis[joint], data.xmat[body].reshape(3, 3)
+            axes = frame_along(axis, own[:, np.argmin(np.abs(own.T @ axis).round(6))])
             position[limb, link] = _exact(parent.T @ (anchor - at))
             rotation[limb, link] = _exact(parent.T @ axes)
             center[limb, link] = _exact(axes.T @ (data.xipos[body] - anchor))

@@ -15,7 +15,7 @@ PASSIVE = 1  # group of the joints that nothing drives, in the models simulated 
 FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
 SPECK = 1e-10  # kg, of links without a mass, as many a file has them between two joints
 SPECK_MOMENT = 1e-14  # kg m^2, of these and of points: MuJoCo wants some, and an insect's leg has 1e-11
-_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # of an inertia, as MuJoCo writes it in a row
+ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # of an inertia, as MuJoCo writes it in a row
 _ROUNDING = 1e-6  # of the largest moment of inertia
 _POSITIONS = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}  # in a keyframe; of others 1
 _TURNED = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)  # by an actuator: a joint
@@ -255,7 +255,7 @@ def _mend(body: mujoco.MjsBody) -> None:
     else:
         return
     if np.isfinite(body.fullinertia[0]):
-        body.fullinertia = mended[_ROWS, _COLUMNS]
+        body.fullinertia = mended[ROWS, COLUMNS]
     else:
         body.inertia = np.diag(mended)
 
@@ -264,7 +264,7 @@ def _moments(body: mujoco.MjsBody) -> np.ndarray:
     """Return the written inertia of a body, (3, 3) kg m^2; zeros where there is none."""
     if np.isfinite(body.fullinertia[0]):
         matrix = np.empty((3, 3))
-        matrix[_ROWS, _COLUMNS] = matrix[_COLUMNS, _ROWS] = body.fullinertia
+        matrix[ROWS, COLUMNS] = matrix[COLUMNS, ROWS] = body.fullinertia
     else:
         matrix = np.diag(body.inertia)
     return matrix if body.explicitinertial and np.isfinite(matrix).all() else np.zeros((3, 3))

@@ -2,16 +2,16 @@
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.constants import Robot, robot_from_model
-from mjx_climb.robot.description import FILLING, JOINTS, PASSIVE, SPECK, RobotError, line_of
+from mjx_climb.robot.constants import Robot, frame_along, robot_from_model
+from mjx_climb.robot.description import COLUMNS, FILLING, JOINTS, PASSIVE, ROWS, SPECK, RobotError, line_of
 from mjx_climb.robot.limbs import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
-from mjx_climb.scenario.model import Limb, RobotFile
+from mjx_climb.scenario.model import RobotFile
 
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
 REACH = 1.0  # m, of a sliding joint without limits, either way
@@ -26,19 +26,10 @@ _COLORS = {  # red, green, blue, opacity
 }
 
 
-class _Link(NamedTuple):
-    """A rigid part: its bodies are those between one joint and the next."""
-
-    mass: float  # kg
-    center: np.ndarray  # (3,) m
-    inertia: np.ndarray  # (3, 3) kg m^2 about the centre
-
-    def seen_from(self, origin: np.ndarray, axes: np.ndarray) -> "_Link":
-        """Return the link in a frame, whose axes (3, 3) are columns."""
-        return _Link(self.mass, axes.T @ (self.center - origin), axes.T @ self.inertia @ axes)
-
-
-_PAD = _Link(1e-9, np.zeros(3), 1e-12 * np.eye(3))  # of a joint that only fills up a limb, at its foot
+def refusal(source: RobotFile, key: str, expected: str, got: str, element: str | None = None) -> RobotError:
+    """Return what is wrong in one line, with that of the file where an element of that name stands."""
+    place = source.file if element is None else line_of(source.file, element)
+    return RobotError(" ".join(f"{place}: robot.{key}: expected {expected}, got {got}".split()))
 
 
 def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, Robot, np.ndarray]:
@@ -53,47 +44,42 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, Robot, np.ndarray]:
         RobotError: in one line, the key of the config, what was expected and what the file has.
     """
     file = _File(source)
-    file.check()
-    data, axes, trunk = file.data, file.data.xmat[file.base].reshape(3, 3), file.link(file.base)
-    if not trunk.mass:
-        name = file.model.body(file.base).name
-        raise refusal(source, "file", f"a mass of the base link {name!r}", "none", name)
+    axes, center = file.data.xmat[file.base].reshape(3, 3), file.trunk.center
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     for material, color in _COLORS.items():
         spec.add_material(name=material, rgba=color)
     spec.worldbody.add_light(pos=[0.3, -0.6, 1.5], dir=[-0.2, 0.4, -1])
-    ground = spec.worldbody.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
-    ground.material, ground.contype, ground.conaffinity = "ground", 0, 0
+    ground = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "material": "ground", "size": [2, 2, 0.1]}
+    spec.worldbody.add_geom(name="ground", contype=0, conaffinity=0, **ground)
     body = spec.worldbody.add_body(name="base")
     body.add_freejoint(name="base")
-    _weigh(body, trunk.seen_from(trunk.center, axes))
-    hips = data.xanchor[[chain[0] for chain in file.chains.values()]] - trunk.center
+    _weigh(body, file.trunk, center, axes)
+    hips = file.data.xanchor[[chain[0] for chain in file.chains.values()]] - center
     half = np.abs(hips @ axes).max(0).clip(0.01)
     _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "shell", size=[0.95 * half[0], 0.95 * half[1], 0.2 * half[:2].min()])
     names = _joint_names([limb.joints for limb in file.limbs.values()])
     for limb in file.limbs:
-        _add_limb(file, limb, names, body, (trunk.center, axes))
+        _add_limb(file, limb, names, body)
     try:
         model = spec.compile()
     except ValueError as error:
         got = str(error).splitlines()[0]
         raise refusal(source, "file", "masses and inertias that a body can have", got) from None
     # it rests with its springs slack
-    return spec, robot_from_model(model, "robot", model.qpos_spring), axes.T @ (trunk.center - data.xpos[file.base])
+    return spec, robot_from_model(model, "robot", model.qpos_spring), axes.T @ (center - file.data.xpos[file.base])
 
 
-def refusal(source: RobotFile, key: str, expected: str, got: str, element: str | None = None) -> RobotError:
-    """Return what is wrong in one line, with that of the file where an element of that name stands."""
-    place = source.file if element is None else line_of(source.file, element)
-    return RobotError(" ".join(f"{place}: robot.{key}: expected {expected}, got {got}".split()))
+class _Link(NamedTuple):
+    """A rigid part: its bodies are those between one joint and the next."""
+
+    mass: float  # kg
+    center: np.ndarray  # (3,) m
+    inertia: np.ndarray  # (3, 3) kg m^2 about the centre
 
 
-def _around(source: RobotFile) -> dict[str, Limb]:
-    """Return the limbs counter-clockwise from straight ahead, as the stability margins need them."""
-    angle = {name: np.arctan2(*limb.foothold[::-1]) % (2 * np.pi) for name, limb in source.limbs.items()}
-    return dict(sorted(source.limbs.items(), key=lambda item: angle[item[0]]))
+_PAD = _Link(1e-9, np.zeros(3), 1e-12 * np.eye(3))  # of a joint that only fills up a limb, at its foot
 
 
 class _File:
@@ -105,98 +91,93 @@ class _File:
 
     def __init__(self, source: RobotFile) -> None:
         self.source, self.model = source, robot_in(source.file, source.base)
-        self.held = {self._joint(f"locked.{name}", name): value for name, value in source.locked.items()}
-        self.data = at_zero(self.model, self.held)
-        self.part = rigid_parts(self.model, set(self.held))
-        self.limbs = _around(source)
+        sought = "a revolute or prismatic joint of the file", "none of that name"
+        self.held = {self._joint(name, f"locked.{name}", *sought): value for name, value in source.locked.items()}
+        self.data, self.part = at_zero(self.model, self.held), rigid_parts(self.model, set(self.held))
         self.springs = dict(source.springs.items())
-        self.chains = {name: self._chain(name, limb) for name, limb in self.limbs.items()}
-        self.base = self._base()
+        # counter-clockwise from straight ahead, as the stability margins need them
+        angle = {name: np.arctan2(*limb.foothold[::-1]) % (2 * np.pi) for name, limb in source.limbs.items()}
+        self.limbs = dict(sorted(source.limbs.items(), key=lambda item: angle[item[0]]))
+        known = ", ".join(self.model.joint(i).name for i in range(self.model.njnt)) or "none"
+        expected = f"revolute or prismatic joints of the file ({known[:200]})"
+        self.chains = {
+            name: [self._joint(joint, f"limbs.{name}.joints", expected, repr(joint)) for joint in limb.joints]
+            for name, limb in self.limbs.items()
+        }
+        self.base = self._inner(next(iter(self.chains.values()))[0])[1]
+        self.trunk = self.link(self.base)
+        for wrong in self._wrong():
+            raise refusal(source, *wrong)
 
-    def _joint(self, key: str, name: str, expected: str = "a revolute or prismatic joint of the file") -> int:
+    def _joint(self, name: str, key: str, expected: str, got: str) -> int:
         joint = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if joint < 0 or self.model.jnt_type[joint] not in JOINTS:
-            raise refusal(self.source, key, expected, "none of that name" if key.startswith("locked") else repr(name))
+            raise refusal(self.source, key, expected, got)
         return int(joint)
-
-    def _chain(self, name_of_limb: str, limb: Limb) -> list[int]:
-        """Return the joints of a limb, after a look at what they hang on."""
-        key, model = f"limbs.{name_of_limb}.joints", self.model
-        known = ", ".join(model.joint(i).name for i in range(model.njnt)) or "none"
-        expected = f"revolute or prismatic joints of the file ({known[:200]})"
-        joints = [self._joint(key, name, expected) for name in limb.joints]
-        for joint, name in zip(joints, limb.joints, strict=True):
-            if joint in self.held:
-                raise refusal(self.source, f"locked.{name}", "a joint of no limb", f"one of {name_of_limb}", name)
-        for inner, outer in itertools.pairwise(zip(joints, limb.joints, strict=True)):
-            if self._inner(outer[0])[0] != inner[0]:
-                got = f"{outer[1]!r} not next after {inner[1]!r}"
-                raise refusal(self.source, key, "a chain from the base outwards", got, outer[1])
-        return joints
 
     def _inner(self, joint: int) -> tuple[int, int]:
         """Return the joint that a joint hangs on, -1 for none, and the body that it does."""
-        model = self.model
-        body = int(model.jnt_bodyid[joint])
+        model, body = self.model, int(self.model.jnt_bodyid[joint])
         parent = int(self.part[model.body_parentid[body]])
         moving = [j for j in range(model.njnt) if j not in self.held and int(model.jnt_type[j]) in JOINTS]
-        for part, until in ((body, joint), (parent, model.njnt)):
-            if inside := [j for j in moving if model.jnt_bodyid[j] == part and j < until]:
-                return inside[-1], part
-        return -1, parent
+        if before := [j for j in moving if model.jnt_bodyid[j] == body and j < joint]:
+            return before[-1], body
+        return max((j for j in moving if model.jnt_bodyid[j] == parent), default=-1), parent
 
-    def _base(self) -> int:
-        """Return the body that all limbs begin at."""
-        begins = {limb: self._inner(chain[0]) for limb, chain in self.chains.items()}
-        first, (_, base) = next(iter(begins.items()))
-        for limb, (joint, other) in begins.items():
-            if other != base or base == 0 or joint >= 0:
-                expected = f"all limbs to begin at one base link, as {first} does at {self.model.body(base).name!r}"
-                name = self.model.joint(self.chains[limb][0]).name
-                raise refusal(self.source, f"limbs.{limb}.joints", expected, repr(self.model.body(other).name), name)
-        return base
+    def _wrong(self) -> Iterator[tuple[str, str, str, str]]:
+        """Yield what is not a base, its limbs from it outwards, joints that are held, and springs of some joints.
 
-    def check(self) -> None:
-        """Refuse what is more than a base, its limbs and joints that are held, springs elsewhere, and no drives."""
-        model, ours = self.model, [joint for chain in self.chains.values() for joint in chain]
-        if len(set(ours)) != len(ours):
-            twice = model.joint(next(joint for joint in ours if ours.count(joint) > 1)).name
-            raise refusal(self.source, "limbs", "different joints", f"{twice!r} twice", twice)
-        for joint in range(model.njnt):
+        By the key, what was expected, what was got, and the element that it is about.
+        """
+        model, names = self.model, [self.model.joint(joint).name for joint in range(self.model.njnt)]
+        base, ours = model.body(self.base).name, [joint for chain in self.chains.values() for joint in chain]
+        for limb, chain in self.chains.items():
+            for joint in self.held.keys() & chain:
+                yield f"locked.{names[joint]}", "a joint of no limb", f"one of {limb}", names[joint]
+            for inner, outer in itertools.pairwise(chain):
+                if self._inner(outer)[0] != inner:
+                    got = f"{names[outer]!r} not next after {names[inner]!r}"
+                    yield f"limbs.{limb}.joints", "a chain from the base outwards", got, names[outer]
+        begins = f"all limbs to begin at one base link, as {next(iter(self.chains))} does at {base!r}"
+        for limb, chain in self.chains.items():
+            inner, body = self._inner(chain[0])
+            if body != self.base or body == 0 or inner >= 0:
+                yield f"limbs.{limb}.joints", begins, repr(model.body(body).name), names[chain[0]]
+        for joint in ours:
+            if ours.count(joint) > 1:
+                yield "limbs", "different joints", f"{names[joint]!r} twice", names[joint]
+        for joint in set(range(model.njnt)) - set(ours) - self.held.keys():
             floats = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and model.jnt_bodyid[joint] == self.base
-            if joint not in ours and joint not in self.held and not floats and self._of_robot(model.jnt_bodyid[joint]):
-                name = model.joint(joint).name
-                expected = f"no joints but those named and the base's own (robot.locked.{name}: 0 would hold it)"
-                raise refusal(self.source, "limbs", expected, repr(name), name)
+            if not floats and self._of_robot(model.jnt_bodyid[joint]):
+                hold = f"robot.locked.{names[joint]}: 0 would hold it"
+                expected = f"no joints but those named and the base's own ({hold})"
+                yield "limbs", expected, repr(names[joint]), names[joint]
         for constraint in np.flatnonzero(model.eq_active0):
-            self._check_constraint(int(constraint))
-        named = {name for limb in self.limbs.values() for name in limb.joints}
-        for name in self.springs:
-            if name not in named:
-                raise refusal(self.source, f"springs.{name}", "a joint of a limb", "one of none", name)
-        for key, limb in self.limbs.items():
-            if self.springs.keys() >= set(limb.joints):
-                got = "springs in all"
-                raise refusal(self.source, f"limbs.{key}.joints", "a joint that is driven", got, limb.joints[0])
+            if (name := self._bound(int(constraint))) is not None:
+                yield "file", "no equality constraints between moving parts", f"one at {name!r}", name
+        for name in self.springs.keys() - {names[joint] for joint in ours}:
+            yield f"springs.{name}", "a joint of a limb", "one of none", name
+        for limb, keys in self.limbs.items():
+            if self.springs.keys() >= set(keys.joints):
+                yield f"limbs.{limb}.joints", "a joint that is driven", "springs in all", keys.joints[0]
+        if not self.trunk.mass:
+            yield "file", f"a mass of the base link {base!r}", "none", base
 
     def _of_robot(self, body: int) -> bool:
         return bool(self.model.body_rootid[body] == self.model.body_rootid[self.base])
 
-    def _check_constraint(self, number: int) -> None:
-        """Refuse an equality constraint that could move a part of the robot."""
-        model, names = self.model, [self.model.equality(number).name]
-        ends = [int(end[number]) for end in (model.eq_obj1id, model.eq_obj2id) if end[number] >= 0]
-        if model.eq_type[number] == mujoco.mjtEq.mjEQ_JOINT:
+    def _bound(self, constraint: int) -> str | None:
+        """Return what an equality constraint is at that could move a part of the robot; None of one that cannot."""
+        model, names = self.model, [self.model.equality(constraint).name]
+        ends = [int(end[constraint]) for end in (model.eq_obj1id, model.eq_obj2id) if end[constraint] >= 0]
+        idle = False
+        if model.eq_type[constraint] == mujoco.mjtEq.mjEQ_JOINT:
             idle = all(end in self.held or not self._of_robot(model.jnt_bodyid[end]) for end in ends)
             names.append(model.joint(ends[0]).name)
-        elif model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_BODY:
+        elif model.eq_objtype[constraint] == mujoco.mjtObj.mjOBJ_BODY:
             idle = len({self.part[end] for end in ends}) == 1 or not any(map(self._of_robot, ends))
             names.append(model.body(ends[0]).name)
-        else:
-            idle = False
-        if not idle:
-            name = next(filter(None, names), "")
-            raise refusal(self.source, "file", "no equality constraints between moving parts", f"one at {name!r}", name)
+        return None if idle else next(filter(None, names), "")
 
     def link(self, first: int) -> _Link:
         """Return the bodies of a rigid part as one, those without a mass left out; world axes."""
@@ -242,16 +223,16 @@ class _File:
     def limits(self, limb: str, joint: int) -> tuple[float, float]:
         """Return the lower and upper limit of a joint, rad or m."""
         slides = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-        if not self.model.jnt_limited[joint]:
-            return (-REACH, REACH) if slides else (-np.pi, np.pi)
         lower, upper = map(float, self.model.jnt_range[joint])
-        if not lower < upper:
+        limited = self.model.jnt_limited[joint]
+        if limited and not lower < upper:
             name = self.model.joint(joint).name
             expected, got = f"limits of {name!r} in ascending order", f"{lower:g} to {upper:g}"
             raise refusal(self.source, f"limbs.{limb}.joints", expected, got, name)
-        if not slides and upper - lower > 2 * np.pi and lower <= -np.pi and upper >= np.pi:
-            return -np.pi, np.pi  # as free as a joint without limits
-        return lower, upper
+        if slides:
+            return (lower, upper) if limited else (-REACH, REACH)
+        # a whole turn and more is as free as a joint without limits
+        return (lower, upper) if limited and (lower > -np.pi or upper < np.pi) else (-np.pi, np.pi)
 
 
 def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
@@ -261,7 +242,7 @@ def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
     alike, joint1, joint2 and so on.
     """
 
-    def shared(names: Sequence[list[str]]) -> tuple[list[str], list[str]]:
+    def shared(names: list[list[str]]) -> tuple[list[str], list[str]]:
         """Return with which words all of the names begin, and with which they end."""
         head = beginning(names)
         return head, beginning([name[len(head) :][::-1] for name in names])[::-1]
@@ -274,24 +255,17 @@ def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
     return names if told_apart else [f"joint{n + 1}" for n in range(len(places))]
 
 
-def _add_limb(
-    file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody, frame: tuple[np.ndarray, np.ndarray]
-) -> None:
-    """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next.
-
-    `frame` is the base's in the file: origin (3,) m and axes (3, 3), columns.
-    """
-    origin, axes = frame
+def _add_limb(file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody) -> None:
+    """Add one limb to the base; the frame of each link sits at its joint, z along the axis, x towards the next."""
+    origin, axes = file.trunk.center, file.data.xmat[file.base].reshape(3, 3)
     chain, foot = file.chains[limb], file.foot(limb)
-    stands, anchors = [file.model.jnt_bodyid[joint] for joint in chain], list(file.data.xanchor[chain])
+    stands, anchors = [file.model.jnt_bodyid[joint] for joint in chain], [*file.data.xanchor[chain], foot]
     # of several joints of one body the last one moves its mass
-    links = [
-        file.link(at) if at not in stands[n + 1 :] else _Link(0.0, anchors[n], np.zeros((3, 3)))
-        for n, at in enumerate(stands)
-    ]
-    for n, (joint, axis, end) in enumerate(zip(chain, file.axes(limb), [*anchors[1:], foot], strict=True)):
+    links = [file.link(at) if at not in stands[n + 1 :] else None for n, at in enumerate(stands)]
+    for n, (joint, axis) in enumerate(zip(chain, file.axes(limb), strict=True)):
         place, inner = axes.T @ (anchors[n] - origin), axes
-        origin, axes = anchors[n], _axes_along(axis, end - anchors[n])
+        origin, end = anchors[n : n + 2]
+        axes = frame_along(axis, end - origin)
         body = body.add_body(name=f"{limb}_{names[n]}", pos=place, quat=quaternion(inner.T @ axes))
         dof, name = file.model.jnt_dofadr[joint], file.model.joint(joint).name
         moved = add_joint(body, file.model, joint, f"{limb}_{names[n]}")
@@ -299,10 +273,10 @@ def _add_limb(
         if spring := file.springs.get(name):
             moved.damping = [moved.damping[0] + spring.damping, 0, 0]  # beside the file's
             moved.stiffness, moved.springref, moved.group = [spring.stiffness, 0, 0], spring.rest, PASSIVE
-        if links[n].mass:
-            _weigh(body, links[n].seen_from(origin, axes))
-        elif any(link.mass for link in links[n:]) or file.model.dof_armature[dof]:
-            _weigh(body, _PAD)
+        if (link := links[n]) and link.mass:
+            _weigh(body, link, origin, axes)
+        elif any(link and link.mass for link in links[n:]) or file.model.dof_armature[dof]:
+            _weigh(body, _PAD, np.zeros(3), np.eye(3))
         else:
             raise refusal(file.source, f"limbs.{limb}.joints", "links that have a mass", f"none at {name!r}", name)
         _draw(body, axes.T @ (end - origin), first=n == 0, last=n == len(chain) - 1)
@@ -311,29 +285,15 @@ def _add_limb(
         body = body.add_body(name=f"{limb}_{name}", pos=at_foot)
         hinge = body.add_joint(name=f"{limb}_{name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1.0)
         hinge.range, hinge.limited, hinge.group = [-np.pi, np.pi], _LIMITED, FILLING
-        _weigh(body, _PAD)
+        _weigh(body, _PAD, np.zeros(3), np.eye(3))
         at_foot = np.zeros(3)
     body.add_site(name=f"{limb}_foot", pos=at_foot, size=[0.004] * 3)
 
 
-def _weigh(body: mujoco.MjsBody, link: _Link) -> None:
-    body.explicitinertial = True
-    body.mass, body.ipos = link.mass, link.center
-    i = link.inertia
-    body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
-
-
-def _axes_along(axis: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """Return a rotation matrix with z along `axis`, and x as near to a direction as that allows."""
-    across = towards - axis * (axis @ towards)
-    if np.linalg.norm(across) < 1e-6:
-        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    x = across / np.linalg.norm(across)
-    return np.stack([x, np.cross(axis, x), axis], axis=1)
-
-
-# ------------------------------------------------------------------------------------------------------------
-# What is drawn: the shapes of the robots that come with mjx_climb
+def _weigh(body: mujoco.MjsBody, link: _Link, origin: np.ndarray, axes: np.ndarray) -> None:
+    """Give a body the mass of a link, seen from the body's own frame, whose axes (3, 3) are columns."""
+    body.explicitinertial, body.mass, body.ipos = True, link.mass, axes.T @ (link.center - origin)
+    body.fullinertia = (axes.T @ link.inertia @ axes)[ROWS, COLUMNS]
 
 
 def _shape(body: mujoco.MjsBody, kind: mujoco.mjtGeom, material: str, **where: list[float]) -> None:
@@ -341,6 +301,7 @@ def _shape(body: mujoco.MjsBody, kind: mujoco.mjtGeom, material: str, **where: l
 
 
 def _draw(body: mujoco.MjsBody, end: np.ndarray, *, first: bool, last: bool) -> None:
+    """Draw a link as those of the robots that come with mjx_climb are."""
     thick = float(np.clip(0.12 * np.linalg.norm(end), 0.003, 0.014))
     _shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, "servo", size=[1.2 * thick, 1.4 * thick, 0])
     if np.linalg.norm(end) < _SHORT:
