@@ -1,13 +1,11 @@
 """An OpenGL context without a window: EGL, OSMesa or the system's own, whichever works here."""
 
 import functools
-import importlib
 import os
 import platform
 import subprocess
 import sys
 import warnings
-from typing import Any
 
 PACKAGES = {"egl": "libegl1 and libgl1", "osmesa": "libosmesa6"}  # Debian, Ubuntu
 SYSTEMS_OWN = {"Linux": ("glx",), "Darwin": ("cgl",), "Windows": ("wgl",)}
@@ -27,21 +25,6 @@ TRIAL_SECONDS = 60
 
 class RenderingError(ValueError):
     """Pictures that cannot be made here; in one line: what is missing and what to install."""
-
-
-def candidates() -> list[str]:
-    """Return the names of the contexts to try, first choice first: the user's MUJOCO_GL, or all that may work."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if wanted in OFF:
-        return []
-    if wanted in ("egl", "osmesa", "glfw"):
-        return [wanted]
-    system = platform.system()
-    if wanted not in (*ANY, *SYSTEMS_OWN.get(system, ())):
-        raise RenderingError(f"MUJOCO_GL: expected egl, osmesa, glfw or off, got {wanted!r}")
-    if system != "Linux":
-        return ["cgl", "glfw"] if system == "Darwin" else ["glfw"]
-    return ["egl", "osmesa", *["glfw"] * has_display()]
 
 
 def has_display() -> bool:
@@ -79,30 +62,27 @@ def works(name: str) -> bool:
 
 @functools.cache
 def find() -> str:
-    """Return the name of the first context that works.
+    """Return the name of the first context that works: of the user's MUJOCO_GL, or of all that may work.
 
     Raises:
         RenderingError: none does, or MUJOCO_GL is none of them.
     """
-    tried = candidates()
+    wanted, system = os.environ.get("MUJOCO_GL", "").lower().strip(), platform.system()
+    if wanted in OFF:
+        raise RenderingError(f"rendering: expected OpenGL, got MUJOCO_GL={os.environ['MUJOCO_GL']}, which turns it off")
+    if wanted in ("egl", "osmesa", "glfw"):
+        tried = [wanted]
+    elif wanted not in (*ANY, *SYSTEMS_OWN.get(system, ())):
+        raise RenderingError(f"MUJOCO_GL: expected egl, osmesa, glfw or off, got {wanted!r}")
+    elif system == "Linux":
+        tried = ["egl", "osmesa", *["glfw"] * has_display()]
+    else:
+        tried = ["cgl", "glfw"] if system == "Darwin" else ["glfw"]
     for name in tried:
         if works(name):
             return name
-    if not tried:
-        raise RenderingError(f"rendering: expected OpenGL, got MUJOCO_GL={os.environ['MUJOCO_GL']}, which turns it off")
     packages = [PACKAGES[name] for name in tried if name in PACKAGES]
     raise RenderingError(
         f"rendering: expected OpenGL, got none that works (tried {', '.join(tried)}); "
         + (f"on Debian and Ubuntu install {', or '.join(packages)}" if packages else "MUJOCO_GL=egl needs no display")
     )
-
-
-def context(width: int, height: int) -> Any:
-    """Return a current OpenGL context, with `make_current` and `free`, for images of this size.
-
-    Raises:
-        RenderingError: no OpenGL on this machine.
-    """
-    made = importlib.import_module(f"mujoco.{find()}").GLContext(width, height)
-    made.make_current()
-    return made

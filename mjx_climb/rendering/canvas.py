@@ -1,6 +1,7 @@
 """Pictures of a MuJoCo model from a context without a window, and the camera that follows a walk."""
 
 import dataclasses
+import importlib
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -30,20 +31,14 @@ def pose(model: mujoco.MjModel, data: mujoco.MjData, trajectory: Trajectory, row
     mujoco.mj_camlight(model, data)
 
 
-def up(gravity: np.ndarray) -> np.ndarray:
-    """Return which way is up, (3,) world: against gravity (3,) m/s^2, or the ground's normal where there is none."""
-    strength = np.linalg.norm(gravity)
-    return np.array([0.0, 0.0, 1.0]) if strength < MICROGRAVITY else -np.asarray(gravity) / strength
-
-
 @dataclasses.dataclass(frozen=True)
 class View:
-    """A camera: MuJoCo's free one, and which way is up in the picture."""
+    """A camera: MuJoCo's free one, turned so that down is down in the picture."""
 
     target: np.ndarray  # (3,) m, world
     distance: float  # m
     azimuth: float  # degrees
-    up: np.ndarray  # (3,) world, unit
+    gravity: np.ndarray  # (3,) m/s^2, world; the ground's normal is up where there is none
 
     def camera(self) -> mujoco.MjvCamera:
         """Return MuJoCo's camera, whose up is always the world's z."""
@@ -58,7 +53,9 @@ class View:
         azimuth, elevation = np.deg2rad([self.azimuth, ELEVATION])
         flat = np.cos(elevation)
         forward = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-        up = self.up - (self.up @ forward) * forward
+        strength = np.linalg.norm(self.gravity)
+        up = np.array([0.0, 0.0, 1.0]) if strength < MICROGRAVITY else -self.gravity / strength
+        up = up - (up @ forward) * forward
         up /= np.linalg.norm(up)
         return np.stack([np.cross(forward, up), up, forward])
 
@@ -68,45 +65,43 @@ class Follower:
 
     def __init__(self, trajectories: Sequence[Trajectory], fovy: float, aspect: float):
         first = max(trajectories, key=whole)
-        scenario, rows = first.scenario, whole(first)
+        self._scenario, rows = first.scenario, whole(first)
         self._time = first.time[:rows]
-        self._path = _smoothed(first.base_reference[:rows], round(scenario.gait.cycle / scenario.time_step))
-        self._up = up(np.asarray(scenario.gravity))
-        self._azimuth = AZIMUTH + float(np.rad2deg(scenario.gait.heading))
-        # the ball around what is to be seen must fit the narrower side of the picture
+        # the moving average over a cycle, the path's ends held
+        window = round(self._scenario.gait.cycle / self._scenario.time_step)
+        padded = np.pad(first.base_reference[:rows], ((window // 2, window - window // 2), (0, 0)), mode="edge")
+        sums = np.cumsum(padded, axis=0)
+        self._path = (sums[window:] - sums[:-window]) / window
+        radius = 0.0  # m, of the ball around what is to be seen, which must fit the narrower side of the picture
+        for walk in trajectories:
+            some = slice(0, whole(walk), 20)
+            points = np.concatenate([walk.foot_position[some], walk.base_position[some, None]], axis=1)
+            away = np.linalg.norm(points - self._target(walk.time[some])[:, None], axis=-1)
+            radius = max(radius, away[np.isfinite(away) & (away < TALLEST)].max(initial=0.2))
         half = np.deg2rad(fovy) / 2
-        half = min(half, np.arctan(np.tan(half) * aspect * 0.8))
-        self._distance = MARGIN * max(map(self._radius, trajectories)) / np.sin(half)
-
-    def _radius(self, trajectory: Trajectory) -> float:
-        """Return how far feet and base are from where the camera looks, m, at most."""
-        rows = slice(0, whole(trajectory), 20)
-        points = np.concatenate([trajectory.foot_position[rows], trajectory.base_position[rows, None]], axis=1)
-        distance = np.linalg.norm(points - self._target(trajectory.time[rows])[:, None], axis=-1)
-        return float(distance[np.isfinite(distance) & (distance < TALLEST)].max(initial=0.2))
+        self._distance = MARGIN * radius / np.sin(min(half, np.arctan(np.tan(half) * aspect * 0.8)))
 
     def _target(self, time: np.ndarray | float) -> np.ndarray:
         return np.stack([np.interp(time, self._time, line) for line in self._path.T], axis=-1)
 
     def at(self, time: float) -> View:
         """Return the view at a time, s."""
-        return View(self._target(time) * [1, 1, 0.55], self._distance, self._azimuth, self._up)
-
-
-def _smoothed(path: np.ndarray, window: int) -> np.ndarray:
-    """Return the moving average of a path (T, 3) over `window` rows, its ends held."""
-    padded = np.pad(path, ((window // 2, window - window // 2), (0, 0)), mode="edge")
-    sums = np.cumsum(padded, axis=0)
-    return np.asarray((sums[window:] - sums[:-window]) / window)
+        azimuth = AZIMUTH + float(np.rad2deg(self._scenario.gait.heading))
+        return View(self._target(time) * [1, 1, 0.55], self._distance, azimuth, np.asarray(self._scenario.gravity))
 
 
 class Canvas:
-    """An offscreen picture of `width` by `height` pixels; a context manager that frees its OpenGL context."""
+    """An offscreen picture of `width` by `height` pixels; a context manager that frees its OpenGL context.
+
+    Raises:
+        RenderingError: no OpenGL on this machine.
+    """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
         self._model = model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-        self._gl = backend.context(width, height)
+        self._gl = importlib.import_module(f"mujoco.{backend.find()}").GLContext(width, height)
+        self._gl.make_current()
         self.scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
@@ -145,8 +140,14 @@ class Canvas:
         if scene.ngeom:
             flags = scene.flags.copy()
             scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
-            _lay_on(picture, self._render())
+            marks = self._render()
             scene.flags[:] = flags
+            rows, columns = (np.flatnonzero(marks.any(axes)) for axes in ((1, 2), (0, 2)))
+            if rows.size:  # lay the marks, which are on black, over the picture; their soft edges stay soft
+                part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+                over = marks[part].astype(np.float32)
+                share = np.minimum(over.max(-1, keepdims=True) / OPAQUE, 1)
+                picture[part] = np.minimum(picture[part] * (1 - share) + over, 255)
         return picture
 
     def _render(self) -> np.ndarray:
@@ -155,13 +156,3 @@ class Canvas:
         mujoco.mjr_render(self._rectangle, self.scene, self._context)
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
         return pixels[::-1].copy()  # OpenGL's rows go upwards
-
-
-def _lay_on(picture: np.ndarray, marks: np.ndarray) -> None:
-    """Lay marks on black over a picture, in place; their soft edges stay soft."""
-    rows, columns = (np.flatnonzero(marks.any(axes)) for axes in ((1, 2), (0, 2)))
-    if rows.size:
-        part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        over = marks[part].astype(np.float32)
-        share = np.minimum(over.max(-1, keepdims=True) / OPAQUE, 1)
-        picture[part] = np.minimum(picture[part] * (1 - share) + over, 255)

@@ -78,7 +78,12 @@ class Caption:
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image, "RGBA")
-        self._heading(draw)
+        unit, line = self._unit, case(self._trajectory.scenario)
+        title, text = font(1.25 * unit, bold=True), font(0.9 * unit)
+        width = max(title.getlength(self._label), text.getlength(line)) + 1.2 * unit
+        self._box(draw, 0.7 * unit, 0.7 * unit, width, 3.4 * unit)
+        draw.text((1.3 * unit, 1.0 * unit), self._label, WHITE, title)
+        draw.text((1.3 * unit, 2.7 * unit), line, DIM, text)
         self._state(draw, row)
         if pixels_per_meter is not None:
             self._legend(draw, pixels_per_meter)
@@ -88,15 +93,6 @@ class Caption:
     def _box(self, draw: ImageDraw.ImageDraw, left: float, top: float, width: float, height: float) -> None:
         corners = (left, top, left + width, top + height)  # whole pixels: the corners' quarters would overlap
         draw.rounded_rectangle([round(place) for place in corners], round(0.4 * self._unit), fill=DARK)
-
-    def _heading(self, draw: ImageDraw.ImageDraw) -> None:
-        unit = self._unit
-        title, text = font(1.25 * unit, bold=True), font(0.9 * unit)
-        line = case(self._trajectory.scenario)
-        width = max(title.getlength(self._label), text.getlength(line)) + 1.2 * unit
-        self._box(draw, 0.7 * unit, 0.7 * unit, width, 3.4 * unit)
-        draw.text((1.3 * unit, 1.0 * unit), self._label, WHITE, title)
-        draw.text((1.3 * unit, 2.7 * unit), line, DIM, text)
 
     def _state(self, draw: ImageDraw.ImageDraw, row: int) -> None:
         """Write time and forces, and what is or went wrong, at the bottom left."""
@@ -126,55 +122,50 @@ class Caption:
         """Say what the arrows' colours and lengths mean, at the bottom right."""
         unit, text = self._unit, font(0.85 * self._unit)
         limit = self._trajectory.scenario.contact.holding_limit
-        pushes = bool(self._trajectory.scenario.disturbance.pushes)
-        rows = 2 + (2.1 if limit else 1) + pushes
-        width, height = 15.5 * unit, (1.5 * rows + 0.8) * unit
+        entries = {
+            "foot force, pressed": marks.PRESSED,
+            f"pulled, share of {limit:g} N" if limit else "foot force, pulled": marks.pulled(0.5),
+        }
+        if self._trajectory.scenario.disturbance.pushes:
+            entries["push on the base"] = marks.PUSH
+        width, height = 15.5 * unit, (1.5 * (len(entries) + (1.1 if limit else 0) + 1) + 0.8) * unit
         left, top = self._size[0] - width - 0.7 * unit, self._size[1] - height - 0.7 * unit
         self._box(draw, left, top, width, height)
         x, y = left + 0.7 * unit, top + 0.55 * unit
-        self._entry(draw, (x, y), marks.PRESSED, "foot force, pressed")
-        y += 1.5 * unit
-        pulled = f"pulled, share of {limit:g} N" if limit else "foot force, pulled"
-        self._entry(draw, (x, y), marks.pulled(0.5), pulled)
-        y += 1.5 * unit
-        if limit:
-            bar = round(width - 1.4 * unit)
-            for pixel in range(bar):
-                draw.line((x + pixel, y, x + pixel, y + 0.55 * unit), to_hex(marks.pulled(pixel / bar)))
-            for share, anchor in ((0.0, "lt"), (0.5, "mt"), (1.0, "rt")):
-                draw.text((x + share * bar, y + 0.7 * unit), f"{100 * share:.0f} %", DIM, text, anchor=anchor)
-            y += 1.65 * unit
-        if pushes:
-            self._entry(draw, (x, y), marks.PUSH, "push on the base")
+        for words, rgb in entries.items():
+            middle, tip, head, fill = y + 0.6 * unit, x + 2.2 * unit, x + 1.32 * unit, to_hex(rgb)
+            draw.line((x, middle, x + 1.43 * unit, middle), fill, max(round(0.32 * unit), 2))
+            draw.polygon([(tip, middle), (head, middle - 0.45 * unit), (head, middle + 0.45 * unit)], fill)
+            draw.text((tip + 0.6 * unit, y), words, WHITE, text)
             y += 1.5 * unit
+            if limit and words.startswith("pulled"):
+                bar = round(width - 1.4 * unit)
+                for pixel in range(bar):
+                    draw.line((x + pixel, y, x + pixel, y + 0.55 * unit), to_hex(marks.pulled(pixel / bar)))
+                for share, anchor in ((0.0, "lt"), (0.5, "mt"), (1.0, "rt")):
+                    draw.text((x + share * bar, y + 0.7 * unit), f"{100 * share:.0f} %", DIM, text, anchor=anchor)
+                y += 1.65 * unit
         pixels_per_newton = self._scale * pixels_per_meter
-        force = _nice(0.55 * width / pixels_per_newton)
+        most = 0.55 * width / pixels_per_newton  # N, of the scale: it is 1, 2 or 5 times a power of ten
+        power = 10.0 ** math.floor(math.log10(most))
+        force = next(step * power for step in (5, 2, 1) if step * power <= most * (1 + 1e-9))
         end, middle = x + force * pixels_per_newton, y + 0.7 * unit
         for line in ((x, middle, end, middle), (x, middle - 4, x, middle + 4), (end, middle - 4, end, middle + 4)):
             draw.line(line, WHITE, max(round(0.12 * unit), 1))
         draw.text((end + 0.6 * unit, y + 0.1 * unit), f"{force:g} N", WHITE, text)
 
-    def _entry(self, draw: ImageDraw.ImageDraw, place: tuple[float, float], rgb: marks.RGB, words: str) -> None:
-        """Draw an arrow and what it stands for."""
-        unit, (x, y), fill = self._unit, place, to_hex(rgb)
-        middle, tip, head = y + 0.6 * unit, x + 2.2 * unit, x + 1.32 * unit
-        draw.line((x, middle, x + 1.43 * unit, middle), fill, max(round(0.32 * unit), 2))
-        draw.polygon([(tip, middle), (head, middle - 0.45 * unit), (head, middle + 0.45 * unit)], fill)
-        draw.text((tip + 0.6 * unit, y), words, WHITE, font(0.85 * unit))
-
     def _down(self, draw: ImageDraw.ImageDraw, view: View) -> None:
         """Draw which way is down: gravity's direction in the picture's plane; nothing where there is none."""
-        gravity = np.asarray(self._trajectory.scenario.gravity)
-        if np.linalg.norm(gravity) < MICROGRAVITY:
+        if np.linalg.norm(view.gravity) < MICROGRAVITY:
             return
         right, up, _ = view.axes()
-        way = np.array([gravity @ right, -(gravity @ up)])
-        unit, way = self._unit, way / max(np.linalg.norm(way), 1e-9)
+        unit, way = self._unit, np.array([view.gravity @ right, -(view.gravity @ up)])
+        way /= max(np.linalg.norm(way), 1e-9)
         center = np.array([self._size[0] - 2.2 * unit, 2.9 * unit])
         self._box(draw, center[0] - 1.5 * unit, center[1] - 2.2 * unit, 3.0 * unit, 4.4 * unit)
         start, end, side = center - 1.6 * unit * way, center + 1.6 * unit * way, np.array([-way[1], way[0]])
         draw.line((*start, *(end - 0.6 * unit * way)), WHITE, max(round(0.2 * unit), 2))
-        tip = [end, end - 0.9 * unit * way + 0.45 * unit * side, end - 0.9 * unit * way - 0.45 * unit * side]
+        tip = [end, *(end - 0.9 * unit * way + across * unit * side for across in (0.45, -0.45))]
         draw.polygon([tuple(corner) for corner in tip], WHITE)
         draw.text(tuple(center + 0.75 * unit * side), "g", WHITE, font(unit, bold=True), anchor="mm")
 
@@ -227,9 +218,3 @@ def _highest(walk: Trajectory) -> float:
     forces = largest_foot_force(walk)[:rows]
     before = forces[walk.time[:rows] <= failure_time(walk)]
     return float(min(forces.max(), 3 * before.max() if before.size else np.inf))
-
-
-def _nice(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above the value."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(step * power for step in (5, 2, 1) if step * power <= value * (1 + 1e-9))

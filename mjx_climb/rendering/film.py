@@ -37,19 +37,15 @@ STANCE_MARK, STANCE_AWAY = 0.04, 3.4  # half widths of a robot: the radius of a 
 
 
 def pictures(
-    trajectories: Sequence[Trajectory],
-    times: Iterable[float],
-    *,
-    labels: Sequence[str] | None = None,
-    size: tuple[int, int] = SIZE,
-    trace: float = 0.0,
-) -> Iterator[np.ndarray]:
+    trajectories: Sequence[Trajectory], times: Iterable[float], *, labels: Sequence[str] | None = None,
+    size: tuple[int, int] = SIZE, trace: float = 0.0,
+) -> Iterator[np.ndarray]:  # fmt: skip
     """Yield the pictures of walks at some times (s), as `frames` does; `trace` is the share of the force's trace."""
     check(trajectories, labels, size)
     strip = 2 * round(trace * size[1] / 2)
     traces = [ForceTrace(trajectories, number, (size[0], strip)) for number in range(len(trajectories)) if strip]
     size = size[0], size[1] - strip
-    model = surroundings.of(trajectories)
+    model = surroundings.model(trajectories)
     data, fovy = mujoco.MjData(model), float(model.vis.global_.fovy)
     follower, scale = Follower(trajectories, fovy, size[0] / size[1]), marks.scale(trajectories)
     focal = size[1] / (2 * np.tan(np.deg2rad(fovy) / 2))  # pixels
@@ -101,10 +97,7 @@ def frame_times(trajectories: Sequence[Trajectory], fps: float = FPS) -> np.ndar
 
 
 def frames(
-    *trajectories: Trajectory,
-    labels: Sequence[str] | None = None,
-    fps: float = FPS,
-    size: tuple[int, int] = SIZE,
+    *trajectories: Trajectory, labels: Sequence[str] | None = None, fps: float = FPS, size: tuple[int, int] = SIZE
 ) -> Iterator[np.ndarray]:
     """Yield the frames of walks, side by side and in sync, each (H, walks W, 3) uint8.
 
@@ -125,23 +118,15 @@ def frames(
     yield from pictures(trajectories, frame_times(trajectories, fps), labels=labels, size=size, trace=TRACE)
 
 
-def snapshot_times(trajectories: Sequence[Trajectory], count: int = SNAPSHOTS) -> np.ndarray:
-    """Return the middles of `count` equal stretches of the walk, (count,) s."""
-    return (np.arange(count) + 0.5) / count * length(trajectories)
-
-
 def snapshots(
-    *trajectories: Trajectory,
-    count: int = SNAPSHOTS,
-    times: Sequence[float] | None = None,
-    labels: Sequence[str] | None = None,
-    size: tuple[int, int] = SNAPSHOT_SIZE,
-) -> np.ndarray:
+    *trajectories: Trajectory, count: int = SNAPSHOTS, times: Sequence[float] | None = None,
+    labels: Sequence[str] | None = None, size: tuple[int, int] = SNAPSHOT_SIZE,
+) -> np.ndarray:  # fmt: skip
     """Return a strip of snapshots, (walks H, snapshots W, 3) uint8: one row per walk, time from left to right.
 
     Arguments:
         trajectories: walks of one robot.
-        count: number of snapshots, evenly spread over the walk.
+        count: number of snapshots, in the middles of equal stretches of the walk.
         times: instants in place of `count`, s.
         labels: above each walk; its controller by default.
         size: width and height of one snapshot, even numbers of pixels.
@@ -150,20 +135,16 @@ def snapshots(
         RenderingError: no OpenGL on this machine.
         ValueError: what cannot be shown.
     """
-    instants = snapshot_times(trajectories, count) if times is None else times
+    instants = (np.arange(count) + 0.5) / count * length(trajectories) if times is None else times
     shown = pictures(trajectories, instants, labels=labels, size=size)
     columns = [np.concatenate(np.split(picture, len(trajectories), axis=1)) for picture in shown]
     return np.concatenate(columns, axis=1)
 
 
 def save_video(
-    path: str | os.PathLike[str],
-    *trajectories: Trajectory,
-    labels: Sequence[str] | None = None,
-    fps: int = FPS,
-    size: tuple[int, int] = SIZE,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Path:
+    path: str | os.PathLike[str], *trajectories: Trajectory, labels: Sequence[str] | None = None, fps: int = FPS,
+    size: tuple[int, int] = SIZE, progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:  # fmt: skip
     """Write walks as an MP4 video, side by side and in sync, and return its path.
 
     The file is either whole or not there.
@@ -184,12 +165,9 @@ def save_video(
 
 
 def encode(
-    path: str | os.PathLike[str],
-    pictures: Iterable[np.ndarray],
-    fps: int,
-    size: tuple[int, int],
+    path: str | os.PathLike[str], pictures: Iterable[np.ndarray], fps: int, size: tuple[int, int],
     progress: Callable[[int], None] = lambda done: None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Write pictures (H, W, 3) uint8 of one size (W, H) as an H.264 video and return its path.
 
     Raises:
@@ -236,7 +214,7 @@ def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[
     """
     check(trajectories, None, SIZE)
     require_display()
-    model = surroundings.of(trajectories)
+    model = surroundings.model(trajectories)
     model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
     model.light("sun").castshadow = False  # such a ground takes none
     data, scale = mujoco.MjData(model), marks.scale(trajectories)
@@ -339,4 +317,4 @@ def stance(robot: str | RobotFile) -> np.ndarray:
 
     mujoco.mj_forward(model, data)
     with Canvas(model, *SNAPSHOT_SIZE) as canvas:
-        return canvas.draw(data, View(middle, STANCE_AWAY * half, AZIMUTH, np.array([0.0, 0, 1])), mark)
+        return canvas.draw(data, View(middle, STANCE_AWAY * half, AZIMUTH, np.zeros(3)), mark)

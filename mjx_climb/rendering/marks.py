@@ -24,7 +24,7 @@ PRESSED = to_rgb(SKY)
 # from barely pulled to the holding limit; darker all the way, so that it also reads without colours
 PULLED = (to_rgb("#FFF3A0"), to_rgb("#F0C020"), to_rgb(ORANGE), to_rgb(VERMILLION), to_rgb("#B00020"))
 PUSH = to_rgb("#E24FB0")
-GRIP = (0.95, 0.95, 0.95)
+GRIP, STRAP = (0.95, 0.95, 0.95), (0.25, 0.22, 0.18)
 CARGO_DENSITY = 2600.0  # kg/m^3, of the box that stands for the cargo
 
 _ARROW, _CAPSULE, _CYLINDER, _BOX = (
@@ -73,12 +73,19 @@ def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: floa
 
 
 def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
-    """Add the grip points and foot paths up to this row, and the cargo."""
+    """Add the grip points and foot paths up to this row, and the cargo.
+
+    A disc is a point that a limb gripped, a larger one what it holds now.
+    """
     every = max(round(PATH_STEP / trajectory.scenario.time_step), 1)
     rows = np.unique([*range(0, row + 1, every), row])
     rims = [(limb, to_rgb(PATHS[limb % len(PATHS)])) for limb in range(len(trajectory.limbs))]
     for limb, rim in rims:
-        _grips(scene, trajectory, rows, limb, rim)
+        held, grips = trajectory.support[rows, limb], trajectory.grip_point[rows, limb]
+        for point in np.unique(grips[held].round(3), axis=0):
+            current = held[-1] and np.abs(point - grips[-1]).max() < 1e-3
+            _add(scene, _CYLINDER, [0.031 if current else 0.026, 0.0012, 0], point, rim)
+            _add(scene, _CYLINDER, [0.025 if current else 0.022, 0.0016, 0], point, GRIP)
     for limb, rgb in rims:
         start, *points = trajectory.foot_position[rows, limb]
         for point in points:
@@ -86,7 +93,11 @@ def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
                 _connect(scene, _CYLINDER, 0.0022, (start, point), rgb, emission=0.5)
                 start = point
     if (mass := float(trajectory.cargo_mass[row])) > 0:
-        _cargo(scene, trajectory, row, (mass / CARGO_DENSITY) ** (1 / 3) / 2)
+        half, rotation = (mass / CARGO_DENSITY) ** (1 / 3) / 2, np.empty(9)
+        mujoco.mju_quat2Mat(rotation, np.asarray(trajectory.base_orientation[row], float))
+        position = trajectory.base_position[row] + rotation.reshape(3, 3)[:, 2] * (0.036 + half)
+        for size, rgb in (([1, 1, 1], to_rgb("#C9A227")), ([1.03, 0.2, 1.03], STRAP), ([0.2, 1.03, 1.03], STRAP)):
+            _add(scene, _BOX, half * np.array(size), position, rgb, rotation)
 
 
 def grip_points(trajectory: Trajectory) -> np.ndarray:
@@ -94,24 +105,6 @@ def grip_points(trajectory: Trajectory) -> np.ndarray:
     rows = whole(trajectory)
     gripped = trajectory.grip_point[:rows][trajectory.contact[:rows] | trajectory.support[:rows]]
     return np.unique(gripped.round(3), axis=0) if gripped.size else trajectory.grip_point[0]
-
-
-def _grips(scene: mujoco.MjvScene, trajectory: Trajectory, rows: np.ndarray, limb: int, rim: RGB) -> None:
-    """Add a disc for each point that a limb gripped, a larger one for what it holds in the last of the rows."""
-    held = trajectory.support[rows, limb]
-    for point in np.unique(trajectory.grip_point[rows[held], limb].round(3), axis=0):
-        current = held[-1] and np.abs(point - trajectory.grip_point[rows[-1], limb]).max() < 1e-3
-        _add(scene, _CYLINDER, [0.031 if current else 0.026, 0.0012, 0], point, rim)
-        _add(scene, _CYLINDER, [0.025 if current else 0.022, 0.0016, 0], point, GRIP)
-
-
-def _cargo(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, half: float) -> None:
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, np.asarray(trajectory.base_orientation[row], float))
-    position = trajectory.base_position[row] + rotation.reshape(3, 3)[:, 2] * (0.036 + half)
-    _add(scene, _BOX, [half] * 3, position, to_rgb("#C9A227"), rotation)
-    for strap in np.array([[1.03, 0.2, 1.03], [0.2, 1.03, 1.03]]):
-        _add(scene, _BOX, half * strap, position, (0.25, 0.22, 0.18), rotation)
 
 
 def limb(scene: mujoco.MjvScene, points: np.ndarray, radius: float, color: str) -> None:

@@ -9,7 +9,6 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.rendering.marks import grip_points
 from mjx_climb.robot.constants import load_spec
 from mjx_climb.rollouts.trajectory import Trajectory
-from mjx_climb.scenario.model import RobotFile
 
 GROUND = "relief"  # the geom's name
 REACH = 1.8  # m, half the width of the ground that has relief
@@ -40,28 +39,29 @@ STYLES = (
 )
 
 
-def of(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
-    """Return the model of walks of one robot on one ground, that of the first."""
+def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
+    """Return the model of walks of one robot on decorated ground, that of the first, just below all their grips.
+
+    The strength of gravity chooses the looks.
+    """
     scenario, reference = trajectories[0].scenario, trajectories[0].base_reference
     grips = np.concatenate([grip_points(trajectory) for trajectory in trajectories])
-    return model(scenario.robot, np.asarray(scenario.gravity), grips, reference[[0, -1], :2].mean(0))
-
-
-def model(robot: str | RobotFile, gravity: np.ndarray, grips: np.ndarray, center: np.ndarray) -> mujoco.MjModel:
-    """Return the robot's model on decorated ground around a center (2,) m, world, just below the grips (N, 3) m.
-
-    The strength of gravity (3,) m/s^2 chooses the looks.
-    """
-    spec = load_spec(robot)
-    looks = next(style for style in STYLES if np.linalg.norm(gravity) < style.below)
-    for element in [*spec.worldbody.geoms, *spec.worldbody.lights]:
+    center = reference[[0, -1], :2].mean(0)
+    looks = next(style for style in STYLES if np.linalg.norm(scenario.gravity) < style.below)
+    spec = load_spec(scenario.robot)
+    skybox, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    skies = [texture for texture in spec.textures if texture.type == skybox]
+    for element in [*spec.worldbody.geoms, *spec.worldbody.lights, *skies]:
         spec.delete(element)
-    for texture in list(spec.textures):
-        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
-            spec.delete(texture)
-    _add_sky(spec, looks)
-    _ground(spec, looks, grips, center)
-    _add_sun(spec, looks, center)
+    dark, bright = looks.sky
+    stars = {"mark": mujoco.mjtMark.mjMARK_RANDOM, "markrgb": [0.9] * 3, "random": 0.0008} if dark[2] < 0.1 else {}
+    spec.add_texture(name="sky", type=skybox, builtin=gradient, rgb1=dark, rgb2=bright, width=512, height=3072, **stars)
+    _add_ground(spec, looks, grips, center)
+    towards = np.array([0.28, 0.42, -1.0])  # low enough for the robot's shadow to lie beside it
+    spec.worldbody.add_light(
+        name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True, dir=towards,
+        pos=[*center, 0.0] - 1.5 * towards, diffuse=[looks.sun] * 3, ambient=[0.0] * 3, specular=[0.25] * 3,
+    )  # fmt: skip
     scene = spec.compile()
     quality, head, scene.vis.global_.fovy = scene.vis.quality, scene.vis.headlight, 30
     quality.shadowsize, quality.offsamples = 2048, 4
@@ -72,31 +72,15 @@ def model(robot: str | RobotFile, gravity: np.ndarray, grips: np.ndarray, center
     return scene
 
 
-def _add_sky(spec: mujoco.MjSpec, looks: Style) -> None:
-    kind, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
-    dark, bright = looks.sky
-    stars = {"mark": mujoco.mjtMark.mjMARK_RANDOM, "markrgb": [0.9] * 3, "random": 0.0008} if dark[2] < 0.1 else {}
-    spec.add_texture(name="sky", type=kind, builtin=gradient, rgb1=dark, rgb2=bright, width=512, height=3072, **stars)
-
-
-def _add_sun(spec: mujoco.MjSpec, looks: Style, center: np.ndarray) -> None:
-    towards = np.array([0.28, 0.42, -1.0])  # low enough for the robot's shadow to lie beside it
-    spec.worldbody.add_light(
-        name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True, dir=towards,
-        pos=[*center, 0.0] - 1.5 * towards, diffuse=[looks.sun] * 3, ambient=[0.0] * 3, specular=[0.25] * 3,
-    )  # fmt: skip
-
-
-def _ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.ndarray) -> None:
-    random = np.random.default_rng(7)
-    paint = _panels(random) if looks.name == "station" else _rock(random)
+def _add_ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.ndarray) -> None:
+    random, station, side = np.random.default_rng(7), looks.name == "station", 2 * REACH
+    paint = _panels(random) if station else _rock(random)
     pixels = np.clip(255 * paint[..., None] * np.asarray(looks.ground), 0, 255).astype(np.uint8)
     texture = spec.add_texture(name="paint", type=mujoco.mjtTexture.mjTEXTURE_2D, width=TEXTURE, height=TEXTURE)
     texture.nchannel, texture.data = 3, pixels.tobytes()
     material = spec.add_material(name="paint", texuniform=False, specular=0.1, shininess=0.1)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "paint"
-    side = 2 * REACH
-    material.texrepeat = [side / (2 * PANEL), side / (2 * PANEL)] if looks.name == "station" else [3, 3]
+    material.texrepeat = [side / (2 * PANEL)] * 2 if station else [3, 3]
 
     height = relief_of(random, looks.relief, grips - [*center, 0.0])
     low, high = float(height.min()), float(height.max())
@@ -104,8 +88,14 @@ def _ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.nda
     relief.userdata = ((height - low) / max(high - low, 1e-3)).ravel()
     geom = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=GROUND)
     geom.pos, geom.material, geom.contype, geom.conaffinity, geom.group = [*center, low], "paint", 0, 0, 0
-    if looks.name == "station":
-        _handrails(spec, center)
+    for y in center[1] + np.array([-0.45, 0.45]) if station else ():  # handrails beside the way
+        rail = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": 0, "conaffinity": 0, "group": 0}
+        rail["rgba"] = [0.86, 0.68, 0.16, 1]
+        for left in center[0] + np.arange(-1.3, 1.3, 0.65):
+            right = left + 0.5
+            spec.worldbody.add_geom(fromto=[left, y, 0.05, right, y, 0.05], size=[0.009, 0, 0], **rail)
+            for x in (left, right):
+                spec.worldbody.add_geom(fromto=[x, y, -0.01, x, y, 0.05], size=[0.007, 0, 0], **rail)
 
 
 def _noise(random: np.random.Generator, size: int, power: float, shortest: int = 2) -> np.ndarray:
@@ -157,16 +147,3 @@ def relief_of(random: np.random.Generator, boulders: float, grips: np.ndarray) -
     # close by only downwards: the feet stand on the grips
     near = -0.004 * fine * np.clip(distance / 0.03, 0, 1)
     return np.asarray(ground + np.where(away > 0, 0, near) + away * boulders * 0.5 * lumps + near * (away > 0))
-
-
-def _handrails(spec: mujoco.MjSpec, center: np.ndarray) -> None:
-    """Add two handrails beside the way."""
-    for side in (-0.45, 0.45):
-        y, z = center[1] + side, 0.05
-        rail = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": 0, "conaffinity": 0, "group": 0}
-        rail["rgba"] = [0.86, 0.68, 0.16, 1]
-        for start in np.arange(-1.3, 1.3, 0.65):
-            left, right = center[0] + start, center[0] + start + 0.5
-            spec.worldbody.add_geom(fromto=[left, y, z, right, y, z], size=[0.009, 0, 0], **rail)
-            for x in (left, right):
-                spec.worldbody.add_geom(fromto=[x, y, -0.01, x, y, z], size=[0.007, 0, 0], **rail)

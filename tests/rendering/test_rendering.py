@@ -100,10 +100,10 @@ def test_a_pull_reddens_towards_the_holding_limit_and_a_press_does_not():
 
 
 def test_an_arrow_is_as_long_as_its_force(gl):
-    model = surroundings.model("hubrobo_v3_2", np.zeros(3), FEET, np.zeros(2))
+    model = surroundings.model([walk_of(gravity=[0, 0, 0])])
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    view = canvas.View(np.zeros(3), 4.0, canvas.AZIMUTH, canvas.up(np.zeros(3)))
+    view = canvas.View(np.zeros(3), 4.0, canvas.AZIMUTH, np.zeros(3))
     start, end = np.array([0, 0, -0.3]), np.array([0, 0, 0.4])
     with canvas.Canvas(model, 480, 480) as made:
         shown, bare = (
@@ -118,9 +118,9 @@ def test_an_arrow_is_as_long_as_its_force(gl):
 
 
 def test_the_ground_has_no_specks_of_its_own_shadow(gl):
-    model = surroundings.model("hubrobo_v3_2", np.array([0, 0, -1.6]), FEET, np.zeros(2))
+    model = surroundings.model([walk_of(gravity=[0, 0, -1.6])])
     data = mujoco.MjData(model)
-    view = canvas.View(np.zeros(3), 1.6, canvas.AZIMUTH, canvas.up(np.zeros(3)))
+    view = canvas.View(np.zeros(3), 1.6, canvas.AZIMUTH, np.zeros(3))
     pictures = []
     with canvas.Canvas(model, 480, 360) as made:
         for height, shadow in ((0.11, 1), (0.11, 0), (9.0, 1), (9.0, 0)):  # at 9 m the robot is above the sun
@@ -187,7 +187,7 @@ def test_impossible_sizes_are_refused(size):
 def test_decoration_leaves_the_robot_as_it_was():
     robot = load_model("hubrobo_v3_2")
     for gravity in (0.0, 1.6, 3.7, 9.8):
-        scene = surroundings.model("hubrobo_v3_2", np.array([0, 0, -gravity]), FEET, np.zeros(2))
+        scene = surroundings.model([walk_of(gravity=[0, 0, -gravity])])
         for name in ("body_mass", "body_inertia", "body_ipos", "jnt_range"):
             np.testing.assert_array_equal(getattr(scene, name), getattr(robot, name))
         assert not scene.geom_contype.any()
@@ -204,7 +204,7 @@ def test_the_ground_passes_just_below_every_grip():
 
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (-4.9, 0.0, -8.5), (-9.81, 0.0, 0.0), (0.0, 0.0, 0.0)])
 def test_down_is_down_in_the_picture(gravity):
-    view = canvas.View(np.zeros(3), 1.0, canvas.AZIMUTH, canvas.up(np.array(gravity)))
+    view = canvas.View(np.zeros(3), 1.0, canvas.AZIMUTH, np.array(gravity))
     right, up, forward = view.axes()
     np.testing.assert_allclose(view.axes() @ view.axes().T, np.eye(3), atol=1e-12)
     assert np.cross(right, up) @ forward == pytest.approx(-1)
@@ -479,6 +479,11 @@ def test_marks_stop_where_the_scene_is_full():
     assert scene.ngeom == 3
 
 
-def test_frame_times_cover_the_walk():
-    np.testing.assert_allclose(film.frame_times([walk_of(duration=0.4)], 10), [0, 0.1, 0.2, 0.3])
-    np.testing.assert_allclose(film.snapshot_times([walk_of(duration=0.4)], 2), [0.1, 0.3])
+def test_frames_and_snapshots_cover_the_walk(monkeypatch):
+    asked = []
+    monkeypatch.setattr(film, "pictures", lambda walks, times, **_: asked.append(times) or iter([np.zeros((1, 1, 3))]))
+    walk = walk_of(duration=0.4)
+    list(rendering.frames(walk, fps=10))
+    rendering.snapshots(walk, count=2)
+    for times, expected in zip(asked, ([0, 0.1, 0.2, 0.3], [0.1, 0.3]), strict=True):
+        np.testing.assert_allclose(times, expected)

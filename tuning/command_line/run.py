@@ -89,10 +89,10 @@ class Pictures(Options):
                 rendering.save_video(folder / "walk.mp4", *shown, size=size, labels=labels, progress=told)
             files.append("walk.mp4")
         if self.snapshots:
-            duration = shown[0].scenario.duration
-            times = self.at or tuple((k + 0.5) / film.SNAPSHOTS * duration for k in range(film.SNAPSHOTS))
             with stage("snapshots", compiles=False):
-                strip = rendering.snapshots(*shown, times=times, size=self.size or film.SNAPSHOT_SIZE, labels=labels)
+                strip = rendering.snapshots(
+                    *shown, times=self.at or None, size=self.size or film.SNAPSHOT_SIZE, labels=labels
+                )
                 rendering.save_image(folder / "snapshots.png", strip)
             files.append("snapshots.png")
         return files
