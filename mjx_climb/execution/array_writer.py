@@ -103,21 +103,15 @@ class ArrayWriter(Writer):
         if not isinstance(array, jax.core.Tracer):
             return np.asarray(array)
         batch = tuple(size if h else 1 for size, h in zip(self.batch, has, strict=True))
-        array = lax.reshape(array, (*own, *batch))
-        others = [a for a in range(len(own)) if a != axis]
-        made = np.empty([own[a] for a in others] + ([self.lanes] if axis is not None else []), object)
-        for place in np.ndindex(*(own[a] for a in others)):
-            starts, limits = [0] * array.ndim, list(array.shape)
-            for a, index in zip(others, place, strict=True):
-                starts[a], limits[a] = index, index + 1
-            row = lax.reshape(lax.slice(array, starts, limits), (1 if axis is None else self.lanes, *batch))
-            value = self.value(row)
-            if axis is None:
-                made[place] = value
-            else:
-                for lane in range(self.lanes):
-                    made[(*place, lane)] = do.of_lane(value, lane)
-        return made if axis is None else np.moveaxis(made, -1, axis)
+        array, lanes = lax.reshape(array, (*own, *batch)), 1 if axis is None else self.lanes
+
+        def row(place: tuple[int, ...]) -> Value:
+            starts = [*place, *[0] * len(batch)]
+            limits = [*(n + (lanes if a == axis else 1) for a, n in enumerate(place)), *batch]
+            return self.value(lax.reshape(lax.slice(array, starts, limits), (lanes, *batch)))
+
+        places = np.ndindex(*(1 if a == axis else size for a, size in enumerate(own)))
+        return do.taken_apart(map(row, places), own, axis)
 
     def array(self, do: Operations, elements: Elements, aval: Any, axis: int | None, has: Sequence[bool]) -> Array:
         """Return elements as an array (*own, *batch) of the batch axes that it `has`."""
@@ -128,15 +122,13 @@ class ArrayWriter(Writer):
             return jnp.zeros((*own, *after), aval.dtype)
         if known(elements):
             return jnp.broadcast_to(jnp.asarray(elements, aval.dtype).reshape(*own, *[1] * len(after)), (*own, *after))
+        numbers = do.put_together(elements, aval.dtype, axis)
         if axis is None:
-            numbers = [do.typed(do.same_for_all(element), aval.dtype) for element in elements.reshape(-1)]
             rows = [self.rows(number, (1, *batch)) for number in numbers]
             return lax.reshape(lax.concatenate(rows, 0), (*own, *after))
-        lanes_last = np.moveaxis(elements, axis, -1)
-        packed = [do.typed(do.packed(row), aval.dtype) for row in lanes_last.reshape(-1, self.lanes)]
-        rows = [lax.expand_dims(self.rows(number, (self.lanes, *batch)), (1,)) for number in packed]
-        whole = lax.reshape(lax.concatenate(rows, 1), (self.lanes, *lanes_last.shape[:-1], *after))
-        return jnp.moveaxis(whole, 0, axis)
+        rows = [lax.expand_dims(self.rows(number, (self.lanes, *batch)), (1,)) for number in numbers]
+        others = [size for number, size in enumerate(own) if number != axis]
+        return jnp.moveaxis(lax.reshape(lax.concatenate(rows, 1), (self.lanes, *others, *after)), 0, axis)
 
 
 def _common_shape(numbers: Sequence[Number]) -> tuple[int, ...]:

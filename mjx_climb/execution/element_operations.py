@@ -1,6 +1,13 @@
-"""Operations on elements, each of which is written once: asked for again, it gives the same result."""
+"""Operations on elements, each of which is written once: asked for again, it gives the same result.
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+The frames of a robot are full of zeros and ones: what need not be written, `SHORTCUTS` finds. That includes all that
+XLA would leave out itself, as it stops the process at a kernel with a parameter that nothing reads any more.
+"""
+
+import functools
+import itertools
+import operator
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import jax
@@ -9,7 +16,6 @@ from jax import lax
 from jax.extend import core
 
 from mjx_climb.execution.devices import host
-from mjx_climb.execution.element_shortcuts import SHORTCUTS, name_of
 from mjx_climb.execution.elements import (
     Elements,
     Number,
@@ -22,7 +28,7 @@ from mjx_climb.execution.elements import (
     known,
     objects,
 )
-from mjx_climb.execution.limbs import LimbAxes
+from mjx_climb.execution.limbs import Axis, LimbAxes
 
 MOST_OPERATIONS = 100_000  # a walk has some 4,000, or 9,000 without lanes; compilers take minutes for more than this
 _IN_ANY_ORDER = frozenset({"add", "max", "min", "and", "or"})  # but for rounding
@@ -38,10 +44,6 @@ class Operations:
         # an operation and its operands: these, so that their ids stay their own, and the result
         self.done: dict[Hashable, tuple[Any, Number]] = dict(before or {})
 
-    def inside(self) -> "Operations":
-        """Return operations within a loop, which know those before it."""
-        return Operations(self.writer, self.limbs, self.done)
-
     def each(self, primitive: core.Primitive, parameters: Mapping[str, Any], *arrays: Elements) -> Elements:
         """Return an elementwise operation on arrays that broadcast to each other.
 
@@ -53,14 +55,8 @@ class Operations:
         if axis is None:
             each = zip(*(array.reshape(-1) for array in wide), strict=True)
             return as_array((self.element(primitive, parameters, *operands) for operands in each), shape)
-        rows = [np.moveaxis(objects(array), axis, -1).reshape(-1, self.writer.lanes) for array in wide]
-        made = [self._of_all_lanes(primitive, parameters, row) for row in zip(*rows, strict=True)]
-        result = np.empty((len(made), self.writer.lanes), object)
-        for place, elements in enumerate(made):
-            result[place] = elements
-        others = [size for number, size in enumerate(shape) if number != axis]
-        result = np.moveaxis(result.reshape(*others, self.writer.lanes), -1, axis)
-        return as_array(result.reshape(-1), result.shape)
+        rows = zip(*(self._rows(array, axis) for array in wide), strict=True)
+        return self._of_rows((self._of_all_lanes(primitive, parameters, row) for row in rows), shape, axis)
 
     def runs_over_lanes(self, array: Elements, axis: int) -> bool:
         """Return whether the elements along an axis are what the lanes have of one value, somewhere in an array.
@@ -74,22 +70,41 @@ class Operations:
 
     def _of_all_lanes(
         self, primitive: core.Primitive, parameters: Mapping[str, Any], rows: Sequence[np.ndarray]
-    ) -> list[Number]:
+    ) -> Iterable[Number]:
         """Return an operation on operands that each have an element for each lane."""
         if not any(isinstance(element, OfLane) for row in rows for element in row):
             return [self.element(primitive, parameters, *operands) for operands in zip(*rows, strict=True)]
         operands = [self.packed(row) for row in rows]
         made = self._alike(primitive, parameters, *operands)
-        if isinstance(made, np.generic):
-            return [made] * self.writer.lanes
         for row, operand in zip(rows, operands, strict=True):
             if made is operand:  # an operation that changes nothing
-                return list(row)
-        return [self.of_lane(made, lane) for lane in range(self.writer.lanes)]
+                return row
+        return [made if isinstance(made, np.generic) else self.of_lane(made, lane) for lane in range(self.writer.lanes)]
 
     def of_lane(self, value: Value, lane: int) -> OfLane:
         """Return what a lane has of a value, the same object each time."""
         return cast(OfLane, self._once(("of lane", id(value), lane), value, lambda: OfLane(value, lane)))
+
+    def taken_apart(self, values: Iterable[Value], shape: Sequence[int], axis: Axis) -> Elements:
+        """Return values as the elements of an array: each is one, or with `axis` those of all lanes along it."""
+        if axis is None:
+            return as_array(values, shape)
+        each = ([self.of_lane(value, lane) for lane in range(self.writer.lanes)] for value in values)
+        return self._of_rows(each, shape, axis)
+
+    def put_together(self, array: Elements, dtype: Any, axis: Axis) -> list[Shared]:
+        """Return the elements of an array as numbers of all lanes in a precision; see `taken_apart`."""
+        if axis is None:
+            return [self.typed(self.same_for_all(element), dtype) for element in objects(array).reshape(-1)]
+        return [self.typed(self.packed(row), dtype) for row in self._rows(array, axis)]
+
+    def _rows(self, array: Elements, axis: int) -> Elements:
+        """Return the elements of an array in rows along an axis that runs over the lanes."""
+        return np.moveaxis(objects(array), axis, -1).reshape(-1, self.writer.lanes)
+
+    def _of_rows(self, rows: Iterable[Iterable[Number]], shape: Sequence[int], axis: int) -> Elements:
+        others = [size for number, size in enumerate(shape) if number != axis]
+        return np.moveaxis(as_array(itertools.chain.from_iterable(rows), (*others, self.writer.lanes)), -1, axis)
 
     def packed(self, elements: Sequence[Any] | np.ndarray) -> Shared:
         """Return a value of which each lane has the element of its place; elements that are all one stay that."""
@@ -98,15 +113,14 @@ class Operations:
             return cast(Shared, first)
         if (value := _in_order(elements)) is not None:
             return value
-        names = tuple(name_of(element) for element in elements)
+        names = tuple(_name_of(element) for element in elements)
         if isinstance(first, np.generic) and len(set(names)) == 1:
             return first
-        sources = {id(element.value): element.value for element in elements if isinstance(element, OfLane)}
 
         def made() -> Value:
+            sources = {id(element.value): element.value for element in elements if isinstance(element, OfLane)}
             if len(sources) == 1 and all(isinstance(element, OfLane) for element in elements):
-                [source] = sources.values()
-                return self.writer.of_lanes(source, [element.lane for element in elements])
+                return self.writer.of_lanes(first.value, [element.lane for element in elements])
             own = [
                 e.value if isinstance(e, OfLane) and e.lane == lane else self.same_for_all(e)
                 for lane, e in enumerate(elements)
@@ -119,41 +133,31 @@ class Operations:
         """Return an element as a number that all lanes have."""
         if not isinstance(element, OfLane):
             return element
-        value, lane = element.value, element.lane
-
-        def made() -> Value:
-            return self.writer.of_lanes(value, [lane] * self.writer.lanes)
-
-        return cast(Value, self._once(("for all", id(value), lane), element, made))
+        name, lanes = ("for all", id(element.value), element.lane), [element.lane] * self.writer.lanes
+        return cast(Value, self._once(name, element, lambda: self.writer.of_lanes(element.value, lanes)))
 
     def together(self, combine: core.Primitive, parts: Sequence[Elements]) -> Elements:
         """Return arrays combined one after the other; those of the lanes by steps in which lanes change partners."""
-        lanes, [first, *others] = self.writer.lanes, parts
-        rows = list(zip(*(part.reshape(-1) for part in parts), strict=True))
-        by_lanes = len(parts) == lanes > 1 and not lanes & (lanes - 1) and combine.name in _IN_ANY_ORDER
-        if by_lanes and rows and all(_in_order(row) is not None for row in rows):
-            totals = (self._total(combine, cast(Value, _in_order(row))) for row in rows)
-            return as_array(totals, first.shape)
-        for other in others:
-            first = self.each(combine, {}, first, other)
-        return first
+        lanes = self.writer.lanes
+        if len(parts) == lanes > 1 and not lanes & (lanes - 1) and combine.name in _IN_ANY_ORDER:
+            values = [_in_order(row) for row in zip(*(part.reshape(-1) for part in parts), strict=True)]
+            if values and all(values):
+                return as_array((self._total(combine, cast(Value, value)) for value in values), parts[0].shape)
+        return functools.reduce(functools.partial(self.each, combine, {}), parts)
 
     def _total(self, combine: core.Primitive, value: Value) -> Value:
-        key, over_lanes = (combine.name, "over lanes", id(value)), self.writer.over_lanes
-        total: Any = self._once(key, value, lambda: cast(Any, over_lanes(combine, value)))
-        if total is not None:
-            return cast(Value, total)
-        distance = 1
-        while distance < self.writer.lanes:
-            partners = [lane ^ distance for lane in range(self.writer.lanes)]
-            mine = value
+        over_lanes: Callable[..., Any] = self.writer.over_lanes
+        total: Any = self._once((combine.name, "over lanes", id(value)), value, lambda: over_lanes(combine, value))
 
-            def made(mine: Value = mine, partners: list[int] = partners) -> Value:
-                return self.writer.operation(combine, {}, [mine, self.writer.of_lanes(mine, partners)])
+        def with_partners(value: Value, distance: int) -> Value:
+            partners, name = [n ^ distance for n in range(lanes)], (combine.name, "of partners", id(value), distance)
+            operation, of_lanes = self.writer.operation, self.writer.of_lanes
+            made = self._once(name, value, lambda: operation(combine, {}, [value, of_lanes(value, partners)]))
+            return cast(Value, made)
 
-            value = cast(Value, self._once((combine.name, "of partners", id(mine), distance), mine, made))
-            distance *= 2
-        return value
+        lanes = self.writer.lanes
+        distances = itertools.takewhile(lambda distance: distance < lanes, (1 << n for n in itertools.count()))
+        return functools.reduce(with_partners, distances, value) if total is None else cast(Value, total)
 
     def element(self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: Number) -> Number:
         """Return an elementwise operation on single elements."""
@@ -173,7 +177,7 @@ class Operations:
         if all(isinstance(operand, np.generic) for operand in operands):
             [number] = computed_now(primitive, parameters, operands)[0].reshape(1)
             return cast(np.generic, number)
-        name = (primitive.name, str(parameters), *map(name_of, operands))
+        name = (primitive.name, str(parameters), *map(_name_of, operands))
         made = self._once(name, operands, lambda: self.writer.operation(primitive, parameters, operands))
         return cast(Value, made)
 
@@ -227,19 +231,100 @@ def computed_now(primitive: core.Primitive, parameters: Mapping[str, Any], given
 
 
 _EXACT: dict[str, Callable[..., Any]] = {
-    "add": np.add,
-    "and": np.bitwise_and,
-    "eq": np.equal,
-    "ge": np.greater_equal,
-    "gt": np.greater,
-    "le": np.less_equal,
-    "lt": np.less,
-    "max": np.maximum,
-    "min": np.minimum,
-    "mul": np.multiply,
-    "ne": np.not_equal,
-    "neg": np.negative,
-    "not": np.bitwise_not,
-    "or": np.bitwise_or,
-    "sub": np.subtract,
+    "add": np.add, "and": np.bitwise_and, "eq": np.equal, "ge": np.greater_equal, "gt": np.greater,
+    "le": np.less_equal, "lt": np.less, "max": np.maximum, "min": np.minimum, "mul": np.multiply, "ne": np.not_equal,
+    "neg": np.negative, "not": np.bitwise_not, "or": np.bitwise_or, "sub": np.subtract,
+}  # fmt: skip
+
+
+# --- what need not be written
+
+Shortcut = Callable[..., Number | None]  # of the operands: the result, None where the operation must be written
+
+
+def _name_of(element: Number) -> Hashable:
+    """Return what two elements share where they are the same number."""
+    return (element.dtype, element.tobytes()) if isinstance(element, np.generic) else id(element)
+
+
+def _range(dtype: np.dtype) -> tuple[Any, Any]:
+    """Return the least and the largest number of a type."""
+    if dtype.kind == "f":
+        return -np.inf, np.inf
+    return (0, 1) if dtype.kind == "b" else (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max))
+
+
+def _with(ends: Callable[[np.dtype], tuple[Any, Any]], *, itself: bool = True) -> Shortcut:
+    """Return the shortcut of an operation by its neutral and its absorbing number; `itself`: of two equal ones too."""
+
+    def shortcut(a: Number, b: Number) -> Number | None:
+        if itself and a is b:
+            return a
+        for one, other in ((a, b), (b, a)):
+            if isinstance(one, np.generic):
+                neutral, absorbing = ends(one.dtype)
+                if absorbing is not None and one == absorbing:
+                    return one
+                if one == neutral:
+                    return other
+        return None
+
+    return shortcut
+
+
+def _compared(compare: Callable[[Any, Any], Any]) -> Shortcut:
+    """Return the shortcut of a comparison whose result is known: of equals, or from the range of whole numbers."""
+
+    def shortcut(a: Number, b: Number) -> Number | None:
+        if a.dtype.kind not in "iub" or b.dtype.kind not in "iub":
+            return None
+        if a is b:
+            return np.bool_(compare(0, 0))
+        if compare in (operator.eq, operator.ne):
+            return None
+        ends = [(int(e), int(e)) if isinstance(e, np.generic) else _range(e.dtype) for e in (a, b)]
+        results = {bool(compare(x, y)) for x in ends[0] for y in ends[1]}
+        return np.bool_(results.pop()) if len(results) == 1 else None
+
+    return shortcut
+
+
+def _difference(a: Number, b: Number) -> Number | None:
+    if isinstance(b, np.generic) and b == 0:
+        return a
+    return b.dtype.type(0) if a is b and b.dtype.kind in "iub" else None
+
+
+def _remainder(a: Number, b: Number) -> Number | None:
+    nothing = b.dtype.kind in "iub" and (a is b or (isinstance(b, np.generic) and abs(int(b)) == 1))
+    return a.dtype.type(0) if nothing else None
+
+
+def _shifted(a: Number, b: Number) -> Number | None:
+    if isinstance(b, np.generic) and int(b) >= 8 * b.dtype.itemsize:
+        return a.dtype.type(0)
+    return a if isinstance(b, np.generic) and b == 0 else None
+
+
+def _choice(which: Number, *cases: Number) -> Number | None:
+    """Return the case that is taken whatever the choice, or the one that is known to be taken."""
+    if isinstance(which, np.generic) and 0 <= int(which) < len(cases):
+        return cases[int(which)]
+    return cases[0] if len({_name_of(case) for case in cases}) == 1 else None
+
+
+SHORTCUTS: dict[str, Shortcut] = {
+    "add": _with(lambda dtype: (0, None), itself=False),
+    "mul": _with(lambda dtype: (1, 0), itself=False),
+    "and": _with(lambda dtype: (~np.zeros((), dtype), 0)),
+    "or": _with(lambda dtype: (0, ~np.zeros((), dtype))),
+    "max": _with(_range),
+    "min": _with(lambda dtype: _range(dtype)[::-1]),
+    "sub": _difference,
+    "xor": _difference,
+    "rem": _remainder,
+    "shift_left": _shifted,
+    "shift_right_logical": _shifted,
+    "select_n": _choice,
+    **{name: _compared(getattr(operator, name)) for name in ("eq", "ne", "lt", "le", "gt", "ge")},
 }

@@ -23,7 +23,6 @@ MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array t
 MOST_PRODUCTS = 4096  # of a product of matrices
 MOST_STEPS = 64  # of a loop that reads or writes something at each
 
-
 # each result element depends on one element of each operand
 ELEMENTWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq "
@@ -32,17 +31,9 @@ ELEMENTWISE = frozenset(
     "shift_right_logical sign sin sinh sqrt square sub tan tanh xor".split()
 )
 # Moves that JAX carries out on the elements' numbers, and how many operands are moved: the rest must be known.
-_BY_NUMBER = {
-    "dynamic_slice": 1,
-    "dynamic_update_slice": 2,
-    "expand_dims": 1,
-    "gather": 1,
-    "pad": 2,
-    "rev": 1,
-    "split": 1,
-    "tile": 1,
-    "unstack": 1,
-}
+_BY_NUMBER = {"dynamic_update_slice": 2, "pad": 2} | dict.fromkeys(
+    ("dynamic_slice", "expand_dims", "gather", "rev", "split", "tile", "unstack"), 1
+)
 # Parameters that an operation above, a move or a rule looks at; a product of matrices has the precision of its
 # elements, which is no less than any that is asked for.
 _UNDERSTOOD = frozenset(
@@ -54,13 +45,16 @@ _UNDERSTOOD = frozenset(
 
 def can_write(equation: core.JaxprEqn) -> bool:
     """Return whether a region writes an equation as elements: nothing that loops, is large, or calls a library."""
-    name, atoms = equation.primitive.name, (*equation.invars, *equation.outvars)
-    avals = [cast(Any, atom.aval) for atom in atoms]
+    name, avals = equation.primitive.name, [cast(Any, atom.aval) for atom in (*equation.invars, *equation.outvars)]
     if equation.effects or name == "scan" or any(_is_strange(aval.dtype) for aval in avals):
         return False
-    if not _is_listed(name) and name not in _BY_NUMBER and name != "iota":
+    if not (_is_listed(name) or name in _BY_NUMBER or name == "iota"):
         return False
-    return sum(aval.size for aval in avals) <= MOST_ELEMENTS and _products(equation) <= MOST_ELEMENTS
+    products = 0
+    if name == "dot_general":
+        (summed, _), _ = equation.params["dimension_numbers"]
+        products = math.prod(avals[0].shape[axis] for axis in summed) * avals[-1].size
+    return sum(aval.size for aval in avals) <= MOST_ELEMENTS and products <= MOST_ELEMENTS
 
 
 def _is_listed(name: str) -> bool:
@@ -69,15 +63,6 @@ def _is_listed(name: str) -> bool:
 
 def _is_strange(dtype: Any) -> bool:
     return bool(jnp.issubdtype(dtype, jax.dtypes.extended) or jnp.issubdtype(dtype, jnp.complexfloating))
-
-
-def _products(equation: core.JaxprEqn) -> int:
-    """Return how many products a product of matrices has, zero of anything else."""
-    if equation.primitive.name != "dot_general":
-        return 0
-    (left, _), _ = equation.params["dimension_numbers"]
-    terms = math.prod(cast(Any, equation.invars[0].aval).shape[axis] for axis in left)
-    return int(terms * cast(Any, equation.outvars[0].aval).size)
 
 
 def results(do: Operations, program: core.ClosedJaxpr, given: Sequence[Elements]) -> list[Elements]:
@@ -161,100 +146,62 @@ def _reduction(combine: core.Primitive) -> Rule:
 
 
 def _product_of_matrices(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
-    (summed, batched) = equation.params["dimension_numbers"]
-    dtype = cast(Any, equation.outvars[0].aval).dtype
-    left, right = (do.converted(array, dtype) for array in given)
-    rows, columns = (_axes_in_order(a, both, s) for a, both, s in zip((left, right), batched, summed, strict=True))
-    if len(rows[0]) * rows[0].shape[1] * columns[0].shape[1] * rows[0].shape[2] > MOST_PRODUCTS:
+    result, matrices = cast(Any, equation.outvars[0].aval), []
+    for array, summed, batched in zip(given, *equation.params["dimension_numbers"], strict=True):
+        free = [axis for axis in range(array.ndim) if axis not in (*batched, *summed)]
+        sizes = [math.prod(array.shape[axis] for axis in axes) for axes in (batched, free, summed)]
+        matrices.append(do.converted(array, result.dtype).transpose(*batched, *free, *summed).reshape(sizes))
+    left, right = matrices
+    if result.size * left.shape[2] > MOST_PRODUCTS:
         raise Unsupported(f"a product of matrices of more than {MOST_PRODUCTS} products")
-    (a, shared, free_left), (b, _, free_right) = rows, columns
-    if a.shape[2] == 0:
-        return [np.zeros((*shared, *free_left, *free_right), dtype)]
-    products = do.each(lax.mul_p, {}, a[:, :, None], b[:, None])  # (batch, row, column, term)
-    total = do.together(lax.add_p, along(products, 3))
-    return [total.reshape((*shared, *free_left, *free_right))]
-
-
-def _axes_in_order(
-    array: Elements, batched: Sequence[int], summed: Sequence[int]
-) -> tuple[Elements, tuple[int, ...], tuple[int, ...]]:
-    """Return an array as (batch, free, summed), and the shapes of the first two."""
-    free = [axis for axis in range(array.ndim) if axis not in (*batched, *summed)]
-    shapes = [tuple(array.shape[axis] for axis in axes) for axes in (batched, free, summed)]
-    sizes = [int(np.prod(shape)) for shape in shapes]
-    return array.transpose(*batched, *free, *summed).reshape(sizes), shapes[0], shapes[1]
+    if left.shape[2] == 0:
+        return [np.zeros(result.shape, result.dtype)]
+    products = do.each(lax.mul_p, {}, left[:, :, None], right[:, None])  # (batch, row, column, term)
+    return [do.together(lax.add_p, along(products, 3)).reshape(result.shape)]
 
 
 def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
-    parameters = equation.params
-    body, steps = parameters["jaxpr"], parameters["length"]
-    constants, carry = scan_sizes(parameters)
+    constants, carry = scan_sizes(equation.params)
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
+    body = equation.params["jaxpr"]
     if read or len(body.jaxpr.outvars) > carry:
-        return _written_out(do, parameters, common, start, read)
-    return _loop_of_numbers(do, body, common, start, steps)
-
-
-def _written_out(
-    do: Operations,
-    parameters: Mapping[str, Any],
-    common: list[Elements],
-    carried: list[Elements],
-    read: list[Elements],
-) -> list[Elements]:
-    """Return what a loop of a few steps carries in the end and what it writes at each step."""
-    body, steps, reverse = (parameters[name] for name in ("jaxpr", "length", "reverse"))
-    if not 0 < steps <= MOST_STEPS:
-        raise Unsupported(f"a loop of {steps} steps that reads or writes something at each")
-    written: list[list[Elements]] = []
-    for step in reversed(range(steps)) if reverse else range(steps):
-        made = results(do, body, [*common, *carried, *(array[step, ...] for array in map(objects, read))])
-        carried, now = made[: len(carried)], made[len(carried) :]
-        written.append([objects(array) for array in now])
-    in_order = written[::-1] if reverse else written
-    stacked = [np.stack(column) for column in zip(*in_order, strict=True)]
-    return [*carried, *(as_array(array.reshape(-1), array.shape) for array in stacked)]
-
-
-def _loop_of_numbers(
-    do: Operations, body: core.ClosedJaxpr, common: list[Elements], start: list[Elements], steps: int
-) -> list[Elements]:
-    """Return what a loop carries in the end; it reads nothing and writes nothing step by step."""
+        return _written_out(do, equation.params, common, start, read)
     carried = [cast(Any, variable.aval) for variable in body.jaxpr.outvars]
-    kept = body.jaxpr.invars[len(common) :]
-    axes = [do.limbs.of(variable) if do.writer.lanes > 1 else None for variable in kept]
+    axes = [do.limbs.of(variable) if do.writer.lanes > 1 else None for variable in body.jaxpr.invars[constants:]]
 
     def numbers(inside: Operations, arrays: Sequence[Elements]) -> list[Shared]:
-        """Return the elements of arrays, a single one for all lanes along the limbs."""
-        found: list[Shared] = []
-        for array, aval, axis in zip(arrays, carried, axes, strict=True):
-            if axis is None:
-                some = [inside.same_for_all(element) for element in array.reshape(-1)]
-            else:
-                rows = np.moveaxis(objects(array), axis, -1).reshape(-1, do.writer.lanes)
-                some = [inside.packed(row) for row in rows]
-            found += [inside.typed(number, aval.dtype) for number in some]
-        return found
+        each = zip(arrays, carried, axes, strict=True)
+        return [number for array, aval, axis in each for number in inside.put_together(array, aval.dtype, axis)]
 
     def arrays(inside: Operations, values: Sequence[Value]) -> list[Elements]:
         rest, result = iter(values), []
         for aval, axis in zip(carried, axes, strict=True):
-            if axis is None:
-                result.append(as_array(itertools.islice(rest, math.prod(aval.shape)), aval.shape))
-                continue
-            others = [size for number, size in enumerate(aval.shape) if number != axis]
-            rows = []
-            for value in itertools.islice(rest, math.prod(others)):
-                rows.append([inside.of_lane(value, lane) for lane in range(do.writer.lanes)])
-            each = as_array((element for row in rows for element in row), (*others, do.writer.lanes))
-            result.append(np.moveaxis(each, -1, axis))
+            count = math.prod(size for number, size in enumerate(aval.shape) if number != axis)
+            result.append(inside.taken_apart(itertools.islice(rest, count), aval.shape, axis))
         return result
 
     def step(before: list[Value]) -> list[Shared]:
-        inside = do.inside()
+        inside = Operations(do.writer, do.limbs, do.done)  # knows the operations before the loop
         return numbers(inside, results(inside, body, [*common, *arrays(inside, before)]))
 
-    return arrays(do, do.writer.loop(steps, numbers(do, start), step))
+    return arrays(do, do.writer.loop(equation.params["length"], numbers(do, start), step))
+
+
+def _written_out(
+    do: Operations, loop: Mapping[str, Any], common: list[Elements], carried: list[Elements], read: list[Elements]
+) -> list[Elements]:
+    """Return what a loop of a few steps carries in the end and what it writes at each step."""
+    steps = loop["length"]
+    if not 0 < steps <= MOST_STEPS:
+        raise Unsupported(f"a loop of {steps} steps that reads or writes something at each")
+    order = slice(None, None, -1 if loop["reverse"] else 1)
+    written: list[list[Elements]] = []
+    for step in range(steps)[order]:
+        made = results(do, loop["jaxpr"], [*common, *carried, *(array[step, ...] for array in map(objects, read))])
+        carried, now = made[: len(carried)], made[len(carried) :]
+        written.append([*map(objects, now)])
+    stacked = [np.stack(column) for column in zip(*written[order], strict=True)]
+    return [*carried, *(as_array(array.reshape(-1), array.shape) for array in stacked)]
 
 
 RULES: dict[str, Rule] = {

@@ -31,7 +31,7 @@ from jax.extend import core
 from mjx_climb.execution.cuda_writer import NAME, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
-from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array, objects
+from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array
 from mjx_climb.execution.flat import flat
 from mjx_climb.execution.limbs import LimbAxes
 from mjx_climb.execution.tangents import tangents_of
@@ -126,10 +126,8 @@ def body_of(program: core.ClosedJaxpr) -> Body:
     def numbers(writer: Writer, given: list[Elements]) -> list[list[Shared]]:
         """Return the elements of each result, the same for all lanes and of its type."""
         do = Operations(writer, limbs)
-        return [
-            [do.typed(do.same_for_all(element), leaf.dtype) for element in objects(array).reshape(-1)]
-            for array, leaf in zip(results(do, whole, given), whole.out_avals, strict=True)
-        ]
+        found = zip(results(do, whole, given), whole.out_avals, strict=True)
+        return [do.put_together(array, aval.dtype, None) for array, aval in found]
 
     return Body(program.in_avals, program.out_avals, limbs.count, numbers)
 
