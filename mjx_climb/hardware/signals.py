@@ -12,7 +12,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from mjx_climb.quantities.parameters import ROUNDING, whole_steps
-from mjx_climb.scenario.hardware import MAX_DELAY
+from mjx_climb.scenario.model import MAX_DELAY
 
 _MULTIPLE = 4  # lengths of buffers are rounded up to it, so that other delays seldom need another program
 Tree = TypeVar("Tree")

@@ -26,16 +26,13 @@ def foothold_heights(scenario: Scenario) -> np.ndarray:
     Raises:
         ConfigError: a height map that cannot be read or does not reach as far as the walk.
     """
-    ground = scenario.ground
-    robot = load_robot(scenario.robot)
+    ground, limbs = scenario.ground, load_robot(scenario.robot).limbs
     if ground.footholds is not None:
         given = dict(ground.footholds.items())
-        lists = [given.get(limb, (0.0,)) for limb in robot.limbs]
+        lists = [given.get(limb, (0.0,)) for limb in limbs]
         count = max(map(len, lists))
         return np.array([[*heights, *[heights[-1]] * (count - len(heights))] for heights in lists])
-    if ground.map is not None:
-        return _sampled(ground.map, footholds(scenario), robot.limbs)
-    return np.zeros((len(robot.limbs), 0))
+    return np.zeros((len(limbs), 0)) if ground.map is None else _sampled(ground.map, footholds(scenario), limbs)
 
 
 def footholds(scenario: Scenario) -> np.ndarray:
@@ -66,20 +63,13 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
         ConfigError: in one line, the longest stride, or the first foothold out of reach.
     """
     _check_stride(scenario, source)
-    heights = foothold_heights(scenario)
-    if not heights.size:
-        return
-    robot = load_robot(scenario.robot)
-    heights = heights[:, : _foothold_count(scenario)]
-    for n in np.sort(np.unique(heights, axis=1, return_index=True)[1]):
-        height = heights[:, n]
-        above = height - height.mean()
-        feet = _stance_feet(robot)
-        feet[:, 2] += above
+    robot, heights = load_robot(scenario.robot), foothold_heights(scenario)[:, : _foothold_count(scenario)]
+    for n in np.sort(np.unique(heights, axis=1, return_index=True)[1]) if heights.size else ():
+        height, feet = heights[:, n], _stance_feet(robot)
+        feet[:, 2] += (above := height - height.mean())
         missed = limb_joints(robot, feet).errors
         if missed.max() > MET:
-            limb = int(np.argmax(np.where(missed > MET, np.abs(above), -1)))
-            name = robot.limbs[limb]
+            name = robot.limbs[limb := int(np.argmax(np.where(missed > MET, np.abs(above), -1)))]
             key = f"ground.footholds.{name}.{n}" if scenario.ground.footholds is not None else "ground.map"
             raise ConfigError(
                 f"{source}: {key}: expected footholds within reach and joint limits, got one of {name} at "
@@ -162,8 +152,8 @@ def _grid(file: str) -> np.ndarray:
 
 
 def _csv(file: str) -> np.ndarray:
-    rows = [line.split(",") for line in Path(file).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    return np.array([[float(cell) for cell in row] for row in rows])
+    lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
+    return np.array([[float(cell) for cell in line.split(",")] for line in lines if line.strip()])
 
 
 def _png(file: str) -> np.ndarray:

@@ -149,12 +149,13 @@ def own_parameters(scenario: Scenario) -> Parameters:
     return Parameters(**arrays | pushes)
 
 
-def _value(section: Any, name: str, *rest: str) -> Any:
+def _value(section: Any, *names: str) -> Any:
     """Return the value at a key of a section, of each section in a list of them; null is infinite."""
+    if not names:
+        return math.inf if section is None else section
     if isinstance(section, tuple):
-        return [_value(each, name, *rest) for each in section]
-    value = getattr(section, name)
-    return _value(value, *rest) if rest else math.inf if value is None else value
+        return [_value(each, *names) for each in section]
+    return _value(getattr(section, names[0]), *names[1:])
 
 
 def gains(scenario: Scenario) -> Gains:
@@ -210,8 +211,7 @@ def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
     return field.annotation, TypeAdapter(kind)
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Times as whole numbers of time steps, the same in single and in double precision
+# --- times as whole numbers of time steps, the same in single and in double precision
 
 
 def whole_steps(seconds: Any, time_step: float) -> Any:

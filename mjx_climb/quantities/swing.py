@@ -18,7 +18,7 @@ from numpy.polynomial import chebyshev
 from mjx_climb.dynamics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
 COUNT = 6  # of added shapes for each axis
@@ -30,7 +30,6 @@ _DIFFERENCE = 1e-4  # step heights
 _WEIGHT = 1e-3  # of the coefficients, beside the reaction of the cubic swing: keeps what hardly matters small
 _WITHIN = 1e-9  # rad, or m
 _CHECKED = np.linspace(0.0, 1.0, 201)
-
 
 _Phase = TypeVar("_Phase", Array, np.ndarray)
 
@@ -58,8 +57,7 @@ def added_shapes(phase: _Phase) -> tuple[list[_Phase], list[_Phase]]:
     return horizontal, [across * shape for shape in horizontal]
 
 
-# ------------------------------------------------------------------------------------------------------------
-# What a swing puts on the base
+# --- what a swing puts on the base
 
 
 class Reaction(NamedTuple):
@@ -77,8 +75,7 @@ class Reaction(NamedTuple):
     def residuals(self) -> np.ndarray:
         """Force and moment over the length, weighted for the integral of their squares, (S, ..., limb, 6)."""
         wrench = np.concatenate([self.force, self.moment / self.length], axis=-1)
-        weighted: np.ndarray = wrench * np.sqrt(_per_sample(self.weight, wrench))
-        return weighted
+        return np.asarray(wrench * np.sqrt(_per_sample(self.weight, wrench)))
 
 
 def swing_reaction(
@@ -108,7 +105,14 @@ def swing_reaction(
     base = np.zeros_like(foot)
     base[..., 0] = gait.stride * rest_to_rest(lift_off + (1 - gait.duty) * _per_sample(phase, foot[..., 0]))
 
-    joints, missed = _postures(robot, turned, (rest.foot + foot - base) @ rotation, near)
+    target = (rest.foot + foot - base) @ rotation
+    geometry = limb_geometry(robot, turned)
+    if isinstance(geometry, Chain):  # what the inverse kinematics of a walk settles at
+        start = robot.stance_joints if near is None else near
+        joints, missed = settled(geometry, target, np.broadcast_to(start, (*target.shape[:-1], robot.joints)))
+    else:
+        joints = inverse_kinematics(geometry, target).joint_angles
+        missed = np.linalg.norm(target - limb_frames(robot, None, joints).foot, axis=-1)
     frames = limb_frames(robot, rotation, joints)
     rate = derivative / span
     arm = frames.position + np.matvec(frames.rotation, robot.link_center)
@@ -117,23 +121,8 @@ def swing_reaction(
     angular = np.stack([turning[..., 2, 1], turning[..., 0, 2], turning[..., 1, 0]], axis=-1)
     spin = np.matvec(frames.rotation @ robot.link_inertia @ frames.rotation.mT, angular)
     moment = np.cross(arm, linear) + np.tensordot(rate, spin, 1)
-    return Reaction(
-        span * phase, span * weight, -linear.sum(-2), -moment.sum(-2), joints, missed,
-        float(np.linalg.norm(rest.foot, axis=-1).mean()),
-    )  # fmt: skip
-
-
-def _postures(robot: Robot, turned: bool, target: np.ndarray, near: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return joint values that the inverse kinematics of a walk settles at, and what the feet miss (..., limb) m.
-
-    `target` (..., limb, 3) m are places of the feet in the base frame.
-    """
-    geometry = limb_geometry(robot, turned)
-    if isinstance(geometry, Chain):
-        start = robot.stance_joints if near is None else near
-        return settled(geometry, target, np.broadcast_to(start, (*target.shape[:-1], robot.joints)))
-    joints = inverse_kinematics(geometry, target).joint_angles
-    return joints, np.linalg.norm(target - limb_frames(robot, None, joints).foot, axis=-1)
+    length = float(np.linalg.norm(rest.foot, axis=-1).mean())
+    return Reaction(span * phase, span * weight, -linear.sum(-2), -moment.sum(-2), joints, missed, length)
 
 
 @functools.cache
@@ -152,16 +141,14 @@ def _samples(nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def heights(phase: np.ndarray, swing_path: np.ndarray) -> np.ndarray:
     """Return how high swings are at some phases, (S, ..., limb), in step heights."""
     added = _added(phase, swing_path)[..., 2]
-    height: np.ndarray = added + _per_sample(lift(phase), added)
-    return height
+    return np.asarray(added + _per_sample(lift(phase), added))
 
 
 def _added(phase: np.ndarray, swing_path: np.ndarray) -> np.ndarray:
     """Return what is added to swings at some phases, (S, ..., limb, 3), in the units of `swing_path`."""
     horizontal, vertical = (np.stack(shapes) for shapes in added_shapes(phase))
     shapes = np.stack([horizontal, horizontal, vertical])[:, : swing_path.shape[-1]]
-    added: np.ndarray = np.einsum("cks,...lck->s...lc", shapes, swing_path)
-    return added
+    return np.asarray(np.einsum("cks,...lck->s...lc", shapes, swing_path))
 
 
 def _per_sample(values: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -169,8 +156,7 @@ def _per_sample(values: np.ndarray, like: np.ndarray) -> np.ndarray:
     return values.reshape(-1, *[1] * (like.ndim - 1))
 
 
-# ------------------------------------------------------------------------------------------------------------
-# The swing of least reaction
+# --- the swing of least reaction
 
 
 def swing_path(scenario: Scenario) -> np.ndarray:
@@ -187,24 +173,19 @@ def swing_path(scenario: Scenario) -> np.ndarray:
     that other strides, cycles and grounds get a sound swing, if not their best. For these give the parameters a batch
     of `swing_path`, one from each scenario.
     """
-    limbs = len(scenario.gait.lift_off)
     if scenario.gait.swing == "cubic":
-        return np.zeros((limbs, 3, 0))
+        return np.zeros((len(scenario.gait.lift_off), 3, 0))
     return _least(scenario.robot, scenario.gait, scenario.contact.rotational_stiffness > 0).copy()
 
 
 @functools.lru_cache(maxsize=64)
 def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
     """Return the paths (limb, 3, K) by Gauss-Newton, one for each group of limbs that lift off together."""
-    robot = load_robot(name)
-    limbs, unknowns = len(robot.limbs), 3 * COUNT
-    lift_off = [gait.lift_off[limb] for limb in robot.limbs]
-    groups = [np.array([other == one for other in lift_off]) for one in sorted(set(lift_off))]
-
-    def swung(paths: np.ndarray, near: np.ndarray | None = None) -> Reaction:
-        return swing_reaction(name, gait, turned, paths, near, _NODES)
-
-    path = np.zeros((limbs, 3, COUNT))
+    robot, unknowns = load_robot(name), 3 * COUNT
+    lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
+    groups = [lift_off == one for one in np.unique(lift_off)]
+    swung = functools.partial(swing_reaction, name, gait, turned, nodes=_NODES)
+    path = np.zeros((len(robot.limbs), 3, COUNT))
     now = swung(path)
     lower = np.minimum(robot.joint_lower, now.joints.min(0)) - _WITHIN
     upper = np.maximum(robot.joint_upper, now.joints.max(0)) + _WITHIN
@@ -226,10 +207,8 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
         gained = 0.0
         for group, weight in zip(groups, weights, strict=True):
             before = _sum_of_squares(now, path, weight, group)
-            after = _sum_of_squares(tries, tried, weight, group)
-            after = np.where(allowed[:, group].all(1), after, np.inf)
-            best = int(np.argmin(after))
-            if after[best] < before:
+            after = np.where(allowed[:, group].all(1), _sum_of_squares(tries, tried, weight, group), np.inf)
+            if after[best := int(np.argmin(after))] < before:
                 path[group] = tried[best, group]
                 gained = max(gained, 1 - after[best] / before)
         now = swung(path, now.joints)
@@ -241,5 +220,4 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
 def _sum_of_squares(swung: Reaction, path: np.ndarray, weight: np.ndarray | float, group: np.ndarray) -> np.ndarray:
     """Return (...) what is made small for limbs that swing together."""
     together = swung.residuals[..., group, :].sum(-2)
-    total: np.ndarray = (together**2).sum((0, -1)) + weight * (path[..., group, :, :] ** 2).sum((-3, -2, -1))
-    return total
+    return np.asarray((together**2).sum((0, -1)) + weight * (path[..., group, :, :] ** 2).sum((-3, -2, -1)))

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from mjx_climb.scenario import shipped
-from mjx_climb.scenario.hardware import Hardware
 from mjx_climb.scenario.messages import config_error, show
-from mjx_climb.scenario.model import Scenario, overridden, validated
+from mjx_climb.scenario.model import Hardware, Scenario, overridden, validated
 from mjx_climb.scenario.values import Section
 from mjx_climb.scenario.yaml_text import parse, read
 

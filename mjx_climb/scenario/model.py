@@ -8,15 +8,16 @@ from collections.abc import Callable, ItemsView, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
+import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from mjx_climb.scenario import values as v
-from mjx_climb.scenario.hardware import MAX_DELAY, Hardware
-from mjx_climb.scenario.messages import failure, refusal
+from mjx_climb.scenario.messages import config_error, failure, refusal
 from mjx_climb.scenario.values import setting
-from mjx_climb.scenario.yaml_text import dump, override, parse
+from mjx_climb.scenario.yaml_text import Dumper, assign, pairs, parse
 
 MAX_STEPS = 10_000_000
+MAX_DELAY = 500  # time steps: each is a sample of a buffer, which a step reads whole
 MIN_LIMBS, MAX_LIMBS = 2, 8
 SHIPPED_LIMBS = ("LF", "LH", "RH", "RF")  # of the robots known by name
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
@@ -200,6 +201,64 @@ class Disturbance(v.Section):
     pushes: tuple[Push, ...] = setting((), "pushes on the base; they add up where they overlap")
 
 
+class ForceSensor(v.Section):
+    """Force sensors of the feet, a sample every time step."""
+
+    delay: v.NonNegative = setting(0.0, "age of what the law reads, s")
+    noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis and sample, N")
+    bias: v.Number = setting(0.0, "offset on every axis of every sensor, world axes, N")
+    resolution: v.NonNegative = setting(0.0, "smallest step that the sensor tells, N; 0: any")
+    filter: v.PositiveOrNull = setting(None, "first-order low pass, cut-off, Hz; null: none")
+    filtered_by: Literal["sensor", "law"] = setting(
+        "sensor", "forces of each foot every time step, or the law's own samples of them and of the wrench"
+    )
+
+
+class BaseEstimate(v.Section):
+    """Pose and rates of the base as the law knows them: what measured_pose reads."""
+
+    delay: v.NonNegative = setting(0.0, "age of pose and rates, s")
+    position_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m")
+    velocity_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m/s")
+
+
+class Servo(v.Section):
+    """The joints' motors and gears, all alike."""
+
+    torque_limit: v.PositiveOrNull = setting(None, "torque at standstill, N m; null: any")
+    no_load_speed: v.PositiveOrNull = setting(
+        None, "speed at which no torque is left, rad/s; null: the torque limit holds at any speed"
+    )
+    armature: v.NonNegative = setting(0.0, "inertia of motor and gears seen at the joint, kg m^2")
+    coulomb_friction: v.NonNegative = setting(0.0, "dry friction, N m")
+    viscous_friction: v.NonNegative = setting(0.0, "friction that grows with the rate, N m s/rad")
+    load_friction: v.NonNegative = setting(0.0, "dry friction as a share of the motor's torque, 1")
+    backlash: v.NonNegative = setting(0.0, "play of the gears from end to end, rad")
+    delay: v.NonNegative = setting(0.0, "from the joint loop to the motor's torque, s")
+
+    @model_validator(mode="after")
+    def _line_has_two_ends(self) -> Servo:
+        if self.no_load_speed is not None and self.torque_limit is None:
+            raise failure("a number beside no_load_speed", key="torque_limit", got=None)
+        return self
+
+
+class Hardware(v.Section):
+    """What stands between the control law and the joints; all zero or null: nothing."""
+
+    control_period: v.NonNegative = setting(
+        0.0, "period of law and joint targets, s; a whole number of time steps; 0: the time step"
+    )
+    command_delay: v.NonNegative = setting(0.0, "from the law to the joints, s")
+    interpolation: Literal["hold", "linear"] = setting(
+        "hold", "joint targets between two periods: held, or on a line to the next"
+    )
+    force_sensor: ForceSensor = setting(ForceSensor(), "force sensors of the feet")
+    base_estimate: BaseEstimate = setting(BaseEstimate(), "what the law knows of the base")
+    servo: Servo = setting(Servo(), "motors and gears")
+    seed: v.Seed = setting(0, "of all noise; equal seeds, equal noise")
+
+
 class Limb(v.Section):
     """One limb of a robot from a file."""
 
@@ -257,13 +316,9 @@ class RobotFile(v.Section):
     springs: Springs = setting(Springs(), "joints of limbs that nothing drives, each on a spring")
 
 
-def _kind_of_robot(value: Any) -> str:
-    return "name" if isinstance(value, str) or not isinstance(value, (Mapping, RobotFile)) else "file"
-
-
 AnyRobot = Annotated[
     Annotated[v.Name, Tag("name")] | Annotated[RobotFile, Tag("file")],
-    Discriminator(_kind_of_robot),
+    Discriminator(lambda value: "file" if isinstance(value, (Mapping, RobotFile)) else "name"),
 ]
 
 
@@ -315,20 +370,15 @@ class Scenario(v.Section):
     @model_validator(mode="after")
     def _whole_steps(self) -> Scenario:
         hardware, step = self.hardware, f"time steps of {self.time_step:g} s"
-        for key, span, none in (
-            ("duration", self.duration, ""),
-            ("gait.cycle", self.gait.cycle, ""),
-            ("hardware.control_period", hardware.control_period, ", or 0"),
-        ):
-            steps = span / self.time_step
+        spans = {"duration": self.duration, "gait.cycle": self.gait.cycle}
+        for key, span in {**spans, "hardware.control_period": hardware.control_period}.items():
+            steps, none = span / self.time_step, "" if key in spans else ", or 0"
             if steps > MAX_STEPS:
                 raise failure(f"at most {MAX_STEPS} {step}", key=key, got=span)
             if (not none and round(steps) < 1) or not math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9):
                 raise failure(f"a whole number of {step}{none}", key=key, got=span)
-        for key, delay in (
-            ("command_delay", hardware.command_delay), ("force_sensor.delay", hardware.force_sensor.delay),
-            ("base_estimate.delay", hardware.base_estimate.delay), ("servo.delay", hardware.servo.delay),
-        ):  # fmt: skip
+        delays = {f"{key}.delay": getattr(hardware, key).delay for key in ("force_sensor", "base_estimate", "servo")}
+        for key, delay in {"command_delay": hardware.command_delay, **delays}.items():
             if delay / self.time_step > MAX_DELAY:
                 raise failure(f"at most {MAX_DELAY} {step}", key=f"hardware.{key}", got=delay)
         if int((1 - self.gait.duty) * self.gait.cycle / self.time_step + 1e-6) < 2:
@@ -344,7 +394,7 @@ class Scenario(v.Section):
             if gait.phases is None:
                 raise failure(f"{known}, each once, in any order", key="gait.sequence", got=gait.sequence)
             raise failure(f"a phase for each of {known}", key="gait.phases", got=gait.lift_off)
-        for name, _ in self.ground.footholds.items() if self.ground.footholds is not None else ():
+        for name in dict(self.ground.footholds.items()) if self.ground.footholds is not None else ():
             if name not in limbs:
                 raise failure(f"one of the limbs {', '.join(limbs)}", key=f"ground.footholds.{name}", got=name)
         return self
@@ -371,7 +421,8 @@ class Scenario(v.Section):
 
     def to_yaml(self) -> str:
         """The resolved scenario as YAML; loading it gives an equal scenario."""
-        return dump({key: value for key, value in self.model_dump(mode="json").items() if key != "own" or value})
+        data = {key: value for key, value in self.model_dump(mode="json").items() if key != "own" or value}
+        return yaml.dump(data, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=110)
 
     @classmethod
     def from_yaml(cls, text: str, source: str = "scenario") -> Scenario:
@@ -416,9 +467,17 @@ def validated(kind: type[AnySection], data: Any, source: str) -> AnySection:
 
 
 def overridden(scenario: Scenario, overrides: Sequence[str] | Mapping[str, Any], source: str) -> Scenario:
-    """Return a scenario with some keys changed; `overrides` as `load_scenario` takes them."""
+    """Return a scenario with some keys changed; `overrides` as `load_scenario` takes them.
+
+    Raises:
+        ConfigError: an override of another form, of a place that is not there, or with a bad value.
+    """
     if not overrides:
         return scenario
     data = scenario.model_dump(mode="json")
-    override(data, overrides, source)
+    try:
+        for key, value in pairs(overrides, source):
+            assign(data, key, value, source)
+    except RecursionError:
+        raise config_error(source, "", "overrides of a few levels", "endless nesting") from None
     return validated(Scenario, data, source)

@@ -7,7 +7,7 @@ reads YAML 1.1; ruamel.yaml reads 1.2, but would need the same checks on top of 
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -17,22 +17,21 @@ MAX_FILE_BYTES = 1_000_000
 MAX_NESTING = 20
 
 
-def _problem(text: str, at: Any) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=text, problem_mark=at.start_mark)
-
-
 class Loader(yaml.SafeLoader):
     """Reads the core schema of YAML 1.2."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 (PyYAML's own protocol)
     depth = 0
 
+    def problem(self, text: str, at: Any) -> yaml.MarkedYAMLError:
+        return yaml.MarkedYAMLError(problem=text, problem_mark=at.start_mark)
+
     def compose_node(self, parent: Any, index: Any) -> Any:
         event = yaml.SafeLoader.peek_event(self)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) or getattr(event, "tag", None):
-            raise _problem("tags, anchors and aliases are not used here", event)
+            raise self.problem("tags, anchors and aliases are not used here", event)
         if self.depth == MAX_NESTING:
-            raise _problem(f"nested deeper than {MAX_NESTING}", event)
+            raise self.problem(f"nested deeper than {MAX_NESTING}", event)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -42,9 +41,9 @@ class Loader(yaml.SafeLoader):
         seen: set[str] = set()
         for key, _ in node.value:
             if key.tag != "tag:yaml.org,2002:str":
-                raise _problem("a key is not a word", key)
+                raise self.problem("a key is not a word", key)
             if key.value in seen:
-                raise _problem(f"key {key.value!r} comes twice", key)
+                raise self.problem(f"key {key.value!r} comes twice", key)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
@@ -54,17 +53,13 @@ class Loader(yaml.SafeLoader):
 
 
 Loader.add_constructor("tag:yaml.org,2002:int", Loader.construct_integer)
-for _tag, _pattern, _first in (
-    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
-    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
-    ("int", r"[-+]?[0-9]+", list("-+0123456789")),
-    (
-        "float",
-        r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
-        list("-+.0123456789"),
-    ),
-):
-    Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(rf"(?:{_pattern})\Z"), _first)
+for _tag, _pattern in {
+    "null": r"~|null|Null|NULL|",
+    "bool": r"true|True|TRUE|false|False|FALSE",
+    "int": r"[-+]?[0-9]+",
+    "float": r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+}.items():
+    Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(rf"(?:{_pattern})\Z"), None)
 
 
 class Dumper(yaml.SafeDumper):
@@ -109,24 +104,6 @@ def parse(text: str, source: str, key: str = "") -> Any:
         raise config_error(source, key, "valid YAML", f"{line}{reason}") from None
 
 
-def dump(data: Any) -> str:
-    """Return data as YAML that `parse` reads as the same."""
-    return yaml.dump(data, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=110)
-
-
-def override(data: dict[str, Any], overrides: Sequence[str] | Mapping[str, Any], source: str) -> None:
-    """Set keys of nested data, in place, as `pairs` reads them.
-
-    Raises:
-        ConfigError: an override of another form, or of a place that is not there.
-    """
-    try:
-        for key, value in pairs(overrides, source):
-            _assign(data, key, value, source)
-    except RecursionError:
-        raise config_error(source, "", "overrides of a few levels", "endless nesting") from None
-
-
 def pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tuple[Any, Any]]:
     """Return dotted keys and values of overrides, a mapping's keys one by one.
 
@@ -136,17 +113,14 @@ def pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tup
         ConfigError: an override of another form.
     """
     if isinstance(overrides, Mapping):
-        given = list(overrides.items())
-    else:
-        given = [_parted(text, source) for text in ([overrides] if isinstance(overrides, str) else overrides)]
-    return [pair for key, value in given for pair in _single(key, value, source)]
-
-
-def _parted(text: Any, source: str) -> tuple[str, Any]:
-    key, _, value = map(str.strip, text.partition("=")) if isinstance(text, str) else ("", "", "")
-    if not key or not value:  # an empty value would be a silent null
-        raise config_error(source, "", "an override of the form dotted.key=value", show(text))
-    return key, parse(value, source, key)
+        return [pair for key, value in overrides.items() for pair in _single(key, value, source)]
+    found = []
+    for text in [overrides] if isinstance(overrides, str) else overrides:
+        key, _, value = map(str.strip, text.partition("=")) if isinstance(text, str) else ("", "", "")
+        if not key or not value:  # an empty value would be a silent null
+            raise config_error(source, "", "an override of the form dotted.key=value", show(text))
+        found += _single(key, parse(value, source, key), source)
+    return found
 
 
 def _single(key: Any, value: Any, source: str) -> list[tuple[Any, Any]]:
@@ -157,14 +131,17 @@ def _single(key: Any, value: Any, source: str) -> list[tuple[Any, Any]]:
     return [pair for name, inner in value.items() for pair in _single(f"{key}.{name}", inner, source)]
 
 
-def _assign(data: dict[str, Any], key: Any, value: Any, source: str) -> None:
-    """Set `key` (dotted) of the nested mapping `data` to `value`."""
+def assign(data: dict[str, Any], key: Any, value: Any, source: str) -> None:
+    """Set `key` (dotted) of the nested mapping `data` to `value`.
+
+    Raises:
+        ConfigError: a place that is not there.
+    """
     if not isinstance(key, str) or not all(parts := key.split(".")):
         raise config_error(source, "", "an override of the form dotted.key=value", show(key))
     target: Any = data
     for level, part in enumerate(parts):
-        place = ".".join(parts[:level])
-        index: Any = part
+        place, index = ".".join(parts[:level]), cast(Any, part)
         if isinstance(target, list):
             if not (part.isascii() and part.isdecimal() and len(part) < 9 and int(part) < len(target)):
                 raise config_error(source, place, f"an index below {len(target)}", show(part))

@@ -14,8 +14,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files import dataset as ds
-from mjx_climb.scenario.hardware import BaseEstimate, ForceSensor, Hardware, Servo
-from mjx_climb.scenario.model import Cargo, Contact, Control, Gait
+from mjx_climb.scenario.model import BaseEstimate, Cargo, Contact, Control, ForceSensor, Gait, Hardware, Servo
 
 SCENARIO = mc.Scenario().with_overrides(
     {

@@ -18,7 +18,7 @@ from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.rollouts.resolve import AnyGains
-from mjx_climb.scenario.hardware import MAX_DELAY
+from mjx_climb.scenario.model import MAX_DELAY
 from tuning.gains.gains_file import by_name
 
 POINTS = 16  # values of a quantity that are walked at a time

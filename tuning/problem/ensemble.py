@@ -16,8 +16,8 @@ from pydantic import Field, model_validator
 import mjx_climb as mc
 from mjx_climb.hardware.stages import given
 from mjx_climb.quantities.parameters import own_parameters
-from mjx_climb.scenario.hardware import MAX_DELAY
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Settings, setting
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
