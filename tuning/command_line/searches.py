@@ -97,7 +97,7 @@ def _tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, shell: "
     if drawn is not None:
         wanted = searches.over_ensemble(wanted, {}, drawn)
     chosen = search.method if "method" in search.model_fields_set else None
-    wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), walk.engine, loaded.law)
+    wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
     kind, name = "tune" if drawn is None else "robust", walk.config.stem
     out = shell.claim("search.nc", name, kind, wanted.method, wanted.space, team=team)
     shell.opening(loaded.scenario)

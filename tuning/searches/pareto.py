@@ -7,14 +7,13 @@ was walked on the way is a candidate; the front is what nothing else beats in bo
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.resolve import AnyGains
 from mjx_climb.scenario.messages import ConfigError
@@ -28,7 +27,6 @@ from tuning.problem.spaces import as_gains, to_gains64
 from tuning.searches import retuned_pd, tune
 from tuning.searches.methods import Request, Task
 from tuning.searches.methods.descents import again
-from tuning.searches.parts import Parts
 from tuning.searches.result import Result
 from tuning.searches.rounds import Callback, Rounds, follow
 
@@ -91,12 +89,9 @@ def pareto(
     better: str | None = None,
     against: str | None = None,
     points: int | None = None,
-    law: mc.Law | None = None,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-    engine: str = DEFAULT_ENGINE,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
-    **settings: Any,
+    **how: Any,
 ) -> Front:
     """Search the Pareto front of two metrics.
 
@@ -104,13 +99,13 @@ def pareto(
 
     Arguments:
         scenario: what walks where; its own gains are among the first points.
-        search: space, bounds, limits and seed (weights and method are not used); `settings` replace keys of it.
+        search: space, bounds, limits and seed (weights and method are not used).
         better: the metric that each row betters; the default of this and the next two as of
             `tuning.problem.search.Pareto`.
         against: the metric that each row limits.
         points: how many limits, evenly spaced in the logarithm, from the least that is found to where `better` is
             best, within the settings' own limit on `against`.
-        law, metrics, engine, out, progress: as of `tuning.tune`.
+        how: law, metrics and engine as of `tuning.tune`, as are out and progress; and keys of the settings.
 
     Raises:
         ConfigError: no walk meets the constraints, a metric that cannot be weighed, or one against itself.
@@ -118,17 +113,13 @@ def pareto(
     """
     given = {"better": better, "against": against, "points": points}
     asked = Pareto().changed({name: value for name, value in given.items() if value is not None})
+    walks, settings = tune.walks_and_settings(how)
     settled = (search or Search()).changed(settings)
-    problem = problem_of(scenario, settled, asked, law=law, metrics=metrics, engine=engine)
-    return run(problem, settled, asked, out=out, progress=progress)
+    return run(problem_of(scenario, settled, asked, **walks), settled, asked, out=out, progress=progress)
 
 
 def problem_of(scenario: mc.Scenario, search: Search, asked: Pareto, **walks: Any) -> Problem:
-    """Return the problem that weighs the metric to better alone; pd walks first. `walks`: law, metrics, engine.
-
-    Raises:
-        ConfigError: a metric that cannot be weighed.
-    """
+    """Return the problem that weighs the metric to better alone; `walks` and errors as of `tune.problem_of`."""
     return tune.problem_of(scenario, _bettering(search, asked), **walks)
 
 
@@ -147,27 +138,22 @@ def run(
     """Search the front of a problem of `problem_of`; arguments, result and errors as of `pareto`."""
     space, plain, rng = problem.space, problem.objective, np.random.default_rng(search.seed)
     assert isinstance(plain, Objective)
-    settings = _bettering(search, asked)
-    front = [asked.better, asked.against, asked.points]
-    parts = Parts(out, lambda: tune.search_identity(problem, settings, front=front))
-    rounds = Rounds(1 + STAGES * ITERATIONS, parts, progress)
-    start = np.concatenate([tune.start_of(problem)[None], space.draw_tied(rng, CANDIDATES - 1)])
-    with parts:
-        rounds.evaluate(problem, Request(start, None, "random points"))
+    settings, start = _bettering(search, asked), tune.start_of(problem)
+    drawn = np.concatenate([start[None], space.draw_tied(rng, CANDIDATES - 1)])
+    others = tuple(limit for limit in plain.limits if limit.metric != asked.against)
+    about, front = problem.metrics[asked.against], [asked.better, asked.against, asked.points]
+    in_all = 1 + STAGES * ITERATIONS
+    with Rounds(in_all, out, lambda: tune.search_identity(problem, settings, front=front), progress) as rounds:
+        rounds.evaluate(problem, Request(drawn, None, "random points"))
         limits = _limits(problem, asked, _walked(problem, asked, rounds))
-        about = problem.metrics[asked.against]
-        ceiling = Limit(
-            asked.against, tuple(limits), tuple(np.abs(limits)), _MARGIN, "the row's own", about.larger_is_better
-        )
-        others = tuple(limit for limit in plain.limits if limit.metric != asked.against)
+        values, scales = tuple(limits), tuple(np.abs(limits))
+        ceiling = Limit(asked.against, values, scales, _MARGIN, "the row's own", about.larger_is_better)
         rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*others, ceiling)))
-        task = Task(rows, settings, start[0])
         for number in range(STAGES):
             theta = _best_within(_walked(problem, asked, rounds), _sign(about) * limits)
-            moves = again(task, theta, ITERATIONS, number, STAGES, rng)
+            moves = again(Task(rows, settings, start), theta, ITERATIONS, number, STAGES, rng)
             follow(moves, lambda request: rounds.evaluate(rows, request))
-    walked = _walked(problem, asked, rounds)
-    data = _dataset(problem, asked, walked, _sign(about) * limits[-1])
+    data = _dataset(problem, asked, _walked(problem, asked, rounds), _sign(about) * limits[-1])
     data = data.assign_attrs(search=settings.to_yaml(), env_steps=rounds.env_steps)
     found = Front(data, problem, search, asked=asked)
     return dataclasses.replace(found, gains=gains_of(data, found.knee)) if data.sizes["front"] else found

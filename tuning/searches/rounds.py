@@ -5,8 +5,9 @@ deterministic, so a search that was killed goes on by running its method again f
 folder holds, without walking them: the result is that of an undisturbed search, bit by bit.
 """
 
-from collections.abc import Callable, Generator
-from typing import Any, NamedTuple, TypeVar
+import os
+from collections.abc import Callable, Generator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +17,6 @@ from mjx_climb.walk.metrics import PREFIX
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.search import Search
 from tuning.searches.parts import Parts
-
-_Returned = TypeVar("_Returned")
 
 
 class Task(NamedTuple):
@@ -81,24 +80,29 @@ class Progress(NamedTuple):
 Callback = Callable[[Progress], None]
 
 
-def follow(points: Generator[Request, Evaluation, _Returned], evaluate: Callable[[Request], Evaluation]) -> _Returned:
-    """Run a method, or a part of one, to its end, and return what it returns."""
+def follow(points: Generator[Request, Evaluation, Any], evaluate: Callable[[Request], Evaluation]) -> None:
+    """Run a method, or a part of one, to its end."""
     try:
         request = next(points)
         while True:
             found = evaluate(request)
             request = points.send(found)
-    except StopIteration as end:
-        returned: _Returned = end.value
-        return returned
+    except StopIteration:
+        return
 
 
-class Rounds:
-    """Evaluates batches; those that `parts` hold from an interrupted run of the same thing are not walked."""
+class Rounds(Parts):
+    """Evaluates batches and keeps them; those that `out` holds from an interrupted run of the same are not walked."""
 
-    def __init__(self, in_all: int, parts: Parts, progress: Callback | None = None):
-        self.done, self.in_all, self.env_steps, self.best = 0, in_all, 0, np.inf
-        self._parts, self._progress = parts, progress
+    def __init__(
+        self,
+        in_all: int,
+        out: str | os.PathLike[str] | None,
+        identity: Callable[[], Mapping[str, Any]],
+        progress: Callback | None = None,
+    ):
+        super().__init__(out, identity)
+        self.done, self.in_all, self.env_steps, self.best, self._progress = 0, in_all, 0, np.inf, progress
         self._columns: dict[str, list[np.ndarray]] = {}
 
     @property
@@ -114,12 +118,18 @@ class Rounds:
             OutputError: the round cannot be kept, or the folder holds another one in its place.
         """
         check_request(request, problem.space.size)
-        stored = self._parts.load(self.done)
+        stored = self.load(self.done)
         if stored is None:
             found = problem.evaluate(request.theta, request.directions)
-            self._parts.save(self.done, _stored(found, request.theta))
+            fields = found._asdict()
+            metrics = {f"metric_{name}": values for name, values in fields.pop("metrics").items()}
+            self.save(self.done, {"theta": request.theta, **fields, **metrics})
+        elif np.array_equal(stored.pop("theta"), request.theta):
+            metrics = {name.removeprefix("metric_"): v for name, v in stored.items() if name.startswith("metric_")}
+            found = Evaluation(**{name: stored[name] for name in Evaluation._fields[:-1]}, metrics=metrics)
         else:
-            found = self._restored(stored, request.theta)
+            again = f"(remove {self.out}/parts to start again)"
+            raise OutputError(f"{self.out}: expected the rounds of this search, got others {again}")
         self.env_steps += problem.env_steps(len(request.theta), request.tangents)
         self._record(request, found)
         self.done += 1
@@ -127,59 +137,30 @@ class Rounds:
             norm = float(self._columns["gradient_norm"][-1][np.argmin(found.merit)])
             best, alive = self.best if np.isfinite(self.best) else np.nan, int(found.alive.sum())
             spent, walked, batch = self.env_steps, stored is None, len(request.theta)
-            now = Progress(self.done, self.in_all, request.phase, best, norm, alive, batch, spent, walked)
-            self._progress(now)
+            self._progress(Progress(self.done, self.in_all, request.phase, best, norm, alive, batch, spent, walked))
         return found
 
     def _record(self, request: Request, found: Evaluation) -> None:
         count = len(request.theta)
         columns: dict[str, Any] = {name: getattr(found, name) for name in ("value", "descent", "penalty", "feasible")}
         columns |= {"theta": np.asarray(request.theta, float), "row": np.arange(count)}
-        columns["gradient_norm"] = (
-            np.linalg.norm(found.gradient, axis=1) if request.tangents else np.full(count, np.nan)
-        )
-        for name, value in (("round", self.done), ("phase", request.phase), ("env_steps", self.env_steps)):
-            columns[name] = np.full(count, value)
+        norm = np.linalg.norm(found.gradient, axis=1) if request.tangents else np.nan
+        each = {"gradient_norm": norm, "round": self.done, "phase": request.phase, "env_steps": self.env_steps}
+        columns |= {name: np.full(count, value) for name, value in each.items()}
         columns |= {name: values for name, values in found.metrics.items() if not name.startswith(PREFIX)}
         for name, values in columns.items():
             self._columns.setdefault(name, []).append(values)
         self.best = float(np.nanmin([self.best, *found.value[found.feasible]]))
 
-    def _restored(self, stored: dict[str, np.ndarray], theta: np.ndarray) -> Evaluation:
-        """Return what `_stored` took."""
-        if not np.array_equal(stored["theta"], theta):
-            out = self._parts.out
-            raise OutputError(
-                f"{out}: expected the rounds of this search, got others (remove {out}/parts to start again)"
-            )
-        metrics = {name.removeprefix("metric_"): v for name, v in stored.items() if name.startswith("metric_")}
-        fields: dict[str, Any] = {name: stored[name] for name in Evaluation._fields[:-1]}
-        return Evaluation(**fields, metrics=metrics)
-
 
 def check_request(request: Request, n: int) -> None:
-    """Refuse what asks for no points (B, n).
-
-    Raises:
-        ConfigError: in one line, what was expected.
-    """
-    expected = f"method: expected a Request of finite theta (B, {n}), got"
-    if not isinstance(request, Request):
-        raise ConfigError(f"{expected} a {type(request).__name__}")
-    theta = np.asarray(request.theta)
-    if not np.isfinite(theta).all():
-        raise ConfigError(f"{expected} {theta.shape} with values that are not finite")
-    if theta.ndim != 2 or not len(theta) or theta.shape[1] != n:
-        raise ConfigError(f"{expected} {theta.shape}")
+    """Refuse by a ConfigError in one line what asks for no points (B, n)."""
+    got = f"a {type(request).__name__}"
+    if isinstance(request, Request):
+        theta = np.asarray(request.theta)
+        got = "" if theta.ndim == 2 and len(theta) and theta.shape[1] == n else f"{theta.shape}"
+        got = got if np.isfinite(theta).all() else f"{theta.shape} with values that are not finite"
+    if got:
+        raise ConfigError(f"method: expected a Request of finite theta (B, {n}), got {got}")
     if request.directions is not None and np.shape(request.directions)[1:] != (n,):
         raise ConfigError(f"method: expected directions (k, {n}), got {np.shape(request.directions)}")
-
-
-def _stored(found: Evaluation, theta: np.ndarray) -> dict[str, np.ndarray]:
-    """Return an evaluated batch as named arrays."""
-    *arrays, metrics = found
-    return {
-        "theta": theta,
-        **dict(zip(Evaluation._fields, arrays, strict=False)),
-        **{f"metric_{name}": value for name, value in metrics.items()},
-    }

@@ -5,9 +5,10 @@ Then every point tries the gains of all others, takes them where they are better
 """
 
 import dataclasses
+import functools
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -16,7 +17,6 @@ import xarray as xr
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import own_parameters
@@ -24,7 +24,6 @@ from mjx_climb.rollouts.resolve import AnyGains
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.problem import objectives, spaces
-from tuning.problem import search as search_settings
 from tuning.problem.evaluation import Evaluation, Problem, pd_of, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
@@ -32,7 +31,6 @@ from tuning.problem.spaces import to_gains64
 from tuning.searches import retuned_pd, tune
 from tuning.searches.methods import Request, Task
 from tuning.searches.methods.descents import again
-from tuning.searches.parts import Parts
 from tuning.searches.result import Result
 from tuning.searches.rounds import Callback, Rounds, follow
 
@@ -68,12 +66,9 @@ def schedule(
     *,
     gravity: Sequence[float] | None = None,
     cargo: Sequence[float] | None = None,
-    law: mc.Law | None = None,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-    engine: str = DEFAULT_ENGINE,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
-    **settings: Any,
+    **how: Any,
 ) -> Scheduled:
     """Tune gains for every pair of gravity and cargo.
 
@@ -81,10 +76,10 @@ def schedule(
 
     Arguments:
         scenario: what walks where; its gravity gives the direction alone, its cargo the window of time alone.
-        search: space, bounds, weights, limits and seed (the method is not used); `settings` replace keys of it.
+        search: space, bounds, weights, limits and seed (the method is not used).
         gravity: G, ascending; the default of this and the next as of `tuning.problem.search.Schedule`.
         cargo: kg, ascending.
-        law, metrics, engine, out, progress: as of `tuning.tune`.
+        how: law, metrics and engine as of `tuning.tune`, as are out and progress; and keys of the settings.
 
     Raises:
         ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
@@ -92,8 +87,8 @@ def schedule(
     """
     given = {"gravity": gravity, "cargo": cargo}
     asked = Schedule().changed({name: tuple(values) for name, values in given.items() if values is not None})
-    settled = (search or Search()).changed(settings)
-    points = operating_points(scenario, settled, asked, law=law, metrics=metrics, engine=engine)
+    walks, settings = tune.walks_and_settings(how)
+    points = operating_points(scenario, (search or Search()).changed(settings), asked, **walks)
     return run(points, out=out, progress=progress)
 
 
@@ -114,31 +109,18 @@ class OperatingPoints:
         return dataclasses.replace(self.problem, parameters=mc.Parameters(**rows), objective=objective)
 
 
-def operating_points(
-    scenario: mc.Scenario,
-    search: Search,
-    asked: Schedule,
-    *,
-    law: mc.Law | None = None,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-    engine: str = DEFAULT_ENGINE,
-) -> OperatingPoints:
-    """Return what `schedule` tunes; pd walks at each point first.
-
-    Raises:
-        ConfigError: see `schedule`.
-    """
-    table = tune.complete(metrics)
-    search_settings.check_metrics(search, table)
+def operating_points(scenario: mc.Scenario, search: Search, asked: Schedule, **walks: Any) -> OperatingPoints:
+    """Return what `schedule` tunes, with its errors; pd walks at each point first. `walks`: law, metrics and engine."""
+    problem = tune.without_goal(scenario, search, **walks)
     down = np.asarray(scenario.gravity, float)
     length = np.linalg.norm(down)
     down = down / length if length > 0 else np.array([0.0, 0.0, -1.0])
     level, load = (values.ravel() for values in np.meshgrid(asked.gravity, asked.cargo, indexing="ij"))
     parameters = dataclasses.replace(own_parameters(scenario), gravity=G * level[:, None] * down, cargo_mass=load)
-    pd = pd_of(scenario, parameters, engine=engine, metrics=table)
-    goals = [objective_at(scenario, search, {n: float(v[p]) for n, v in pd.items()}, table) for p in range(load.size)]
-    space, dtype = spaces.space(scenario, search, law), np.dtype(search.precision).type
-    problem = Problem(scenario, space, _rows(goals), parameters, 1, dtype, engine, table, law)
+    pd = pd_of(scenario, parameters, engine=problem.engine, metrics=problem.metrics)
+    at_each = [{name: float(values[place]) for name, values in pd.items()} for place in range(load.size)]
+    goals = [objective_at(scenario, search, there, problem.metrics) for there in at_each]
+    problem = dataclasses.replace(problem, parameters=parameters, objective=_rows(goals))
     return OperatingPoints(problem, search, asked, goals)
 
 
@@ -147,32 +129,30 @@ def run(
 ) -> Scheduled:
     """Tune the gains of all operating points; arguments, result and errors as of `schedule`."""
     problem, search, count = points.problem, points.search, len(points.goals)
-    space, rng, own = problem.space, np.random.default_rng(search.seed), tune.start_of(problem)
+    rng, own, here = np.random.default_rng(search.seed), tune.start_of(problem), np.arange(count)
+    best, merit = np.tile(own, (count, 1)), np.full(count, np.inf)
     asked = [list(points.asked.gravity), list(points.asked.cargo)]
     plain = dataclasses.replace(problem, parameters=None)  # the operating points say which they are
-    parts = Parts(out, lambda: tune.search_identity(plain, search, operating_points=asked))
-    rounds = Rounds(1 + sum(ITERATIONS) + 2, parts, progress)
-    best, merit = np.tile(own, (count, 1)), np.full(count, np.inf)
+    in_all = 1 + sum(ITERATIONS) + len(ITERATIONS)
+    identity = functools.partial(tune.search_identity, plain, search, operating_points=asked)
+    with Rounds(in_all, out, identity, progress) as rounds:
 
-    def evaluate(request: Request, places: np.ndarray) -> Evaluation:
-        """Evaluate points at some operating points, and keep the best of each."""
-        found = rounds.evaluate(points.at(places), request)
-        ranks = np.where(found.feasible, found.value, 1e3 + found.merit)
-        for row, place in enumerate(places):
-            if ranks[row] < merit[place]:
-                best[place], merit[place] = request.theta[row], ranks[row]
-        return found
+        def evaluate(request: Request, places: np.ndarray) -> Evaluation:
+            """Evaluate points at some operating points, and keep the best of each."""
+            found = rounds.evaluate(points.at(places), request)
+            ranks = np.where(found.feasible, found.value, 1e3 + found.merit)
+            for row, place in enumerate(places):
+                if ranks[row] < merit[place]:
+                    best[place], merit[place] = request.theta[row], ranks[row]
+            return found
 
-    here = np.arange(count)
-    pairs = np.repeat(here, count), np.tile(here, count)  # operating point, whose gains
-    with parts:
-        drawn = np.concatenate([own[None], space.draw_tied(rng, CANDIDATES - 1)])
+        drawn = np.concatenate([own[None], problem.space.draw_tied(rng, CANDIDATES - 1)])
         evaluate(Request(np.tile(drawn, (count, 1)), None, "random points"), np.repeat(here, CANDIDATES))
         for number, iterations in enumerate(ITERATIONS):
-            task = Task(points.at(here), search, own)
-            moves = again(task, best.copy(), iterations, number, len(ITERATIONS), rng)
+            moves = again(Task(points.at(here), search, own), best.copy(), iterations, number, len(ITERATIONS), rng)
             follow(moves, lambda request: evaluate(request, here))
-            crossed = evaluate(Request(best[pairs[1]], None, "gains of the neighbours"), pairs[0])
+            whose = Request(best[np.tile(here, count)], None, "gains of the neighbours")
+            crossed = evaluate(whose, np.repeat(here, count))
     transfer = np.where(crossed.feasible, crossed.value, np.nan).reshape(count, count)
     return Scheduled(_dataset(points, best, merit, transfer).assign_attrs(env_steps=rounds.env_steps), problem, search)
 
@@ -185,13 +165,11 @@ def objective_at(
     A limit on the base's deviation that follows from pd's is at least a millimetre: without cargo or weight pd hardly
     sags.
     """
-    plain = objectives.objective(scenario, settings, baseline, metrics=metrics)
-    limits = [
-        limit._replace(value=max(limit.value, 1e-3), scale=max(limit.scale, 1e-3))
-        if limit.metric == "base_deviation" and "base_deviation" not in settings.limits
-        else limit
-        for limit in plain.limits
-    ]
+    plain, limits = objectives.objective(scenario, settings, baseline, metrics=metrics), []
+    for limit in plain.limits:
+        if limit.metric == "base_deviation" and "base_deviation" not in settings.limits:
+            limit = limit._replace(value=max(limit.value, 1e-3), scale=max(limit.scale, 1e-3))
+        limits.append(limit)
     return dataclasses.replace(plain, limits=tuple(limits))
 
 

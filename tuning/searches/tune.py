@@ -24,7 +24,7 @@ from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
 from tuning.searches.methods import METHODS, Method, Points, Task
-from tuning.searches.parts import Parts, identity_of
+from tuning.searches.parts import identity_of
 from tuning.searches.result import Robust, Tuned, from_rounds
 from tuning.searches.rounds import Callback, Rounds, as_method, follow
 
@@ -50,15 +50,12 @@ def tune(
     Arguments:
         scenario: what walks where.
         law: whose gains are searched; its own are the first start. The scenario's where None.
-        search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it, as
-            in `tune(scenario, method="gradient", space="diagonal")`.
+        search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it.
         method: the name of a shipped one; or one of your own, as a function that yields a `Request` of points and
-            receives what they are worth, or a `Method` that knows its rounds besides; see
-            `tuning.searches.rounds`. It must ask for the same when it is given the same.
-        objective: a pure function of the metrics in place of the weighted terms, see
-            `tuning.problem.objectives.Objective`.
-        metrics: of the walks, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may name them. The
-            shipped ones must be among them.
+            receives what they are worth, or a `Method` that knows its rounds besides; see `tuning.searches.rounds`. It
+            must ask for the same when it is given the same.
+        objective: a pure function of the metrics in place of the weighted terms, see `tuning.problem.objectives`.
+        metrics: of the walks, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may name them.
         parameters: in place of the scenario's; with leading axes (members, 1), an ensemble over which the score is the
             mean.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
@@ -67,8 +64,7 @@ def tune(
         progress: called after each round.
 
     Returns:
-        The best gains and all points that were evaluated; `write(folder)` writes them. Ctrl-C ends the search with the
-        best so far (`interrupted`).
+        The best gains and all points that were evaluated. Ctrl-C ends the search with the best so far (`interrupted`).
 
     Raises:
         ConfigError: settings that make no sense for the scenario, or a method that asks for no points of the space.
@@ -81,7 +77,7 @@ def tune(
     wanted = (search or Search()).changed({**settings, **chosen})
     if own is None and wanted.method == OWN_METHOD:
         raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
-    wanted = for_this_machine(scenario, wanted, (search, method, settings.get("method")), engine, law)
+    wanted = for_this_machine(scenario, wanted, (search, method, settings.get("method")), law)
     problem = problem_of(scenario, wanted, objective, law=law, metrics=metrics, engine=engine)
     if parameters is not None:
         problem = dataclasses.replace(problem, parameters=parameters, members=math.prod(batch_shape(parameters)))
@@ -104,23 +100,24 @@ def robust(
     walks of a fresh draw test the result; `how`: law, metrics and engine as of `tuning.tune`, and keys of the settings.
     `robust(scenario, ensemble, out="results/mine").write("results/mine")` is `mjx-climb tune --ensemble`.
     """
-    walks = {name: how.pop(name) for name in ("law", "metrics", "engine") if name in how}
-    wanted = over_ensemble(search, how, ensemble)
-    given = walks.get("engine", DEFAULT_ENGINE), walks.get("law")
-    wanted = for_this_machine(scenario, wanted, (search, how.get("method")), *given)
-    problem = problem_of(scenario, wanted, ensemble=ensemble, **walks)
-    found = run(problem, wanted, out=out, progress=progress)
+    walks, settings = walks_and_settings(how)
+    wanted = over_ensemble(search, settings, ensemble)
+    wanted = for_this_machine(scenario, wanted, (search, settings.get("method")), walks.get("law"))
+    found = run(problem_of(scenario, wanted, ensemble=ensemble, **walks), wanted, out=out, progress=progress)
     assert isinstance(found, Robust)
     return dataclasses.replace(found, judges=judges)
+
+
+def walks_and_settings(how: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return law, metrics and engine as far as they are given, and the other keywords, which are those of settings."""
+    walks = {name: how[name] for name in ("law", "metrics", "engine") if name in how}
+    return walks, {name: value for name, value in how.items() if name not in walks}
 
 
 def over_ensemble(settings: Search | None, changes: Mapping[str, Any], ensemble: Ensemble) -> Search:
     """Return settings with some keys replaced; without any, those of a robust search.
 
     The joint loop is searched where the ensemble has hardware and the settings do not say.
-
-    Raises:
-        ConfigError: settings that make no sense.
     """
     own = {} if settings is not None else {"weights": ROBUST_WEIGHTS}
     settings = (settings or Search()).changed({**own, **changes})
@@ -139,9 +136,12 @@ def run(
 ) -> Tuned:
     """Search a problem from start to end; arguments, result and errors as of `tune`."""
     task, chosen = Task(problem, search, start_of(problem)), method or METHODS[search.method]
-    parts = Parts(out, lambda: search_identity(problem, search, method=method))
-    rounds, interrupted = Rounds(chosen.rounds(task), parts, progress), False
-    with parts:
+    interrupted = False
+
+    def own() -> dict[str, Any]:
+        return search_identity(problem, search, method=None if method is None else identity(method, "method"))
+
+    with Rounds(chosen.rounds(task), out, own, progress) as rounds:
         try:
             follow(chosen.run(task), lambda request: rounds.evaluate(problem, request))
         except KeyboardInterrupt:
@@ -152,11 +152,7 @@ def run(
 
 
 def for_this_machine(
-    scenario: mc.Scenario,
-    search: Search,
-    chosen: Iterable[object] = (),
-    engine: str = DEFAULT_ENGINE,
-    law: mc.Law | None = None,
+    scenario: mc.Scenario, search: Search, chosen: Iterable[object] = (), law: mc.Law | None = None
 ) -> Search:
     """Return settings with the method that is best here, where nobody has chosen one.
 
@@ -188,36 +184,36 @@ def problem_of(
     if objective is None and scenario.own is not None and scenario.own.objective is not None:
         name = scenario.own.objective.name
         raise ConfigError(f"own.objective: expected {name} again, in tuning.tune.tune(objective=...), got none")
-    table = complete(walks.pop("metrics", mc.METRICS))
-    search_settings.check_metrics(search, table)
-    space = spaces.space(scenario, search, walks.get("law"))
-    dtype = np.dtype(search.precision).type
-    problem = Problem(scenario, space, dtype=dtype, metrics=table, own_objective=objective, **walks)
+    problem = dataclasses.replace(without_goal(scenario, search, **walks), own_objective=objective)
     if isinstance(objective, Goal):
         return dataclasses.replace(problem, objective=objective)
-    baseline: Mapping[str, Any]
+    table, baseline, worst = problem.metrics, dict[str, Any](), None
     if ensemble is None:
-        baseline, worst = evaluation.baseline(scenario, problem.engine, table), None
+        baseline |= evaluation.baseline(scenario, problem.engine, table)
     else:
         drawn, worst = ensembles.draw(scenario, ensemble), ensemble.worst
         problem = dataclasses.replace(problem, parameters=drawn, members=ensemble.members, ensemble=ensemble)
         each = evaluation.pd_of(scenario, drawn, engine=problem.engine, metrics=table)
-        baseline = {name: value.reshape(-1) for name, value in each.items()}
+        baseline |= {name: value.reshape(-1) for name, value in each.items()}
     goal = objectives.objective(scenario, search, baseline, objective, table, worst)
     return dataclasses.replace(problem, objective=goal)
 
 
-def complete(metrics: Iterable[mc.Metric]) -> mc.MetricTable:
-    """Return metrics as a table with the shipped ones in it, by which searches know what failed.
+def without_goal(
+    scenario: mc.Scenario, search: Search, *, metrics: Iterable[mc.Metric] = mc.METRICS, **walks: Any
+) -> Problem:
+    """Return what the settings ask to search, without an objective yet; `walks` are law and engine.
 
     Raises:
-        ConfigError: one of the shipped ones is missing or replaced.
+        ConfigError: settings that make no sense, or a shipped metric, by which searches know what failed, is missing.
     """
     table = mc.MetricTable(metrics)
     for metric in mc.METRICS:
         if metric not in table:
             raise ConfigError(f"metrics: expected the shipped {metric.name} among them, as in METRICS + (mine,)")
-    return table
+    search_settings.check_metrics(search, table)
+    space, dtype = spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
+    return Problem(scenario, space, dtype=dtype, metrics=table, **walks)
 
 
 def start_of(problem: Problem) -> np.ndarray:
@@ -227,9 +223,7 @@ def start_of(problem: Problem) -> np.ndarray:
     return problem.space.from_gains({**own, "kp": control.kp, "kd": max(control.kd, 1e-12)})
 
 
-def search_identity(problem: Problem, search: Search, **more: Any) -> Mapping[str, Any]:
-    """Return all that determines a search, bit by bit; `more`: what else does, a method of the user's own among it."""
+def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
+    """Return all that determines a search, bit by bit; `more`: what else does."""
     packages = {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}
-    if (method := more.get("method")) is not None:
-        more["method"] = identity(method, "method")
     return {**identity_of(problem, packages), "search": search.model_dump(mode="json"), **more}
