@@ -18,13 +18,11 @@ from tuning.evaluation.margins import (
     QUANTITIES,
     Margin,
     changes,
+    count_good,
+    falls_short,
     joint_gains,
-    needed,
-    reaches,
-    up_to,
     values_of,
     whole_steps,
-    with_unit,
     without_joint,
 )
 
@@ -61,7 +59,14 @@ def find(
     """
     own, joint, found = own_parameters(scenario), joint_gains(scenario, gains), {}
     for done, (name, margin) in enumerate(margins.items()):
-        values = _values(scenario, name, margin)
+        grid, step = values_of(scenario, name), scenario.time_step if name == "control_period" else 0.0
+        if QUANTITIES[name].scales:
+            worst = margin.worst if margin.holds is None else max(margin.worst, margin.holds / _BEYOND)
+            values = np.geomspace(grid[0], worst, POINTS)
+        else:
+            worst = min(margin.worst, _BEYOND * max(margin.holds or 0.0, grid[POINTS // 2]))
+            values = np.linspace(grid[0], worst, POINTS)
+            values = whole_steps(values, step) if step else values
 
         def radii(some: np.ndarray, only: int | None = None, name: str = name, last: float = values[-1]) -> np.ndarray:
             batch = np.unique([*some, last])  # with the worst value: buffers as long, and so the same program
@@ -70,7 +75,6 @@ def find(
             )
             return of[np.searchsorted(batch, some)]
 
-        step = scenario.time_step if name == "control_period" else 0.0
         found[name] = Stable(crossing(values, radii, step), float(values[-1]))
         if progress is not None:
             progress(done + 1, len(margins))
@@ -81,12 +85,8 @@ def warnings(margins: Mapping[str, Margin], stable: Mapping[str, Stable]) -> lis
     """Return in words where the loop is stable up to less than twice the hardware, though walks hold so far."""
     lines = []
     for name, margin in margins.items():
-        wanted, reached = needed(name, margin.own), stable[name]
-        if reaches(name, margin.holds, wanted) and not reaches(name, reached.up_to, wanted):
-            lines.append(
-                f"{QUANTITIES[name].title}: the linearised loop is stable {up_to(name, reached.up_to)}, the hardware "
-                f"has {with_unit(name, margin.own)}, {with_unit(name, wanted)} would be safe"
-            )
+        if not falls_short(name, margin.own, "gains hold", margin.holds):
+            lines += falls_short(name, margin.own, "the linearised loop is stable", stable[name].up_to)
     return lines
 
 
@@ -96,8 +96,12 @@ def crossing(values: np.ndarray, radii: Callable[..., np.ndarray], step: float =
     `radii` gives those of values (N,) in each stance (N, S), or in the `only` one whose number is its second argument.
     Of values that are whole steps, where there is a `step`, the last stable one is returned.
     """
+
+    def stable(some: np.ndarray) -> int:
+        return count_good(some.max(1) <= 1 + stability_limit.ROUNDING)
+
     found = radii(values)
-    bad = _first_bad(found.max(1))
+    bad = stable(found)
     if bad in (0, len(values)):
         return float(values[-1]) if bad else None
     good, worse, there = float(values[bad - 1]), float(values[bad]), found[bad]
@@ -106,23 +110,8 @@ def crossing(values: np.ndarray, radii: Callable[..., np.ndarray], step: float =
         while abs(worse - reached) > max(1.5 * step, _PRECISION * abs(worse)):
             some = np.linspace(reached, worse, _FINER + 1)
             some = np.unique(whole_steps(some, step)) if step else some
-            bad = 1 + _first_bad(radii(some[1:-1], int(there.argmax())).max(1))
+            bad = 1 + stable(radii(some[1:-1], int(there.argmax())))
             reached, worse = float(some[bad - 1]), float(some[bad])
         worse, there = reached, radii(np.array([reached]))[0]
-        if reached == good or there.max() <= 1 + stability_limit.ROUNDING:
+        if reached == good or stable(there[None]):
             return reached
-
-
-def _first_bad(radii: np.ndarray) -> int:
-    """Return the place of the first radius (N,) of a loop that is not stable, N where all are."""
-    return int(np.argmin([*(radii <= 1 + stability_limit.ROUNDING), False]))
-
-
-def _values(scenario: mc.Scenario, name: str, margin: Margin) -> np.ndarray:
-    grid = values_of(scenario, name)
-    if QUANTITIES[name].scales:
-        worst = margin.worst if margin.holds is None else max(margin.worst, margin.holds / _BEYOND)
-        return np.geomspace(grid[0], worst, POINTS)
-    worst = min(margin.worst, _BEYOND * max(margin.holds or 0.0, grid[POINTS // 2]))
-    values = np.linspace(grid[0], worst, POINTS)
-    return whole_steps(values, scenario.time_step) if name == "control_period" else values

@@ -58,7 +58,9 @@ def with_stability(
 
     Pictures of such a map show its limit, see `mjx_climb.plots.plot_map`.
     """
-    return walks.assign(spectral_radius=stability_limit.over_map(scenario, walks, law=law, engine=engine))
+    axes = {str(name): walks[name].values for name in walks["diverged"].dims}
+    radius = stability_limit.over_axes(scenario, axes, law=law, engine=engine)
+    return walks.assign(spectral_radius=stability_limit.on_map(radius, walks))
 
 
 def best_cell(judged: xr.Dataset, metric: str = "objective") -> xr.Dataset | None:

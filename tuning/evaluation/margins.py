@@ -34,17 +34,16 @@ class Quantity(NamedTuple):
     """What is made worse."""
 
     title: str
-    unit: str
     parameters: tuple[str, ...]  # of `mjx_climb.Parameters`, which all have its value
     scales: bool = False  # a share of the scenario's own values, the worse the smaller
 
 
 QUANTITIES: Mapping[str, Quantity] = {
     # what the law reads of the base is as old as the forces
-    "force_delay": Quantity("force delay", "s", ("force_delay", "base_delay")),
-    "command_delay": Quantity("command delay", "s", ("command_delay",)),
-    "control_period": Quantity("control period", "s", ("control_period",)),
-    "joint_gains": Quantity("share of the joint gains", "1", _JOINT, scales=True),
+    "force_delay": Quantity("force delay", ("force_delay", "base_delay")),
+    "command_delay": Quantity("command delay", ("command_delay",)),
+    "control_period": Quantity("control period", ("control_period",)),
+    "joint_gains": Quantity("share of the joint gains", _JOINT, scales=True),
 }
 
 
@@ -96,26 +95,30 @@ def find(
         progress: called with the number of walks done and of all.
     """
     walkers = {"given": Walker(law, gains), "pd": pd_of(scenario), **others}
-    grid = _grid(scenario)
+    grid = np.stack([values_of(scenario, name) for name in QUANTITIES])
     total = 2 * len(walkers) * grid.size
 
     def walk(values: np.ndarray, done: int, known: Mapping[str, xr.Dataset]) -> xr.Dataset:
         found = []
         for name, walker in walkers.items():
-            found.append(known[name] if name in known else _walked(scenario, walker, values, engine))
+            given = known[name] if name in known else on_the_grid(scenario, walker, engine, values=values)
+            found.append(given)
             if progress is not None:
                 progress(done + len(found) * values.size, total)
-        return xr.concat(found, xr.Variable("gains", list(walkers)))
+        return xr.concat(found, xr.Variable("gains", list(walkers)), coords="minimal", compat="override")
 
     coarse = walk(grid, 0, walked)
     between = np.stack([_between(scenario, coarse.sel(quantity=name)) for name in QUANTITIES])
-    fine = walk(between, total // 2, {})
-    walks = xr.concat([_ordered(coarse, fine, name) for name in QUANTITIES], "quantity")
+    walks = xr.concat([coarse, walk(between, total // 2, {})], "point", coords="minimal", compat="override")
+    badness = walks["value"] * [[-1.0 if quantity.scales else 1.0] for quantity in QUANTITIES.values()]
+    walks = walks.isel(point=badness.copy(data=np.argsort(badness.values, axis=1, kind="stable")))
+    walks = walks.transpose("gains", "quantity", "point").reset_coords("value")
     margins = {}
     for name in QUANTITIES:
         some = walks.sel(quantity=name)
         values = some["value"].values
-        holds, better = (_last_good(values, good) for good in _verdicts(some))
+        counts = map(count_good, _verdicts(some))
+        holds, better = (float(values[count - 1]) if count else None for count in counts)
         margins[name] = Margin(own_value(scenario, name), holds, better, float(values[-1]))
     holds, better = (bool(good[0]) for good in _verdicts(coarse.sel(quantity="joint_gains")))  # all of them
     return Found(margins, holds, better, walks)
@@ -126,9 +129,28 @@ def on_the_grid(
     walker: Walker,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
+    values: np.ndarray | None = None,
 ) -> xr.Dataset:
-    """Return the first walks of one set of gains in `find`, which are the same whatever gains are in question."""
-    return _walked(scenario, walker, _grid(scenario), engine, progress)
+    """Return what walks are worth on hardware with one quantity changed at a time, to values (Q, N).
+
+    Without `values` they are the first walks of one set of gains in `find`, the same whatever gains are in question.
+    """
+    if values is None:
+        values = np.stack([values_of(scenario, name) for name in QUANTITIES])
+    own, joint = own_parameters(scenario), joint_gains(scenario, walker.gains)
+    each = [changes(own, name, row, joint) for name, row in zip(QUANTITIES, values, strict=True)]
+    batch = {
+        name: np.stack([np.broadcast_to(getattr(changed, name), values.shape[1]) for changed in each])
+        for quantity in QUANTITIES.values()
+        for name in quantity.parameters
+    }
+    found = mc.rollout_metrics(
+        scenario, without_joint(walker.gains), dataclasses.replace(own, **batch), law=walker.law, metrics=_METRICS,
+        engine=engine, progress=progress,
+    )  # fmt: skip
+    dims = ("quantity", "point")
+    data = {name: (dims, value) for name, value in found.items()}
+    return xr.Dataset(data, {"quantity": list(QUANTITIES), "value": (dims, values)})
 
 
 def pd_of(scenario: mc.Scenario) -> Walker:
@@ -142,41 +164,32 @@ def warnings(found: Found) -> list[str]:
         return ["on the hardware itself the walk fails: a gripper is torn off, or it diverges"]
     lines = [] if found.better else ["on the hardware itself the force varies no less than under pd"]
     for name, margin in found.margins.items():
-        wanted = needed(name, margin.own)
-        if not reaches(name, margin.holds, wanted):
-            failing = f"gains hold {up_to(name, margin.holds)}"
-        elif found.better and not reaches(name, margin.better, wanted):
-            failing = f"gains stay better than pd {up_to(name, margin.better)}"
-        else:
-            continue
-        own, safe = with_unit(name, margin.own), with_unit(name, wanted)
-        lines.append(f"{QUANTITIES[name].title}: {failing}, the hardware has {own}, {safe} would be safe")
+        short = falls_short(name, margin.own, "gains hold", margin.holds)
+        if not short and found.better:
+            short = falls_short(name, margin.own, "gains stay better than pd", margin.better)
+        lines += short
     return lines
 
 
-def up_to(quantity: str, reached: float | None) -> str:
-    """Return how far something goes, in words: "up to 7.03 ms only", "at no value"."""
-    return "at no value" if reached is None else f"up to {with_unit(quantity, reached)} only"
+def falls_short(quantity: str, own: float, what: str, reached: float | None) -> list[str]:
+    """Return a line that says what reaches less far than gains should hold on the `own` hardware, none otherwise."""
+    wanted, scales = needed(quantity, own), QUANTITIES[quantity].scales
+    if reached is not None and (reached <= wanted if scales else reached >= wanted):
+        return []
+    limit = "at no value" if reached is None else f"up to {with_unit(quantity, reached)} only"
+    has, safe = with_unit(quantity, own), with_unit(quantity, wanted)
+    return [f"{QUANTITIES[quantity].title}: {what} {limit}, the hardware has {has}, {safe} would be safe"]
 
 
 def in_words(quantity: str, worst: float, reached: float | None) -> str:
     """Return what a margin reaches of the `worst` value tried, with its unit: "7.03 ms", "30 ms or more", "none"."""
-    if reached is None:
-        return "none"
     beyond = " or less" if QUANTITIES[quantity].scales else " or more"
-    return with_unit(quantity, reached) + (beyond if reached == worst else "")
+    return "none" if reached is None else with_unit(quantity, reached) + beyond * (reached == worst)
 
 
 def with_unit(quantity: str, value: float) -> str:
     """Return a value of a quantity as people read it."""
     return f"x {value:.2g}" if QUANTITIES[quantity].scales else f"{1e3 * value:.3g} ms"
-
-
-def reaches(quantity: str, reached: float | None, wanted: float) -> bool:
-    """Return whether a margin that reaches so far is as far as wanted or farther."""
-    if reached is None:
-        return False
-    return reached <= wanted if QUANTITIES[quantity].scales else reached >= wanted
 
 
 def own_value(scenario: mc.Scenario, quantity: str) -> float:
@@ -236,45 +249,16 @@ def changes(own: mc.Parameters, quantity: str, values: np.ndarray, joint: Mappin
     return dataclasses.replace(own, **changed)
 
 
-def _grid(scenario: mc.Scenario) -> np.ndarray:
-    return np.stack([values_of(scenario, name) for name in QUANTITIES])
-
-
-def _walked(
-    scenario: mc.Scenario,
-    walker: Walker,
-    values: np.ndarray,
-    engine: str,
-    progress: Callable[[int, int], None] | None = None,
-) -> xr.Dataset:
-    """Return what walks are worth on hardware with one quantity (Q, N) changed at a time."""
-    own, joint = own_parameters(scenario), joint_gains(scenario, walker.gains)
-    each = [changes(own, name, row, joint) for name, row in zip(QUANTITIES, values, strict=True)]
-    varied = {name for quantity in QUANTITIES.values() for name in quantity.parameters}
-    batch = {
-        name: np.stack([np.broadcast_to(getattr(changed, name), values.shape[1]) for changed in each])
-        for name in varied
-    }
-    found = mc.rollout_metrics(
-        scenario, without_joint(walker.gains), dataclasses.replace(own, **batch), law=walker.law, metrics=_METRICS,
-        engine=engine, progress=progress,
-    )  # fmt: skip
-    dimensions = ("quantity", "point")
-    walks = xr.Dataset({name: (dimensions, value) for name, value in found.items()}, {"quantity": list(QUANTITIES)})
-    return walks.assign(value=(dimensions, values))
+def count_good(good: np.ndarray) -> int:
+    """Return how many of points (N,) come before the first that is not good."""
+    return int(np.argmin([*good, False]))
 
 
 def _verdicts(walks: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     """Return which points (N,) of a quantity hold with the given gains, and which of them pay."""
-    holds = (walks["detached_at"].isnull() & ~walks["diverged"]).sel(gains=["given", "pd"]).values
-    variation = walks["force_variation"].sel(gains=["given", "pd"]).values
+    walks = walks.sel(gains=["given", "pd"])
+    holds, variation = (walks["detached_at"].isnull() & ~walks["diverged"]).values, walks["force_variation"].values
     return holds[0], holds[0] & ((variation[0] < variation[1]) | ~holds[1])
-
-
-def _last_good(values: np.ndarray, good: np.ndarray) -> float | None:
-    """Return the last of the values (N,) before the first that is not good, None where that is the first of all."""
-    count = int(np.argmin([*good, False]))
-    return float(values[count - 1]) if count else None
 
 
 def _between(scenario: mc.Scenario, walks: xr.Dataset) -> np.ndarray:
@@ -282,19 +266,10 @@ def _between(scenario: mc.Scenario, walks: xr.Dataset) -> np.ndarray:
 
     The last one is the worst of the grid again: it keeps the delays' buffers as long, and so the compiled program.
     """
-    quantity, values = str(walks["quantity"].item()), walks["value"].isel(gains=0).values
-    finer = [values[-1:]]
+    values = walks["value"].values
+    finer = []
     for good, points in zip(_verdicts(walks), (POINTS // 2, POINTS - POINTS // 2 - 1), strict=True):
-        bad = min(max(int(np.argmin([*good, False])), 1), len(values) - 1)
-        finer.insert(-1, np.linspace(values[bad - 1], values[bad], points + 2)[1:-1])
-    found = np.concatenate(finer)
-    return whole_steps(found, scenario.time_step) if quantity == "control_period" else found
-
-
-def _ordered(coarse: xr.Dataset, fine: xr.Dataset, quantity: str) -> xr.Dataset:
-    """Return the walks of a quantity over both grids, from good to bad."""
-    both = xr.concat([walks.sel(quantity=[quantity]) for walks in (coarse, fine)], "point")
-    values = both["value"].isel(gains=0, quantity=0).values
-    order = np.argsort(-values if QUANTITIES[quantity].scales else values, kind="stable")
-    both = both.isel(point=order)
-    return both.assign(value=both["value"].isel(gains=0, drop=True))
+        bad = min(max(count_good(good), 1), len(values) - 1)
+        finer.append(np.linspace(values[bad - 1], values[bad], points + 2)[1:-1])
+    found = np.concatenate([*finer, values[-1:]])
+    return whole_steps(found, scenario.time_step) if walks["quantity"] == "control_period" else found

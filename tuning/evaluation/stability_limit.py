@@ -19,7 +19,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,9 +37,8 @@ from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.hardware.signals import period_steps
-from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.parameters import own_parameters
-from mjx_climb.rollouts.resolve import AnyGains, Resolved, resolve_in
+from mjx_climb.rollouts.resolve import AnyGains, resolve_in
 from mjx_climb.walk import control_loop, gait
 from mjx_climb.walk.contact import Attitude
 from mjx_climb.walk.step import Carry, Walk, advance, begin, prepare
@@ -54,7 +53,10 @@ _ENTRIES_OF_A_CALL = 20_000
 _FINEST = 16  # values along an axis of a map
 _FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
 _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
+_NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "dry_friction",
+               "backlash", "capture")  # fmt: skip
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
+_Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, parameters where they vary
 
 
 def spectral_radius(
@@ -100,73 +102,58 @@ def by_stance(
     """
     if law is None:
         law = law_of(scenario.with_overrides(_UNBOUNDED))
-    calm = _calm(scenario, parameters)
+    calm = own_parameters(scenario) if parameters is None else jax.tree.map(np.asarray, parameters)
+    none = {name: getattr(calm, name) * 0 for name in ("gravity", "push_force", "push_moment")}
+    calm = dataclasses.replace(calm, **none, cargo_start=np.zeros(()), cargo_stop=np.full((), np.inf))
     found = resolve_in(scenario, law, gains, calm, np.float64)
     walk = structure(scenario, engine, found.parameters, law=law, smooth=True)
-    walk = walk._replace(stages=_linear(walk.stages))
-    robots = _robots(found, scenario.time_step, walk.stages)
-    stances = linearised_at(scenario, robots.period, uneven=bool(calm.foothold_height.size))
+    walk = walk._replace(stages=walk.stages._replace(**dict.fromkeys(_NOT_LINEAR, False)))
+    periods = np.ones(found.shape, int)
+    if walk.stages.control_period:
+        periods[:] = np.asarray(period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))
+    stances = linearised_at(scenario, periods.ravel(), uneven=bool(calm.foothold_height.size))
     loads = 2 if calm.cargo_mass.any() else 1
     which = np.arange(loads * stances.shape[1]) if only is None else np.array([only])
-    rows, places = (each.ravel() for each in np.indices((len(robots.period), which.size)))
+    rows, places = (each.ravel() for each in np.indices((periods.size, which.size)))
     loaded, stance = np.divmod(which[places], stances.shape[1])
-    radii = _radii_of(walk, robots, rows, loaded.astype(float), stances[rows, stance])
+
+    def of_rows(value: np.ndarray, own: int) -> np.ndarray:
+        """Return the values of robots by their rows; one that all share stays."""
+        tail = value.shape[value.ndim - own :]
+        return value if value.ndim == own else np.broadcast_to(value, (*found.shape, *tail)).reshape(-1, *tail)[rows]
+
+    robots = jax.tree.map(of_rows, (found.law, found.parameters), found.axes)
+    cargo = np.broadcast_to(robots[1].cargo_mass, rows.shape) * loaded.astype(float)
+    robots = robots[0], dataclasses.replace(robots[1], cargo_mass=cargo)
+    radii = _radii_of(walk, robots, found.axes, periods.ravel()[rows], stances[rows, stance])
     return np.asarray(radii.reshape(*found.shape, which.size))
 
 
-class _Robots(NamedTuple):
-    """Robots of one batch axis: every gain has it, parameters where they vary."""
+def _radii_of(walk: Structure, robots: _Robots, axes: Any, periods: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Return the radii (N,) of robots, linearised over their control periods (N,), which begin at a `first` step.
 
-    law: Law
-    parameters: mc.Parameters
-    axes: Any  # of law and parameters: how many the value of one robot has
-    period: np.ndarray  # (B,) time steps of a control period
+    `axes`, in place of each value, are how many the value of one robot has.
+    """
 
-    def some(self, rows: np.ndarray, loaded: np.ndarray) -> tuple[Law, mc.Parameters]:
-        """Return law and parameters of some robots, `loaded` (B,) with their cargo."""
+    def one(value: np.ndarray, own: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(value.shape[value.ndim - own :], value.dtype)
 
-        def of_rows(value: np.ndarray, own: int) -> np.ndarray:
-            return value[rows] if value.ndim > own else value
-
-        law, parameters = jax.tree.map(of_rows, (self.law, self.parameters), self.axes)
-        cargo = np.broadcast_to(self.parameters.cargo_mass, len(self.period))[rows] * loaded
-        return law, dataclasses.replace(parameters, cargo_mass=cargo)
-
-
-def _robots(found: Resolved, time_step: float, stages: Stages) -> _Robots:
-    count = math.prod(found.shape)
-
-    def flat(value: np.ndarray, own: int) -> np.ndarray:
-        tail = value.shape[value.ndim - own :]
-        if value.ndim == own:
-            return value
-        return np.broadcast_to(value, (*found.shape, *tail)).reshape(count, *tail)
-
-    law, parameters = jax.tree.map(flat, (found.law, found.parameters), found.axes)
-    period = np.ones(count, int)
-    if stages.control_period:
-        period[:] = np.asarray(period_steps(jnp.asarray(parameters.control_period), time_step))
-    return _Robots(law, parameters, found.axes, period)
-
-
-def _radii_of(walk: Structure, robots: _Robots, rows: np.ndarray, loaded: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the radii (N,) of robots by their `rows`, linearised over the period that begins at a `first` step."""
-    periods, count = robots.period[rows], len(rows)
+    with jax.enable_x64(True):
+        single = *jax.tree.map(one, robots, axes), jax.ShapeDtypeStruct((), np.int32)
+        states = int(jax.eval_shape(lambda *given: _stepped(walk, *given)[0], *single).size)
     # held: all steps after the first of a period are alike; on a line to the next target each is another
     kinds = int(periods.max() if walk.stages.linear else min(periods.max(), 2))
-    states = _states(walk, *robots.some(rows[:1], loaded[:1]), robots.axes)
-    matrices = max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
+    count, matrices = len(periods), max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
     still, columns = np.zeros((matrices, states)), np.broadcast_to(np.eye(states), (matrices, states, states))
 
     def jacobians(start: int) -> np.ndarray:
         """Return the Jacobians (kinds, matrices, states, states) of the steps of a period, the last ones repeated."""
-        some = np.minimum(np.arange(start, start + matrices), count - 1)
-        law, parameters = robots.some(rows[some], loaded[some])
-        found = []
+        rows, found = np.minimum(np.arange(start, start + matrices), count - 1), []
+        some = jax.tree.map(lambda value, own: value[rows] if value.ndim > own else value, robots, axes)
         for kind in range(kinds):
-            step = (first[some] + kind).astype(np.int32)
+            step = (first[rows] + kind).astype(np.int32)
             _, tangents = execution.run(
-                _moved, walk, (still, law, parameters, step), (1, *robots.axes, 0), (matrices,),
+                _moved, walk, (still, *some, step), (1, *axes, 0), (matrices,),
                 directions=columns, batch_size=max(1, _ENTRIES_OF_A_CALL // states**2), compile_briefly=True,
             )  # fmt: skip
             found.append(np.swapaxes(tangents["after"], 1, 2))
@@ -193,13 +180,6 @@ def linearised_at(scenario: mc.Scenario, periods: np.ndarray, *, uneven: bool) -
     first, last = np.ceil((begin + _CLEAR) / period), np.maximum(np.floor((end - _CLEAR + 1) / period) - 1, 0)
     middle = np.clip(np.round((begin + end) / 2 / period), first, last)
     return np.asarray(np.concatenate([np.minimum(first, last), middle, last], axis=1) * period)
-
-
-def _linear(stages: Stages) -> Stages:
-    """Return the stages that have a linear part."""
-    without = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "dry_friction",
-               "backlash", "capture")  # fmt: skip
-    return stages._replace(**dict.fromkeys(without, False))
 
 
 def _radii(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
@@ -240,14 +220,6 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
     return np.asarray((reach & reach.T).sum(1) > 1)
 
 
-def over_map(
-    scenario: mc.Scenario, walks: xr.Dataset, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
-) -> xr.DataArray:
-    """Return the radius over the two gains (the same on all axes) of a grid of walks, as far as `over_axes` has it."""
-    axes = {str(name): walks[name].values for name in walks["diverged"].dims}
-    return on_map(over_axes(scenario, axes, law=law, engine=engine), walks)
-
-
 def over_axes(
     scenario: mc.Scenario,
     axes: Mapping[str, ArrayLike],
@@ -262,7 +234,10 @@ def over_axes(
     stages = structure(scenario, engine, own_parameters(scenario)).stages
     delays = stages.force_delay + stages.base_delay + stages.command_delay + stages.servo_delay
     finest = _FINEST_WITH_MEMORY if delays else _FINEST
-    some = {name: _spread(np.asarray(values, float), finest) for name, values in axes.items()}
+    some = {}
+    for name, values in axes.items():  # the first and the last among them
+        places = np.linspace(0, np.size(values) - 1, min(np.size(values), finest)).round().astype(int)
+        some[name] = np.asarray(values, float)[np.unique(places)]
     lengths = (law_of(scenario) if law is None else law).AXES
     mesh = zip(some, np.meshgrid(*some.values(), indexing="ij"), strict=True)
     gains = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
@@ -270,26 +245,11 @@ def over_axes(
     return xr.DataArray(radius, some, list(some), attrs={"units": "1", "long_name": "largest eigenvalue of one step"})
 
 
-def _spread(values: np.ndarray, count: int) -> np.ndarray:
-    """Return so many of the values, first and last among them."""
-    some: np.ndarray = values[np.unique(np.linspace(0, values.size - 1, min(values.size, count)).round().astype(int))]
-    return some
-
-
 def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
     """Return the radius at all gains of a grid of walks, NaN where it was not worked out."""
     names = [str(name) for name in walks["diverged"].dims]
     whole = radius.transpose(*names).reindex({name: walks[name] for name in names})
     return whole.assign_coords({name: walks[name] for name in names})  # with their units
-
-
-def _calm(scenario: mc.Scenario, parameters: mc.Parameters | None) -> mc.Parameters:
-    """Return parameters, the scenario's own where None, without gravity and pushes, and with the cargo loaded."""
-    parameters = own_parameters(scenario) if parameters is None else jax.tree.map(np.asarray, parameters)
-    changed = {name: getattr(parameters, name) * 0 for name in ("gravity", "push_force", "push_moment")}
-    changed |= {"cargo_start": np.zeros(()), "cargo_stop": np.full((), np.inf)}
-    calm: mc.Parameters = dataclasses.replace(parameters, **changed)
-    return calm
 
 
 def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, step: Array) -> dict[str, Array]:
@@ -347,15 +307,3 @@ def _stance(walk: Walk, step: Array) -> Carry:
         frames = limb_frames(walk.robot, rotation, joints)
         contact = contact._replace(attitude=Attitude(frames.rotation[:, -1], now.closed))
     return carry._replace(state=state, contact=contact, memory=control_loop.begin(walk.controller, state, reference))
-
-
-def _states(shape: Structure, law: Law, parameters: mc.Parameters, axes: Any) -> int:
-    """Return how many values of a robot can be off by a little; law and parameters are those of robots (1, ...)."""
-
-    def one(value: np.ndarray, own: int) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct(value.shape[value.ndim - own :], value.dtype)
-
-    with jax.enable_x64(True):
-        law, parameters = jax.tree.map(one, (law, parameters), axes)
-        step = jax.ShapeDtypeStruct((), np.int32)
-        return int(jax.eval_shape(lambda *given: _stepped(shape, *given)[0], law, parameters, step).size)

@@ -10,7 +10,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.checks.time_step import growth
 from mjx_climb.quantities.parameters import own_parameters
-from tuning.evaluation import stability_limit
+from tuning.evaluation import maps, stability_limit
 
 
 def swept(stiffness, damping):
@@ -25,7 +25,7 @@ def test_a_walk_diverges_where_the_loop_is_unstable(case):
     """The measured pose holds with the paper's damping and loses its stability before damping M / dt twenty-fold."""
     scenario = case("case_2", "measured_pose", {"duration": 1.0, "contact.holding_limit": None})
     walks = swept([5e5], [5e3, 8e3, 1.9e4, 3e4])
-    radius = stability_limit.over_map(scenario, walks)
+    radius = maps.with_stability(walks, scenario)["spectral_radius"]
     assert radius.dims == ("stiffness", "damping")
     gains = mc.Gains(1.0, walks["damping"].values[:, None], 5e5)
     found = mc.rollout_metrics(scenario, gains, dtype=np.float64)
@@ -39,8 +39,9 @@ def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
     )
     walks = swept(np.geomspace(1e2, 1e4, 200), np.geomspace(1e1, 1e3, 3))
     walks["stiffness"].attrs["units"] = "N/m"
-    radius = stability_limit.over_map(case("case_2", "virtual_model"), walks)
-    assert walks.assign(spectral_radius=radius)["stiffness"].attrs == {"units": "N/m"}
+    with_radius = maps.with_stability(walks, case("case_2", "virtual_model"))
+    radius = with_radius["spectral_radius"]
+    assert with_radius["stiffness"].attrs == {"units": "N/m"}
     assert radius.shape == (200, 3) and np.isfinite(radius[[0, -1]]).all()
     known = radius.dropna("stiffness")
     assert known.sizes["stiffness"] == 16
