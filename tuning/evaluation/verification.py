@@ -9,14 +9,13 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.rollouts.resolve import AnyGains
 from mjx_climb.walk.metrics import FAILURES
 from tuning.evaluation import maps, margins, stability_limit
 from tuning.evaluation.margins import Margin
 from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
-from tuning.problem.objectives import Goal, Score
+from tuning.problem.objectives import Goal
 from tuning.searches.methods.descents import CANDIDATES
 from tuning.searches.result import Tuned
 from tuning.searches.sweep import sweep
@@ -59,7 +58,6 @@ def map_of(
     """Return the metrics over an isotropic grid of two gains, with the objective as `objective`; None with one gain.
 
     They are stiffness and damping, where the law has them and they were searched, or else the first two that were.
-
     A variable `spectral_radius` tells where the closed loop is unstable.
 
     Arguments:
@@ -74,11 +72,7 @@ def map_of(
 
 
 def map_with(
-    problem: Problem,
-    scenario: mc.Scenario,
-    law: mc.Law | None,
-    *,
-    progress: Callable[[int, int], None] | None = None,
+    problem: Problem, scenario: mc.Scenario, law: mc.Law | None, *, progress: Callable[[int, int], None] | None = None
 ) -> xr.Dataset | None:
     """Return a problem's map as `map_of` does; gains that it does not sweep are as scenario and law have them."""
     box = {}
@@ -113,11 +107,11 @@ def tests(found: Tuned, problem: Problem | None = None) -> Tests:
     points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in axes)]
     # as many robots as searches have: they walk by programs that were compiled for it
     around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), len(axes))))
+    around = jax.tree.map(lambda values: values[: len(points)], around)
     slopes = slopes_at(problem, found.theta)
-    single = {name: np.asarray(value, float)[None] for name, value in by_name(found.gains).items()}
-    alone_gains: AnyGains = mc.Gains(**single) if isinstance(found.gains, mc.Gains) else single
-    limit = stability_limit.spectral_radius(found.scenario, alone_gains, law=found.law, engine=problem.engine)
-    return Tests(_first(len(points), around), slopes, float(limit[0]))
+    single = jax.tree.map(lambda value: np.asarray(value, float)[None], found.gains)
+    limit = stability_limit.spectral_radius(found.scenario, single, law=found.law, engine=problem.engine)
+    return Tests(around, slopes, float(limit[0]))
 
 
 def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
@@ -145,110 +139,64 @@ def verify(
         tested: what `tests` gave for it.
     """
     problem = problem or _problem_of(found)
-    space, objective = problem.space, problem.objective
+    objective, names = problem.objective, problem.space.names
     if metrics is None:
         alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=problem.engine)
         metrics = mc.metrics(alone_walk, found.problem.metrics)
-    alone = maps.score_of(objective, metrics)
     around, slopes, radius = tested or tests(found, problem)
     judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
-    shape = {name: _shape(change[:, i]) for i, name in enumerate(space.names)}
+    cliff = ~np.isfinite(change).all(0) | (change.max(0) > CLIFF)
+    shape = np.select([cliff, np.abs(change).max(0) < PLATEAU], ["cliff", "plateau"], "slope").tolist()
+    less, more = ({n: float(v) if np.isfinite(v) else None for n, v in zip(names, row, strict=True)} for row in change)
     best = None if walks is None else maps.best_cell(walks)
-
-    def number(value: float) -> float | None:
-        return float(value) if np.isfinite(value) else None
-
-    return Verification(
+    checked = Verification(
         metrics=dict(metrics),
-        value=float(alone.value),
+        value=float(maps.score_of(objective, metrics).value),
         search_value=found.value,
         broken_limits=broken_limits(objective, metrics),
         binding_limits=binding_limits(objective, metrics),
-        less={name: number(v) for name, v in zip(space.names, change[0], strict=True)},
-        more={name: number(v) for name, v in zip(space.names, change[1], strict=True)},
-        shape=shape,
-        slopes={name: float(v) for name, v in zip(space.names, slopes, strict=True)},
+        less=less,
+        more=more,
+        shape=dict(zip(names, shape, strict=True)),
+        slopes={name: float(v) for name, v in zip(names, slopes, strict=True)},
         grid_value=None if best is None else float(best["objective"]),
-        grid_gains=None if best is None else {n: float(best[n]) for n in _axes(best)},
+        grid_gains=None if best is None else {str(n): float(best[n]) for n in best.coords if not best[n].ndim},
         spectral_radius=radius,
         margins={} if hardware is None else hardware.margins,
-        warnings=_warnings(found, problem, around, shape, best, radius, alone)
-        + ([] if hardware is None else margins.warnings(hardware)),
+        warnings=[],
     )
-
-
-def _first(count: int, found: Evaluation) -> Evaluation:
-    """Return what is known about the first so many points."""
-    first: Evaluation = jax.tree.map(lambda values: values[:count], found)
-    return first
-
-
-def _axes(cell: xr.Dataset) -> list[str]:
-    """Return the gains that a cell of a map has."""
-    return [str(name) for name in cell.coords if not cell[name].ndim]
-
-
-def _shape(change: np.ndarray) -> str:
-    if not np.isfinite(change).all() or change.max() > CLIFF:
-        return "cliff"
-    return "plateau" if np.abs(change).max() < PLATEAU else "slope"
-
-
-def _cliff(goal: Goal, around: Evaluation, less: int, more: int) -> str:
-    """Return in words what breaks off on both sides of a gain: rows `less` and `more` further on."""
-    sides = []
-    for side, row in (("less", less), ("more", less + more)):
-        broken = [
-            mc.METRICS.in_words(limit.metric)
-            for limit in goal.limits
-            if np.max(objectives.violation(limit, around.metrics[limit.metric][row])) > 0
-        ]
-        jump = float(around.value[row] - around.value[0])
-        if not np.isfinite(around.value[row]):
-            sides.append(f"{side}: the walk diverges")
-        elif broken:
-            sides.append(f"{side}: {' and '.join(broken)} beyond the limit")
-        elif jump > CLIFF:
-            sides.append(f"{side}: objective {jump:+.2f}")
-    return ", ".join(sides)
+    lines = _warnings(found, problem, around, checked) + ([] if hardware is None else margins.warnings(hardware))
+    return dataclasses.replace(checked, warnings=lines)
 
 
 def broken_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     """Return in words which limits a walk breaks, by its metrics as `mjx_climb.metrics` gives them."""
     if metrics["diverged"]:
         return ["the walk diverged"]
-    broken = []
-    if metrics["detached_limb"] is not None:
-        broken.append(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
-    for limit in objective.limits:
-        value = metrics[limit.metric]
-        if value is not None and objectives.violation(limit, value) > 0:
-            broken.append(f"{mc.METRICS.in_words(limit.metric)} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
-    return broken
+    limb = metrics["detached_limb"]
+    torn = [] if limb is None else [f"limb {limb} let go at {metrics['detached_at']:.3f} s"]
+    return torn + _limits_in_words(objective, metrics, lambda over, _: over > 0)
 
 
 def binding_limits(objective: Goal, metrics: Mapping[str, Any]) -> list[str]:
     """Return in words which limits hold a walk where it is: it keeps them, but lies where their penalty begins."""
     if metrics["diverged"]:
         return []
-    near = []
-    for limit in objective.limits:
-        value = metrics[limit.metric]
-        if value is not None and -objectives.BINDING * limit.margin <= objectives.violation(limit, value) <= 0:
-            near.append(f"{mc.METRICS.in_words(limit.metric)} {value:.4g}, limit {limit.value:.4g} ({limit.reason})")
-    return near
+    return _limits_in_words(objective, metrics, lambda over, margin: -objectives.BINDING * margin <= over <= 0)
 
 
-def _warnings(
-    found: Tuned,
-    problem: Problem,
-    around: Evaluation,
-    shape: Mapping[str, str],
-    best: xr.Dataset | None,
-    radius: float,
-    alone: Score,
-) -> list[str]:
+def _limits_in_words(objective: Goal, metrics: Mapping[str, Any], which: Callable[[float, float], bool]) -> list[str]:
+    """Return those limits which `which` tells by how far they are passed, and by their margins."""
+    return [
+        f"{mc.METRICS.in_words(limit.metric)} {value:.4g}, limit {limit.value:.4g} ({limit.reason})"
+        for limit in objective.limits
+        if (value := metrics[limit.metric]) is not None
+        and which(float(objectives.violation(limit, value)), limit.margin)
+    ]
+
+
+def _warnings(found: Tuned, problem: Problem, around: Evaluation, checked: Verification) -> list[str]:
     space, lines = problem.space, []
     if not found.feasible:
         lines.append("no point of the search keeps every limit: these gains are the nearest to it")
@@ -257,25 +205,45 @@ def _warnings(
     moved = np.zeros(space.size)
     for name in problem.metrics.names:
         values = around.metrics[name].astype(float)
-        if name in FAILURES or not np.isfinite(values[0]) or not values[0]:
-            continue
-        moved = np.fmax(moved, np.abs(values[1:] / values[0] - 1).reshape(2, -1).max(0))
+        if name not in FAILURES and np.isfinite(values[0]) and values[0]:
+            moved = np.fmax(moved, np.abs(values[1:] / values[0] - 1).reshape(2, -1).max(0))
     for name, much in zip(space.names, moved, strict=True):
         if much < UNRESPONSIVE:
             lines.append(f"{name}: no metric responds to it here (less than {UNRESPONSIVE:.1%} for {STEP:.0%})")
-    cliffs = [name for name, kind in shape.items() if kind == "cliff"]
+    cliffs = [
+        f"{name} ({_cliff(problem.objective, around, row, space.size)})"
+        for row, name in enumerate(space.names, 1)
+        if checked.shape[name] == "cliff"
+    ]
     if cliffs:
-        rows = {name: 1 + space.names.index(name) for name in cliffs}
-        why = [f"{name} ({_cliff(problem.objective, around, row, space.size)})" for name, row in rows.items()]
-        lines.append(f"cliff within {STEP:.0%} of {', '.join(why)}")
-    if best is not None and float(best["objective"]) < found.value - 1e-4:
-        where = ", ".join(f"{name} {float(best[name]):.4g}" for name in _axes(best))
-        lines.append(f"a coarse grid found better: {float(best['objective']):.4f} at {where}")
-    if radius > 1 + 1e-9:
+        lines.append(f"cliff within {STEP:.0%} of {', '.join(cliffs)}")
+    if checked.grid_value is not None and checked.grid_value < found.value - 1e-4:
+        where = ", ".join(f"{name} {value:.4g}" for name, value in (checked.grid_gains or {}).items())
+        lines.append(f"a coarse grid found better: {checked.grid_value:.4f} at {where}")
+    if (radius := checked.spectral_radius) > 1 + stability_limit.ROUNDING:
         lines.append(f"the closed loop is unstable in a stance of the gait: a disturbance grows by {radius:.6f} a step")
-    if abs(float(alone.value) - found.value) > 0.01:
-        lines.append(f"alone in float64 the objective is {float(alone.value):.4f}, in the search {found.value:.4f}")
+    if abs(checked.value - found.value) > 0.01:
+        lines.append(f"alone in float64 the objective is {checked.value:.4f}, in the search {found.value:.4f}")
     return lines
+
+
+def _cliff(goal: Goal, around: Evaluation, less: int, more: int) -> str:
+    """Return in words what breaks off on both sides of a gain: rows `less` and `more` further on."""
+    sides = []
+    for side, row in (("less", less), ("more", less + more)):
+        value, jump = around.value[row], float(around.value[row] - around.value[0])
+        broken = [
+            mc.METRICS.in_words(limit.metric)
+            for limit in goal.limits
+            if np.max(objectives.violation(limit, around.metrics[limit.metric][row])) > 0
+        ]
+        if not np.isfinite(value):
+            sides.append(f"{side}: the walk diverges")
+        elif broken:
+            sides.append(f"{side}: {' and '.join(broken)} beyond the limit")
+        elif jump > CLIFF:
+            sides.append(f"{side}: objective {jump:+.2f}")
+    return ", ".join(sides)
 
 
 def tuned(found: Tuned) -> mc.Scenario:
