@@ -5,6 +5,7 @@ A file that begins at a foot is turned round first, so that it begins at the bas
 
 import collections
 import itertools
+import os
 import re
 from collections.abc import Mapping, Sequence, Set
 from types import MappingProxyType
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, RobotError, bare, compiled, driven_joints, one_limit
+from mjx_climb.robot.description import JOINTS, RobotError, bare, compiled, described, driven_joints, one_limit
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS, Limb
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
@@ -37,14 +38,8 @@ class Note(NamedTuple):
 class Notes(list[Note]):
     """Notes in the order in which they are made."""
 
-    def taken(self, what: str, why: str) -> None:
-        self.append(Note("taken", what, why))
-
-    def changed(self, what: str, why: str) -> None:
-        self.append(Note("changed", what, why))
-
-    def ignored(self, what: str, why: str) -> None:
-        self.append(Note("ignored", what, why))
+    def add(self, kind: str, what: str, why: str) -> None:
+        self.append(Note(kind, what, why))
 
 
 class Chain(NamedTuple):
@@ -58,16 +53,56 @@ class Chain(NamedTuple):
     guessed: bool = False  # there are none
 
 
-def base_of(path: str, model: mujoco.MjModel) -> int:
-    """Return the body that limbs begin at: the floating one, or the first one from the root outwards.
+class Found(NamedTuple):
+    """A robot found in a file."""
+
+    path: str
+    described: mujoco.MjSpec  # all that the file holds
+    model: mujoco.MjModel  # its masses and joints, with `root` as the root
+    root: str | None  # None: the file's own
+    base: int  # body, the root of those between which and the limbs all joints are held
+    limbs: dict[str, Chain]  # those that it stands on, in the order of the file
+    notes: Notes
+
+    @property
+    def joints(self) -> list[int]:
+        """The joints of all limbs."""
+        return [joint for chain in self.limbs.values() for joint in chain.joints]
+
+
+def found(file: str | os.PathLike[str], base: str | None = None, stand_on: Sequence[str] = ()) -> Found:
+    """Return the robot in a file, whose limbs begin at the body `base`, and which stands on those in `stand_on`.
+
+    Where these are not given: on all limbs, which begin at the floating body, or the first one from the root outwards
+    that they can begin at, or in the middle of a robot that is one row of joints.
 
     Raises:
-        RobotError: a file without bodies.
+        RobotError: a file that MuJoCo does not load, one without a base and two limbs, or no such base or limbs; none
+            is chosen and some start and end so much higher than others, in the file's stance, as arms do above legs.
     """
+    path, notes = os.path.abspath(os.fspath(file)), Notes()
+    model, full = robot_in(path, base), described(path)
+    why = "as told" if base else "the link that floats, or that all limbs meet in"
+    if base is None and (base := _middle_of(model)):
+        model = robot_in(path, base)
+        why = "the middle of the one row of joints, from foot to foot; --base takes another"
+    hub = _base_of(path, model) if base is None else model.body(base).id
+    trunk = int(model.body_rootid[hub])
+    notes.add("taken", f"base {model.body(trunk).name!r}", why)
+    every = _limbs_of(path, full, model, hub, notes)
+    if unknown := [name for name in stand_on if name not in every] or (len(stand_on) == 1 and list(stand_on)):
+        raise RobotError(f"{path}: --limbs: expected two or more of {', '.join(every)}, got {', '.join(unknown)}")
+    if not stand_on:
+        _check_level(path, model, every, trunk)
+    limbs = {name: every[name] for name in every if not stand_on or name in stand_on}
+    return Found(path, full, model, base, trunk, limbs, notes)
+
+
+def _base_of(path: str, model: mujoco.MjModel) -> int:
     if model.nbody < 2:
         raise RobotError(f"{path}: expected a robot, got a file without bodies")
     part = rigid_parts(model)
-    rows = {body: len(_beyond(model, part, body)) for body in range(1, model.nbody) if part[body] == body}
+    rows = {body: len(_beyond(model, body)) for body in range(1, model.nbody) if part[body] == body}
     floating = [int(model.jnt_bodyid[joint]) for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)]
     if floating and rows[most := max(floating, key=lambda body: rows[body])] >= MIN_LIMBS:
         return most
@@ -75,30 +110,17 @@ def base_of(path: str, model: mujoco.MjModel) -> int:
     return next((body for body in hubs if model.body_rootid[body] in floating), hubs[0] if hubs else 1)
 
 
-def middle_of(model: mujoco.MjModel) -> str | None:
+def _middle_of(model: mujoco.MjModel) -> str | None:
     """Return the body in the middle of a robot that is one row of joints, from foot to foot; None of any other."""
-    rows = _chains(model, 1) if model.nbody > 1 else []
-    joints = [body for body in rows[0] for _ in range(model.body_jntnum[body])] if len(rows) == 1 else []
+    rows = _rows(model, 1) if model.nbody > 1 else []
+    joints = [body for body in rows[0] for _ in _joints(model, body)] if len(rows) == 1 else []
     floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
-    forks = any(len(_beyond(model, rigid_parts(model), body)) > 1 for body in joints)
-    if floats or forks or len(joints) < 2 * FEWEST_JOINTS:
+    if floats or len(joints) < 2 * FEWEST_JOINTS or any(len(_beyond(model, body)) > 1 for body in joints):
         return None
     return str(model.body(joints[len(joints) // 2 - 1]).name)
 
 
-def stood_on(
-    path: str, model: mujoco.MjModel, limbs: dict[str, Chain], base: int, chosen: Sequence[str]
-) -> dict[str, Chain]:
-    """Return the limbs that are chosen, or all where none is.
-
-    Raises:
-        RobotError: no such limbs, or none is chosen and some start and end so much higher than others, in the file's
-            stance, as arms do above legs.
-    """
-    if unknown := [name for name in chosen if name not in limbs] or (len(chosen) == 1 and list(chosen)):
-        raise RobotError(f"{path}: --limbs: expected two or more of {', '.join(limbs)}, got {', '.join(unknown)}")
-    if chosen:
-        return {name: limbs[name] for name in limbs if name in chosen}
+def _check_level(path: str, model: mujoco.MjModel, limbs: dict[str, Chain], base: int) -> None:
     data = at_zero(model)
     if model.nkey:
         data.qpos[:] = model.key_qpos[0]
@@ -115,34 +137,10 @@ def stood_on(
             f"{path}: expected limbs that stand on the ground, got {', '.join(high)} above {', '.join(low)}: choose "
             f"with --limbs {','.join(low)}, or --limbs {','.join(limbs)}"
         )
-    return limbs
 
 
-def limbs_of(path: str, described: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: Notes) -> dict[str, Chain]:
-    """Return the limbs by name, in the order of the file.
-
-    Raises:
-        RobotError: fewer than two.
-    """
-    rows = _chains(model, base)
-    part = rigid_parts(model)
-    last = {row[-1]: {model.body(b).name for b in range(model.nbody) if part[b] == row[-1]} for row in rows}
-    try:
-        shaped = compiled(path, bare(path, set().union(*last.values())))
-    except RobotError as error:  # a mesh that cannot be read
-        shaped = model
-        notes.ignored("meshes of the last links", str(error))
-    chains = [_footed(model, row, shaped) for row in rows]
-    if driven := driven_joints(described):
-        chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
-    limbs = _named(model, _limbs(path, model, chains, notes))
-    if guessed := [repr(chain.foot) for chain in limbs.values() if chain.guessed]:
-        why = f"not in the file ({', '.join(guessed)}), nor shapes: guessed from weights; correct robot.limbs' `at`"
-        notes.changed("ends of last links", why)
-    if ends := sorted({chain.end for chain in limbs.values() if chain.end}):
-        which = ", ".join(ends[:MAX_LIMBS]) + (", ..." if len(ends) > MAX_LIMBS else "")
-        notes.taken("feet", f"where the shapes of the last links reach farthest: {which}")
-    return limbs
+# ------------------------------------------------------------------------------------------------------------
+# Rows of joints
 
 
 def rigid_parts(model: mujoco.MjModel, held: Set[int] = frozenset()) -> np.ndarray:
@@ -155,57 +153,118 @@ def rigid_parts(model: mujoco.MjModel, held: Set[int] = frozenset()) -> np.ndarr
     return part
 
 
-def _beyond(model: mujoco.MjModel, part: np.ndarray, body: int) -> list[int]:
-    """Return the jointed bodies that hang on a rigid part."""
+def _joints(model: mujoco.MjModel, body: int) -> list[int]:
+    return [int(joint) for joint in np.flatnonzero(model.jnt_bodyid == body)]
+
+
+def _beyond(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return the jointed bodies that hang on the rigid part that begins with a body."""
+    part = rigid_parts(model)
     return [b for b in range(1, model.nbody) if model.body_jntnum[b] and part[model.body_parentid[b]] == body != b]
 
 
-def _chains(model: mujoco.MjModel, base: int) -> list[list[int]]:
+def _rows(model: mujoco.MjModel, base: int) -> list[list[int]]:
     """Return rows of bodies from the base outwards, at each fork along the longest branch, as far as to fingers."""
-    part = rigid_parts(model)
 
     def count(row: list[int]) -> int:
         return int(model.body_jntnum[row].sum())
 
     def longest(body: int, before: int) -> list[int]:
         joints = before + int(model.body_jntnum[body])
-        branches = [longest(b, joints) for b in _beyond(model, part, body)]
+        branches = [longest(b, joints) for b in _beyond(model, body)]
         fingers = len(branches) > 1 and joints >= _ARM and all(count(branch) <= _FINGER for branch in branches)
         return [body] if fingers else [body, *max(branches, key=count, default=[])]
 
-    return [longest(body, 0) for body in _beyond(model, part, part[base])]
+    return [longest(body, 0) for body in _beyond(model, rigid_parts(model)[base])]
 
 
-def _footed(model: mujoco.MjModel, bodies: list[int], shaped: mujoco.MjModel) -> Chain:
+def _limbs_of(path: str, full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: Notes) -> dict[str, Chain]:
+    """Return the limbs by name: the rows that end in feet, of about the commonest number of joints."""
+    rows, part = _rows(model, base), rigid_parts(model)
+    last = {body: [b for b in range(model.nbody) if part[b] == body] for body in (row[-1] for row in rows)}
+    try:
+        shaped = compiled(path, bare(path, {model.body(b).name for bodies in last.values() for b in bodies}))
+    except RobotError as error:  # a mesh that cannot be read
+        shaped = model
+        notes.add("ignored", "meshes of the last links", str(error))
+    chains = [_footed(model, row, last[row[-1]], shaped) for row in rows]
+    if driven := driven_joints(full):
+        chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
+    for number, chain in enumerate(chains):
+        if len(chain.joints) > MOST_JOINTS:
+            notes.add("changed", f"{len(chain.joints)} joints in a row", f"the last beyond {MOST_JOINTS} are held")
+            chains[number] = chain._replace(joints=chain.joints[:MOST_JOINTS])
+    able = [chain for chain in chains if len(chain.joints) >= FEWEST_JOINTS]
+    feet = [chain for chain in able if chain.named]
+    limbs = feet if len(feet) >= MIN_LIMBS else able
+    counts = collections.Counter(len(chain.joints) for chain in limbs)
+    if len(counts) > 1 and (common := counts.most_common(1)[0])[1] >= 3:
+        limbs = [chain for chain in limbs if abs(len(chain.joints) - common[0]) <= _ALIKE]
+    if len(limbs) < MIN_LIMBS:
+        expected = f"{MIN_LIMBS} limbs or more, rows of {FEWEST_JOINTS} joints or more from the base"
+        raise RobotError(f"{path}: expected {expected}, got {len(limbs)}")
+    if len(limbs) > MAX_LIMBS:
+        notes.add("ignored", f"{len(limbs) - MAX_LIMBS} limbs", f"more than {MAX_LIMBS}: held")
+        limbs = limbs[:MAX_LIMBS]
+    if guessed := [repr(chain.foot) for chain in limbs if chain.guessed]:
+        why = f"not in the file ({', '.join(guessed)}), nor shapes: guessed from weights; correct robot.limbs' `at`"
+        notes.add("changed", "ends of last links", why)
+    if ends := sorted({chain.end for chain in limbs if chain.end}):
+        which = ", ".join(ends[:MAX_LIMBS]) + (", ..." if len(ends) > MAX_LIMBS else "")
+        notes.add("taken", "feet", f"where the shapes of the last links reach farthest: {which}")
+    return dict(zip(_names(model, limbs), limbs, strict=True))
+
+
+def beginning(names: Sequence[list[str]]) -> list[str]:
+    """Return the words with which all names begin."""
+    alike = itertools.takewhile(lambda words: len(set(words)) == 1, zip(*names, strict=False))
+    return [words[0] for words in alike]
+
+
+def _names(model: mujoco.MjModel, limbs: list[Chain]) -> list[str]:
+    """Return what the names of a limb's joints have in common, at the beginning or at the end, or other names."""
+    names = [[model.joint(joint).name for joint in chain.joints] for chain in limbs]
+    words = [[[word for word in re.split(r"[_\-. /]+", name) if word] for name in row] for row in names]
+    beginnings = ["_".join(beginning(rows)) for rows in words]
+    ends = ["_".join(beginning([row[::-1] for row in rows])[::-1]) for rows in words]
+    bodies = [model.body(model.jnt_bodyid[chain.joints[0]]).name for chain in limbs]
+    for found in (beginnings, ends, bodies):
+        if all(found) and len(set(found)) == len(found) and "." not in "".join(found):
+            return found
+    return [f"limb{n + 1}" for n in range(len(limbs))]
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Feet
+
+
+def _footed(model: mujoco.MjModel, row: list[int], last: list[int], shaped: mujoco.MjModel) -> Chain:
     """Return a row of joints with its foot: a site or body called so, or else the far end of its last link.
 
-    `shaped` is the robot with the shapes of its last links.
+    `last` are the bodies of the last link; `shaped` is the robot with the shapes of these.
     """
-    joints = [joint for body in bodies for joint in _joints(model, body)]
-    part = rigid_parts(model)
+    joints = [joint for body in row for joint in _joints(model, body)]
     data = at_zero(model)
-    last = [b for b in range(model.nbody) if part[b] == bodies[-1]]
-    anchor = data.xanchor[joints[-1]]
-    sites = [s for s in range(model.nsite) if model.site_bodyid[s] in last and model.site(s).name]
-    places = [(model.site(s).name, data.site_xpos[s]) for s in sites]
-    places += [(model.body(b).name, data.xpos[b]) for b in last if b != bodies[-1] and model.body(b).name]
-    called = [place for place in places if _FOOT.search(place[0])]
-    ends, what = _far_end(shaped, {model.body(b).name for b in last}, anchor)
-    if called or (places and ends is None):
-        name, _ = max(called or places, key=lambda place: float(np.linalg.norm(place[1] - anchor)))
+    anchor, place, axes = data.xanchor[joints[-1]], data.xpos[row[-1]], data.xmat[row[-1]].reshape(3, 3)
+    sites = [s for s in range(model.nsite) if model.site_bodyid[s] in last]
+    places = [(model.site(s).name, data.site_xpos[s]) for s in sites if model.site(s).name]
+    places += [(model.body(b).name, data.xpos[b]) for b in last if b != row[-1]]
+    called = [each for each in places if _FOOT.search(each[0])]
+    end, what = _far_end(shaped, {model.body(b).name for b in last}, anchor)
+    if called or (places and end is None):
+        name, _ = max(called or places, key=lambda each: float(np.linalg.norm(each[1] - anchor)))
         return Chain(tuple(joints), name, (0.0, 0.0, 0.0), bool(called))
-    axes = data.xmat[bodies[-1]].reshape(3, 3)
-    local = axes.T @ (anchor - data.xpos[bodies[-1]])
-    end = 2 * model.body_ipos[bodies[-1]] if ends is None else axes.T @ (ends - data.xpos[bodies[-1]])
+    local = 2 * model.body_ipos[row[-1]] if end is None else axes.T @ (end - place)
+    own = axes.T @ (anchor - place)
     turns = model.jnt_type[joints[-1]] == mujoco.mjtJoint.mjJNT_HINGE
-    if ends is None and turns and np.linalg.norm(end - local) < _SHORT:
+    if end is None and turns and np.linalg.norm(local - own) < _SHORT:
         # as long as the link before, and square to the joint's axis: along it no joint would move the foot
         axis, link = data.xaxis[joints[-1]], anchor - data.xanchor[joints[-2 if joints[1:] else -1]]
         across = link - axis * (axis @ link)
-        end = local + axes.T @ across * (np.linalg.norm(link) / (np.linalg.norm(across) or 1.0))
-    at = tuple(round(float(v), 5) + 0.0 for v in end)  # no -0.0
-    foot, plain = model.body(bodies[-1]).name, bool(what) and " mesh " not in what  # many a head ends in a mesh
-    return Chain(tuple(joints), foot, (at[0], at[1], at[2]), plain, what, ends is None)
+        local = own + axes.T @ across * (np.linalg.norm(link) / (np.linalg.norm(across) or 1.0))
+    x, y, z = (round(float(v), 5) + 0.0 for v in local)  # no -0.0
+    named = bool(what) and " mesh " not in what  # many a head ends in a mesh
+    return Chain(tuple(joints), model.body(row[-1]).name, (x, y, z), named, what, end is None)
 
 
 def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tuple[np.ndarray | None, str]:
@@ -222,31 +281,29 @@ def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tup
         return None, ""
     points = np.array([point for point, _ in ends])
     away = np.linalg.norm(points - anchor, axis=1)
-    far = np.flatnonzero(away >= _AS_FAR * away.max())
     # in words: "collision mesh 'tip' of 'calf'"
     geom = ends[int(np.argmax(away))][1]
     kind, body = mujoco.mjtGeom(model.geom_type[geom]), model.body(model.geom_bodyid[geom]).name
     name = f" {model.mesh(model.geom_dataid[geom]).name!r}" if kind == mujoco.mjtGeom.mjGEOM_MESH else ""
     shape = kind.name.removeprefix("mjGEOM_").lower()
-    return points[far].mean(0), f"{'collision' if colliding else 'visual'} {shape}{name} of {body!r}"
+    what = f"{'collision' if colliding else 'visual'} {shape}{name} of {body!r}"
+    return points[away >= _AS_FAR * away.max()].mean(0), what
 
 
-def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.ndarray]:
-    """Return the points of a shape that may be the tip of a limb, in world axes."""
-    kind, center, size = mujoco.mjtGeom(model.geom_type[geom]), data.geom_xpos[geom], model.geom_size[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return [center.copy()]
-    if kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
-        halves = np.diag([0.0, 0.0, size[1]])[2:]
-    elif kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        halves = np.diag(size)
-    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
-        first, count = model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]]
-        return list(center + model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T)
-    else:
-        return []
-    ways = halves @ data.geom_xmat[geom].reshape(3, 3).T
-    return [*(center - ways), *(center + ways)]
+def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Return the points (N, 3) m of a shape that may be the tip of a limb, in world axes."""
+    size, local = model.geom_size[geom], np.empty((0, 3))
+    match mujoco.mjtGeom(model.geom_type[geom]):
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            local = np.zeros((1, 3))
+        case mujoco.mjtGeom.mjGEOM_CAPSULE | mujoco.mjtGeom.mjGEOM_CYLINDER:
+            local = np.array([[0, 0, -size[1]], [0, 0, size[1]]])
+        case mujoco.mjtGeom.mjGEOM_BOX | mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            local = np.vstack([-np.diag(size), np.diag(size)])
+        case mujoco.mjtGeom.mjGEOM_MESH:
+            first, count = model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]]
+            local = model.mesh_vert[first : first + count]
+    return np.asarray(data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T)
 
 
 def at_zero(model: mujoco.MjModel, held: Mapping[int, float] = MappingProxyType({})) -> mujoco.MjData:
@@ -263,47 +320,6 @@ def foot_of(model: mujoco.MjModel, data: mujoco.MjData, limb: Chain | Limb) -> n
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, limb.foot)
     place = data.site(site) if site >= 0 else data.body(limb.foot)
     return np.asarray(place.xpos + place.xmat.reshape(3, 3) @ np.array(limb.at))
-
-
-def _limbs(path: str, model: mujoco.MjModel, chains: list[Chain], notes: Notes) -> list[Chain]:
-    """Return the rows that are limbs: those that end in feet, of about the commonest number of joints."""
-    for number, chain in enumerate(chains):
-        if len(chain.joints) > MOST_JOINTS:
-            notes.changed(f"{len(chain.joints)} joints in a row", f"the last beyond {MOST_JOINTS} are held")
-            chains[number] = chain._replace(joints=chain.joints[:MOST_JOINTS])
-    able = [chain for chain in chains if len(chain.joints) >= FEWEST_JOINTS]
-    feet = [chain for chain in able if chain.named]
-    found = feet if len(feet) >= MIN_LIMBS else able
-    counts = collections.Counter(len(chain.joints) for chain in found)
-    if len(counts) > 1 and (common := counts.most_common(1)[0])[1] >= 3:
-        found = [chain for chain in found if abs(len(chain.joints) - common[0]) <= _ALIKE]
-    if len(found) < MIN_LIMBS:
-        expected = f"{MIN_LIMBS} limbs or more, rows of {FEWEST_JOINTS} joints or more from the base"
-        raise RobotError(f"{path}: expected {expected}, got {len(found)}")
-    if len(found) > MAX_LIMBS:
-        notes.ignored(f"{len(found) - MAX_LIMBS} limbs", f"more than {MAX_LIMBS}: held")
-    return found[:MAX_LIMBS]
-
-
-def beginning(names: Sequence[list[str]]) -> list[str]:
-    """Return the words with which all names begin."""
-    alike = itertools.takewhile(lambda words: len(set(words)) == 1, zip(*names, strict=False))
-    return [words[0] for words in alike]
-
-
-def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
-    """Return the limbs by what the names of their joints have in common, at the beginning or at the end."""
-    words = [
-        [[word for word in re.split(r"[_\-. /]+", model.joint(joint).name) if word] for joint in chain.joints]
-        for chain in limbs
-    ]
-    beginnings = ["_".join(beginning(rows)) for rows in words]
-    ends = ["_".join(beginning([row[::-1] for row in rows])[::-1]) for rows in words]
-    bodies = [model.body(model.jnt_bodyid[chain.joints[0]]).name for chain in limbs]
-    for names in (beginnings, ends, bodies):
-        if all(names) and len(set(names)) == len(names) and not any("." in name for name in names):
-            return dict(zip(names, limbs, strict=True))
-    return {f"limb{n + 1}": chain for n, chain in enumerate(limbs)}
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -340,12 +356,10 @@ def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
     while todo:
         body, before, parent, origin, axes = todo.pop()
         place, turn = data.xpos[body], data.xmat[body].reshape(3, 3)
-        made = parent.add_body(
-            name=model.body(body).name, pos=axes.T @ (place - origin), quat=quaternion(axes.T @ turn)
-        )
-        made.explicitinertial = True
-        made.mass, made.ipos, made.iquat = model.body_mass[body], model.body_ipos[body], model.body_iquat[body]
-        made.inertia = model.body_inertia[body]
+        pose = {"pos": axes.T @ (place - origin), "quat": quaternion(axes.T @ turn)}
+        made = parent.add_body(name=model.body(body).name, **pose, explicitinertial=True)
+        made.mass, made.inertia = model.body_mass[body], model.body_inertia[body]
+        made.ipos, made.iquat = model.body_ipos[body], model.body_iquat[body]
         outwards = model.body_parentid[body] == before
         between = () if body == first else _joints(model, body) if outwards else _joints(model, before)[::-1]
         for joint in between:
@@ -360,22 +374,12 @@ def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
     return spec
 
 
-def _joints(model: mujoco.MjModel, body: int) -> list[int]:
-    return [int(joint) for joint in np.flatnonzero(model.jnt_bodyid == body)]
-
-
 def add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int, name: str) -> mujoco.MjsJoint:
     """Add to a body a joint with the drive, spring and limits of one of a model, and return it."""
-    dof = model.jnt_dofadr[joint]
-    made = body.add_joint(
-        name=name,
-        type=mujoco.mjtJoint(model.jnt_type[joint]),
-        armature=model.dof_armature[dof],
-        damping=[model.dof_damping[dof], 0, 0],
-        frictionloss=model.dof_frictionloss[dof],
-        stiffness=[model.jnt_stiffness[joint], 0, 0],
-        springref=model.qpos_spring[model.jnt_qposadr[joint]],
-    )
+    dof, made = model.jnt_dofadr[joint], body.add_joint(name=name, type=mujoco.mjtJoint(model.jnt_type[joint]))
+    made.armature, made.frictionloss = model.dof_armature[dof], model.dof_frictionloss[dof]
+    made.damping, made.stiffness = [model.dof_damping[dof], 0, 0], [model.jnt_stiffness[joint], 0, 0]
+    made.springref = model.qpos_spring[model.jnt_qposadr[joint]]
     if model.jnt_limited[joint]:
         made.range, made.limited = model.jnt_range[joint], mujoco.mjtLimited.mjLIMITED_TRUE
     if model.jnt_actfrclimited[joint]:

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, described, driven_joints, impossible, one_limit
-from mjx_climb.robot.limbs import Chain, Note, Notes, at_zero, base_of, foot_of, limbs_of, middle_of, robot_in, stood_on
+from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, driven_joints, impossible, one_limit
+from mjx_climb.robot.limbs import Found, Note, Notes, at_zero, foot_of, found
 from mjx_climb.robot.robot_file import REACH
 from mjx_climb.robot.stance import STANDING, Stance, Standing, checked, searched
 
@@ -49,48 +49,37 @@ def propose(
         RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more; limbs
             of which some start and end higher than others, where nobody says which it stands on.
     """
-    path, notes = os.path.abspath(os.fspath(file)), Notes()
-    model, full = robot_in(path, base), described(path)
-    why = "as told" if base else "the link that floats, or that all limbs meet in"
-    if base is None and (base := middle_of(model)):
-        model = robot_in(path, base)
-        why = "the middle of the one row of joints, from foot to foot; --base takes another"
-    hub = base_of(path, model) if base is None else model.body(base).id
-    trunk = int(model.body_rootid[hub])  # joints from there to the hub are of no limb, and held
-    notes.taken(f"base {model.body(trunk).name!r}", why)
-    limbs = stood_on(path, model, limbs_of(path, full, model, hub, notes), trunk, stand_on)
+    robot = found(file, base, stand_on)
+    model, notes, limbs = robot.model, robot.notes, robot.limbs
     data = at_zero(model)
-    points = [np.array([*data.xanchor[list(c.joints)], foot_of(model, data, c)]) for c in limbs.values()]
-    hips = (np.array([row[0] for row in points]) - data.xpos[trunk]) @ data.xmat[trunk].reshape(3, 3)
+    points = [np.array([*data.xanchor[list(chain.joints)], foot_of(model, data, chain)]) for chain in limbs.values()]
+    hips = (np.array([row[0] for row in points]) - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
     lengths = np.array([np.linalg.norm(np.diff(row, axis=0), axis=1).sum() for row in points])
-    reach, mass = float(lengths.mean()), float(model.body_subtreemass[trunk])
-    slides = any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for chain in limbs.values() for j in chain.joints)
+    reach, mass = float(lengths.mean()), float(model.body_subtreemass[robot.base])
+    slides = bool((model.jnt_type[robot.joints] == mujoco.mjtJoint.mjJNT_SLIDE).any())
     proportions = _proportions(mass, reach, slides)
-    held = _held(model, trunk, limbs, notes)
-    springs = _springs(model, limbs, driven_joints(full), proportions["control"], notes)
-    _looks(full, model, trunk, notes)
-    if written := len(full.keys) - model.nkey:
-        why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
-        notes.ignored(f"{written} keyframes", "they begin at the file's own root" if base else why)
-    section: dict[str, Any] = {"file": path, "height": 1.0, "limbs": {}}
+    key = _keyframe(model)
+    section: dict[str, Any] = {"file": robot.path, "height": 1.0, "limbs": {}}
     for name, chain in limbs.items():
         section["limbs"][name] = {"joints": [model.joint(j).name for j in chain.joints], "foot": chain.foot}
         section["limbs"][name] |= {"at": list(chain.at)} if any(chain.at) else {}
-    section |= {key: value for key, value in (("locked", held), ("springs", springs), ("base", base)) if value}
-    stance = _of_keyframe(model, trunk, limbs, section, notes)
+    more = {"locked": _held(robot, key), "springs": _springs(robot, proportions["control"]), "base": robot.root}
+    section |= {key: value for key, value in more.items() if value}
+    _note_the_rest(robot)
+    stance = None if key is None else _of_keyframe(robot, key, section)
     if stance is None:
-        notes.changed("stance", "searched: joints off their limits, limbs as far from singular as they get")
+        notes.add("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
         stance = searched(section, hips, float(lengths.min()))
     section["height"] = stance.height
     for limb, foothold in zip(section["limbs"].values(), stance.footholds, strict=True):
         limb["foothold"] = foothold.tolist()
     gait = _gait(section, stance, reach, notes)
     stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
-    notes.changed("contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
+    notes.add("changed", "contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
     if len(limbs) <= STANDING:
         _hold_turns(section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2, notes)
-    _drives(model, limbs, notes)
-    notes.taken(f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another")
+    _note_drives(robot)
+    notes.add("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another")
     walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"], **proportions}
     return Proposal({"robot": section, **walk}, tuple(notes))
 
@@ -101,22 +90,19 @@ def _keyframe(model: mujoco.MjModel) -> int | None:
     return next((names.index(n) for n in ("stance", "stand", "home") if n in names), 0 if names else None)
 
 
-def _of_keyframe(
-    model: mujoco.MjModel, base: int, limbs: dict[str, Chain], section: dict[str, Any], notes: Notes
-) -> Stance | None:
-    """Return how the robot stands in its keyframe, where that is a stance."""
-    if (key := _keyframe(model)) is None:
-        return None
-    what, data = f"keyframe {model.key(key).name!r}", mujoco.MjData(model)
-    data.qpos[:] = model.key_qpos[key]
-    mujoco.mj_kinematics(model, data)
-    feet = np.array([foot_of(model, data, chain) for chain in limbs.values()])
-    feet = (feet - data.xpos[base]) @ data.xmat[base].reshape(3, 3)
+def _of_keyframe(robot: Found, key: int, section: dict[str, Any]) -> Stance | None:
+    """Return how the robot stands in a keyframe, where that is a stance."""
+    what, data = f"keyframe {robot.model.key(key).name!r}", mujoco.MjData(robot.model)
+    data.qpos[:] = robot.model.key_qpos[key]
+    mujoco.mj_kinematics(robot.model, data)
+    feet = np.array([foot_of(robot.model, data, chain) for chain in robot.limbs.values()])
+    feet = (feet - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
     height = -float(feet[:, 2].mean())
     if height > 0 and (stance := checked(section, Stance(height, feet[:, :2]))):
-        notes.taken(f"stance of {what}", "the feet stand where it puts them")
+        robot.notes.add("taken", f"stance of {what}", "the feet stand where it puts them")
         return stance
-    notes.ignored(what, "no stance: feet above the base, or with them level limbs singular or joints at their limits")
+    why = "no stance: feet above the base, or with them level limbs singular or joints at their limits"
+    robot.notes.add("ignored", what, why)
     return None
 
 
@@ -129,74 +115,74 @@ def _resting(model: mujoco.MjModel, joint: int, value: float) -> float:
     return round(float(np.clip(value, *model.jnt_range[joint])) if model.jnt_limited[joint] else value, 6)
 
 
-def _held(model: mujoco.MjModel, base: int, limbs: dict[str, Chain], notes: Notes) -> dict[str, float]:
+def _held(robot: Found, key: int | None) -> dict[str, float]:
     """Return the joints of no limb and where they are held: at the keyframe's value, or as near to zero as they go."""
-    ours = {joint for chain in limbs.values() for joint in chain.joints}
-    key, held = _keyframe(model), {}
-    for joint in range(model.njnt):
-        elsewhere = model.body_rootid[model.jnt_bodyid[joint]] != model.body_rootid[base]
-        if joint in ours or int(model.jnt_type[joint]) not in JOINTS or elsewhere:
-            continue
-        value = 0.0 if key is None else float(model.key_qpos[key][model.jnt_qposadr[joint]])
-        name, held_at = model.joint(joint).name, _resting(model, joint, value)
-        held[name] = held_at
-        notes.changed(f"joint {name!r}", f"of no limb: held at {held_at:.3g}")
+    model, held = robot.model, {}
+    own = model.body_rootid[model.jnt_bodyid] == model.body_rootid[robot.base]
+    for joint in np.flatnonzero(own & np.isin(model.jnt_type, JOINTS)):
+        if joint not in robot.joints:
+            value = 0.0 if key is None else float(model.key_qpos[key][model.jnt_qposadr[joint]])
+            name = model.joint(joint).name
+            held[name] = _resting(model, int(joint), value)
+            robot.notes.add("changed", f"joint {name!r}", f"of no limb: held at {held[name]:.3g}")
     return held
 
 
-def _springs(
-    model: mujoco.MjModel, limbs: dict[str, Chain], driven: set[str], control: dict[str, float], notes: Notes
-) -> dict[str, dict[str, float]]:
+def _springs(robot: Found, control: dict[str, float]) -> dict[str, dict[str, float]]:
     """Return a spring for each joint of a limb that nothing drives, where something drives others.
 
     It is the file's, or else as stiff as a driven joint.
     """
-    springs = {}
-    for joint in (joint for chain in limbs.values() for joint in chain.joints):
+    model, driven, springs = robot.model, driven_joints(robot.described), {}
+    for joint in robot.joints:
         name, stiffness = model.joint(joint).name, float(model.jnt_stiffness[joint])
         if driven and name not in driven:
             rest = float(model.qpos_spring[model.jnt_qposadr[joint]]) if stiffness else 0.0
             own = {"stiffness": stiffness} if stiffness else {"stiffness": control["kp"], "damping": control["kd"]}
             springs[name] = own | {"rest": _resting(model, joint, rest)}
             why = "the file's" if stiffness else "as stiff as the joint loop, for the file has none"
-            notes.changed(f"joint {name!r}", f"nothing drives it: on a spring, {why}")
+            robot.notes.add("changed", f"joint {name!r}", f"nothing drives it: on a spring, {why}")
     return springs
 
 
-def _looks(full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: Notes) -> None:
+def _note_the_rest(robot: Found) -> None:
     """Note what the file holds and the dynamics do not need, and what was mended."""
-    if meshes := len(full.meshes) - model.nmesh:
-        notes.ignored(f"{meshes} meshes", "looks: masses and inertias are written down")
-    for parts, what in (
-        (full.sensors, "sensors"),
-        (full.tendons, "tendons"),
-        (full.equalities, "equality constraints"),
+    full, model, notes = robot.described, robot.model, robot.notes
+    others = set(model.body_rootid[1:]) - {model.body_rootid[robot.base]}
+    for number, what, why in (
+        (len(full.meshes) - model.nmesh, "meshes", "looks: masses and inertias are written down"),
+        (len(full.sensors), "sensors", "not simulated"),
+        (len(full.tendons), "tendons", "not simulated"),
+        (len(full.equalities), "equality constraints", "not simulated"),
+        (len(others), "other bodies", "not the robot"),
     ):
-        if len(parts):
-            notes.ignored(f"{len(parts)} {what}", "not simulated")
-    if others := len({int(root) for root in model.body_rootid[1:]} - {int(model.body_rootid[base])}):
-        notes.ignored(f"{others} other bodies", "not the robot")
+        if number:
+            notes.add("ignored", f"{number} {what}", why)
     if len(full.actuators):
-        notes.changed(f"{len(full.actuators)} actuators", "the joint loop's torques take their place")
+        notes.add("changed", f"{len(full.actuators)} actuators", "the joint loop's torques take their place")
     for body in np.flatnonzero(model.body_jntnum > 0):
         if model.body_mass[body] <= SPECK:
-            notes.changed(f"link {model.body(body).name!r}", "has no mass: it gets a speck of one")
+            notes.add("changed", f"link {model.body(body).name!r}", "has no mass: it gets a speck of one")
         elif model.body_inertia[body].max() <= SPECK_MOMENT:
-            notes.taken(f"link {model.body(body).name!r}", "as a point: the file gives it a mass alone")
+            notes.add("taken", f"link {model.body(body).name!r}", "as a point: the file gives it a mass alone")
     if model.body_gravcomp.any():
-        notes.ignored("gravity compensation", "all links weigh what they weigh")
+        notes.add("ignored", "gravity compensation", "all links weigh what they weigh")
     if names := [repr(body.name) for body in full.bodies if impossible(body)]:
         which = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
-        notes.changed("moments of inertia", f"no body can have those of {which}: made equal")
+        notes.add("changed", "moments of inertia", f"no body can have those of {which}: made equal")
     up = np.empty(3)
-    mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.body_quat[base])
+    mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.body_quat[robot.base])
     if up[2] < _UPRIGHT:
-        notes.changed(f"z axis of {model.body(base).name!r}", "is taken as up, although the file stands it otherwise")
+        what = f"z axis of {model.body(robot.base).name!r}"
+        notes.add("changed", what, "is taken as up, although the file stands it otherwise")
+    if written := len(full.keys) - model.nkey:
+        why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
+        notes.add("ignored", f"{written} keyframes", "they begin at the file's own root" if robot.root else why)
 
 
-def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: Notes) -> None:
+def _note_drives(robot: Found) -> None:
     """Note what is taken with the joints, and what they lack."""
-    joints = [joint for chain in limbs.values() for joint in chain.joints]
+    model, joints, notes = robot.model, robot.joints, robot.notes
     dofs = model.jnt_dofadr[joints]
     limits = np.array([one_limit(*model.jnt_actfrcrange[joint]) for joint in joints if model.jnt_actfrclimited[joint]])
     some = "" if len(limits) == len(joints) else f", of {len(limits)} joints"
@@ -207,12 +193,12 @@ def _drives(model: mujoco.MjModel, limbs: dict[str, Chain], notes: Notes) -> Non
         (limits, "torque limits", some),
     ):
         if values.any():
-            notes.taken(what, f"{values.min():.3g} to {values.max():.3g}{of}")
+            notes.add("taken", what, f"{values.min():.3g} to {values.max():.3g}{of}")
     if model.dof_dampingpoly[dofs].any() or model.jnt_stiffnesspoly[joints].any():
-        notes.ignored("damping and stiffness", "beyond the part that is linear")
+        notes.add("ignored", "damping and stiffness", "beyond the part that is linear")
     if free := int((model.jnt_limited[joints] == 0).sum()):
         how = f"half a turn either way, or {REACH:g} m where they slide"
-        notes.changed(f"limits of {free} joints", f"the file has none: {how}")
+        notes.add("changed", f"limits of {free} joints", f"the file has none: {how}")
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -223,19 +209,17 @@ def _gait(section: dict[str, Any], stance: Stance, reach: float, notes: Notes) -
     """Return a crawl: up one side from behind, then up the other, strides and steps that all limbs can reach."""
     (height, footholds), names = stance, list(section["limbs"])
     order = sorted(range(len(names)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
-    longest, highest = _STRIDE * reach / _REACH, _STEP_HEIGHT * reach / _REACH
     worth = Standing(section, footholds, _MISSED * reach).worth
     for shorter in (2**halvings for halvings in range(_HALVINGS + 1)):
-        stride, step = longest / shorter, highest / shorter
+        stride, step = _STRIDE * reach / _REACH / shorter, _STEP_HEIGHT * reach / _REACH / shorter
         stances = [Stance(height, footholds + np.array([x, 0.0])) for x in (-stride, stride)]
-        stances.append(Stance(height - step, footholds))
-        if shorter == 2**_HALVINGS:
-            why = "limbs do not reach footholds even so near to those where they stand: look at the stance"
-            notes.changed(f"stride {_two_digits(stride):g} m", why)
-        elif all(worth(stance) > 0 for stance in stances):
+        if all(worth(each) > 0 for each in (*stances, Stance(height - step, footholds))):
             break
+    else:
+        why = "limbs do not reach footholds even so near to those where they stand: look at the stance"
+        notes.add("changed", f"stride {_two_digits(stride):g} m", why)
     within = f", the stride 1/{shorter} of that for joint limits" if shorter > 1 else ""
-    notes.changed("gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}")
+    notes.add("changed", "gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}")
     share = 1 - 1 / len(names)
     load = max(1.0, (_CRAWLING - 1) / (len(names) - 1))  # of each foot on the ground, in that of a robot of four
     return {
@@ -266,7 +250,7 @@ def _hold_turns(
         gait["stride"] = _two_digits(gait["stride"] / _SHORT_STRIDE)
         turn = f"it resists limbs of under {_ATTITUDE} joints, which turn their feet"
         why = f"{turn}: short strides, and it may let go"
-    notes.changed("grip", f"transmits moments: on one or two feet held as points the robot swings; {why}")
+    notes.add("changed", "grip", f"transmits moments: on one or two feet held as points the robot swings; {why}")
     for part in (contact, control):
         part |= {key: _two_digits(part[key]) for key in (*_HOLDS_TURNS, "kp", "kd") if key in part}
 
@@ -279,11 +263,11 @@ def _proportions(mass: float, reach: float, slides: bool) -> dict[str, Any]:
     """
     heavier = mass / _MASS
     turning = heavier * reach / _REACH * (max(1.0, reach**-2) if slides else 1.0)
-    return {
-        "contact": {name: _two_digits(value * heavier) for name, value in _CONTACT.items()},
-        "control": {name: _two_digits(value * heavier) for name, value in _CONTROL.items()}
-        | {name: _two_digits(value * turning) for name, value in _LOOP.items()},
-    }
+    contact, control, loop = (
+        {name: _two_digits(value * times) for name, value in values.items()}
+        for values, times in ((_CONTACT, heavier), (_CONTROL, heavier), (_LOOP, turning))
+    )
+    return {"contact": contact, "control": control | loop}
 
 
 def _two_digits(value: float) -> float:

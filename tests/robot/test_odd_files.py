@@ -10,7 +10,8 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import growth
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import bare, compiled, described, driven_joints
-from mjx_climb.robot.limbs import Notes, base_of, limbs_of, rerooted, stood_on
+from mjx_climb.robot.limbs import found as robot_found
+from mjx_climb.robot.limbs import rerooted
 from mjx_climb.robot.proposal import propose
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
@@ -25,9 +26,8 @@ def model_of(file):
 
 def found(file):
     """Return the limbs of a file by name, and what was noted."""
-    model, notes = model_of(file), Notes()
-    limbs = limbs_of(str(file), described(str(file)), model, base_of(str(file), model), notes)
-    return limbs, " ".join(map(" ".join, notes))
+    robot = robot_found(file)
+    return robot.limbs, " ".join(map(" ".join, robot.notes))
 
 
 @pytest.mark.parametrize(
@@ -167,8 +167,8 @@ SLIDES = '<joint name="rx" type="slide" axis="1 0 0"/>'
 
 def test_a_base_that_slides_beside_a_pebble_that_floats(saved):
     file = saved(PLAIN.replace("<freejoint/>", SLIDES).replace("<worldbody>", f"<worldbody>{PEBBLE}"))
-    model = model_of(file)
-    assert model.body(base_of(str(file), model)).name == "trunk"
+    robot = robot_found(file)
+    assert robot.model.body(robot.base).name == "trunk"
 
 
 def test_a_file_that_begins_at_a_foot(saved):
@@ -224,8 +224,7 @@ def test_arms_above_legs_are_asked_for(saved, ended):
     file = saved(trunk + "".join(legs + arms) + "</body></worldbody></mujoco>")
     with pytest.raises(mc.RobotError, match="got arm_L0, arm_L1 above L0, L1: choose with --limbs L0,L1, or"):
         propose(file)
-    limbs, model = found(file)[0], model_of(file)
-    assert list(stood_on(str(file), model, limbs, 1, ["L1", "L0"])) == ["L0", "L1"]
+    assert list(robot_found(file, stand_on=["L1", "L0"]).limbs) == ["L0", "L1"]
     code, _, error = ended(file, "--limbs", "L0,leg")
     assert code == 2 and "--limbs: expected two or more of L0, L1, arm_L0" in error
 
