@@ -134,7 +134,7 @@ def test_a_folder_in_which_another_user_may_have_put_a_file_is_not_used(folder, 
         assert (cache.cache_folder(), cache.cache_folder()) == (None, None)
     assert len(warned) == 1
     monkeypatch.setattr(cache, "cache_in_use", lambda: None)  # the tests' own is
-    assert machine.cache()[0].findings == (cache.doubt(folder),)
+    assert next(machine.cache()).findings == [cache.doubt(folder)]
 
 
 def test_a_folder_that_is_made_here_lets_nobody_else_in(run, tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ def main(arguments: list[str] | None = None) -> None:
     interruption.watch()
     import atexit
     import gc
+    import os
     import sys
     import traceback
 
@@ -28,5 +29,8 @@ def main(arguments: list[str] | None = None) -> None:
         code = 1
     finally:
         interruption.finish()
-    processes.leave(code)
+    if code and processes.several():  # end at once: others would wait for this one, or it for them
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
     sys.exit(code)

@@ -6,6 +6,7 @@ import platform
 import tempfile
 import time
 import warnings
+from collections.abc import Iterator, Sequence
 from json import dumps
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -117,7 +118,107 @@ class Part(NamedTuple):
     name: str
     text: str  # one line for people
     facts: dict[str, Any]  # plain values
-    findings: tuple[str, ...] = ()  # what is wrong and what to do, one line each
+    findings: Sequence[str] = ()  # what is wrong and what to do, one line each
+
+
+def versions() -> Iterator[Part]:
+    """Yield the versions of what computes."""
+    found = {"python": platform.python_version(), **versions_of("mjx-climb", *PACKAGES)}
+    findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in PACKAGES if not found[name]]
+    engine, mjx = found["mujoco"], found["mujoco-mjx"]
+    if not findings and engine != mjx:
+        findings.append(f'mujoco {engine} with mujoco-mjx {mjx}: python -m pip install "mujoco=={mjx}"')
+    yield Part("versions", in_words(found), found, findings)
+
+
+def devices() -> Iterator[Part]:
+    """Yield what simulations run on, and what keeps JAX from an NVIDIA GPU where nobody asked for the CPU."""
+    import jax
+
+    from mjx_climb.execution.devices import usable_cores
+
+    found, findings = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()], []
+    facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
+    if facts["backend"] == "cpu" and NVIDIA.exists() and "cpu" not in os.environ.get("JAX_PLATFORMS", "").lower():
+        there = any(versions_of("jax-cuda12-plugin", "jax-cuda13-plugin").values())
+        findings.append(
+            "an NVIDIA GPU is here, but JAX's plugin does not start: is the driver new enough for it?"
+            if there
+            else 'an NVIDIA GPU is here and JAX has no plugin for it: python -m pip install "mjx-climb[cuda13]"'
+        )
+    yield Part("devices", f"{', '.join(found)}; {facts['cores']} CPU cores usable", facts, findings)
+
+
+def cache() -> Iterator[Part]:
+    """Yield the state of XLA's compilation cache."""
+    from mjx_climb.execution.cache import VARIABLE, asked_folder, cache_in_use, doubt
+
+    if (folder := cache_in_use()) is None:
+        finding = None if (asked := asked_folder()) is None else doubt(asked)
+        text, facts = f"off ({VARIABLE}): every start compiles again", {"on": False, "folder": None}
+        yield Part("cache", text, facts, [finding] if finding else [])
+        return
+    sizes, findings = [file.stat().st_size for file in Path(folder).glob("*-cache")], []
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        remedy = f"set {VARIABLE} to a folder that can be, or to off"
+        reason = (error.strerror or str(error)).lower()
+        findings.append(f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}")
+    text = f"{folder}, {len(sizes)} programs, {sum(sizes) / 1e6:.0f} MB"
+    counts = {"programs": len(sizes), "bytes": sum(sizes), "writable": not findings}
+    yield Part("cache", text, {"on": True, "folder": folder, **counts}, findings)
+
+
+def path() -> Iterator[Part]:
+    """Yield by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
+    from mjx_climb.execution import paths, probe
+
+    if (fast := paths.fast_path()) is None:
+        yield Part("path", "XLA's own: none faster is made for this device", {"path": None})
+    elif (found := probe.verdict(fast)).works:
+        yield Part("path", f"{probe.PATHS[fast]}, {found.seen}", {"path": fast})
+    else:
+        remedy = "walks are right, but slower; the versions of jax and jaxlib in pyproject.toml are known to work"
+        finding = f"{probe.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
+        yield Part("path", "XLA's own", {"path": None}, [finding])
+
+
+def renderer() -> Iterator[Part]:
+    """Yield which OpenGL renders pictures and videos."""
+    from mjx_climb.rendering import RenderingError, backend
+
+    found, text, findings = None, "off (MUJOCO_GL)", []
+    if os.environ.get("MUJOCO_GL", "").lower().strip() not in backend.OFF:
+        try:
+            found = text = backend.find()
+        except RenderingError as error:
+            text, findings = "none: no videos, no snapshots", [str(error)]
+    yield Part("renderer", text, {"backend": found}, findings)
+
+
+def simulation() -> Iterator[Part]:
+    """Yield how far walk, gradient and dynamics on this machine are from the stored values."""
+    from mjx_climb.checks import self_check
+
+    with warnings.catch_warnings():
+        # what `cache` has found already
+        warnings.filterwarnings("ignore", ".*persistent compilation cache", UserWarning)
+        found = self_check.deviations(self_check.measure(), self_check.load())
+    own, limit = {name: {name: found.pop(name)} for name in ("walk", "gradient")}, self_check.TOLERANCE
+    for name, group in {"dynamics": found, **own}.items():
+        findings = [
+            f"{source}: {off.name} is {off.value}, stored is {off.stored}"
+            for source, off in group.items()
+            if not off.size <= limit  # NaN is off, too
+        ]
+        what = f"{', '.join(group) if len(group) > 1 else ''} {'off' if findings else 'as stored'}".strip()
+        largest = max(each.size for each in group.values())
+        text = f"{what}, largest relative deviation {largest:.1g} (limit {limit:g})"
+        sizes = {source: each.size if math.isfinite(each.size) else None for source, each in group.items()}
+        yield Part(name, text, {"deviation": sizes}, findings)
 
 
 def examine() -> list[Part]:
@@ -129,109 +230,7 @@ def examine() -> list[Part]:
             parts += examination()
         except Exception as error:  # whatever it is, the other parts are still of interest
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            parts.append(Part(examination.__name__, "could not be examined", {}, (reason,)))
-    return parts
-
-
-def versions() -> list[Part]:
-    """Return the versions of what computes."""
-    found = {"python": platform.python_version(), **versions_of("mjx-climb", *PACKAGES)}
-    findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in PACKAGES if not found[name]]
-    engine, mjx = found["mujoco"], found["mujoco-mjx"]
-    if not findings and engine != mjx:
-        findings.append(f'mujoco {engine} with mujoco-mjx {mjx}: python -m pip install "mujoco=={mjx}"')
-    return [Part("versions", in_words(found), found, tuple(findings))]
-
-
-def devices() -> list[Part]:
-    """Return what simulations run on, and what keeps JAX from an NVIDIA GPU where nobody asked for the CPU."""
-    import jax
-
-    from mjx_climb.execution.devices import usable_cores
-
-    found = [f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices()]
-    facts = {"backend": jax.default_backend(), "devices": found, "cores": usable_cores()}
-    finding = None
-    if facts["backend"] == "cpu" and NVIDIA.exists() and "cpu" not in os.environ.get("JAX_PLATFORMS", "").lower():
-        finding = "an NVIDIA GPU is here, but JAX's plugin does not start: is the driver new enough for it?"
-        if not any(versions_of("jax-cuda12-plugin", "jax-cuda13-plugin").values()):
-            finding = 'an NVIDIA GPU is here and JAX has no plugin for it: python -m pip install "mjx-climb[cuda13]"'
-    text = f"{', '.join(found)}; {facts['cores']} CPU cores usable"
-    return [Part("devices", text, facts, (finding,) if finding else ())]
-
-
-def cache() -> list[Part]:
-    """Return the state of XLA's compilation cache."""
-    from mjx_climb.execution.cache import VARIABLE, asked_folder, cache_in_use, doubt
-
-    folder, finding = cache_in_use(), None
-    if folder is None:
-        finding = None if (asked := asked_folder()) is None else doubt(asked)
-        text, facts = f"off ({VARIABLE}): every start compiles again", {"on": False, "folder": None}
-        return [Part("cache", text, facts, (finding,) if finding else ())]
-    sizes = [file.stat().st_size for file in Path(folder).glob("*-cache")]
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        remedy = f"set {VARIABLE} to a folder that can be, or to off"
-        reason = (error.strerror or str(error)).lower()
-        finding = f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}"
-    text = f"{folder}, {len(sizes)} programs, {sum(sizes) / 1e6:.0f} MB"
-    counts = {"programs": len(sizes), "bytes": sum(sizes), "writable": finding is None}
-    return [Part("cache", text, {"on": True, "folder": folder, **counts}, (finding,) if finding else ())]
-
-
-def path() -> list[Part]:
-    """Return by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
-    from mjx_climb.execution import paths, probe
-
-    fast = paths.fast_path()
-    if fast is None:
-        return [Part("path", "XLA's own: none faster is made for this device", {"path": None})]
-    found = probe.verdict(fast)
-    if found.works:
-        return [Part("path", f"{probe.PATHS[fast]}, {found.seen}", {"path": fast})]
-    remedy = "walks are right, but slower; the versions of jax and jaxlib in pyproject.toml are known to work"
-    finding = f"{probe.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
-    return [Part("path", "XLA's own", {"path": None}, (finding,))]
-
-
-def renderer() -> list[Part]:
-    """Return which OpenGL renders pictures and videos."""
-    from mjx_climb.rendering import RenderingError, backend
-
-    if os.environ.get("MUJOCO_GL", "").lower().strip() in backend.OFF:
-        return [Part("renderer", "off (MUJOCO_GL)", {"backend": None})]
-    try:
-        found = backend.find()
-    except RenderingError as error:
-        return [Part("renderer", "none: no videos, no snapshots", {"backend": None}, (str(error),))]
-    return [Part("renderer", found, {"backend": found})]
-
-
-def simulation() -> list[Part]:
-    """Return how far walk, gradient and dynamics on this machine are from the stored values."""
-    from mjx_climb.checks import self_check
-
-    with warnings.catch_warnings():
-        # what `cache` has found already
-        warnings.filterwarnings("ignore", ".*persistent compilation cache", UserWarning)
-        found = self_check.deviations(self_check.measure(), self_check.load())
-    own = {name: {name: found.pop(name)} for name in ("walk", "gradient")}
-    parts, limit = [], self_check.TOLERANCE
-    for name, group in {"dynamics": found, **own}.items():
-        findings = tuple(
-            f"{source}: {off.name} is {off.value}, stored is {off.stored}"
-            for source, off in group.items()
-            if not off.size <= limit  # NaN is off, too
-        )
-        what = f"{', '.join(group) if len(group) > 1 else ''} {'off' if findings else 'as stored'}".strip()
-        largest = max(each.size for each in group.values())
-        text = f"{what}, largest relative deviation {largest:.1g} (limit {limit:g})"
-        sizes = {source: each.size if math.isfinite(each.size) else None for source, each in group.items()}
-        parts.append(Part(name, text, {"deviation": sizes}, findings))
+            parts.append(Part(examination.__name__, "could not be examined", {}, [reason]))
     return parts
 
 
@@ -252,8 +251,7 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
       mjx-climb doctor --json
     """
     with reserved_stdout() as stdout:
-        begin = time.perf_counter()
-        parts = examine()
+        begin, parts = time.perf_counter(), examine()
         wrong = [part.name for part in parts if part.findings]
         said = "All is well: physics and gradients on this machine are those stored with the package."
         if wrong:

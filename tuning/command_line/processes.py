@@ -154,7 +154,9 @@ def joined(apart: bool = False) -> Iterator[Team]:
     own = None if apart else process()
     with contextlib.ExitStack() as stack:
         if own is None:
-            start_devices()
+            from mjx_climb.execution import devices
+
+            devices.begin()  # before the rest is imported
             yield Team(None, Path())
             return
         import tempfile
@@ -191,28 +193,9 @@ def joined(apart: bool = False) -> Iterator[Team]:
             raise
 
 
-def start_devices() -> None:
-    """Begin to start what the command will walk on, before the rest is imported."""
-    from mjx_climb.execution import devices
-
-    devices.begin()
-
-
 def several() -> bool:
     """Return whether this process walks beside others."""
-    if "jax" not in sys.modules:
-        return False
-    import jax
-
-    return jax.distributed.is_initialized()
-
-
-def leave(code: int) -> None:
-    """End this process at once where others would wait for it, or it for them, as something went wrong."""
-    if code and several():
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+    return "jax" in sys.modules and sys.modules["jax"].distributed.is_initialized()
 
 
 def _to_nowhere(stream: int) -> None:

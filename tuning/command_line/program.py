@@ -42,10 +42,9 @@ COMMANDS = {  # what each does
     "bench": "Measure speed beside MuJoCo and MJX.",
     "doctor": "Examine this installation.",
 }
-_MODULES = {  # of commands that are not in a module of their own name
-    "sweep": "searches", "judge": "searches", "merge": "searches", "tune": "searches", "pareto": "searches",
-    "schedule": "searches", "plot": "results", "margins": "results", "reproduce": "results", "export": "results",
-    "schema": "robot", "bench": "machine", "doctor": "machine",
+_MODULES = {  # and the commands in each
+    "run": ("run",), "searches": ("sweep", "merge", "tune", "judge", "pareto", "schedule"),
+    "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
 }  # fmt: skip
 _LONGEST = 1000  # characters of a line
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}
@@ -72,7 +71,8 @@ def program(only: str | None = None) -> typer.Typer:
     for name, short_help in COMMANDS.items():
         loaded = _program  # stands for a command that was not asked for: its options would be read for nothing
         if only in (None, name):
-            loaded = getattr(importlib.import_module(f"tuning.command_line.{_MODULES.get(name, name)}"), name)
+            (module,) = (module for module, names in _MODULES.items() if name in names)
+            loaded = getattr(importlib.import_module(f"tuning.command_line.{module}"), name)
         made.command(name, short_help=short_help)(loaded)
     return made
 
@@ -165,30 +165,26 @@ def _say(text: str) -> None:
 
 def user_error(error: Exception) -> str | None:
     """Return one readable line for an error that is the user's to mend, None for one of ours."""
-    message = _message(error)
-    if message is None:
+    ours = {kind.__name__ for kind in type(error).__mro__ if kind.__module__.split(".")[0] in ("mjx_climb", "tuning")}
+    if isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT:  # files raise OutputError
+        reason = os.strerror(error.errno).lower()
+        message = f"standard output: expected a place that takes what is printed, got '{reason}'"
+    elif isinstance(error, RuntimeError) and "Unable to initialize backend" in str(error):
+        message = f"JAX_PLATFORMS: expected devices that JAX can use, got '{str(error).partition(' (set ')[0]}'"
+    elif type(error).__name__ in ("InternalFloatingPointError", "FloatingPointError"):
+        expected = "expected none of them: what a walk does not have is NaN or infinite here"
+        message = f"JAX_DEBUG_NANS, JAX_DEBUG_INFS: {expected}"
+    elif hasattr(error, "format_message"):  # usage, from typer
+        message, context = error.format_message(), getattr(error, "ctx", None)
+        if context is not None and hasattr(error, "option_name") and hasattr(error, "possibilities"):
+            message = f"No such option: {error.option_name}{_nearest(error.option_name, context.command)}"
+        message += f" (see {context.command_path} --help)" if context is not None else ""
+    elif ours & _OF_THE_USER:
+        message = str(error)
+    else:
         return None
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
-
-
-def _message(error: Exception) -> str | None:
-    if isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT:  # files raise OutputError
-        reason = os.strerror(error.errno).lower()
-        return f"standard output: expected a place that takes what is printed, got '{reason}'"
-    if isinstance(error, RuntimeError) and "Unable to initialize backend" in str(error):
-        return f"JAX_PLATFORMS: expected devices that JAX can use, got '{str(error).partition(' (set ')[0]}'"
-    if type(error).__name__ in ("InternalFloatingPointError", "FloatingPointError"):
-        expected = "expected none of them: what a walk does not have is NaN or infinite here"
-        return f"JAX_DEBUG_NANS, JAX_DEBUG_INFS: {expected}"
-    if hasattr(error, "format_message"):  # usage, from typer
-        context = getattr(error, "ctx", None)
-        hint = f" (see {context.command_path} --help)" if context is not None else ""
-        if context is not None and hasattr(error, "option_name") and hasattr(error, "possibilities"):
-            return f"No such option: {error.option_name}{_nearest(error.option_name, context.command)}{hint}"
-        return f"{error.format_message()}{hint}"
-    ours = {kind.__name__ for kind in type(error).__mro__ if kind.__module__.split(".")[0] in ("mjx_climb", "tuning")}
-    return str(error) if ours & _OF_THE_USER else None
 
 
 def _nearest(option: str, command: Any) -> str:

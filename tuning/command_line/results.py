@@ -21,7 +21,6 @@ from tuning.command_line.options import (
     reserved_stdout,
     scenario_from,
 )
-from tuning.command_line.processes import start_devices
 from tuning.command_line.program import InputError, origin, user_error
 from tuning.problem.settings import Options, setting
 
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     import mjx_climb as mc
     from tuning.evaluation.linear_margins import Stable
     from tuning.evaluation.margins import Found as Margins
-    from tuning.evaluation.margins import Margin
     from tuning.reproduce.results import Found
 
 
@@ -147,7 +145,9 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
       mjx-climb margins case_1_2 --gains gains.yaml --hardware dynamixel_x --json
     """
     with output.session() as shell:
-        start_devices()
+        from mjx_climb.execution import devices
+
+        devices.begin()
         from mjx_climb import plots
         from mjx_climb.control import PD
         from mjx_climb.files import dataset
@@ -170,45 +170,33 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         with shell.stage("linearised loop", unit="quantities") as told:
             stable = linear_margins.find(scenario, gains, found.margins, progress=told, **how)
         warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
-        text = _margins_json(found, stable, warnings)
+        table, text = _margins_in_words(found, stable, warnings)
         with shell.stage("drawing", compiles=False):
             dataset.write_text_atomically(out / "margins.json", text + "\n")
             dataset.save(found.walks, out / "margins.nc")
             figure = plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
             plots.save_figure(figure, out / "margins", output.figures)
-        shell.show(_margins_table(found.margins, stable), *(f"warning: {line}" for line in warnings))
+        shell.show(table, *(f"warning: {line}" for line in warnings))
         pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
         shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
 
 
-def _margins_json(found: "Margins", stable: "dict[str, Stable]", warnings: list[str]) -> str:
-    """Return margins and warnings as plain data, SI units."""
-    from tuning.evaluation.margins import needed
+def _margins_in_words(found: "Margins", stable: "dict[str, Stable]", warnings: list[str]) -> "tuple[Table, str]":
+    """Return margins beside the scenario's hardware, by walks and of the linearised loop: a table, and JSON in SI."""
+    from tuning.command_line.session import plain_table
+    from tuning.evaluation.margins import QUANTITIES, in_words, needed, with_unit
     from tuning.report.numbers import to_json
 
-    each = {
-        name: {
-            **dataclasses.asdict(margin),
-            "needed": needed(name, margin.own),  # the hardware with a factor of two
-            "stable": stable[name]._asdict(),
-        }
-        for name, margin in found.margins.items()
-    }
-    own = {"holds": found.holds, "better": found.better}
-    return to_json({"own_hardware": own, "margins": each, "warnings": warnings})
-
-
-def _margins_table(margins: "dict[str, Margin]", stable: "dict[str, Stable]") -> "Table":
-    """Return margins beside the scenario's hardware: by walks, and of the linearised loop."""
-    from tuning.command_line.session import plain_table
-    from tuning.evaluation.margins import QUANTITIES, in_words, with_unit
-
-    table = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to")
-    for name, margin in margins.items():
+    table, each = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"), {}
+    for name, margin in found.margins.items():
+        # needed: the hardware with a factor of two
+        more = {"needed": needed(name, margin.own), "stable": stable[name]._asdict()}
+        each[name] = dataclasses.asdict(margin) | more
         reached = [in_words(name, margin.worst, value) for value in (margin.holds, margin.better)]
         reached.append(in_words(name, stable[name].tried, stable[name].up_to))
         table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
-    return table
+    own = {"holds": found.holds, "better": found.better}
+    return table, to_json({"own_hardware": own, "margins": each, "warnings": warnings})
 
 
 @command("results/reproduce")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from tuning.background import Stage
     from tuning.command_line.session import Session
 
+Walks = Mapping[str, "mc.Trajectory"]  # by the name of the controller, in the order in which they are shown
 MOST_SNAPSHOTS = 12
 
 
@@ -70,7 +71,7 @@ class Pictures(Options):
             if self.view:
                 backend.require_display()
 
-    def write(self, walks: "Mapping[str, mc.Trajectory]", folder: Path, stage: "Stage") -> list[str]:
+    def write(self, walks: Walks, folder: Path, stage: "Stage") -> list[str]:
         """Render walks side by side, each under its name, into a folder and return the names of the files."""
         from mjx_climb import rendering
         from mjx_climb.rendering import film
@@ -138,10 +139,8 @@ def run(walk: Walk, output: Output, pictures: Pictures) -> None:
             raise typer.Exit(1)
 
 
-def _walked(
-    loaded: Loaded, name: str, shell: "Session", pictures: Pictures
-) -> "tuple[dict[str, mc.Trajectory], dict[str, Any]]":
-    """Walk, write and print; return the walks in the order in which they are shown, and the metrics of the first."""
+def _walked(loaded: Loaded, name: str, shell: "Session", pictures: Pictures) -> tuple[Walks, dict[str, Any]]:
+    """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
     import mjx_climb as mc
     from mjx_climb.files import dataset, scenario_files
     from tuning.output.folder import write_config
@@ -170,34 +169,28 @@ def _walked(
             plots.save_figure(figure, out / stem, shell.output.figures)
     drawn = [f"{stem}.{kind}" for stem in figures for kind in shell.output.figures]
     files = ["trajectory.nc", "config.yaml", "metrics.json", *drawn, *pictures.write(walks, out, shell.stage)]
-    _show(walks, metrics, loaded, rival, shell)
+    _show(walks, metrics, loaded, shell)
     shell.written(", ".join(files), text)
     return walks, metrics[name]
 
 
-def _show(
-    walks: "Mapping[str, mc.Trajectory]",
-    metrics: Mapping[str, Mapping[str, Any]],
-    loaded: Loaded,
-    rival: str | None,
-    shell: "Session",
-) -> None:
+def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: Loaded, shell: "Session") -> None:
+    """Print the metrics of a walk, and of the one beside it where there is one, and how they went."""
     from mjx_climb.rollouts.remedies import remedies
     from tuning.command_line.session import comparison_table, plain_table
     from tuning.report import numbers
     from tuning.report.comparison import gains_of
-    from tuning.report.numbers import number, unit, words
 
-    name, about, law = next(iter(metrics)), loaded.metrics, loaded.law
+    (name, *rivals), about, law = metrics, loaded.metrics, loaded.law
     verdicts = {name: verdict(walks[name], values) for name, values in metrics.items()}
-    if rival is None:
+    if not rivals:
         table = plain_table("metric", "value", "unit")
         for metric, value in metrics[name].items():
-            table.add_row(words(metric, about), number(value), unit(metric, about))
+            table.add_row(numbers.words(metric, about), numbers.number(value), numbers.unit(metric, about))
         shell.show(table, *verdicts.values())
     else:
         compared = {name: (gains_of(walks[name]), values) for name, values in metrics.items()}
-        shell.show(comparison_table(compared, rival, shell.tables.width, about, law))
+        shell.show(comparison_table(compared, rivals[0], shell.tables.width, about, law))
         shell.show(*(f"{name}: {verdict}" for name, verdict in verdicts.items()))
     shell.show(*numbers.weightless(metrics))
     if metrics[name]["detached_limb"] is not None:

@@ -4,7 +4,6 @@ import dataclasses
 import importlib
 import math
 import shlex
-from collections.abc import Sequence
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -21,11 +20,7 @@ from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Searc
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from tuning.background import Begin
-    from tuning.command_line.processes import Team
-    from tuning.command_line.session import Session
     from tuning.problem.ensemble import Ensemble
     from tuning.searches.judge import Draw
     from tuning.searches.sweep import Grid as Work
@@ -82,46 +77,42 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
       mjx-climb tune case_2 --ensemble ensemble --members 16
     """
     with processes.joined() as team, output.session() as shell:
-        _tune(search, file, ensemble, walk, shell, team)
+        from tuning.background import background
+        from tuning.output import comparisons
+        from tuning.searches import tune as searches
 
-
-def _tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, shell: "Session", team: "Team") -> None:
-    from tuning.background import background
-    from tuning.output import comparisons
-    from tuning.searches import tune as searches
-
-    loaded, drawn = walk.load_with_gains(), ensemble.load()
-    if drawn is not None and "weights" not in search.model_fields_set and file.search is None:
-        search = search.model_copy(update={"weights": ROBUST_WEIGHTS})
-    wanted = file.settings(search, loaded, walk.config)
-    if drawn is not None:
-        wanted = searches.over_ensemble(wanted, {}, drawn)
-    chosen = search.method if "method" in search.model_fields_set else None
-    wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
-    kind, name = "tune" if drawn is None else "robust", walk.config.stem
-    out = shell.claim("search.nc", name, kind, wanted.method, wanted.space, team=team)
-    shell.opening(loaded.scenario)
-    shell.say(*filter(None, [team.said]))
-    team.begin(out, loaded.scenario.to_yaml())
-    with shell.stage("baseline"), file.naming(search):
-        problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.how)
-    files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
-    again, compared = repeated(["tune", *files], "--engine"), None
-    with shell.keeping("rounds"), background(busy=1) as begin:
-        begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
-        if drawn is None:
-            comparisons.load_tests(problem, wanted, begin)
-            compared = comparisons.of_search(problem, wanted, begin, out=out)
-        with shell.rounds("search") as show:
-            found: Any = searches.run(problem, wanted, out=out, progress=show)
-        if ensemble.judges is not None:
-            found = dataclasses.replace(found, judges=ensemble.judges)
-        if found.interrupted:
-            found.write_found(out, origin(name, again))
-            best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
-            raise Interrupted(f"the best of {shell.done} rounds is in {out}: {best}")
-        written = shell.write(found, again, compared)
-    shell.result(problem, written, gains=True)
+        loaded, drawn = walk.load_with_gains(), ensemble.load()
+        if drawn is not None and "weights" not in search.model_fields_set and file.search is None:
+            search = search.model_copy(update={"weights": ROBUST_WEIGHTS})
+        wanted = file.settings(search, loaded, walk.config)
+        if drawn is not None:
+            wanted = searches.over_ensemble(wanted, {}, drawn)
+        chosen = search.method if "method" in search.model_fields_set else None
+        wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
+        kind, name = "tune" if drawn is None else "robust", walk.config.stem
+        out = shell.claim("search.nc", name, kind, wanted.method, wanted.space, team=team)
+        shell.opening(loaded.scenario)
+        shell.say(*filter(None, [team.said]))
+        team.begin(out, loaded.scenario.to_yaml())
+        with shell.stage("baseline"), file.naming(search):
+            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.how)
+        files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
+        again, compared = repeated(["tune", *files], "--engine"), None
+        with shell.keeping("rounds"), background(busy=1) as begin:
+            begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
+            if drawn is None:
+                comparisons.load_tests(problem, wanted, begin)
+                compared = comparisons.of_search(problem, wanted, begin, out=out)
+            with shell.rounds("search") as show:
+                found: Any = searches.run(problem, wanted, out=out, progress=show)
+            if ensemble.judges is not None:
+                found = dataclasses.replace(found, judges=ensemble.judges)
+            if found.interrupted:
+                found.write_found(out, origin(name, again))
+                best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
+                raise Interrupted(f"the best of {shell.done} rounds is in {out}: {best}")
+            written = shell.write(found, again, compared)
+        shell.result(problem, written, gains=True)
 
 
 @command("results/<config>-pareto")
@@ -143,7 +134,9 @@ def pareto(
       mjx-climb pareto case_2 --against cost_of_transport --space split
     """
     with output.session() as shell:
-        processes.start_devices()
+        from mjx_climb.execution import devices
+
+        devices.begin()
         from tuning.command_line.session import from_page
         from tuning.report.pages import front_table
         from tuning.searches import pareto as fronts
@@ -186,9 +179,13 @@ def schedule(
       mjx-climb schedule case_2 --gravity 1e-6,1e-3,1 --cargo 0,1.5 --space split
     """
     with output.session() as shell:
-        processes.start_devices()
-        from tuning.report.numbers import to_json
+        from mjx_climb.execution import devices
+
+        devices.begin()
+        from tuning.command_line.session import plain_table
+        from tuning.report import numbers
         from tuning.searches import schedule as schedules
+        from tuning.searches.retuned_pd import NAME
 
         loaded = walk.load()
         wanted = file.settings(space, loaded, walk.config)
@@ -205,26 +202,18 @@ def schedule(
         one = "one for all: every set of gains breaks a limit at some other operating point"
         if loss < math.inf:
             one = f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
-        shell.show(_schedule_table(rows, found.data.attrs["searched"].split()), *written.outcome, one)
-        shell.written(written.files, to_json(rows))
-
-
-def _schedule_table(rows: list[dict[str, Any]], gains: Sequence[str]) -> "Table":
-    """Return the table of a schedule: the gains that were searched, and force variation against pd."""
-    from tuning.command_line.session import plain_table
-    from tuning.report.numbers import change, gain, number
-    from tuning.searches.retuned_pd import NAME
-
-    beside = ("variation\nN", "vs\nconfig %", "vs\nretuned %", "vs\npd %")
-    table = plain_table("gravity\nG", "cargo\nkg", *gains, *beside, "")
-    table.columns[-1].no_wrap = False  # words give way to numbers
-    for row in rows:
-        tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
-        cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
-        verdict = "" if row["feasible"] else "breaks limits"
-        verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
-        table.add_row(*cells, number(tuned), *(change(tuned, other) for other in others), verdict.strip())
-    return table
+        gains, beside = found.data.attrs["searched"].split(), ("vs\nconfig %", "vs\nretuned %", "vs\npd %")
+        table = plain_table("gravity\nG", "cargo\nkg", *gains, "variation\nN", *beside, "")
+        table.columns[-1].no_wrap = False  # words give way to numbers
+        for row in rows:
+            tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
+            cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(numbers.gain(row, name) for name in gains)]
+            verdict = "" if row["feasible"] else "breaks limits"
+            verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
+            changes = (numbers.change(tuned, other) for other in others)
+            table.add_row(*cells, numbers.number(tuned), *changes, verdict.strip())
+        shell.show(table, *written.outcome, one)
+        shell.written(written.files, numbers.to_json(rows))
 
 
 RANGE = "LOW:HIGH:COUNT"

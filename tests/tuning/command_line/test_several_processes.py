@@ -101,11 +101,7 @@ GAPS = "expected several tasks without gaps"
         (processes.process, MPI, NOT_ADDRESSED),
         (processes.process, JAX | {"JAX_PROCESS_ID": "4"}, "JAX_PROCESS_ID: expected a number below the 4 of JAX_NUM"),
         (processes.process, JAX | {"JAX_PROCESS_ID": ""}, "JAX_PROCESS_ID: expected a whole number, got ''"),
-        (
-            processes.process,
-            JAX | {"JAX_NUM_PROCESSES": "two"},
-            "JAX_NUM_PROCESSES: expected a whole number, got 'tw",
-        ),
+        (processes.process, JAX | {"JAX_NUM_PROCESSES": "two"}, "JAX_NUM_PROCESSES: expected a whole number, got 'tw"),
         *((lambda text=text: processes.shard_from(text), {}, NO_SHARD) for text in ("0/4", "5/4", "1", "1/4/2")),
         (lambda: processes.shard_from(None), array(MIN="1", MAX="9"), GAPS),
         (lambda: processes.shard_from(None), array(ID="9"), GAPS),
