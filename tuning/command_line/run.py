@@ -186,7 +186,7 @@ def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: Loaded
     if not rivals:
         table = plain_table("metric", "value", "unit")
         for metric, value in metrics[name].items():
-            table.add_row(numbers.words(metric, about), numbers.number(value), numbers.unit(metric, about))
+            table.add_row(about.in_words(metric), numbers.number(value), numbers.unit(metric, about))
         shell.show(table, *verdicts.values())
     else:
         compared = {name: (gains_of(walks[name]), values) for name, values in metrics.items()}

@@ -39,12 +39,9 @@ def _gain_units(compared: Compared, law: Law | None) -> dict[str, tuple[str, str
 
 
 def table(
-    compared: Compared,
-    caption: str,
-    about: MetricTable = METRICS,
-    law: Law | None = None,
+    compared: Compared, caption: str, about: MetricTable = METRICS, law: Law | None = None,
     columns: Sequence[Column] | None = None,
-) -> Table:
+) -> Table:  # fmt: skip
     """Return gains and metrics of walks side by side, and changes in per cent.
 
     Where no columns are asked for: the first walk, its change against each of the others, and these.
@@ -57,10 +54,9 @@ def table(
         [key, text, *(gain(compared[name][0], key) if base is None else "" for name, base in columns)]
         for key, (text, _) in _gain_units(compared, law).items()
     ]
-    metrics = {name: values for name, (_, values) in compared.items()}
     rows = []
-    for key in metrics[columns[0][0]]:
-        value = {name: values[key] for name, values in metrics.items()}
+    for key in compared[columns[0][0]][1]:
+        value = {name: metrics[key] for name, (_, metrics) in compared.items()}
         cells = (number(value[name]) if base is None else change(value[name], value[base]) for name, base in columns)
         rows.append([about.in_words(key), unit(key, about), *cells])
     return Table(caption, ["metric", "unit", *heads], [("", gains), ("", rows)])
@@ -71,7 +67,8 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
     held = {name: gains for name, (gains, _) in compared.items() if gains is not None}
     sections = []
     for key, units in _gain_units(compared, law).items():
-        cells = [[_gain(value) for value in axis_values(gains.get(key))] for gains in held.values()]
+        values = [axis_values(gains.get(key)) for gains in held.values()]
+        cells = [[number(None if np.isnan(value) else value) for value in six] for six in values]
         if all(len({*each}) == 1 for each in cells):
             rows = [[key, units[0], *(each[0] for each in cells)]]
         else:
@@ -79,13 +76,9 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
         sections.append(("", rows))
     joint = [name for name in JOINT_UNITS if held and all(name in gains for gains in held.values())]
     if joint:
-        both = [[name, JOINT_UNITS[name], *(_gain(gains[name]) for gains in held.values())] for name in joint]
+        both = [[name, JOINT_UNITS[name], *(number(gains[name]) for gains in held.values())] for name in joint]
         sections.append(("", both))
     return Table("Gains by axis", ["gain", "unit", *held], sections)
-
-
-def _gain(value: float) -> str:
-    return number(None if np.isnan(value) else float(value))
 
 
 def against(metric: str, value: float | None, others: Values, about: MetricTable = METRICS) -> str:

@@ -12,23 +12,21 @@ import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.walks import LINES, histories, stretches
-from tuning.report.numbers import gain, plain, plain_unit
+from tuning.report.numbers import failed, gain, plain, plain_unit
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 BASELINE = "pd"  # the walk that all others are compared with; disturbances and grip changes are its own
 SCALES = {"m": (1e3, "mm")}  # how people read a line
+# of the maps from worst to best, six hexadecimal digits each
+COLORS = "".join(mpl.colors.to_hex(color)[1:] for color in mpl.colormaps["viridis"](np.linspace(0, 1, 64)))
 _FAILED = ("detached_limb", "detached_at", "diverged")
 
 
 def explorer(
-    walks: Mapping[str, mc.Trajectory],
-    metrics: Mapping[str, Mapping[str, Any]],
-    *,
-    shown: tuple[str, ...] | None = None,
-    opens_on: str | None = None,
-    points: Mapping[str, Any] | None = None,
+    walks: Mapping[str, mc.Trajectory], metrics: Mapping[str, Mapping[str, Any]], *,
+    shown: tuple[str, ...] | None = None, opens_on: str | None = None, points: Mapping[str, Any] | None = None,
     about: mc.MetricTable = mc.METRICS,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Return one interactive part of a page: walks, `BASELINE` among them, and points to choose more of them from.
 
     At first the walks `shown` are drawn (all where None), and beside the points stand the numbers of the walk that it
@@ -65,12 +63,9 @@ def explorer(
 
 
 def grid_points(
-    grid: xr.Dataset,
-    histories: xr.Dataset,
-    baseline: Mapping[str, Any],
-    marks: Mapping[str, tuple[float, float]],
+    grid: xr.Dataset, histories: xr.Dataset, baseline: Mapping[str, Any], marks: Mapping[str, tuple[float, float]],
     chosen: xr.Dataset | None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Return the cells of a grid over two gains for `explorer`, which begins at the chosen one, else at the first.
 
     `histories` is a grid over the same values or some of them; the metrics of the baseline are for the colours.
@@ -78,29 +73,31 @@ def grid_points(
     axes = x, y = axes_of(grid)
     shown = coarser_grid(grid, chosen, MOST_CELLS)
     flat = shown.transpose(*axes, ...).stack(cell=axes, create_index=False)
-    failed = plots.failed_walks(shown, *axes)
-    names = [str(name) for name in shown.data_vars if name not in LINES]
-    scales, texts, values_of = {}, {}, {name: _values(plots.comparable(flat, name)) for name in names}
-    for name in names:
-        label, larger = (
-            shown[name].attrs.get("long_name", name.replace("_", " ")),
-            dataset.larger_is_better(shown[name]),
-        )
+    failed_cells = plots.failed_walks(shown, *axes)
+    values_of = {name: _values(plots.comparable(flat, name)) for name in map(str, shown.data_vars) if name not in LINES}
+    scales, texts = {}, {}
+    for name in values_of:
+        variable, larger = shown[name], dataset.larger_is_better(shown[name])
         if name not in mc.METRICS.names:
-            texts[name] = _about(label, shown[name].attrs.get("units", "1"), larger=larger)
+            label = variable.attrs.get("long_name", name.replace("_", " "))
+            texts[name] = _about(label, variable.attrs.get("units", "1"), larger=larger)
         values = plots.comparable(shown, name).transpose(y, x).values.astype(float)
         if name not in ("detached_limb", "diverged") and np.isfinite(values).any():
-            norm, _ = plots.color_scale(values, failed, baseline.get(name), larger)  # as on the pictures
+            norm, _ = plots.color_scale(values, failed_cells, baseline.get(name), larger)  # as on the pictures
             logarithmic = isinstance(norm, mpl.colors.LogNorm)
             scales[name] = {"low": float(norm.vmin or 0.0), "high": float(norm.vmax or 0.0), "log": logarithmic}
     failures = zip(*(values_of[name] for name in _FAILED), strict=True)
     with_history = [np.isin(shown[name].values, histories[name].values) for name in axes]
     held = histories.sel({name: shown[name].values[has] for name, has in zip(axes, with_history, strict=True)})
-    begin = dict.fromkeys(axes, 0) if chosen is None else place_of(shown, chosen)
+    drawn = []
+    for name in axes:
+        label, units = grid[name].attrs.get("long_name", name), grid[name].attrs["units"].split(",")
+        drawn.append({"name": name, "label": label, "unit": units[0], "values": _values(shown[name])})
+    begin = dict.fromkeys(axes, 0) if chosen is None else _place_of(shown, chosen)
     return {
         "count": flat.sizes["cell"],
         "left_out": grid["diverged"].size - flat.sizes["cell"],
-        "axes": [_axis(shown[name], name) for name in axes],
+        "axes": drawn,
         "gains": {name: _values(flat[name]) for name in axes},
         "values": values_of,
         "texts": texts,
@@ -111,17 +108,14 @@ def grid_points(
         "begin": begin[x] * shown.sizes[y] + begin[y],
         "stored": np.flatnonzero(np.logical_and.outer(*with_history)).tolist(),
         "histories": {name: packed(held[name].transpose(*axes, "extreme", "stretch").values) for name in LINES},
-        "colors": colors(),
+        "colors": COLORS,
     }
 
 
 def listed_points(
-    walks: xr.Dataset,
-    histories: Mapping[str, np.ndarray],
-    chosen: int,
-    trade: tuple[str, str],
+    walks: xr.Dataset, histories: Mapping[str, np.ndarray], chosen: int, trade: tuple[str, str],
     about: mc.MetricTable = mc.METRICS,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Return walks that form no grid, along the dimension `front`, for `explorer`, which begins at the chosen one.
 
     The two metrics of `trade` are drawn against each other.
@@ -142,7 +136,7 @@ def listed_points(
         "begin": chosen,
         "stored": list(range(count)),
         "histories": {name: packed(histories[name]) for name in LINES},
-        "colors": colors(),
+        "colors": COLORS,
     }
 
 
@@ -152,14 +146,14 @@ def axes_of(grid: xr.Dataset) -> tuple[str, str]:
     return x, y
 
 
-def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
+def _place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
     """Return the indices of a cell along the axes of a grid."""
     return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
 
 
 def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
     """Return a grid with at most about `most` of its cells, evenly, the chosen one among them."""
-    places = {} if chosen is None else place_of(grid, chosen)
+    places = {} if chosen is None else _place_of(grid, chosen)
     rows = {name: np.arange(grid.sizes[name]) for name in axes_of(grid)}
     while np.prod([len(index) for index in rows.values()]) > most:
         longest = max(rows, key=lambda name: len(rows[name]))
@@ -174,22 +168,11 @@ def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.D
 def packed(values: np.ndarray) -> str:
     """Return numbers as little-endian float32 in base64, exact as a batch walked them."""
     with np.errstate(over="ignore"):  # a walk that diverges
-        values = np.asarray(values).astype("<f4")
-    return base64.b64encode(values.tobytes()).decode()
-
-
-def colors() -> str:
-    """Return the colours of the maps from worst to best, six hexadecimal digits each."""
-    return "".join(mpl.colors.to_hex(color)[1:] for color in mpl.colormaps["viridis"](np.linspace(0, 1, 64)))
+        return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode()
 
 
 def _about(label: str, unit: str, *, larger: bool) -> dict[str, Any]:
     return {"label": label, "unit": plain_unit(unit), "larger_is_better": larger}
-
-
-def _axis(variable: xr.DataArray, name: str) -> dict[str, Any]:
-    label, unit = variable.attrs.get("long_name", name), variable.attrs["units"].split(",")[0]
-    return {"name": name, "label": label, "unit": unit, "values": _values(variable)}
 
 
 def _values(variable: xr.DataArray) -> list[Any]:
@@ -206,9 +189,5 @@ def _values(variable: xr.DataArray) -> list[Any]:
 
 def _failure(metrics: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return what went wrong and when (s), None where nothing did."""
-    failures = []
-    if metrics["detached_limb"] is not None:
-        failures.append(f"{metrics['detached_limb']} torn off at {metrics['detached_at']:.2f} s")
-    if metrics["diverged"]:
-        failures.append("diverged")
-    return {"text": ", ".join(failures), "at": metrics["detached_at"]} if failures else None
+    text = failed(metrics, "torn off", "diverged")
+    return {"text": text, "at": metrics["detached_at"]} if text else None

@@ -54,18 +54,9 @@ def gain(gains: Mapping[str, ArrayLike] | None, key: str) -> str:
     return f"{values[0]:.4g}" if values.size == 1 else "six values"
 
 
-def unit(name: str, about: "MetricTable | None" = None) -> str:
-    """Return the unit of a metric, one of `about` or of the shipped ones; empty where it has none."""
-    from mjx_climb import METRICS
-
-    return plain_unit((about or METRICS)[name].unit)
-
-
-def words(name: str, about: "MetricTable | None" = None) -> str:
-    """Return what a metric, one of `about` or of the shipped ones, is called for people."""
-    from mjx_climb import METRICS
-
-    return (about or METRICS).in_words(name)
+def unit(name: str, about: "MetricTable") -> str:
+    """Return the unit of a metric for people."""
+    return plain_unit(about[name].unit)
 
 
 def plain_unit(text: str) -> str:
@@ -86,10 +77,6 @@ def is_number(value: float | str | None) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Remarks: which walks failed, and which number is not what it seems
-
-
 def remarks(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return all remarks on the metrics of walks, a line each."""
     lost = {name: failed(metrics) for name, metrics in walks.items()}
@@ -97,13 +84,13 @@ def remarks(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return failures + weightless(walks)
 
 
-def failed(metrics: Mapping[str, Any]) -> str:
+def failed(metrics: Mapping[str, Any], lets_go: str = "lets go", diverges: str = "the simulation diverges") -> str:
     """Return in words how a walk failed, nothing where it did not."""
     found = []
     if metrics["detached_limb"] is not None:
-        found.append(f"{metrics['detached_limb']} lets go at {metrics['detached_at']:.2f} s")
+        found.append(f"{metrics['detached_limb']} {lets_go} at {metrics['detached_at']:.2f} s")
     if metrics["diverged"]:
-        found.append("the simulation diverges")
+        found.append(diverges)
     return ", ".join(found)
 
 

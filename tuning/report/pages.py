@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb.rollouts.walks import LINES
@@ -28,17 +27,9 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
          "base_deviation", "joint_limit_margin")  # fmt: skip
 
 
-def _capital(line: str) -> str:
-    return line[0].upper() + line[1:]
-
-
 def sentences(lines: Iterable[str]) -> list[str]:
     """Return lines with a capital in front and a full stop."""
-    return [f"{_capital(line).removesuffix('.')}." for line in lines]
-
-
-# ------------------------------------------------------------------------------------------------------------
-# A sweep
+    return [f"{line[0].upper()}{line[1:]}".removesuffix(".") + "." for line in lines]
 
 
 def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how: Any) -> xr.Dataset:
@@ -51,30 +42,33 @@ def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset |
 
 
 def sweep_page(
-    problem: Problem,
-    compared: "SweepComparison",
-    histories: xr.Dataset,
-    marks: Mapping[str, tuple[float, float]],
-    notes: Sequence[str],
-    origin: Origin,
-) -> Page:
+    problem: Problem, compared: "SweepComparison", histories: xr.Dataset, marks: Mapping[str, tuple[float, float]],
+    notes: Sequence[str], origin: Origin,
+) -> Page:  # fmt: skip
     """Return the page of a sweep: its maps with gains marked on them, time histories, and notes that stand first."""
     grid, best, rows, about = compared.data, compared.best, compared.rows, problem.metrics
-    metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
+    axes, metrics = axes_of(grid), {walk: numbers for walk, (_, numbers) in rows.items()}
     count, kept, found = grid["diverged"].size, histories["diverged"].size, list(notes)
-    if best is not None:
+    if best is None:
+        verdict = f"None of the {count} walks held: every one lost a gripper or diverged."
+    else:
+        name, won = "force_variation", metrics["best"]
+        gains = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in axes)
+        others = {walk: numbers[name] for walk, numbers in metrics.items() if walk != "best"}
+        text = comparison.against(name, won[name], others, about)
+        verdict = f"Of {count} walks, {gains} are best: force variation {text}; {comparison.held(won)}."
         found.append(f"{compared.failed} of the {count} walks lost a gripper or diverged")
-        found += _worse_than_pd(metrics["best"], metrics["pd"], about)
+        found += _worse_than_pd(won, metrics["pd"], about)
     found += remarks(metrics)
     if kept < count:
         found.append(f"the page holds the time histories of {kept} of the cells; a click shows the nearest of them")
-    begin = best if best is not None else grid.isel(dict.fromkeys(axes_of(grid), 0))
+    begin = best if best is not None else grid.isel(dict.fromkeys(axes, 0))
     points = grid_points(grid, histories, metrics["pd"], marks, begin)
     walks = {name: compared.walks[name] for name in reversed(list(compared.walks))}
     return Page(
-        title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes_of(grid))} gains",
+        title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains",
         origin=origin,
-        verdict=_verdict_on_grid(grid, best, metrics),
+        verdict=verdict,
         scenario=problem.scenario,
         notes=sentences(found),
         explorers={"Maps and walks": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
@@ -86,21 +80,6 @@ def sweep_page(
             "seed": "none: nothing is drawn at random",
         },
     )
-
-
-def _verdict_on_grid(grid: xr.Dataset, best: xr.Dataset | None, metrics: Mapping[str, comparison.Values]) -> str:
-    """Return in a sentence which cell is best, and by how much against the other walks."""
-    if best is None:
-        return f"None of the {grid['diverged'].size} walks held: every one lost a gripper or diverged."
-    won, name = metrics["best"], "force_variation"
-    others = {walk: numbers[name] for walk, numbers in metrics.items() if walk != "best"}
-    gains = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in axes_of(grid))
-    text = comparison.against(name, won[name], others)
-    return f"Of {grid['diverged'].size} walks, {gains} are best: force variation {text}; {comparison.held(won)}."
-
-
-# ------------------------------------------------------------------------------------------------------------
-# A search for gains
 
 
 def tune_page(
@@ -119,13 +98,14 @@ def tune_page(
     shown = {name: compared.walks[name] for name in reversed(list(rows))}
     objective = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
     values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
+    open_notes, folded = ([line[0].upper() + line[1:] for line in lines] for lines in (outcome, tests))
     return Page(
         title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
         origin=origin,
         verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
         scenario=found.scenario,
-        notes=[*map(_capital, outcome), *sentences(_worse_than_pd(metrics["tuned"], metrics["pd"], about))],
-        more=[*map(_capital, tests)],
+        notes=[*open_notes, *sentences(_worse_than_pd(metrics["tuned"], metrics["pd"], about))],
+        more=folded,
         explorers={title: explorer(shown, values, opens_on="tuned", points=points, about=about)},
         tables=[
             comparison.table(rows, "Walks in double precision", about, found.law),
@@ -137,35 +117,34 @@ def tune_page(
 
 
 def _points_of_map(found: Tuned, over: xr.Dataset, baseline: comparison.Values) -> dict[str, Any]:
-    """Return the cells of the map around a result, which begins at its best one."""
+    """Return the cells of the map around a result, which begins at its best one.
+
+    Gains that differ from axis to axis stand at the geometric means of translations and of rotations.
+    """
     x, y = axes_of(over)
     walks = {"tuned": by_name(found.gains)} | ({"config": vars(found.scenario.control)} if found.law is None else {})
-    marks = {name: at for walk, gains in walks.items() for name, at in _marks(walk, gains[x], gains[y]).items()}
+    marks: dict[str, tuple[float, float]] = {}
+    for walk, gains in walks.items():
+        both = np.stack([axis_values(gains[x]), axis_values(gains[y])])
+        if np.ptp(both, axis=1).max() == 0:
+            marks[walk] = (both[0, 0].item(), both[1, 0].item())
+            continue
+        for part, place in (("translations", both[:, :3]), ("rotations", both[:, 3:])):
+            at = np.exp(np.log(place).mean(1))
+            if np.isfinite(at).all():
+                marks[f"{walk}, {part}"] = (at[0].item(), at[1].item())
     value = over["objective"].where(over["feasible"])
     best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel({x: 0, y: 0})
     return grid_points(over, over, {**baseline, "objective": 1.0}, marks, best)
 
 
-def _marks(walk: str, x: ArrayLike, y: ArrayLike) -> dict[str, tuple[float, float]]:
-    """Return where gains stand on the map; where axes differ, the means of translations and of rotations."""
-    both = np.stack([axis_values(x), axis_values(y)])
-    if np.ptp(both, axis=1).max() == 0:
-        return {walk: (both[0, 0].item(), both[1, 0].item())}
-    means = np.exp(np.log(both).reshape(2, 2, 3).mean(2))  # geometric
-    places = {"translations": means[:, 0].tolist(), "rotations": means[:, 1].tolist()}
-    return {f"{walk}, {name}": (at[0], at[1]) for name, at in places.items() if np.isfinite(at).all()}
-
-
 def _around_table(checked: Verification) -> Table:
     caption = "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more"
-
-    def percent(value: float | None) -> str:
-        return "breaks a limit" if value is None else f"{100 * value:+.2f}"
-
-    rows = [
-        [name, percent(checked.less[name]), percent(checked.more[name]), shape, number(checked.slopes[name])]
-        for name, shape in checked.shape.items()
-    ]
+    rows = []
+    for name, shape in checked.shape.items():
+        changes = (checked.less[name], checked.more[name])
+        cells = ("breaks a limit" if value is None else f"{100 * value:+.2f}" for value in changes)
+        rows.append([name, *cells, shape, number(checked.slopes[name])])
     return Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", rows)], 1)
 
 
@@ -176,10 +155,6 @@ def _worse_than_pd(metrics: comparison.Values, baseline: comparison.Values, abou
 
 def _spent(found: Tuned) -> dict[str, Any]:
     return {"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"}
-
-
-# ------------------------------------------------------------------------------------------------------------
-# A search over an ensemble, and gains on the walks of one
 
 
 def robust_page(found: Tuned, summed: xr.Dataset, outcome: Sequence[str], origin: Origin) -> Page:
@@ -213,25 +188,21 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
     """Return mean and worst of the main metrics, the first gains' with their change against the config's."""
     names = summed["gains"].values.tolist()
     columns = ["metric", "unit", "of the members", names[0], "vs config %", *names[1:]]
+    statistics = {"mean": "mean", "worst": f"worst {summed.attrs['worst_share']:.0%}"}
 
     def row(values: xr.DataArray, *words: str) -> list[str]:
         numbers = {name: float(values.sel(gains=name)) for name in names}
         first, *others = map(number, numbers.values())
         return [*words, first, change(numbers[names[0]], numbers["config"]), *others]
 
-    statistics = {"mean": "mean", "worst": f"worst {summed.attrs['worst_share']:.0%}"}
-    sections = [
-        ("", [row(summed[name].sel(statistic=s), metrics.in_words(name), unit(name, metrics), label)
-              for s, label in statistics.items()])
-        for name in shown(metrics)
-    ]  # fmt: skip
+    sections = []
     if "objective" in summed:
-        sections.insert(0, ("", [row(summed["objective"], "objective", "", "mean and worst")]))
+        sections.append(("", [row(summed["objective"], "objective", "", "mean and worst")]))
+    for name in shown(metrics):
+        about = metrics.in_words(name), unit(name, metrics)
+        rows = [row(summed[name].sel(statistic=key), *about, label) for key, label in statistics.items()]
+        sections.append(("", rows))
     return Table("On the walks of a fresh draw", columns, sections, 3)
-
-
-# ------------------------------------------------------------------------------------------------------------
-# A front
 
 
 def pareto_page(
@@ -263,14 +234,13 @@ def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS
     """Return some twenty points of a front, the knee among them, with the config's gains, pd and pd retuned below."""
     traded, names = (front.attrs["against"], front.attrs["better"]), front.attrs["searched"].split()
     columns = ["", *(f"{about.in_words(name)} {unit(name, about)}".strip() for name in traded), *names]
+    count = front.sizes["front"]
 
     def row(words: str, values: xr.Dataset, kind: str = "") -> list[str]:
         return [words, *(number(values[f"{kind}{name}"].item()) for name in traded)]
 
-    count = front.sizes["front"]
-    shown_points = {*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), knee}
     on = []
-    for i in sorted(shown_points):
+    for i in sorted({*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), knee}):
         point = front.isel(front=i)
         gains = (gain({name: point[name].values}, name) for name in names)
         on.append([*row("knee" if i == knee else "", point), *gains])

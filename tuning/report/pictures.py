@@ -77,18 +77,18 @@ def plot_convergence(found: Tuned) -> Figure:
     return figure
 
 
-class _Look(NamedTuple):
-    """How the ways of some axes are drawn."""
+class _Part(NamedTuple):
+    """Axes whose ways are drawn as one, and how."""
 
-    color: str
-    marker: str  # of the result
     axes: slice  # of six
     coordinates: tuple[str, ...]  # what follows the gain in the names of a space
+    color: str
+    marker: str  # of the result
 
 
-_AXES = {
-    "translations": _Look("0.1", "*", slice(0, 3), ("translation", "x", "y", "z")),
-    "rotations": _Look(plots.PURPLE, "P", slice(3, 6), ("rotation", "rx", "ry", "rz")),
+_PARTS = {
+    "translations": _Part(slice(0, 3), ("translation", "x", "y", "z"), "0.1", "*"),
+    "rotations": _Part(slice(3, 6), ("rotation", "rx", "ry", "rz"), plots.PURPLE, "P"),
 }
 
 
@@ -99,55 +99,52 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
     The map and its limit are of gains that are the same on all axes. Where a search told axes apart, translations and
     rotations go their own ways, the geometric means of theirs, and the result has a mark for each axis.
     """
-    axes = axes_of(walks)
-    tuned, control = by_name(found.gains), found.scenario.control
+    axes, tuned, control = axes_of(walks), by_name(found.gains), found.scenario.control
     apart = any("." in str(name) for name in found.data["coordinate"].values)
-    marks = {"tuned": [tuned[gain] for gain in axes]}
+    means = {"tuned": [_mean(tuned[gain]) for gain in axes]}
     if not found.law:
-        marks["config"] = [getattr(control, gain) for gain in axes]
-    means = {name: (_mean(gains[0]), _mean(gains[1])) for name, gains in marks.items()}
+        means["config"] = [_mean(getattr(control, gain)) for gain in axes]
     title = "map and limit: the same gains on all axes" if apart else None
-    figure = plots.plot_map(walks, "objective", {} if apart else means, baseline=1.0, title=title)
+    marks = {} if apart else {name: (x, y) for name, (x, y) in means.items()}
+    figure = plots.plot_map(walks, "objective", marks, baseline=1.0, title=title)
     panel = figure.axes[0]
     handles: list[Artist] = []
     for legend in figure.legends:
         handles += [handle for handle in legend.legend_handles if handle is not None]
         legend.remove()
-    for name, look in (_AXES if apart else {"": _AXES["translations"]}).items():
-        ways = [_way(found, gain, look) for gain in axes]
-        handles += _draw_ways(panel, found.data, ways, look, f", {name}" if name else "")
+    for name, part in (_PARTS if apart else {"": _PARTS["translations"]}).items():
+        handles += _draw_ways(panel, found.data, [_way(found, gain, part) for gain in axes], part.color, name)
         if apart:
-            points = [axis_values(gain)[look.axes] for gain in marks["tuned"]]
-            handles.append(_mark(panel, points, look.marker, look.color, f"tuned, {name}"))
+            points = [axis_values(tuned[gain])[part.axes] for gain in axes]
+            handles.append(_mark(panel, points, part.marker, part.color, f"tuned, {name}"))
     if apart and "config" in means:
-        handles.append(_mark(panel, [[place] for place in means["config"]], "o", "0.1", "config"))
+        handles.append(_mark(panel, means["config"], "o", "0.1", "config"))
     plots.legend_below(figure, handles, 3)
     return figure
 
 
-def _way(found: Tuned, gain: str, look: _Look) -> np.ndarray:
+def _way(found: Tuned, gain: str, part: _Part) -> np.ndarray:
     """Return a gain at every point of a search, (point,): the geometric mean over some axes."""
-    wanted = {gain, *(f"{gain}.{coordinate}" for coordinate in look.coordinates)}
-    columns = [i for i, name in enumerate(found.data["coordinate"].values) if str(name) in wanted]
-    if not columns:
-        return np.full(found.data.sizes["point"], _mean(axis_values(by_name(found.gains)[gain])[look.axes]))
-    return np.asarray(np.exp(found.data["theta"].values[:, columns].mean(1)))
+    wanted = {gain, *(f"{gain}.{coordinate}" for coordinate in part.coordinates)}
+    searched = found.data["theta"].values[:, np.isin(found.data["coordinate"].values.astype(str), [*wanted])]
+    if not searched.shape[1]:
+        return np.full(len(searched), _mean(axis_values(by_name(found.gains)[gain])[part.axes]))
+    return np.asarray(np.exp(searched.mean(1)))
 
 
-def _draw_ways(panel: Axes, history: xr.Dataset, ways: Sequence[np.ndarray], look: _Look, words: str) -> list[Artist]:
+def _draw_ways(panel: Axes, history: xr.Dataset, ways: Sequence[np.ndarray], color: str, part: str) -> list[Artist]:
     """Draw descents, the best of crowded rounds and, unless a result is marked, other points; return the handles."""
-    line: dict[str, Any] = {"color": look.color, "linewidth": 0.7}
-    dots: dict[str, Any] = {"color": look.color, "marker": ".", "markersize": 2, "linestyle": "none"}
+    line: dict[str, Any] = {"color": color, "linewidth": 0.7}
+    dots: dict[str, Any] = {"color": color, "marker": ".", "markersize": 2, "linestyle": "none"}
     descending = np.isin(history["phase"].values.astype(str), ["descent", "axes tied", "axes free"])
-    starts = history["row"].values
-    leading = best_of_crowds(history)
+    starts, leading = history["row"].values, best_of_crowds(history)
     for points in [*(descending & (starts == row) for row in np.unique(starts[descending])), leading]:
         panel.plot(ways[0][points], ways[1][points], "-", **line, zorder=3)
     others = ~descending & ~crowded(history)
     panel.plot(ways[0][others], ways[1][others], **dots, zorder=3)
     drawn = {"descents": descending.any(), "best of each round": leading.size}
-    handles: list[Artist] = [key(text + words, **line) for text, any_ in drawn.items() if any_]
-    return handles if words else [*handles, key("other points", **dots)]
+    handles: list[Artist] = [key(f"{text}, {part}" if part else text, **line) for text, any_ in drawn.items() if any_]
+    return handles if part else [*handles, key("other points", **dots)]
 
 
 def crowded(history: xr.Dataset) -> np.ndarray:
@@ -157,21 +154,20 @@ def crowded(history: xr.Dataset) -> np.ndarray:
 
 def best_of_crowds(history: xr.Dataset) -> np.ndarray:
     """Return the indices of the points with the least value plus penalty of each crowded round, one after the other."""
-    merit = (history["value"] + history["penalty"]).values
+    merit, rounds = (history["value"] + history["penalty"]).values, history["round"].values
     places = np.flatnonzero(crowded(history) & np.isfinite(merit))
-    order = places[np.lexsort((merit[places], history["round"].values[places]))]
-    _, first = np.unique(history["round"].values[order], return_index=True)
-    return np.asarray(order[first])
+    order = places[np.lexsort((merit[places], rounds[places]))]
+    return np.asarray(order[np.unique(rounds[order], return_index=True)[1]])
 
 
 def _mark(panel: Axes, points: Sequence[ArrayLike], marker: str, color: str, label: str) -> Artist:
     """Mark points (x, y) and return the handle of the legend."""
-    size = 9 if marker == "*" else 6
-    look: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": color, "mew": 0.9, "ms": size}
+    look: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": color, "mew": 0.9, "ms": 9 if marker == "*" else 6}
     return panel.plot(*points, marker=marker, **look, zorder=4, label=label, gid=label)[0]
 
 
 def _mean(gain: ArrayLike) -> float:
+    """Return the geometric mean."""
     return float(np.exp(np.mean(np.log(gain))))
 
 

@@ -10,7 +10,7 @@ from mjx_climb.files import dataset
 from mjx_climb.scenario import shipped
 from tuning.background import Stage
 from tuning.report.explorer import explorer
-from tuning.report.numbers import number, unit, words
+from tuning.report.numbers import number, unit
 from tuning.report.page import Origin, Page, Table
 from tuning.reproduce import claims
 from tuning.reproduce.claims import BASELINE, CASES, CLAIMS, METHODS, READINGS, Case, Verdict, Walk
@@ -124,7 +124,7 @@ def tables(found: Found) -> tuple[Table, Table]:
             if metric == "detached_at":
                 cells = ["holds" if cell == "-" and not metrics["diverged"] else cell
                          for cell, metrics in zip(cells, what.metrics.values(), strict=True)]  # fmt: skip
-            rows.append([words(metric), unit(metric), *stated.get(metric, ["", ""]), *cells])
+            rows.append([mc.METRICS.in_words(metric), unit(metric, mc.METRICS), *stated.get(metric, ["", ""]), *cells])
         sections.append((f"case {name}: {case.title}", rows))
     verdicts = {f"{name} {TITLES[r]}": case.verdicts[r] for name, case in found.items() for r in READINGS}
     names = dict.fromkeys(name for held in verdicts.values() for name in held)
