@@ -1,10 +1,13 @@
-"""Importing mjx_climb: no file written, no device touched."""
+"""In processes of their own: importing writes no file, touches no device, is light, and a forked child says so."""
 
+import multiprocessing
 import os
 import subprocess
 import sys
 
-PROGRAM = """
+import pytest
+
+IMPORTED = """
 import sys
 
 written = []
@@ -18,6 +21,8 @@ def watch(event, arguments):
 
 sys.addaudithook(watch)
 import mjx_climb as mc
+mc.load_scenario("case_2")
+assert not {"jax", "mujoco"} & set(sys.modules), "a command line that only reads a scenario waits for JAX"
 from jax._src import xla_bridge
 
 assert mc.rollout
@@ -25,16 +30,50 @@ assert not xla_bridge._backends, "a JAX backend was started"
 written = [path for path in written if isinstance(path, str) and path != "/dev/null"]  # a number is a pipe
 assert not written, written
 """
+FORKED = """
+import os, sys
+import jax
+import mjx_climb as mc
+
+if sys.argv[1] == "late":
+    jax.devices()
+if child := os.fork():
+    sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+scenario = mc.load_scenario("case_1_2", {"duration": 0.01})
+calls = [mc.rollout, mc.rollout_metrics, mc.rollout_histories, mc.Environment, lambda s: mc.simulator(s)()]
+said = set()
+for call in calls if sys.argv[1] == "late" else [mc.parameters]:
+    try:
+        call(scenario)
+    except RuntimeError as error:
+        said.add(str(error))
+print(said, flush=True)
+os._exit(0)
+"""
+
+
+def printed(program, *arguments, **how):
+    """Run a program in a process of its own to its end, and return what it prints."""
+    command = [sys.executable, "-W", "ignore", "-c", program, *arguments]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, **how)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
 
 
 def test_import_writes_nothing_and_starts_no_device(tmp_path):
     """With a home that does not exist: no file is opened for writing, no folder made, no JAX backend started."""
-    home = tmp_path / "nowhere"
-    environment = {
-        key: value for key, value in os.environ.items() if not key.startswith(("XDG_", "MJX_CLIMB_", "JAX_"))
-    }
+    home, ours = tmp_path / "nowhere", ("XDG_", "MJX_CLIMB_", "JAX_")
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(ours)}
     environment |= {"HOME": str(home), "MPLCONFIGDIR": str(home), "PYTHONDONTWRITEBYTECODE": "1"}
-    run = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, timeout=120)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout == ""
+    assert printed(IMPORTED, env=environment) == ""
     assert not home.exists()
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")
+@pytest.mark.parametrize("when", ["late", "early"])
+def test_a_process_forked_from_one_that_has_computed_says_so_where_it_would_hang(when):
+    said = printed(FORKED, when)
+    if when == "late":
+        assert said.startswith('{"this process was forked from one in which JAX had begun') and "', '" not in said
+    else:
+        assert said == "set()\n"

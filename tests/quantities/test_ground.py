@@ -1,5 +1,6 @@
 """Uneven ground: where the feet grip, what the maps say, and flat ground as it was."""
 
+import dataclasses
 import json
 
 import jax
@@ -31,11 +32,10 @@ def walked(scenario):
 
 def test_grippers_close_at_the_heights_of_their_footholds(scenario, walked):
     """Each limb grips where the list says, first foothold to last, and no gripper lets go."""
-    heights = foothold_heights(scenario)
-    np.testing.assert_array_equal(heights, [[0, 0.02, 0.02], [0.01, -0.01, -0.01], [0, 0.015, 0.03], [-0.01] * 3])
+    heights = [[0, 0.02, 0.02], [0.01, -0.01, -0.01], [0, 0.015, 0.03], [-0.01] * 3]
+    np.testing.assert_array_equal(foothold_heights(scenario), heights)
     assert not walked.detached.any() and walked.reachable.all()
-    expected = [[0, 0.02], [-0.01], [0, 0.015, 0.03], [-0.01]]  # LH lifts off at once
-    for limb, levels in enumerate(expected):
+    for limb, levels in enumerate([[0, 0.02], [-0.01], [0, 0.015, 0.03], [-0.01]]):  # LH lifts off at once
         gripped = walked.grip_point[walked.support[:, limb], limb, 2]
         _, first = np.unique(gripped.round(9), return_index=True)
         np.testing.assert_allclose(gripped[np.sort(first)], levels, atol=1e-12)
@@ -45,17 +45,13 @@ def test_the_robot_starts_at_rest_on_uneven_ground(walked):
     """The feet stand on their footholds, so the first forces are nil, and the base rises with their mean."""
     np.testing.assert_allclose(walked.foot_position[0, :, 2], [0, 0.01, 0, -0.01], atol=1e-9)
     assert np.abs(walked.foot_force[0]).max() < 1e-4
-    rise = walked.base_reference[[0, 1600, -1], 2] - 0.11
-    np.testing.assert_allclose(
-        rise, [0.0, np.mean([0.02, -0.01, 0.015, -0.01]), np.mean([0.02, -0.01, 0.03, -0.01])], atol=1e-4
-    )
+    means = np.mean([[0, 0, 0, 0], [0.02, -0.01, 0.015, -0.01], [0.02, -0.01, 0.03, -0.01]], axis=1)
+    np.testing.assert_allclose(walked.base_reference[[0, 1600, -1], 2] - 0.11, means, atol=1e-4)
 
 
 def test_swings_clear_the_higher_foothold_by_the_step_height(scenario, walked):
-    step = scenario.gait.step_height
-    for limb, top in enumerate([0.02, 0.01, 0.015, -0.01]):
-        first_cycle = walked.foot_target[:1600, limb, 2]
-        assert first_cycle.max() == pytest.approx(top + step, abs=2e-4)
+    tops = np.array([0.02, 0.01, 0.015, -0.01]) + scenario.gait.step_height
+    np.testing.assert_allclose(walked.foot_target[:1600, :, 2].max(0), tops, rtol=0, atol=2e-4)
 
 
 @pytest.mark.slow
@@ -70,8 +66,7 @@ def test_engines_agree_on_uneven_ground(scenario, walked):
 def test_level_lists_are_flat_ground():
     """Footholds all at zero give the walk on flat ground, to rounding; all a hand higher, the same walk up there."""
     flat = mc.Scenario().with_overrides(SHORT)
-    level = flat.with_overrides({"ground.footholds": {limb: [0.0, 0.0, 0.0] for limb in ORDER}})
-    higher = flat.with_overrides({"ground.footholds": {limb: [0.1, 0.1, 0.1] for limb in ORDER}})
+    level, higher = (flat.with_overrides({"ground.footholds": dict.fromkeys(ORDER, [h] * 3)}) for h in (0.0, 0.1))
     walks = [mc.rollout(scenario) for scenario in (flat, level, higher)]
     for name in ("foot_force", "joint_angles", "tsm", "gia_margin"):
         np.testing.assert_allclose(getattr(walks[1], name), getattr(walks[0], name), rtol=1e-9, atol=1e-9)
@@ -84,17 +79,16 @@ def test_heights_can_be_a_batch():
     """Terrain is a parameter like others: a batch of it walks at once, each as if alone."""
     base = mc.Scenario().with_overrides({**SHORT, "duration": 0.2, "ground.footholds": STEPS})
     numbers = jax.tree.map(np.asarray, mc.parameters(base))
-    table = numbers.foothold_height
-    batch = mc.Parameters(**{**vars(numbers), "foothold_height": np.stack([table, 0.5 * table])})
-    both = mc.rollout_metrics(base, parameters=batch, dtype=np.float64)
-    half = mc.Parameters(**{**vars(numbers), "foothold_height": 0.5 * table[None]})
-    alone = mc.rollout_metrics(base, parameters=half, dtype=np.float64)
+    table = numbers.foothold_height * np.array([1.0, 0.5])[:, None, None]
+    both, alone = (
+        mc.rollout_metrics(base, None, dataclasses.replace(numbers, foothold_height=heights), dtype=np.float64)
+        for heights in (table, table[1:])
+    )
     np.testing.assert_allclose(both["peak_foot_force"][1], alone["peak_foot_force"][0], rtol=1e-9)
     assert both["peak_foot_force"][0] != both["peak_foot_force"][1]
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Maps
+# --- maps
 
 
 def slope(x, y):
@@ -115,9 +109,8 @@ def maps(tmp_path_factory):
 
 
 def on(file, **more):
-    return mc.Scenario().with_overrides(
-        {"ground.map": {"file": str(file), "resolution": 0.005, "origin": [-0.4, -0.3], **more}, "gait.heading": 0.3}
-    )
+    ground = {"file": str(file), "resolution": 0.005, "origin": [-0.4, -0.3], **more}
+    return mc.Scenario().with_overrides({"ground.map": ground, "gait.heading": 0.3})
 
 
 def test_maps_give_the_heights_below_the_planned_footholds(maps):
@@ -130,24 +123,24 @@ def test_maps_give_the_heights_below_the_planned_footholds(maps):
     np.testing.assert_allclose(grey + low, expected, atol=span / 255)
 
 
-BAD = {  # content of the file, keys, what is said
-    "text.csv": (b"1,2\nthree,4\n", {}, "ground.map.file: expected a grid of numbers"),
-    "ragged.csv": (b"1,2\n3\n", {}, "ground.map.file: expected a grid of numbers"),
-    "nan.csv": (b"1,2\nnan,4\n", {}, "not finite"),
-    "line.csv": (b"1,2\n", {}, "expected two rows and columns or more"),
-    "empty.npy": (b"", {}, "ground.map.file: expected a grid of numbers"),
-    "noise.png": (b"noise", {}, "ground.map.file: expected a grid of numbers"),
-    "map.tif": (b"", {}, "expected a .csv, .npy or .png"),
-    "small.csv": (b"0,0\n0,0\n", {}, "expected a map that covers foothold 0 of LF"),
+BAD = {  # content of the file, what is said
+    "text.csv": (b"1,2\nthree,4\n", "ground.map.file: expected a grid of numbers"),
+    "ragged.csv": (b"1,2\n3\n", "ground.map.file: expected a grid of numbers"),
+    "nan.csv": (b"1,2\nnan,4\n", "not finite"),
+    "line.csv": (b"1,2\n", "expected two rows and columns or more"),
+    "empty.npy": (b"", "ground.map.file: expected a grid of numbers"),
+    "noise.png": (b"noise", "ground.map.file: expected a grid of numbers"),
+    "map.tif": (b"", "expected a .csv, .npy or .png"),
+    "small.csv": (b"0,0\n0,0\n", "expected a map that covers foothold 0 of LF"),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_map_that_cannot_be_used_is_refused_in_one_line(name, tmp_path):
-    content, keys, expected = BAD[name]
+    content, expected = BAD[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(mc.ConfigError) as refused:
-        foothold_heights(on(tmp_path / name, **keys))
+        foothold_heights(on(tmp_path / name))
     assert expected in str(refused.value) and name in str(refused.value)
     assert len(str(refused.value).splitlines()) == 1
 

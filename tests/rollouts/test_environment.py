@@ -1,7 +1,7 @@
 """Robots stepped by hand walk as a rollout does, take actions, and are pure functions of state and action."""
 
 import dataclasses
-import time
+import timeit
 
 import jax
 import jax.numpy as jnp
@@ -27,13 +27,8 @@ def env(scenario):
 
 @pytest.fixture(scope="module")
 def walked(env):
-    """Return a function that steps an environment from a state to the end of a walk, and all samples."""
-
-    @jax.jit
-    def walk(state, actions=None):
-        return jax.lax.scan(env.step, state, actions, length=env.scenario.steps)
-
-    return walk
+    """Return what steps an environment from a state to the end of a walk, and returns all samples too."""
+    return jax.jit(lambda state, actions=None: jax.lax.scan(env.step, state, actions, length=env.scenario.steps))
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +39,8 @@ def alone(env, walked):
 def test_one_robot_walks_as_in_a_rollout(scenario, alone):
     trajectory = mc.rollout(scenario)
     for name in HISTORIES:
-        np.testing.assert_allclose(
-            getattr(alone[1], name), getattr(trajectory, name), rtol=1e-9, atol=1e-10, err_msg=name
-        )
+        found, expected = getattr(alone[1], name), getattr(trajectory, name)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10, err_msg=name)
 
 
 def test_a_simulation_steps_one_robot(scenario, alone):
@@ -83,9 +77,8 @@ def test_a_batch_walks_as_its_robots_do(scenario, env, walked):
 def test_the_law_by_hand_is_the_law(env, walked, alone):
     """Joint targets as the law gave them, and the base shifted as the law shifted it, make the same walk."""
     samples = alone[1]
-    _, targets = walked(env.reset(), mc.JointTargets(samples.joint_targets))
-    _, shifts = walked(env.reset(), mc.BaseShift(samples.base_displacement))
-    for again in (targets, shifts):
+    for actions in (mc.JointTargets(samples.joint_targets), mc.BaseShift(samples.base_displacement)):
+        again = walked(env.reset(), actions)[1]
         np.testing.assert_allclose(again.foot_force, samples.foot_force, rtol=0, atol=1e-8)
         np.testing.assert_allclose(again.joint_torque, samples.joint_torque, rtol=0, atol=1e-9)
 
@@ -106,11 +99,10 @@ def test_an_action_moves_the_robots(env, alone):
 
 @pytest.mark.slow
 def test_some_robots_begin_again_while_others_go_on(env, walked):
-    start = env.reset(batch=(2,))
+    start, first = env.reset(batch=(2,)), jnp.array([True, False])
     state, _ = env.step(start)
-    again = jax.tree.map(
-        lambda new, old: jnp.where(jnp.array([True, False]).reshape(2, *[1] * (new.ndim - 1)), new, old), start, state
-    )
+    choose = lambda new, old: jnp.where(first.reshape(2, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
+    again = jax.tree.map(choose, start, state)
     assert again.step.tolist() == [0, 1]
     sample = env.step(again)[1]
     np.testing.assert_allclose(sample.time, [0.0, env.scenario.time_step])
@@ -119,7 +111,7 @@ def test_some_robots_begin_again_while_others_go_on(env, walked):
 
 @pytest.mark.slow
 def test_derivatives_by_an_action(env):
-    """Forward and reverse agree with central differences of the base's velocity after two steps."""
+    """Forward and reverse agree with central differences: the base's velocity after two steps, a torque after one."""
 
     @jax.jit
     def velocity(angle):
@@ -134,14 +126,9 @@ def test_derivatives_by_an_action(env):
     np.testing.assert_allclose([forward, reverse], difference, rtol=1e-6)
     assert abs(difference) > 1e-3
 
-
-@pytest.mark.slow
-def test_forward_derivatives_by_an_action(env):
-    state = env.reset()
-
     @jax.jit
     def torque(shift):
-        return env.step(state, mc.BaseShift(jnp.zeros(6).at[0].set(shift)))[1].joint_torque[0, 1]
+        return env.step(env.reset(), mc.BaseShift(jnp.zeros(6).at[0].set(shift)))[1].joint_torque[0, 1]
 
     tangent = jax.jvp(torque, (1e-3,), (1.0,))[1]
     np.testing.assert_allclose(tangent, (torque(1.01e-3) - torque(0.99e-3)) / 2e-5, rtol=1e-5)
@@ -166,8 +153,7 @@ def test_equal_environments_are_compiled_once(scenario, env):
 @pytest.mark.timing
 def test_stepping_by_hand_is_nearly_as_fast_as_a_rollout(case):
     """One program against one program: `rollout_metrics` spreads its robots over the cores beside."""
-    scenario = case("case_1_2", "virtual_model", {"duration": 0.5, "gait.cycle": 0.5})
-    robots = 1024
+    scenario, robots = case("case_1_2", "virtual_model", {"duration": 0.5, "gait.cycle": 0.5}), 1024
     simulation = mc.Simulation(scenario)
 
     def walk(state):
@@ -182,17 +168,11 @@ def test_stepping_by_hand_is_nearly_as_fast_as_a_rollout(case):
     parameters = mc.parameters(scenario, np.float32)
     start = mc.Environment(scenario, dtype=np.float32).reset(gains)
 
-    def seconds(run):
-        run()
-        best = np.inf
-        for _ in range(3):
-            begin = time.perf_counter()
-            run()
-            best = min(best, time.perf_counter() - begin)
-        return best
+    def seconds(run, *arguments):
+        run(*arguments)
+        return min(timeit.repeat(lambda: jax.block_until_ready(run(*arguments)), number=1, repeat=3))
 
-    mine = seconds(lambda: jax.block_until_ready(by_hand(start)))
-    theirs = seconds(lambda: jax.block_until_ready(simulate(gains, parameters)))
+    mine, theirs = seconds(by_hand, start), seconds(simulate, gains, parameters)
     print(f"by hand {robots * scenario.steps / mine:.3g} steps/s, a rollout {robots * scenario.steps / theirs:.3g}")
     assert theirs > 0.6 * mine
 

@@ -39,9 +39,8 @@ def test_tangents_of_a_batch_agree_with_central_differences(scenario):
     """Every robot under every member's parameters, along directions of its own."""
     rng = np.random.default_rng(0)
     six, own = (ROBOTS, 6), mc.Gains(1.0, 100.0, 3e3, 50.0, 0.2)
-    gains = mc.Gains(
-        np.ones(six), 100 * rng.uniform(1, 2, six), 3e3 * rng.uniform(1, 2, six), np.full(ROBOTS, 50.0), np.full(3, 0.2)
-    )
+    damping, stiffness = 100 * rng.uniform(1, 2, six), 3e3 * rng.uniform(1, 2, six)
+    gains = mc.Gains(np.ones(six), damping, stiffness, np.full(ROBOTS, 50.0), np.full(ROBOTS, 0.2))
     rates = jax.tree.map(lambda g, size: size * rng.normal(size=(DIRECTIONS, *g.shape)), gains, own)
     rates = dataclasses.replace(rates, inertia=np.zeros((DIRECTIONS, 6)), kd=np.zeros(DIRECTIONS))
     parameters = dataclasses.replace(own_parameters(scenario), cargo_mass=rng.uniform(0, 1, (MEMBERS, 1)))
@@ -49,19 +48,18 @@ def test_tangents_of_a_batch_agree_with_central_differences(scenario):
     metrics, tangents = mc.rollout_jvp(scenario, gains, rates, parameters, **walk)
     same = mc.rollout_metrics(scenario, gains, parameters, **walk)
 
-    step, moved = 1e-5, []
-    for sign in (1, -1):
-        there = jax.tree.map(
-            lambda g, r, sign=sign: g + sign * step * r.reshape(DIRECTIONS, 1, -1, *g.shape[1:]), gains, rates
-        )
-        moved.append(mc.rollout_metrics(scenario, there, parameters, **walk))
+    def moved(step):
+        there = jax.tree.map(lambda g, r: g + step * r.reshape(DIRECTIONS, 1, -1, *g.shape[1:]), gains, rates)
+        return mc.rollout_metrics(scenario, there, parameters, **walk)
+
+    above, below = moved(1e-5), moved(-1e-5)
     assert set(metrics) - set(tangents) == {"detached_limb", "missed_grips", "diverged"}
     for name, value in metrics.items():
         np.testing.assert_allclose(value, same[name], rtol=1e-9, err_msg=name)
     del tangents["detached_at"]  # nothing is torn off
     for name, tangent in tangents.items():
         assert tangent.shape == (DIRECTIONS, MEMBERS, ROBOTS)
-        differences = (moved[0][name] - moved[1][name]) / (2 * step)
+        differences = (above[name] - below[name]) / 2e-5
         np.testing.assert_allclose(tangent, differences, rtol=1e-4, atol=1e-4 * np.abs(differences).max(), err_msg=name)
     assert np.ptp(tangents["peak_foot_force"]) > 0
 

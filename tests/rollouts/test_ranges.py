@@ -1,4 +1,4 @@
-"""Parameters from Python have the ranges of a scenario's keys, and bad arguments of a batch one line each."""
+"""Parameters of a scenario, from Python in the ranges of its keys, and bad arguments of a batch in one line each."""
 
 import copy
 import dataclasses
@@ -48,19 +48,6 @@ def test_parameters_outside_of_the_ranges_of_a_scenario_are_refused(scenario, nu
         assert str(error.value) == f"parameters.{name}: {said}"
 
 
-def test_every_entry_checks(scenario, numbers):
-    bad = dataclasses.replace(numbers, torque_limit=np.asarray(-1.0))
-    for walk in (
-        lambda: mc.rollout(scenario, None, bad),
-        lambda: mc.rollout_histories(scenario, None, bad),
-        lambda: mc.rollout_jvp(scenario, {"damping": 1e2}, {"damping": 1.0}, bad),
-        lambda: mc.simulator(scenario)(None, bad),
-        lambda: mc.Environment(scenario).reset(None, bad),
-    ):
-        with pytest.raises(ValueError, match=r"parameters\.torque_limit"):
-            walk()
-
-
 def test_pushes_without_their_times_are_refused(numbers):
     bad = copy.copy(numbers)
     object.__setattr__(bad, "push_start", np.zeros(1))  # jaxtyping knows it too, while tests run
@@ -76,36 +63,46 @@ def test_what_the_scenario_allows_is_allowed(numbers):
     jax.eval_shape(lambda kp: check_ranges(dataclasses.replace(numbers, kp=kp)), -1.0)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ({"dtype": jnp.bfloat16}, "dtype: expected float32 or float64, got bfloat16"),
-        ({"dtype": np.int32}, "dtype: expected float32 or float64, got int32"),
-        ({"batch_size": 0}, "batch_size: expected 1 or more, got 0"),
-        ({"gains": {"kp": np.ones(0)}}, "gains and parameters: expected one robot or more, got batch axes (0,)"),
-        ({"gains": {"damping": 1e2 + 1j}}, "gains.damping: expected real numbers, got complex128"),
-        ({"gains": {"kp": 1j}}, "gains.kp: expected real numbers, got complex128"),
-    ],
-)  # fmt: skip
-def test_bad_arguments_have_one_line_each(scenario, arguments, said):
+SIX = mc.Gains(*[np.ones((1, 6))] * 3)
+NO_DTYPE, NO_BATCH = "dtype: expected float32 or float64, got ", "batch_size: expected 1 or more, got 0"
+NOBODY = "gains and parameters: expected one robot or more, got batch axes (0,)"
+LIMIT = "parameters.torque_limit: expected a finite number above 0, or infinite, got -1"
+BAD = [  # a call of a scenario and of bad parameters, and what is said
+    (lambda s, bad: mc.rollout(s, None, bad), LIMIT),
+    (lambda s, bad: mc.rollout_histories(s, None, bad), LIMIT),
+    (lambda s, bad: mc.rollout_jvp(s, {"damping": 1e2}, {"damping": 1.0}, bad), LIMIT),
+    (lambda s, bad: mc.simulator(s)(None, bad), LIMIT),
+    (lambda s, bad: mc.Environment(s).reset(None, bad), LIMIT),
+    (lambda s, _: mc.rollout_metrics(s, dtype=jnp.bfloat16), f"{NO_DTYPE}bfloat16"),
+    (lambda s, _: mc.rollout_metrics(s, dtype=np.int32), f"{NO_DTYPE}int32"),
+    (lambda s, _: mc.Environment(s, dtype=jnp.float16), f"{NO_DTYPE}float16"),
+    (lambda s, _: mc.simulator(s)({"damping": jnp.full(6, 1e2, jnp.bfloat16)}), f"{NO_DTYPE}bfloat16"),
+    (lambda s, _: resolve_in(s, law_of(s), None, None, np.int32), f"{NO_DTYPE}int32"),
+    (lambda s, _: mc.rollout_metrics(s, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_jvp(s, SIX, SIX, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_histories(s, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": np.ones(0)}), NOBODY),
+    (lambda s, _: mc.Environment(s).reset(batch=(0,)), NOBODY),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": 1e2 + 1j}), "gains.damping: expected real numbers, got complex128"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": 1j}), "gains.kp: expected real numbers, got complex128"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(BAD)))
+def test_bad_arguments_have_one_line_each(scenario, numbers, number):
+    call, said = BAD[number]
     with pytest.raises(ValueError) as error:
-        mc.rollout_metrics(scenario, **arguments)
+        call(scenario, dataclasses.replace(numbers, torque_limit=np.asarray(-1.0)))
     assert str(error.value) == said
 
 
-def test_so_they_have_elsewhere(scenario):
-    with pytest.raises(ValueError, match=r"^dtype: "):
-        mc.Environment(scenario, dtype=jnp.float16)
-    six = mc.Gains(*[np.ones((1, 6))] * 3)
-    for ask in (
-        lambda: mc.rollout_jvp(scenario, six, six, batch_size=0),
-        lambda: mc.rollout_histories(scenario, batch_size=0),
-    ):
-        with pytest.raises(ValueError, match=r"^batch_size: expected 1 or more, got 0$"):
-            ask()
-    with pytest.raises(ValueError, match="expected one robot or more"):
-        mc.Environment(scenario).reset(batch=(0,))
-    with pytest.raises(ValueError, match=r"^dtype: "):
-        mc.simulator(scenario)({"damping": jnp.full(6, 1e2, jnp.bfloat16)})
-    with pytest.raises(ValueError, match=r"^dtype: "):
-        resolve_in(scenario, law_of(scenario), None, None, np.int32)
+@pytest.mark.parametrize("hardware", [(), ["hardware.force_sensor.delay=0.002"]])
+def test_parameters_in_numpy_are_those_of_jax(hardware):
+    """To the last bit, where no array of JAX is made: a GPU would have to start for it."""
+    scenario = mc.load_scenario("case_1_2", hardware)
+    with jax.transfer_guard("disallow"):
+        mine = own_parameters(scenario)
+    for name, value in vars(mc.parameters(scenario)).items():
+        own = getattr(mine, name)
+        assert isinstance(own, np.ndarray) and own.dtype == value.dtype == np.float64
+        np.testing.assert_array_equal(own, value, err_msg=name)
