@@ -34,15 +34,6 @@ class Limb(NamedTuple):
     armature: AnyArray  # (N,) kg m^2; None: there is none
 
 
-class JointMotion(NamedTuple):
-    """How joints move, along their own axes and in the links' frames: zero where a joint is of the other kind."""
-
-    spin: AnyArray  # (N, 3) rad/s
-    spin_change: AnyArray  # (N, 3) rad/s^2
-    slide: AnyArray  # (N, 3) m/s; None: no joint of the robot slides
-    slide_change: AnyArray  # (N, 3) m/s^2
-
-
 class BodyMotion(NamedTuple):
     """How a body moves, in its own axes."""
 
@@ -50,24 +41,10 @@ class BodyMotion(NamedTuple):
     turning: Array  # (3,) rad/s^2, angular acceleration
     linear: Array  # (3,) m/s^2, acceleration of the frame's origin less gravity
 
-    @property
-    def tensor(self) -> Array:
-        """What the acceleration of a point gains with its place, (3, 3) 1/s^2: `[turning] + [velocity]^2`."""
-        outer = symmetric(jnp.outer(self.velocity, self.velocity))
-        return skew(self.turning) + outer - jnp.trace(outer) * jnp.eye(3, dtype=outer.dtype)
-
     def at(self, point: Array) -> Array:
-        """Return the acceleration less gravity (3,) of a point of the body."""
-        return self.linear + self.tensor @ point
-
-
-class Needed(NamedTuple):
-    """Forces that a motion needs of a limb's joints, and of what the limb hangs on."""
-
-    along: Array  # (N,) N, along the joints' axes
-    about: Array  # (N,) N m, about them
-    force: Array  # (3,) N, in the axes of what the limb hangs on
-    moment: Array  # (3,) N m, about the origin of its frame
+        """Return the acceleration less gravity (3,) of a point of the body: `linear + ([turning] + [velocity]^2) p`."""
+        outer = symmetric(jnp.outer(self.velocity, self.velocity))
+        return self.linear + (skew(self.turning) + outer - jnp.trace(outer) * jnp.eye(3, dtype=outer.dtype)) @ point
 
 
 class Forces(NamedTuple):
@@ -88,50 +65,50 @@ def limbs_of(robot: Robot) -> Limb:
 def missing_forces(robot: Robot, state: State, acceleration: Acceleration, loads: Loads) -> Forces:
     """Return what acts less what the accelerations need: zero at those that obey the equations of motion."""
     to_base = quaternion_to_matrix(state.base_orientation).T
-    base = BodyMotion(
-        to_base @ state.base_angular_velocity,
-        to_base @ acceleration.base_angular,
-        to_base @ (acceleration.base_linear - loads.gravity),
-    )
-    poses = link_poses(robot, state.joint_angles)
-    needed = jax.vmap(_newton_euler, in_axes=(0, 0, 0, None, 0))(
-        limbs_of(robot), poses, _joint_motion(robot, state, acceleration), base, loads.foot_force @ to_base.T
+    linear, angular = to_base @ (acceleration.base_linear - loads.gravity), to_base @ acceleration.base_angular
+    base = BodyMotion(to_base @ state.base_angular_velocity, angular, linear)
+    # along the joints' axes, zero where a joint is of the other kind; None: no joint of the robot slides
+    by_joint = zip(by_kind(robot, state.joint_rates), by_kind(robot, acceleration.joints), strict=True)
+    joints = [None if part is None else part[..., None] * _AXIS for pair in by_joint for part in pair]
+    along, about, limb_force, limb_moment = jax.vmap(_newton_euler, in_axes=(0, 0, 0, None, 0))(
+        limbs_of(robot), link_poses(robot, state.joint_angles), joints, base, loads.foot_force @ to_base.T
     )
     slides = robot.sliding
-    joint = loads.joint_torque - (needed.about if slides is None else jnp.where(slides, needed.along, needed.about))
+    joint = loads.joint_torque - (about if slides is None else jnp.where(slides, along, about))
     if robot.armature is not None:
         joint = joint - robot.armature * acceleration.joints
-    mass, spin = robot.base_mass + loads.cargo_mass, robot.base_inertia @ base.velocity
-    moment = robot.base_inertia @ base.turning + cross(base.velocity, spin)
+    spin = robot.base_inertia @ base.velocity
     return Forces(
         joint=joint,
-        limb_force=-needed.force,
-        limb_moment=-needed.moment,
-        force=to_base @ loads.base_wrench[:3] - mass * base.linear,
-        moment=to_base @ loads.base_wrench[3:] - moment,
+        limb_force=-limb_force,
+        limb_moment=-limb_moment,
+        force=to_base @ loads.base_wrench[:3] - (robot.base_mass + loads.cargo_mass) * linear,
+        moment=to_base @ loads.base_wrench[3:] - (robot.base_inertia @ angular + cross(base.velocity, spin)),
     )
 
 
-def _joint_motion(robot: Robot, state: State, acceleration: Acceleration) -> JointMotion:
-    parts = zip(by_kind(robot, state.joint_rates), by_kind(robot, acceleration.joints), strict=True)
-    return JointMotion(*(None if part is None else part[..., None] * _AXIS for pair in parts for part in pair))
+def _newton_euler(
+    limb: Limb, pose: LinkPose, joints: list[AnyArray], base: BodyMotion, foot_force: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return the forces that one limb needs, for a base and a force on its foot (3,) N in the base's axes.
 
-
-def _newton_euler(limb: Limb, pose: LinkPose, joints: JointMotion, base: BodyMotion, foot_force: Array) -> Needed:
-    """Return the forces that one limb needs, for a base and a force on its foot (3,) N in the base's axes."""
+    They are those along and about the joints' axes, (N,) N and N m, and the force (3,) N and moment (3,) N m of the
+    base on the limb. `joints` are spin, spin change, slide and slide change, (N, 3) each, in the links' frames.
+    """
+    spin, spin_change, slide, slide_change = joints
     links = range(len(limb.mass))
     motion, loads = base, []
     for i in links:  # outward: how each link moves, and the force and moment that this needs
         turn = pose.rotation[i].T
         linear, velocity, turning = turn @ motion.at(pose.position[i]), turn @ motion.velocity, turn @ motion.turning
-        if joints.slide is not None and joints.slide_change is not None:
-            linear = linear + cross(2 * velocity, joints.slide[i]) + joints.slide_change[i]
-        turning = turning + cross(velocity, joints.spin[i]) + joints.spin_change[i]
-        motion = BodyMotion(velocity + joints.spin[i], turning, linear)
+        if slide is not None:
+            linear = linear + cross(2 * velocity, slide[i]) + slide_change[i]
+        turning = turning + cross(velocity, spin[i]) + spin_change[i]
+        motion = BodyMotion(velocity + spin[i], turning, linear)
         foot_force = turn @ foot_force
         force = limb.mass[i] * motion.at(limb.center[i])
-        spin = cross(motion.velocity, limb.inertia[i] @ motion.velocity)
-        loads.append((force, limb.inertia[i] @ turning + spin + cross(limb.center[i], force)))
+        moment = limb.inertia[i] @ turning + cross(motion.velocity, limb.inertia[i] @ motion.velocity)
+        loads.append((force, moment + cross(limb.center[i], force)))
 
     force, moment, along, about = -foot_force, cross(foot_force, limb.foot), [], []
     for i in reversed(links):  # inward: the loads of all that is beyond a joint
@@ -140,4 +117,4 @@ def _newton_euler(limb: Limb, pose: LinkPose, joints: JointMotion, base: BodyMot
         about.append(moment[2])
         force = pose.rotation[i] @ force
         moment = pose.rotation[i] @ moment + cross(pose.position[i], force)
-    return Needed(jnp.stack(along[::-1]), jnp.stack(about[::-1]), force, moment)
+    return jnp.stack(along[::-1]), jnp.stack(about[::-1]), force, moment

@@ -98,19 +98,9 @@ def _limb_geometry(
     if femur_origin[0] + femur_length * np.cos(line) + tibia_length * np.cos(line + bend) <= 0:
         return None
     return LimbGeometry(
-        hip_position=position[0],
-        hip_rotation=rotation[0] @ plane,
-        lateral=foot[1],
-        femur_out=femur_origin[0],
-        femur_up=femur_origin[2],
-        femur_length=femur_length,
-        tibia_length=tibia_length,
-        femur_angle=femur_angle,
-        tibia_angle=tibia_angle,
-        femur_sign=femur_sign,
-        tibia_sign=tibia_sign,
-        knee_sign=np.sign(np.sin(bend)),
-    )
+        position[0], rotation[0] @ plane, foot[1], femur_origin[0], femur_origin[2], femur_length, tibia_length,
+        femur_angle, tibia_angle, femur_sign, tibia_sign, np.sign(np.sin(bend)),
+    )  # fmt: skip
 
 
 def inverse_kinematics(
@@ -130,9 +120,8 @@ def inverse_kinematics(
     angles = geometry.robot.stance_joints if last is None else last
     for step in range(STEPS):  # the last two of them towards the target alone
         weight, way = _toward_rest(geometry, angles)
-        change = _change(geometry, foot, angles, _DAMPING, _PULL * weight * way if step < STEPS - 2 else None)
-        angles = angles + _at_most(_LONGEST_STEP, change)
-    error, _ = _error_and_jacobian(geometry, foot, angles)
+        angles = angles + _change(geometry, foot, angles, _DAMPING, _PULL * weight * way if step < STEPS - 2 else None)
+    error = _error_and_jacobian(geometry, foot, angles)[0]
     return JointSolution(angles, (error * error).sum(-1) < _MET**2)
 
 
@@ -153,8 +142,8 @@ def settled(
     for _ in range(steps):
         weight, way = _toward_rest(chain, angles)
         rest = weight / weight.max(-1, keepdims=True) * way if pull else None
-        change = _change(chain, foot, angles, 0.0, rest)
-        angles = angles + _at_most(longest, change)
+        change = _change(chain, foot, angles, 0.0, rest, longest)
+        angles = angles + change
         if np.abs(change).max() < _SETTLED:
             break
     return angles, norm(foot - limb_frames(chain.robot, None, angles).foot)
@@ -182,50 +171,44 @@ def _error_and_jacobian(chain: Chain, target: AnyArray, angles: AnyArray) -> tup
     frames = limb_frames(robot, None, angles)
     error, jacobian = target - frames.foot, foot_jacobian(robot, frames)
     if chain.attitude is not None:
-        length = norm(robot.foot_center) + norm(robot.frame_position[:, 1:]).sum(-1)
-        length = (length / robot.joints)[:, None]
+        length = ((norm(robot.foot_center) + norm(robot.frame_position[:, 1:]).sum(-1)) / robot.joints)[:, None]
         turn = turn_between(frames.rotation[..., -1, :, :], chain.attitude)
         error = xp.concatenate([error, length * turn], axis=-1)
-        turning = length[..., None] * joint_axes(robot, frames).angular.mT
-        jacobian = xp.concatenate([jacobian, turning], axis=-2)
+        jacobian = xp.concatenate([jacobian, length[..., None] * joint_axes(robot, frames).angular.mT], axis=-2)
     if robot.driven is not None:
         jacobian = xp.where(robot.driven[:, None], jacobian, 0.0)
     return error, jacobian
 
 
-def _change(chain: Chain, target: AnyArray, angles: AnyArray, damping: float, pull: AnyArray | None) -> AnyArray:
-    """Return the change of joint angles of one step of damped least squares.
+def _change(
+    chain: Chain,
+    target: AnyArray,
+    angles: AnyArray,
+    damping: float,
+    pull: AnyArray | None,
+    longest: float = _LONGEST_STEP,
+) -> AnyArray:
+    """Return the change of joint angles of one step of damped least squares, shortened limb by limb to the longest.
 
-    The damping is `damping` times the squared error (Levenberg-Marquardt, after Sugihara, IEEE Trans. Robotics 27,
-    2011) and a little that keeps factors finite. Of `pull` (limb, joint) that part is added which moves no foot.
+    It is `J^T (J J^T + d)^-1 e`, or `(J^T J + d)^-1 J^T e` where J has fewer columns than rows. The damping d is
+    `damping` times the squared error (Levenberg-Marquardt, after Sugihara, IEEE Trans. Robotics 27, 2011) and a little
+    that keeps factors finite. Of `pull` (limb, joint) that part is added which moves no foot.
     """
     xp = namespace(target, angles)
     error, jacobian = _error_and_jacobian(chain, target, angles)
     rows, joints = jacobian.shape[-2:]
     least = max(_LEAST_DAMPING, _LEAST_ROUNDINGS * float(xp.finfo(angles.dtype).eps)) / joints
     damped = damping * (error * error).sum(-1) + least * (jacobian * jacobian).sum((-1, -2))
-    if pull is None or joints <= rows:
-        return _pseudo_inverse_times(jacobian, damped, error)
-    return pull + _pseudo_inverse_times(jacobian, damped, error - xp.matvec(jacobian, pull))
-
-
-def _at_most(longest: float, change: AnyArray) -> AnyArray:
-    """Return changes of joint angles (..., limb, joint), shortened limb by limb to the longest of a joint."""
-    largest = abs(change).max(-1, keepdims=True)
-    return change * (longest / namespace(change).maximum(largest, longest))
-
-
-def _pseudo_inverse_times(jacobian: AnyArray, damping: AnyArray, vector: AnyArray) -> AnyArray:
-    """Return `J^T (J J^T + d)^-1 v`, or `(J^T J + d)^-1 J^T v` where J has fewer columns than rows.
-
-    What is factorised is then of full rank where J is.
-    """
-    rows, joints = jacobian.shape[-2:]
+    damped = damped[..., None, None] * xp.eye(min(rows, joints), dtype=jacobian.dtype)
+    pulled = pull is not None and joints > rows
+    vector = (error - xp.matvec(jacobian, pull) if pulled else error)[..., None]
     back = jacobian.mT
-    damped = damping[..., None, None] * namespace(jacobian).eye(min(rows, joints), dtype=jacobian.dtype)
     if joints < rows:
-        return solve_symmetric(back @ jacobian + damped, back @ vector[..., None])[..., 0]
-    return (back @ solve_symmetric(jacobian @ back + damped, vector[..., None]))[..., 0]
+        change = solve_symmetric(back @ jacobian + damped, back @ vector)[..., 0]
+    else:
+        change = (back @ solve_symmetric(jacobian @ back + damped, vector))[..., 0]
+    change = pull + change if pulled else change
+    return change * (longest / xp.maximum(abs(change).max(-1, keepdims=True), longest))
 
 
 def _closed_form(geometry: LimbGeometry, foot: AnyArray) -> JointSolution:

@@ -23,39 +23,19 @@ from jax.numpy import cross
 
 from mjx_climb.dynamics.inverse_dynamics import Forces, Limb, limbs_of, missing_forces
 from mjx_climb.dynamics.kinematics import JointAxes, LimbFrames, joint_axes, limb_frames
-from mjx_climb.dynamics.spatial import AnyArray, inverse_3x3, quaternion_to_matrix, skew, solve_symmetric, symmetric
+from mjx_climb.dynamics.spatial import inverse_3x3, quaternion_to_matrix, skew, solve_symmetric, symmetric
 from mjx_climb.dynamics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot
 
-
-class Inertia(NamedTuple):
-    """Rigid-body inertia about the base's centre of mass: m, h = m c, I."""
-
-    mass: Array  # () kg
-    moment: Array  # (3,) kg m
-    rotational: Array  # (3, 3) kg m^2
-
-
-class BaseBlock(NamedTuple):
-    """A part of the base's block `[A C; C^T D]` in the mass matrix."""
-
-    linear: Array  # (3, 3) kg, A
-    mixed: Array  # (3, 3) kg m, C
-    angular: Array  # (3, 3) kg m^2, D
-
-
-class Joints(NamedTuple):
-    """A limb's joints in the factorised mass matrix."""
-
-    inverse: Array  # (N, N), of the block of its joints
-    force: Array  # (3, N), coupling times that inverse: force on the base
-    moment: Array  # (3, N)
+_Three = tuple[Array, Array, Array]
 
 
 class Factors(NamedTuple):
     """The mass matrix, factorised: joints first, then the base by blocks `[A C; C^T D]`."""
 
-    joints: Joints  # of every limb
+    joints: Array  # (limb, N, N), inverse of the block of a limb's joints
+    force: Array  # (limb, 3, N), coupling times that inverse: force on the base
+    moment: Array  # (limb, 3, N)
     linear: Array  # (3, 3), A^-1
     columns: Array  # (3, 3), A^-1 C
     angular: Array  # (3, 3), (D - C^T A^-1 C)^-1
@@ -65,15 +45,17 @@ def factorized(robot: Robot, joint_angles: Array, cargo_mass: Array) -> Factors:
     """Return the factors of the mass matrix, for joint angles (limb, joint) rad and a cargo () kg."""
     frames = limb_frames(robot, None, joint_angles)
     joints, blocks = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
-    base: BaseBlock = jax.tree.map(lambda part: part.sum(0), blocks)
-    linear = inverse_3x3((robot.base_mass + cargo_mass) * jnp.eye(3, dtype=joint_angles.dtype) + base.linear)
-    columns = linear @ base.mixed
-    angular = inverse_3x3(robot.base_inertia + base.angular - base.mixed.T @ columns)
-    return Factors(joints, linear, columns, angular)
+    linear, mixed, angular = (block.sum(0) for block in blocks)
+    linear = inverse_3x3((robot.base_mass + cargo_mass) * jnp.eye(3, dtype=joint_angles.dtype) + linear)
+    columns = linear @ mixed
+    return Factors(*joints, linear, columns, inverse_3x3(robot.base_inertia + angular - mixed.T @ columns))
 
 
-def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[Joints, BaseBlock]:
-    """Return the joints of a limb, and what is left for the base: its inertia less what its joints give way."""
+def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three, _Three]:
+    """Return the factors of a limb's joints, and what is left for the base: its inertia less what its joints give way.
+
+    The former are the first three of `Factors`, the latter the blocks A, C, D of the mass matrix (3, 3).
+    """
     links, angular = range(len(limb.mass)), axes.angular
     linear = cross(frames.position, angular)  # motion at the base's centre of mass per rate, as `angular`
     if axes.linear is not None:
@@ -81,51 +63,39 @@ def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[Joints
     body: Any = None
     forces, moments, mass = {}, {}, {}
     for j in reversed(links):  # composite rigid bodies: all that is beyond a joint moves as one
-        center = frames.position[j] + frames.rotation[j] @ limb.center[j]
-        link = about_base(limb.mass[j], center, rotated(limb.inertia[j], frames.rotation[j]))
-        body = link if body is None else jax.tree.map(jnp.add, body, link)
-        forces[j] = body.mass * linear[j] + cross(angular[j], body.moment)
-        moments[j] = body.rotational @ angular[j] + cross(body.moment, linear[j])
+        turn, mass_of_link = frames.rotation[j], limb.mass[j]
+        center = frames.position[j] + turn @ limb.center[j]
+        moment, inertia = mass_of_link * center, symmetric(turn @ limb.inertia[j] @ turn.T)
+        # m, h = m c, and I about the base's centre of mass by the parallel-axis theorem
+        link = mass_of_link, moment, symmetric(inertia - skew(moment) @ skew(center))
+        m, h, inertia = body = link if body is None else jax.tree.map(jnp.add, body, link)
+        forces[j] = m * linear[j] + cross(angular[j], h)
+        moments[j] = inertia @ angular[j] + cross(h, linear[j])
         for i in range(j + 1):
             mass[i, j] = mass[j, i] = jnp.dot(angular[i], moments[j]) + jnp.dot(linear[i], forces[j])
         if limb.armature is not None:
             mass[j, j] = mass[j, j] + limb.armature[j]
-    block = jnp.stack([mass[i, j] for i in links for j in links]).reshape(len(links), len(links))
+    size = len(links)
+    block = jnp.stack([mass[i, j] for i in links for j in links]).reshape(size, size)
+    inverse = inverse_3x3(block) if size == 3 else solve_symmetric(block, jnp.eye(size, dtype=block.dtype))
     force, moment = (jnp.stack([column[j] for j in links], axis=1) for column in (forces, moments))
-    inverse = _inverse(block)
     force_way, moment_way = force @ inverse, moment @ inverse
-    left = BaseBlock(
-        linear=body.mass * jnp.eye(3, dtype=force.dtype) - symmetric(force_way @ force.T),
-        mixed=-skew(body.moment) - force_way @ moment.T,
-        angular=body.rotational - symmetric(moment_way @ moment.T),
+    left = (
+        m * jnp.eye(3, dtype=force.dtype) - symmetric(force_way @ force.T),
+        -skew(h) - force_way @ moment.T,
+        inertia - symmetric(moment_way @ moment.T),
     )
-    return Joints(inverse, force_way, moment_way), left
+    return (inverse, force_way, moment_way), left
 
 
-def rotated(inertia: AnyArray, rotation: Array) -> Array:
-    """Return `R I R^T` of an inertia (3, 3)."""
-    return symmetric(rotation @ inertia @ rotation.T)
-
-
-def about_base(mass: Array, center: Array, inertia: Array) -> Inertia:
-    """Return the inertia about the base of a body at `center`, by the parallel-axis theorem."""
-    moment = mass * center
-    return Inertia(mass, moment, symmetric(inertia - skew(moment) @ skew(center)))
-
-
-def _inverse(matrix: Array) -> Array:
-    size = len(matrix)
-    return inverse_3x3(matrix) if size == 3 else solve_symmetric(matrix, jnp.eye(size, dtype=matrix.dtype))
-
-
-def accelerations(factors: Factors, forces: Forces) -> tuple[Array, Array, Array]:
+def accelerations(factors: Factors, forces: Forces) -> _Three:
     """Return what generalised forces accelerate, in the base's axes: the fields of an `Acceleration`."""
-    joints = factors.joints
-    force = forces.force + (forces.limb_force - jnp.matvec(joints.force, forces.joint)).sum(0)
-    moment = forces.moment + (forces.limb_moment - jnp.matvec(joints.moment, forces.joint)).sum(0)
+    force = forces.force + (forces.limb_force - jnp.matvec(factors.force, forces.joint)).sum(0)
+    moment = forces.moment + (forces.limb_moment - jnp.matvec(factors.moment, forces.joint)).sum(0)
     angular = factors.angular @ (moment - factors.columns.T @ force)
     linear = factors.linear @ force - factors.columns @ angular
-    return linear, angular, jnp.matvec(joints.inverse, forces.joint) - linear @ joints.force - angular @ joints.moment
+    joints = jnp.matvec(factors.joints, forces.joint) - linear @ factors.force - angular @ factors.moment
+    return linear, angular, joints
 
 
 def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], Acceleration]:
@@ -144,7 +114,7 @@ def solved(robot: Robot, state: State, loads: Loads) -> tuple[Factors, tuple[Arr
     return factors, _in_world_axes(state, *accelerations(factors, missing_forces(robot, state, still, loads)))
 
 
-def _in_world_axes(state: State, linear: Array, angular: Array, joints: Array) -> tuple[Array, Array, Array]:
+def _in_world_axes(state: State, linear: Array, angular: Array, joints: Array) -> _Three:
     rotation = quaternion_to_matrix(state.base_orientation)
     return rotation @ linear, rotation @ angular, joints
 
@@ -164,8 +134,8 @@ def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Arr
     robot, state, *acting = primals
     factors, acceleration = solved(robot, state, Loads(*acting))
     leaves, tree = jax.tree.flatten(primals)
-    directions = jax.tree.leaves(tangents, is_leaf=_is_zero)
-    moving = [place for place, direction in enumerate(directions) if not _is_zero(direction)]
+    directions = jax.tree.leaves(tangents, is_leaf=lambda tangent: isinstance(tangent, SymbolicZero))
+    moving = [place for place, direction in enumerate(directions) if not isinstance(direction, SymbolicZero)]
 
     def missing(values: list[Array]) -> Forces:
         every = list(leaves)
@@ -177,7 +147,3 @@ def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Arr
     # what is missing is zero: so is what the turn of the base's axes adds to it
     _, change = jax.jvp(missing, ([leaves[place] for place in moving],), ([directions[place] for place in moving],))
     return acceleration, _in_world_axes(state, *accelerations(factors, change))
-
-
-def _is_zero(tangent: Any) -> bool:
-    return isinstance(tangent, SymbolicZero)

@@ -45,26 +45,21 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
         qpos = jnp.concatenate([state.base_position, state.base_orientation, state.joint_angles.ravel()])
         qvel = jnp.concatenate([state.base_linear_velocity, spin, state.joint_rates.ravel()])
         force = jnp.concatenate([wrench[:3], moment, joint_force.ravel()])
-        qacc = _accelerations(robot, qpos, qvel, force, cargo_mass, gravity)
+
+        def in_precision(leaf: Any) -> Any:
+            return leaf.astype(qpos.dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+        model, data = jax.tree.map(in_precision, _put_model(robot.model, jnp.result_type(float) == jnp.float64))
+        armature = 0.0 if robot.armature is None else jnp.asarray(robot.armature, qpos.dtype).ravel()
+        model = model.replace(
+            body_mass=model.body_mass.at[_BASE].add(cargo_mass),
+            dof_armature=model.dof_armature.at[6:].set(armature),
+            opt=model.opt.replace(gravity=gravity),
+        )
+        data = data.replace(qpos=qpos, qvel=qvel)
+        for stage in (smooth.kinematics, smooth.com_pos, smooth.crb, smooth.factor_m, smooth.com_vel, smooth.rne):
+            data = stage(model, data)
+        qacc = smooth.solve_m(model, data, force - data.qfrc_bias)
         return Acceleration(qacc[:3], rotation @ qacc[3:6], qacc[6:].reshape(state.joint_angles.shape))
 
     return forward_dynamics
-
-
-def _accelerations(robot: Robot, qpos: Array, qvel: Array, force: Array, cargo_mass: Array, gravity: Array) -> Array:
-    """Return MuJoCo's qacc (6 + joints,): linear in world axes, angular in base axes, joints."""
-
-    def in_precision(leaf: Any) -> Any:
-        return leaf.astype(qpos.dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    model, data = jax.tree.map(in_precision, _put_model(robot.model, jnp.result_type(float) == jnp.float64))
-    armature = 0.0 if robot.armature is None else jnp.asarray(robot.armature, qpos.dtype).ravel()
-    model = model.replace(
-        body_mass=model.body_mass.at[_BASE].add(cargo_mass),
-        dof_armature=model.dof_armature.at[6:].set(armature),
-        opt=model.opt.replace(gravity=gravity),
-    )
-    data = data.replace(qpos=qpos, qvel=qvel)
-    for stage in (smooth.kinematics, smooth.com_pos, smooth.crb, smooth.factor_m, smooth.com_vel, smooth.rne):
-        data = stage(model, data)
-    return jnp.asarray(smooth.solve_m(model, data, force - data.qfrc_bias))

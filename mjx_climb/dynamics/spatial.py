@@ -41,8 +41,7 @@ def symmetric(matrix: Float[AnyArray, "n n"]) -> Float[Array, "n n"]:
 
     Nothing then depends on the upper one, and it is left out where a function is written element by element.
     """
-    mirrored: Array = jnp.where(np.tri(len(matrix), dtype=bool), matrix, matrix.T)
-    return mirrored
+    return jnp.where(np.tri(len(matrix), dtype=bool), matrix, matrix.T)
 
 
 def turn_about_z(rotation: Float[AnyArray, "... 3 3"], angle: Float[AnyArray, "..."]) -> Float[AnyArray, "... 3 3"]:
@@ -62,18 +61,6 @@ def quaternion_to_matrix(quaternion: Float[AnyArray, "4"]) -> Float[AnyArray, "3
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
     return namespace(quaternion).stack(elements).reshape(3, 3)
-
-
-def rotation_about_z(angle: Float[Array, ""]) -> Float[Array, "3 3"]:
-    """Return the rotation matrix about z by an angle in rad."""
-    matrix: Array = turn_about_z(jnp.eye(3, dtype=angle.dtype), angle)
-    return matrix
-
-
-def quaternion_about_z(angle: Float[Array, ""]) -> Float[Array, "4"]:
-    """Return the quaternion of a rotation about z by an angle in rad."""
-    zero = jnp.zeros_like(angle)
-    return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])
 
 
 def quaternion_multiply(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.dynamics.spatial import quaternion_about_z, quaternion_multiply, rotation_about_z
+from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
 from mjx_climb.quantities.parameters import Parameters, stance_steps, whole_steps
 from mjx_climb.quantities.swing import added_shapes, lift, rest_to_rest
 from mjx_climb.robot.constants import Robot
@@ -43,14 +43,14 @@ def plan(
 
     `lift_off` are the names of the limbs, each with the share of the cycle at which it lifts off.
     """
-    heading, orientation = jnp.asarray(parameters.heading), jnp.asarray(robot.stance_orientation)
-    turned, step_height = rotation_about_z(heading), jnp.asarray(parameters.step_height)
+    zero = jnp.zeros_like(parameters.heading)
+    heading = quaternion_from_rotation_vector(jnp.stack([zero, zero, parameters.heading]))
+    turned, step_height = quaternion_to_matrix(heading), jnp.asarray(parameters.step_height)
     cycle_steps = whole_steps(parameters.cycle, time_step)
     shares = jnp.asarray([dict(lift_off)[limb] for limb in robot.limbs], cycle_steps.dtype)
-    zero = jnp.zeros_like(parameters.stride)
     return Plan(
         base_start=turned @ robot.stance_position,
-        base_orientation=quaternion_multiply(quaternion_about_z(heading), orientation),
+        base_orientation=quaternion_multiply(heading, jnp.asarray(robot.stance_orientation)),
         footholds=stance_feet @ turned.T,
         advance=turned @ jnp.stack([parameters.stride, zero, zero]),
         heights=jnp.asarray(parameters.foothold_height),
