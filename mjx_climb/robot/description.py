@@ -49,15 +49,20 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
         RobotError: a file that MuJoCo does not read, or numbers that no joint and no body can have.
     """
     spec = _read(file, looks)
-    _possible(file, spec)
+    _check_numbers(file, spec)
+    free, ball = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
     bodies, joints = ({part.name for part in parts} for parts in (spec.bodies, spec.joints))
     for body in spec.bodies:
-        for number, child in enumerate(body.bodies):
-            _name(child, f"{body.name}_{number + 1}", bodies)
-        for joint in body.joints:
-            _name(joint, body.name + ("_free" if joint.type == mujoco.mjtJoint.mjJNT_FREE else ""), joints)
-    for ball in [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_BALL]:
-        _as_hinges(spec, ball)
+        parts = [(child, f"{body.name}_{number + 1}", bodies) for number, child in enumerate(body.bodies)]
+        parts += [(joint, body.name + "_free" * (joint.type == free), joints) for joint in body.joints]
+        for part, name, taken in parts:
+            if not part.name:
+                while name in taken:
+                    name += "_"
+                part.name = name
+                taken.add(name)
+    for joint in [joint for joint in spec.joints if joint.type == ball]:
+        _as_hinges(spec, joint)
     return spec
 
 
@@ -102,7 +107,7 @@ def is_urdf(file: str) -> bool:
     return outermost is not None and outermost[1] == "robot"
 
 
-def _possible(file: str, spec: mujoco.MjSpec) -> None:
+def _check_numbers(file: str, spec: mujoco.MjSpec) -> None:
     """Refuse what MuJoCo takes for something else, or passes over.
 
     Those are limits the wrong way round (for none), a mass below zero (for none), numbers that are none, a drive of a
@@ -111,15 +116,17 @@ def _possible(file: str, spec: mujoco.MjSpec) -> None:
     urdf = is_urdf(file)
     for joint in spec.joints:
         lower, upper = joint.range
-        numbers = {"armature": joint.armature, "damping": joint.damping[0], "stiffness": joint.stiffness[0],
-                   "frictionloss": joint.frictionloss}  # fmt: skip
-        wrong = {f"{name} of zero or more": f"{value:g}" for name, value in numbers.items() if not 0 <= value < np.inf}
-        if lower > upper and (urdf or joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE):
-            wrong = {"limits in ascending order": f"{lower:g} to {upper:g}"}
-        if not np.isfinite([lower, upper]).all():
-            wrong = {"finite limits, or none": f"{lower:g} to {upper:g}"}
-        for expected, got in wrong.items():
-            raise RobotError(f"{line_of(file, joint.name)}: joint {joint.name!r}: expected {expected}, got {got}")
+        limited = urdf or joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE
+        wrong = [
+            (not np.isfinite([lower, upper]).all(), "finite limits, or none", f"{lower:g} to {upper:g}"),
+            (lower > upper and limited, "limits in ascending order", f"{lower:g} to {upper:g}"),
+        ]
+        for name in ("armature", "damping", "stiffness", "frictionloss"):
+            value = np.ravel(getattr(joint, name))[0]  # of polynomials the linear part
+            wrong.append((not 0 <= value < np.inf, f"{name} of zero or more", f"{value:g}"))
+        for bad, expected, got in wrong:
+            if bad:
+                raise RobotError(f"{line_of(file, joint.name)}: joint {joint.name!r}: expected {expected}, got {got}")
     for body in spec.bodies:
         full = np.array(body.fullinertia)  # begins with nan where it is not given
         given = [body.mass, *(full if np.isfinite(full[0]) or full[1:].any() else body.inertia)]
@@ -130,16 +137,8 @@ def _possible(file: str, spec: mujoco.MjSpec) -> None:
     known = {joint.name for joint in spec.joints}
     for actuator in spec.actuators:
         if actuator.trntype in _TURNED and actuator.target not in known:
-            place = _line_with(file, actuator.target)
+            place = line_of(file, actuator.target)
             raise RobotError(f"{place}: expected actuators of joints in the file, got one of {actuator.target!r}")
-
-
-def _name(part: mujoco.MjsBody | mujoco.MjsJoint, name: str, taken: set[str]) -> None:
-    if not part.name:
-        while name in taken:
-            name += "_"
-        part.name = name
-        taken.add(name)
 
 
 def _as_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> None:
@@ -242,31 +241,27 @@ def impossible(body: mujoco.MjsBody) -> bool:
 
 def _mend(body: mujoco.MjsBody) -> None:
     """Make moments equal that no body can have, and lift those of points, rods and plates off what MuJoCo refuses."""
-    moments = _moments(body)
-    least, middle, most = np.linalg.eigvalsh(moments)
     if not body.explicitinertial:
         return
+    moments = _moments(body)
+    least, middle, most = np.linalg.eigvalsh(moments)
     if np.abs(moments).max() <= SPECK_MOMENT:
-        mended = SPECK_MOMENT * np.eye(3)
+        moments = SPECK_MOMENT * np.eye(3)
     elif impossible(body):
-        mended = np.eye(3) * np.trace(moments) / 3
+        moments = np.eye(3) * np.trace(moments) / 3
     elif least >= -_ROUNDING * most and (least <= 0 or least + middle < most):
-        mended = moments + 2 * _ROUNDING * most * np.eye(3)
-    else:
-        return
+        moments = moments + 2 * _ROUNDING * most * np.eye(3)
     if np.isfinite(body.fullinertia[0]):
-        body.fullinertia = mended[ROWS, COLUMNS]
+        body.fullinertia = moments[ROWS, COLUMNS]
     else:
-        body.inertia = np.diag(mended)
+        body.inertia = np.diag(moments)
 
 
 def _moments(body: mujoco.MjsBody) -> np.ndarray:
     """Return the written inertia of a body, (3, 3) kg m^2; zeros where there is none."""
+    matrix = np.diag(body.inertia)
     if np.isfinite(body.fullinertia[0]):
-        matrix = np.empty((3, 3))
         matrix[ROWS, COLUMNS] = matrix[COLUMNS, ROWS] = body.fullinertia
-    else:
-        matrix = np.diag(body.inertia)
     return matrix if body.explicitinertial and np.isfinite(matrix).all() else np.zeros((3, 3))
 
 
@@ -347,13 +342,13 @@ def _first_line(file: str, *patterns: str) -> str | None:
 
 
 def line_of(file: str, name: str) -> str:
-    """Return a file, and after a colon the line in which it, or one that it includes, first names an element so."""
-    named = rf"(name\s*=\s*[\"']{re.escape(name)}[\"'])"
-    return _first_line(file, r"<\s*(?:body|joint|freejoint|link|geom|site)\s[^<>]*?" + named, named) or file
+    """Return a file, and after a colon the line in which it, or one that it includes, first names an element so.
 
-
-def _line_with(file: str, text: str) -> str:
-    return _first_line(file, rf"[\"']({re.escape(text)})[\"']") or file
+    Or else the line in which the name first stands in quotes.
+    """
+    quoted = rf"[\"']{re.escape(name)}[\"'])"
+    element = rf"<\s*(?:body|joint|freejoint|link|geom|site)\s[^<>]*?(name\s*=\s*{quoted}"
+    return _first_line(file, element, rf"(name\s*=\s*{quoted}", "(" + quoted) or file
 
 
 def _line_in(file: str, reason: str) -> str | None:
@@ -380,10 +375,8 @@ def unreadable(file: str, error: Exception) -> RobotError:
     """Return what MuJoCo says of a file in one line, beginning with the line of the file that it is about."""
     reason = " ".join((str(error) or "an empty one").split())
     place = _line_in(file, reason)
-    if place is None and (found := re.search(r"[Ee]lement name '([^']+)'", reason)):
+    if place is None and (found := re.search(r"(?:[Ee]lement name|opening file) '([^']+)'", reason)):
         place = line_of(file, found[1])
-    if place is None and (found := re.search(r"opening file '([^']+)'", reason)):
-        place = _line_with(file, found[1])
     if place is None and "repeated URDF name" in reason:
         place = _first_line(file, rf"<\s*(link|joint)\s{_NAME}([^\"']*)[\"'].*?<\s*\1\s{_NAME}(\2)[\"']")
     reason = reason.removesuffix(" line 0").removesuffix(",")
