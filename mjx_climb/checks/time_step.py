@@ -9,26 +9,27 @@ adds is in `tuning.evaluation.stability_limit`.
 import functools
 import itertools
 import math
+import operator
 from collections.abc import Iterator
 
 import numpy as np
 
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.hardware.servo import PRESLIDING, RELAXATION
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import PASSIVE
-from mjx_climb.robot.stance import limb_joints
+from mjx_climb.robot.stance import MET, limb_joints
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
 _ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
-_STIFFENING = {
-    "control.kp": "kp",
-    "control.kd": "kd",
-    "contact.stiffness": "contact_stiffness",
-    "contact.damping": "contact_damping",
-}
+_STIFFENING = {  # keys of a scenario by the parameters that take their place
+    "kp": "control.kp", "kd": "control.kd",
+    "contact_stiffness": "contact.stiffness", "contact_damping": "contact.damping",
+}  # fmt: skip
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
@@ -78,10 +79,11 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
         ConfigError: in one line, the time step that would do.
     """
     if parameters is not None:  # those that shorten the time step, where they are not the scenario's own
-        given = {key: float(getattr(parameters, name)) for key, name in _STIFFENING.items()}
-        sections = {"control": scenario.control, "contact": scenario.contact}
-        own = {key: getattr(sections[key.split(".")[0]], key.split(".")[1]) for key in given}
-        others = {key: value for key, value in given.items() if not math.isclose(value, own[key], rel_tol=1e-6)}
+        others = {
+            key: float(getattr(parameters, name))
+            for name, key in _STIFFENING.items()
+            if not math.isclose(getattr(parameters, name), operator.attrgetter(key)(scenario), rel_tol=1e-6)
+        }
         scenario = scenario.with_overrides(others) if others else scenario
     grows = growth(scenario)
     if grows <= 1 + _ROUNDING:
@@ -100,47 +102,33 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
     """Yield mass, stiffness and damping matrix (18, 18) at stance and on the way of every swing, by steps of `h`."""
     model = load_model(scenario.robot)
     contact, control, walk, servo = scenario.contact, scenario.control, scenario.gait, scenario.hardware.servo
-    feet = np.arange(model.nsite)
+    feet, joint = (
+        np.arange(model.nsite),
+        np.repeat([0.0, 1.0], [6, model.nv - 6]),
+    )  # which degrees of freedom are joints
+    driven, spring = np.ones(model.nv), np.zeros(model.nv)
+    driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
+    dry = servo.coulomb_friction + model.dof_frictionloss
     swings = itertools.product(feet, ((walk.stride / 2, walk.step_height), (walk.stride, 0.0), (-walk.stride, 0.0)))
     for limb, away in ((None, (0.0, 0.0)), *swings):
-        mass, jacobians, turning = _at(scenario.robot, limb, *away)
-        joint = np.diag(np.repeat([0.0, 1.0], [6, model.nv - 6]))
-        driven = np.repeat(1.0, model.nv)
-        driven[6:] = model.jnt_group[1:] != PASSIVE
-        spring = np.repeat(0.0, model.nv)
-        spring[6:] = model.jnt_stiffness[1:]
-        held = jacobians[feet != limb].reshape(-1, model.nv)
-        turned = turning[feet != limb].reshape(-1, model.nv)
-        moments = contact.rotational_stiffness * turned.T @ turned
-        resisting = contact.rotational_damping * turned.T @ turned if contact.rotational_stiffness else 0 * moments
-        dry = servo.coulomb_friction + model.dof_frictionloss
+        mass, *jacobians = _at(scenario.robot, limb, *away)
+        places, turns = (jacobian[feet != limb].reshape(-1, model.nv) for jacobian in jacobians)
+        held = contact.stiffness * places.T @ places + contact.rotational_stiffness * turns.T @ turns
+        resisted = contact.damping * places.T @ places
+        if contact.rotational_stiffness:
+            resisted += contact.rotational_damping * turns.T @ turns
         for bristle in (0 * dry, dry / PRESLIDING) if dry.any() else (0 * dry,):  # slipping, sticking
             damping = bristle * (RELAXATION + h)
             yield (
-                mass + np.diag(servo.armature + h * damping) * joint,
-                np.diag(control.kp * driven + spring + bristle) * joint + contact.stiffness * held.T @ held + moments,
-                np.diag(control.kd * driven + servo.viscous_friction + model.dof_damping + damping) * joint
-                + contact.damping * held.T @ held
-                + resisting,
+                mass + np.diag((servo.armature + h * damping) * joint),
+                np.diag((control.kp * driven + spring + bristle) * joint) + held,
+                np.diag((control.kd * driven + servo.viscous_friction + model.dof_damping + damping) * joint)
+                + resisted,
             )
 
 
-@functools.lru_cache(maxsize=64)
-def _moved(robot: str | RobotFile, ahead: float, up: float) -> np.ndarray:
-    """Return joint angles (L, N) with all feet as far from the stance; those of the stance where one cannot be."""
-    model = load_model(robot)
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.key_qpos[0]
-    mujoco.mj_kinematics(model, data)
-    targets = data.site_xpos + np.array([ahead, 0, up])
-    solved = limb_joints(load_robot(robot), (targets - data.qpos[:3]) @ data.xmat[1].reshape(3, 3))
-    return np.where(solved.errors[:, None] < 1e-9, solved.angles, data.qpos[7:].reshape(len(targets), -1))
-
-
 @functools.lru_cache(maxsize=256)
-def _at(
-    robot: str | RobotFile, swinging: int | None, ahead: float, up: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _at(robot: str | RobotFile, swinging: int | None, ahead: float, up: float) -> tuple[np.ndarray, ...]:
     """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at stance or with one foot moved."""
     model = load_model(robot)
     data = mujoco.MjData(model)
@@ -150,7 +138,18 @@ def _at(
     mujoco.mj_forward(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    jacobians, turning = np.empty((2, model.nsite, 3, model.nv))
+    places, turns = np.empty((2, model.nsite, 3, model.nv))
     for site in range(model.nsite):
-        mujoco.mj_jacSite(model, data, jacobians[site], turning[site], site)
-    return mass, jacobians, turning
+        mujoco.mj_jacSite(model, data, places[site], turns[site], site)
+    return mass, places, turns
+
+
+@functools.lru_cache(maxsize=64)
+def _moved(robot: str | RobotFile, ahead: float, up: float) -> np.ndarray:
+    """Return joint angles (L, N) with all feet as far from the stance; those of the stance where one cannot be."""
+    loaded = load_robot(robot)
+    feet = limb_frames(loaded, None, loaded.stance_joints).foot
+    # ahead and up are the world's, the feet in the frame of the base
+    turned = quaternion_to_matrix(loaded.stance_orientation).T @ np.array([ahead, 0, up])
+    solved = limb_joints(loaded, feet + turned)
+    return np.where(solved.errors[:, None] < MET, solved.angles, loaded.stance_joints)

@@ -52,10 +52,6 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     The attributes hold the resolved scenario (YAML), the gains (JSON), versions and git revision: the same walk gives
     the same file.
     """
-    data = {
-        name: (dims, getattr(trajectory, name), {"units": units, "long_name": text})
-        for name, (dims, units, text) in VARIABLES.items()
-    }
     labels: dict[str, tuple[Sequence[str], str]] = {
         "limb": (list(trajectory.limbs), "limb"),
         "joint": (list(load_robot(trajectory.scenario.robot).joint_names), "joint, from the base outwards"),
@@ -67,10 +63,13 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
         name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()
     }
     coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
+    data = {
+        name: (dims, getattr(trajectory, name), {"units": units, "long_name": text})
+        for name, (dims, units, text) in VARIABLES.items()
+    }
     attrs = {"title": "walk of a limbed climbing robot", **provenance(trajectory.scenario)}
-    attrs |= {"gains": fields_as_json(trajectory.gains), "parameters": fields_as_json(trajectory.parameters)}
-    attrs |= {"law": trajectory.law} if trajectory.law else {}
-    return xr.Dataset(data, coords, attrs)
+    attrs |= {name: fields_as_json(getattr(trajectory, name)) for name in ("gains", "parameters")}
+    return xr.Dataset(data, coords, attrs | ({"law": trajectory.law} if trajectory.law else {}))
 
 
 def sweep_dataset(
@@ -83,8 +82,7 @@ def sweep_dataset(
 
     Arguments:
         metrics: arrays of metrics, with one axis per coordinate, in their order.
-        coordinates: the values along each axis: names of `COORDINATES`, or others with a DataArray that has
-            units.
+        coordinates: the values along each axis: names of `COORDINATES`, or others with a DataArray that has units.
         scenario: what all the walks have in common.
         table: the metrics themselves.
 
@@ -122,11 +120,8 @@ def sweep_dataset(
 
 def metric_attributes(metric: Metric) -> dict[str, Any]:
     """Return the attributes of a variable that holds values of a metric."""
-    return {
-        "units": metric.unit,
-        "long_name": metric.long_name,
-        "larger_is_better": int(metric.larger_is_better),
-    }
+    larger = int(metric.larger_is_better)
+    return {"units": metric.unit, "long_name": metric.long_name, "larger_is_better": larger}
 
 
 def larger_is_better(variable: xr.DataArray) -> bool:
@@ -154,19 +149,12 @@ def provenance(scenario: Scenario) -> dict[str, str]:
     for name, distribution in PACKAGES.items():
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             attrs[f"{name}_version"] = importlib.metadata.version(distribution)
-    if revision := _git_revision():
-        attrs["git_revision"] = revision
-    return attrs
-
-
-def _git_revision() -> str | None:
-    """Return the commit checked out in the working directory, with "-dirty" where files differ from it."""
+    # the commit checked out in the working directory, with "-dirty" where files differ from it
     command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    try:
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
         done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.strip() or None
+        attrs |= {"git_revision": done.stdout.strip()} if done.stdout.strip() else {}
+    return attrs
 
 
 def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:

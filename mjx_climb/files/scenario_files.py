@@ -7,7 +7,6 @@ other place.
 import ast
 import hashlib
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 from mjx_climb.files.dataset import write_bytes_atomically
@@ -29,7 +28,18 @@ def copied(scenario: Scenario, folder: str | os.PathLike[str]) -> Scenario:
         ConfigError: a file cannot be read.
         OutputError: a copy cannot be written.
     """
-    return scenario.with_files(lambda key, file: _copy(Path(file), Path(folder).absolute() / FOLDER / _place(key)))
+
+    def copy(key: str, file: str) -> str:
+        # a folder by the key: robot, ground, law, metrics.0
+        place = key.removeprefix("own.").removesuffix(".file").removesuffix(".map")
+        target, needed = Path(folder).absolute() / FOLDER / place, _needed(Path(file))
+        root = Path(os.path.commonpath([other.parent for other in needed]))
+        for source in needed:
+            if source != target / source.relative_to(root):  # the same where a results folder is repeated in place
+                write_bytes_atomically(target / source.relative_to(root), _content(source))
+        return str(target / Path(os.path.abspath(file)).relative_to(root))
+
+    return scenario.with_files(copy)
 
 
 def portable_yaml(scenario: Scenario, folder: str | os.PathLike[str]) -> str:
@@ -56,44 +66,34 @@ def digest(file: Path) -> str:
     return hashlib.sha256(repr(contents).encode()).hexdigest()
 
 
-def _place(key: str) -> str:
-    """Return the folder of a copy by the key that names its file: robot, ground, law, metrics.0."""
-    return key.removeprefix("own.").removesuffix(".file").removesuffix(".map")
-
-
 def _needed(file: Path) -> list[Path]:
     """Return a file and what it takes in, as absolute paths, without what are only looks."""
-    needed = [file]
+    needed = {file}
     if file.suffix.lower() == ".xml":
-        needed += filter(_weighs(file), map(Path, mujoco.mju_getXMLDependencies(str(file))))
+        taken = [Path(other) for other in mujoco.mju_getXMLDependencies(str(file))]
+        try:
+            shapes = {Path(mesh.file).name for mesh in bare(str(file)).meshes}
+        except ValueError:  # an MJCF that is not read: all may be needed
+            shapes = {other.name for other in taken}
+        needed |= {other for other in taken if other.suffix.lower() == ".xml" or other.name in shapes}
     if file.suffix.lower() == ".py":
-        needed += _imported(file, file.parent, set())
+        _add_imported(file, file.parent, needed)
     return sorted({Path(os.path.abspath(file.parent / other)) for other in needed})
 
 
-def _weighs(file: Path) -> Callable[[Path], bool]:
-    """Return what tells whether the dynamics need a file that an MJCF takes in: all, of an MJCF that is not read."""
-    try:
-        shapes = {Path(mesh.file).name for mesh in bare(str(file)).meshes}
-    except ValueError:
-        return lambda other: True
-    return lambda other: other.suffix.lower() == ".xml" or other.name in shapes
-
-
-def _imported(file: Path, folder: Path, seen: set[Path]) -> set[Path]:
-    """Return the modules and packages in a folder that a file of Python imports, and those that they import."""
+def _add_imported(file: Path, folder: Path, seen: set[Path]) -> None:
+    """Add the modules and packages in a folder that a file of Python imports, and those that they import."""
     try:
         tree = ast.parse(_content(file))
     except (SyntaxError, ValueError):  # running it says more
-        return seen
+        return
     names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     for top in sorted({name.partition(".")[0] for name in names} - {""}):
         for other in [folder / f"{top}.py", *sorted((folder / top).rglob("*.py"))]:
             if other.is_file() and other not in seen:
                 seen.add(other)
-                _imported(other, folder, seen)
-    return seen
+                _add_imported(other, folder, seen)
 
 
 def _content(file: Path) -> bytes:
@@ -101,14 +101,3 @@ def _content(file: Path) -> bytes:
         return file.read_bytes()
     except OSError as error:
         raise ConfigError(f"{file}: expected a readable file, got {(error.strerror or str(error)).lower()}") from None
-
-
-def _copy(file: Path, target: Path) -> str:
-    """Copy a file, and what it takes in, into a folder and return the path of its copy."""
-    needed = _needed(file)
-    root = Path(os.path.commonpath([other.parent for other in needed]))
-    for source in needed:
-        copy = target / source.relative_to(root)
-        if copy != source:  # the same where a results folder is repeated in place
-            write_bytes_atomically(copy, _content(source))
-    return str(target / Path(os.path.abspath(file)).relative_to(root))

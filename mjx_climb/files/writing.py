@@ -23,10 +23,16 @@ def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         OutputError: the file cannot be written.
     """
     try:
-        if _is_special(path):
+        try:
+            target = Path(os.path.realpath(path))
+            special = not stat.S_ISREG(os.stat(path).st_mode)
+        except (FileNotFoundError, NotADirectoryError):
+            special = False
+        except ValueError as error:  # a null byte
+            raise _refused(path, "a file that can be written", error) from None
+        if special:
             yield Path(path)
             return
-        target = Path(os.path.realpath(path))
         partial = target.with_name(f".{target.name}.{os.getpid()}.part")
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -38,22 +44,7 @@ def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
             with contextlib.suppress(OSError):
                 partial.unlink()
     except OSError as error:
-        raise refused(path, "a file that can be written", error) from None
-
-
-def _is_special(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path, or what it links to, is there and no regular file.
-
-    Raises:
-        OSError: it cannot be told, as of links in a circle.
-        OutputError: a path that can be no file's.
-    """
-    try:
-        return not stat.S_ISREG(os.stat(path).st_mode)
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    except ValueError as error:  # a null byte
-        raise refused(path, "a file that can be written", error) from None
+        raise _refused(path, "a file that can be written", error) from None
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str) -> Path:
@@ -86,11 +77,10 @@ def check_folder(path: str | os.PathLike[str]) -> None:
         except FileNotFoundError:
             continue  # to be made in the folder above
         except (OSError, ValueError) as error:
-            raise refused(path, "a folder that can be written to", error) from None
+            raise _refused(path, "a folder that can be written to", error) from None
 
 
-def refused(path: str | os.PathLike[str], expected: str, error: OSError | ValueError) -> OutputError:
-    """Return the error of a place that cannot be written to."""
+def _refused(path: str | os.PathLike[str], expected: str, error: OSError | ValueError) -> OutputError:
     reason = (getattr(error, "strerror", None) or str(error)).lower()
     shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
     return OutputError(f"{shown}: expected {expected}, got {reason}")
