@@ -38,6 +38,21 @@ MEMBERS = Judge().members
 WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that no search sees
 PD = "pd"
+DRAWN = {  # said of each member: unit and words
+    "cargo_mass": ("kg", "mass of the cargo"),
+    "contact_stiffness": ("N/m", "contact stiffness"),
+    "mass_scale": ("1", "scale of the robot's masses and inertias"),
+    "gravity": ("m/s^2", "gravity"),
+    "largest_push": ("N", "largest push"),
+}
+OF_HARDWARE = {
+    "force_delay": ("s", "delay of the force sensors"),
+    "command_delay": ("s", "delay of the commands"),
+    "control_period": ("s", "control period"),
+    "force_noise": ("N", "noise of the force sensors"),
+    "coulomb_friction": ("N m", "dry friction"),
+    "armature": ("kg m^2", "armature"),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,8 +80,8 @@ def judge(
 ) -> Judged:
     """Simulate several gains with members that no search over the ensemble has seen, beside the scenario's own and pd.
 
-    Nothing is torn off, so that every walk counts to its end; where the peak pulling force passes the holding limit a
-    gripper would have let go, see `failed`. `judge(scenario, gains, ensemble).write(folder)` is `mjx-climb judge`.
+    Nothing is torn off, so that every walk counts to its end; one whose peak pulling force passes the holding limit, or
+    that diverges, has failed, see `summary`. `judge(scenario, gains, ensemble).write(folder)` is `mjx-climb judge`.
 
     Arguments:
         scenario: what walks where, under an admittance law.
@@ -99,11 +114,7 @@ def judge_shard(
 ) -> Path:
     """Simulate a shard of what `judge` does, with the same arguments, for `merge`; `mjx-climb judge --shard 3/16`.
 
-    What `sweep_shard` says of `shard`, `out`, `progress` and its result holds here.
-
-    Raises:
-        ConfigError: no such shard, more shards than members, or an ensemble that the scenario does not allow.
-        OutputError: `out` cannot be written, or holds shards of something else.
+    What `sweep_shard` says of `shard`, `out`, `progress`, its result and its errors holds here.
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
     return walk_shard(draw_of(Problem(scenario, **walks), gains, ensemble, members), shard, out, progress)
@@ -111,7 +122,7 @@ def judge_shard(
 
 @dataclasses.dataclass(frozen=True)
 class Draw:
-    """Gains that walk through an ensemble. A row is one member, with all gains."""
+    """Gains that walk through an ensemble: a `tuning.searches.shards.Work`. A row is one member, with all gains."""
 
     problem: Problem  # with the ensemble that walks, and its parameters
     gains: Mapping[str, AnyGains]  # by name
@@ -130,18 +141,20 @@ class Draw:
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Return the metrics of some members, (rows, gains)."""
-        scenario, law, drawn = self.problem.scenario, self.problem.law, self.problem.parameters
-        own = own_axes(drawn)
-        parameters = jax.tree.map(lambda value, axes: value[rows] if value.ndim > axes else value, drawn, own)
-        without = {**self.pd, PD: {"kp": scenario.control.kp, "kd": scenario.control.kd}}
-        walkers: list[Any] = [(scenario, law, gains) for gains in self.gains.values()]
-        walkers += [(under_pd(scenario), None, gains) for gains in without.values()]
-        found = []
+        scenario, drawn, law = self.problem.scenario, self.problem.parameters, self.problem.law
+        parameters = jax.tree.map(lambda value, own: value[rows] if value.ndim > own else value, drawn, own_axes(drawn))
+        joint = {"kp": scenario.control.kp, "kd": scenario.control.kd}
+        pd, found = under_pd(scenario), []
+        walkers: list[tuple[mc.Scenario, mc.Law | None, AnyGains]]
+        walkers = [(scenario, law, gains) for gains in self.gains.values()]
+        walkers += [(pd, None, gains) for gains in (*self.pd.values(), joint)]
         for place, whose, gains in walkers:
+            one = resolve_in(place, whose or law_of(place), gains, None, np.float64)
+            batch = {name: getattr(one.law, name)[None] for name in one.law.GAINS}  # of one
+            batch |= {name: getattr(one.parameters, name)[None] for name in joint}
             how = {**self.problem.walks, "law": whose, "dtype": np.float32, "smooth": True}
-            found.append(mc.rollout_metrics(place, _single(place, whose, gains), parameters, **how))
-        names = self.problem.metrics.names
-        return {name: np.concatenate([each[name] for each in found], axis=1) for name in names}
+            found.append(mc.rollout_metrics(place, batch, parameters, **how))
+        return {name: np.concatenate([each[name] for each in found], axis=1) for name in self.problem.metrics.names}
 
     def name(self, row: int) -> str:
         """Return a member in words."""
@@ -150,15 +163,18 @@ class Draw:
     def dataset(self, arrays: Mapping[str, np.ndarray]) -> xr.Dataset:
         """Return what all rows gave, labelled, with what was drawn."""
         problem, scenario, members = self.problem, self.problem.scenario, self.problem.members
-        assert problem.ensemble is not None
-        data: dict[str, Any] = {
-            m.name: (("gains", "member"), arrays[m.name].T, dataset.metric_attributes(m)) for m in problem.metrics
-        }
-        for name, (values, units, text) in _drawn(problem).items():
-            values = np.broadcast_to(np.reshape(values, -1), members)
-            data[name] = ("member", values, {"units": units, "long_name": text})
+        drawn, ensemble = problem.parameters, problem.ensemble
+        assert drawn is not None and ensemble is not None
+        data: dict[str, Any] = {}
+        for metric in problem.metrics:
+            data[metric.name] = (("gains", "member"), arrays[metric.name].T, dataset.metric_attributes(metric))
+        values = {**vars(drawn), "gravity": np.linalg.norm(drawn.gravity, axis=-1)}
+        values["largest_push"] = np.linalg.norm(drawn.push_force, axis=-1).max(-1, initial=0.0)
+        for name, (units, text) in (DRAWN if ensemble.hardware is None else DRAWN | OF_HARDWARE).items():
+            each = np.broadcast_to(np.reshape(values[name], -1), members)
+            data[name] = ("member", each, {"units": units, "long_name": text})
         attrs: dict[str, Any] = {"title": "gains on the walks of an ensemble", **dataset.provenance(scenario)}
-        attrs["ensemble"] = problem.ensemble.to_yaml()
+        attrs["ensemble"] = ensemble.to_yaml()
         attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
         return xr.Dataset(data, {"gains": [*self.gains, *self.pd, PD], "member": np.arange(members)}, attrs)
 
@@ -168,11 +184,11 @@ class Draw:
 
     def identity(self) -> dict[str, Any]:
         """Return all that determines the numbers of a row, bit by bit."""
-        values = {
-            name: {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
-            for name, gains in self.gains.items()
+        gains = {
+            name: {key: np.asarray(value, float).tolist() for key, value in by_name(own).items()}
+            for name, own in self.gains.items()
         }
-        return {"kind": KIND, **identity_of(self.problem), "gains": values, "batch_size": self.size}
+        return {"kind": KIND, **identity_of(self.problem), "gains": gains, "batch_size": self.size}
 
     def write_asked(self, folder: Path) -> None:
         """Write scenario, law, ensemble and gains for `read_asked`."""
@@ -187,24 +203,17 @@ class Draw:
 
 def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable) -> Draw:
     """Return the walks that a shard is of, from what `Draw.write_asked` left in its folder."""
-    gains = {
-        name: gains_file.load(kept.folder / f"gains-{number}.yaml", law)
-        for number, name in enumerate(kept.identity["gains"])
-    }
+    names = enumerate(kept.identity["gains"])
+    gains = {name: gains_file.load(kept.folder / f"gains-{number}.yaml", law) for number, name in names}
     ensemble = Ensemble.load(kept.folder / "ensemble.yaml")
     problem = Problem(scenario, law=law, metrics=metrics, engine=kept.identity["engine"])
     return through(problem, gains, fresh(ensemble), asked=ensemble)
 
 
 def draw_of(problem: Problem, gains: Mapping[str, AnyGains], ensemble: Ensemble, members: int = MEMBERS) -> Draw:
-    """Return what `judge` walks, whose arguments these are.
-
-    Raises:
-        ConfigError: an ensemble that the scenario does not allow.
-    """
+    """Return what `judge` walks, whose arguments and errors these are."""
     asked = ensemble.model_copy(update={"members": members})
-    own = problem.law or gains_of(problem.scenario)
-    return through(problem, {**gains, "config": own}, fresh(asked), asked=asked)
+    return through(problem, {**gains, "config": problem.law or gains_of(problem.scenario)}, fresh(asked), asked=asked)
 
 
 def fresh(ensemble: Ensemble) -> Ensemble:
@@ -227,43 +236,6 @@ def through(
     drawn = ensembles.draw(problem.scenario, ensemble)
     walked = dataclasses.replace(problem, parameters=drawn, members=ensemble.members, ensemble=ensemble)
     return Draw(walked, gains, pd, asked)
-
-
-def _single(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> dict[str, np.ndarray]:
-    """Return gains as a batch of one (1, ...), by name, the joint loop's among them."""
-    one = resolve_in(scenario, law_of(scenario) if law is None else law, gains, None, np.float64)
-    values = {name: getattr(one.law, name) for name in one.law.GAINS}
-    values |= {name: getattr(one.parameters, name) for name in ("kp", "kd")}
-    return {name: value[None] for name, value in values.items()}
-
-
-def _drawn(problem: Problem) -> dict[str, tuple[np.ndarray, str, str]]:
-    """Return what is said of each member: values, unit and words."""
-    parameters = problem.parameters
-    assert parameters is not None and problem.ensemble is not None
-    drawn = {
-        "cargo_mass": (parameters.cargo_mass, "kg", "mass of the cargo"),
-        "contact_stiffness": (parameters.contact_stiffness, "N/m", "contact stiffness"),
-        "mass_scale": (parameters.mass_scale, "1", "scale of the robot's masses and inertias"),
-        "gravity": (np.linalg.norm(parameters.gravity, axis=-1), "m/s^2", "gravity"),
-        "largest_push": (np.linalg.norm(parameters.push_force, axis=-1).max(-1, initial=0.0), "N", "largest push"),
-    }
-    if problem.ensemble.hardware is None:
-        return drawn
-    return drawn | {
-        "force_delay": (parameters.force_delay, "s", "delay of the force sensors"),
-        "command_delay": (parameters.command_delay, "s", "delay of the commands"),
-        "control_period": (parameters.control_period, "s", "control period"),
-        "force_noise": (parameters.force_noise, "N", "noise of the force sensors"),
-        "coulomb_friction": (parameters.coulomb_friction, "N m", "dry friction"),
-        "armature": (parameters.armature, "kg m^2", "armature"),
-    }
-
-
-def failed(walks: xr.Dataset) -> xr.DataArray:
-    """Return which walks would lose a gripper, or diverge, dimensions (`gains`, `member`)."""
-    lost: xr.DataArray = walks["peak_pull_force"] > walks.attrs["holding_limit"]
-    return lost | walks["diverged"].astype(bool)
 
 
 def plain(summed: xr.Dataset, metrics: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -300,8 +272,9 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
         values = held[name].transpose("member", "gains").values.astype(float)
         worst = ensembles.worst_mean(values, share, larger_is_better=dataset.larger_is_better(walks[name]))
         data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), walks[name].attrs)
+    failed = (walks["peak_pull_force"] > walks.attrs["holding_limit"]) | walks["diverged"].astype(bool)
     about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
-    data["failed"] = ("gains", failed(walks).mean("member").values, about)
+    data["failed"] = ("gains", failed.mean("member").values, about)
     attrs = {**walks.attrs, "worst_share": share, "members_compared": held.sizes["member"]}
     return xr.Dataset(data, {"statistic": ["mean", "worst"], "gains": walks["gains"].values}, attrs)
 

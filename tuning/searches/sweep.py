@@ -100,10 +100,8 @@ def sweep(
         ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
         OutputError: `out` cannot be written, or holds an unfinished sweep of something else.
     """
-    problem = Problem(
-        scenario, law=law, metrics=mc.MetricTable(metrics), engine=engine, dtype=np.dtype(dtype).type
-    )  # fmt: skip
-    grid = grid_of(problem, axes, gains, batch_size)
+    how: dict[str, Any] = {"law": law, "metrics": mc.MetricTable(metrics), "engine": engine}
+    grid = grid_of(Problem(scenario, dtype=np.dtype(dtype).type, **how), axes, gains, batch_size)
     return grid.result(Rows(grid, out).walk(progress))
 
 
@@ -118,7 +116,7 @@ def sweep_shard(
     progress: Counted | None = None,
     **walks: Any,
 ) -> Path:
-    """Simulate a shard of what `sweep` does, for `merge`; `mjx-climb sweep --shard 3/16`.
+    """Simulate a shard of what `sweep` does, for `merge`, and return its own folder; `mjx-climb sweep --shard 3/16`.
 
     The arguments that are not listed, `walks` among them, are those of `sweep`.
 
@@ -127,9 +125,6 @@ def sweep_shard(
         out: the folder below which all shards are kept, each in a folder of its own. A shard that was interrupted goes
             on from there.
         progress: called with the number of walks of the shard that are done, and the number of its walks.
-
-    Returns:
-        The shard's own folder.
 
     Raises:
         ConfigError: no such shard, or more shards than walks.
@@ -141,7 +136,7 @@ def sweep_shard(
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """What a sweep walks; `grid_of` makes one. A row is one pair of gains."""
+    """What a sweep walks: a `tuning.searches.shards.Work`. A row is one pair of gains."""
 
     problem: Problem
     gains: AnyGains | None  # in place of the scenario's or the law's own
@@ -176,29 +171,34 @@ class Grid:
         return " ".join(f"{name} {value:.4g}" for name, value in self._values(row).items())
 
     def result(self, arrays: Mapping[str, np.ndarray]) -> Swept:
-        """Return what all rows gave, labelled, over both gains."""
-        walked, metrics = self.walked, self.walked.metrics
+        """Return what all rows gave, labelled, over both gains.
+
+        The coordinate `stretch` of time histories says when each stretch of time starts.
+        """
+        walked, scenario, metrics = self.walked, self.walked.scenario, self.walked.metrics
         cells = {name: value.reshape(*self.shape, *value.shape[1:]) for name, value in arrays.items()}
-        labelled: dict[str, np.ndarray | xr.DataArray] = dict(self.axes)
+        axes: dict[str, np.ndarray | xr.DataArray] = dict(self.axes)
         for name, field in ({} if walked.law is None else walked.law.GAINS).items():
-            if name in labelled:
+            if name in axes:
                 about = {"units": field.unit, "long_name": field.long_name or name.replace("_", " ")}
-                labelled[name] = xr.DataArray(self.axes[name], dims=name, attrs=about)
-        data = sweep_dataset({name: cells[name] for name in metrics.names}, labelled, walked.scenario, metrics)
-        data = data.assign(_histories(cells, walked.scenario, tuple(self.axes)))
+                axes[name] = xr.DataArray(self.axes[name], dims=name, attrs=about)
+        data = sweep_dataset({name: cells[name] for name in metrics.names}, axes, scenario, metrics)
+        count, steps = stretches(scenario.steps)
+        start = np.arange(count) * steps * scenario.time_step
+        about = {"units": "s", "long_name": "start of a stretch of time"}
+        coords = {"extreme": ["least", "largest"], "stretch": ("stretch", start, about)}
+        for name, (unit, text, _) in LINES.items():
+            if name in cells:
+                about = {"units": unit, "long_name": text}
+                data[name] = xr.DataArray(cells[name], coords, (*self.axes, "extreme", "stretch"), attrs=about)
         data = data.assign_attrs(engine=walked.engine, dtype=np.dtype(walked.dtype).name, batch_size=self.size)
         return Swept(data, self.problem, gains=self.gains)
 
     def identity(self) -> dict[str, Any]:
         """Return all that determines the numbers of a sweep, bit by bit."""
-        return {
-            "kind": KIND,
-            **identity_of(self.walked),
-            "axes": {name: values.tolist() for name, values in self.axes.items()},
-            "dtype": np.dtype(self.walked.dtype).name,
-            "batch_size": self.size,
-            "histories": self.rows <= HISTORIES,
-        }
+        axes = {name: values.tolist() for name, values in self.axes.items()}
+        how = {"dtype": np.dtype(self.walked.dtype).name, "batch_size": self.size, "histories": self.rows <= HISTORIES}
+        return {"kind": KIND, **identity_of(self.walked), "axes": axes, **how}
 
     def write_asked(self, folder: Path) -> None:
         """Write scenario, law and gains for `read_asked`."""
@@ -213,8 +213,8 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
     """Return the grid that a shard is of, from what `Grid.write_asked` left in its folder."""
     file, asked = kept.folder / GAINS_FILE, kept.identity
     gains = gains_file.load(file, law) if file.is_file() else None
-    dtype = np.dtype(asked["dtype"]).type
-    problem = Problem(scenario, law=law, metrics=metrics, engine=asked["engine"], dtype=dtype)
+    how: dict[str, Any] = {"law": law, "metrics": metrics, "engine": asked["engine"]}
+    problem = Problem(scenario, dtype=np.dtype(asked["dtype"]).type, **how)
     return grid_of(problem, asked["axes"], gains, asked["batch_size"])
 
 
@@ -224,13 +224,12 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
     Raises:
         ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
     """
-    own = law_of(problem.scenario) if problem.law is None else problem.law
+    own = problem.law or law_of(problem.scenario)
+    known = [*own.GAINS, *JOINT]
     if not own.GAINS:
         raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
-    known = [*own.GAINS, *JOINT]
-    for name in axes:
-        if name not in known:
-            raise ValueError(f"axes.{name}: expected a gain of the law, one of {', '.join(known)}")
+    if unknown := [name for name in axes if name not in known]:
+        raise ValueError(f"axes.{unknown[0]}: expected a gain of the law, one of {', '.join(known)}")
     if len(axes) != 2:
         raise ValueError(f"axes: expected two gains, got {len(axes)}")
     lists = {name: np.asarray(values, float) for name, values in axes.items()}
@@ -264,24 +263,6 @@ def expected_duration(walks: int, steps: int, platform: str) -> float:
     """Return about how long some walks take, in s, by the rates that docs/performance.md measured."""
     rate = 2.2e6 * devices.usable_cores() if platform == "cpu" else 1e9  # environment steps a second
     return walks * steps / rate
-
-
-def _histories(
-    arrays: Mapping[str, np.ndarray], scenario: mc.Scenario, axes: tuple[str, ...]
-) -> dict[str, xr.DataArray]:
-    """Return the time histories among the arrays, labelled; their coordinate `stretch` says when each one starts."""
-    count, steps = stretches(scenario.steps)
-    start = np.arange(count) * steps * scenario.time_step
-    coords = {
-        "extreme": ["least", "largest"],
-        "stretch": ("stretch", start, {"units": "s", "long_name": "start of a stretch of time"}),
-    }
-    dims = (*axes, "extreme", "stretch")
-    return {
-        name: xr.DataArray(arrays[name], coords, dims, attrs={"units": unit, "long_name": text})
-        for name, (unit, text, _) in LINES.items()
-        if name in arrays
-    }
 
 
 def holding(data: xr.Dataset, metric: str) -> xr.DataArray:
