@@ -23,6 +23,8 @@ from tuning.searches.methods import METHODS
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+README = (ROOT / "README.md").read_text("utf-8")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PROGRAM = typer.main.get_command(program())
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -30,24 +32,17 @@ INLINE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
 PATH = re.compile(r"(?:\.ci|configs|docs|mjx_climb|notebooks|tests|tuning)/[\w./-]*")
 
 
-def fences(page: Path, *languages: str) -> list[str]:
-    return [body for language, body in FENCE.findall(page.read_text("utf-8")) if language in languages]
+def fences(text: str, *languages: str) -> list[str]:
+    return [body for language, body in FENCE.findall(text) if language in languages]
 
 
-def inline(page: Path) -> list[str]:
-    return [" ".join(code.split()) for code in INLINE.findall(FENCE.sub("", page.read_text("utf-8")))]
+def inline(text: str) -> list[str]:
+    return [" ".join(code.split()) for code in INLINE.findall(FENCE.sub("", text))]
 
 
-def pages_with(found):
-    """Run a test over the pages in which there is something for it."""
-    pages = list(filter(found, PAGES))
-    assert pages
-    return pytest.mark.parametrize("page", pages, ids=lambda page: str(page.relative_to(ROOT)))
-
-
-def anchors(page: Path) -> set[str]:
+def anchors(text: str) -> set[str]:
     """Return the anchors of a page's headings, as GitHub and Python-Markdown make them."""
-    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", text), re.MULTILINE)
     return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
 
 
@@ -64,39 +59,49 @@ def parsed(arguments: list[str]) -> dict:
     return PROGRAM.commands[name].make_context(name, rest).params
 
 
-def links(page: Path) -> list[str]:
-    """Return the links to other places of the repository."""
-    found = LINK.findall(FENCE.sub("", page.read_text("utf-8")))
-    return [link for link in found if not re.match(r"[a-z]+:", link)]
-
-
-@pages_with(links)
-def test_links_lead_somewhere(page):
-    for link in links(page):
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_a_page_shows_is_there(page, monkeypatch):
+    """Links, paths, targets of make, names of ours; and code is as narrow as its box, 112 columns at 1400 px."""
+    text = page.read_text("utf-8")
+    for link in (link for link in LINK.findall(FENCE.sub("", text)) if not re.match(r"[a-z]+:", link)):
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
         assert target.exists(), link
-        assert not anchor or anchor in anchors(target), link
+        assert not anchor or anchor in anchors(target.read_text("utf-8")), link
+    words = [word for code in inline(text) for word in code.split() if PATH.fullmatch(word)]
+    assert [word for word in words if not (ROOT / word).exists()] == []
+    made = [target for block in fences(text, "sh") for target in re.findall(r"^make ([\w-]+)", block, re.MULTILINE)]
+    made += [code.split()[1] for code in inline(text) if re.match(r"make [\w-]+$", code)]
+    assert set(made) <= set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    lines = [line for body in fences(text, "sh", "text", "python", "yaml") for line in body.split("\n")]
+    assert [line for line in lines if len(line) > 112] == []
+    monkeypatch.syspath_prepend(page.parent)
+    for block in fences(text, "python"):
+        check_names(block)
+    # names of ours in full; the changelog's are of former times
+    shown = [code.partition("(")[0] for code in inline(text) if page.name != "CHANGELOG.md"]
+    shown += re.findall(r"^::: (.+)$", text, re.MULTILINE)
+    names = filter(re.compile(r"(?:mjx_climb|tuning)(?:\.\w+)+").fullmatch, shown)
+    assert [name for name in names if pydoc.locate(name) is None] == []
 
 
-def paths(page: Path) -> list[str]:
-    return [word for code in inline(page) for word in code.split() if PATH.fullmatch(word)]
+def test_pages_show_something_of_each_kind():
+    """So that a pattern that finds nothing any more is noticed."""
+    text = "\n".join(page.read_text("utf-8") for page in PAGES)
+    kinds = (r"\]\([^)\s:]+#", r"`configs/", r"^make test", r"^```python", r"`mjx_climb\.\w+\.", "^::: mjx_climb", "#")
+    assert all(re.search(kind, text, re.MULTILINE) for kind in kinds)
 
 
-@pages_with(paths)
-def test_paths_exist(page):
-    assert [word for word in paths(page) if not (ROOT / word).exists()] == []
-
-
-@pages_with(lambda page: "mjx-climb " in page.read_text("utf-8"))
+@pytest.mark.parametrize("page", [page for page in PAGES if "mjx-climb " in page.read_text("utf-8")])
 def test_commands_are_understood(page):
     """Calls in blocks are complete, with keys that a scenario has; those within a sentence may be cut short."""
-    for arguments in (call for block in fences(page, "sh") for call in commands(block)):
+    text = page.read_text("utf-8")
+    for arguments in (call for block in fences(text, "sh") for call in commands(block)):
         values = parsed(arguments)
         config = values.get("config")
         if config is not None and Path(config).parts[0] == "configs":
             mc.load_scenario(ROOT / config, values.get("changes") or ())
-    for name, *rest in (shlex.split(code)[1:] for code in inline(page) if code.startswith("mjx-climb ")):
+    for name, *rest in (shlex.split(code)[1:] for code in inline(text) if code.startswith("mjx-climb ")):
         if name.isupper():  # stands for any
             continue
         assert name in PROGRAM.commands or name.startswith("--"), name
@@ -110,44 +115,6 @@ def test_examples_in_the_help_are_understood(name):
     assert found
     for arguments in found:
         parsed(arguments)
-
-
-def made(page: Path) -> set[str]:
-    """Return the targets of make that a page names."""
-    shown = {target for block in fences(page, "sh") for target in re.findall(r"^make ([\w-]+)", block, re.MULTILINE)}
-    return shown | {code.split()[1] for code in inline(page) if re.match(r"make [\w-]+$", code)}
-
-
-@pages_with(made)
-def test_make_targets_exist(page):
-    assert made(page) <= set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-
-
-@pages_with(lambda page: fences(page, "sh", "text", "python", "yaml"))
-def test_code_is_as_narrow_as_its_box(page):
-    """The site shows 112 columns on a window of 1400 px, see `tests/project/test_site.py`."""
-    assert not [
-        line for body in fences(page, "sh", "text", "python", "yaml") for line in body.split("\n") if len(line) > 112
-    ]
-
-
-@pages_with(lambda page: fences(page, "python"))
-def test_code_uses_names_that_exist(page, monkeypatch):
-    monkeypatch.syspath_prepend(page.parent)
-    for block in fences(page, "python"):
-        check_names(block)
-
-
-def dotted(page: Path) -> list[str]:
-    """Return the names of ours that a page shows in full, but for the changelog's, which are of former times."""
-    shown = [code.partition("(")[0] for code in inline(page) if page.name != "CHANGELOG.md"]
-    shown += re.findall(r"^::: (.+)$", page.read_text("utf-8"), re.MULTILINE)
-    return list(filter(re.compile(r"(?:mjx_climb|tuning)(?:\.\w+)+").fullmatch, shown))
-
-
-@pages_with(dotted)
-def test_names_in_sentences_and_in_the_reference_exist(page):
-    assert [name for name in dotted(page) if pydoc.locate(name) is None] == []
 
 
 def check_names(source: str) -> None:
@@ -165,26 +132,20 @@ def check_names(source: str) -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in names:
             assert hasattr(names[node.value.id], node.attr), ast.unparse(node)
-    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-        function = called(call, names)
-        if function is not None and not any(isinstance(argument, ast.Starred) for argument in call.args):
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call) and "..." not in ast.unparse(node)):
+        if isinstance(call.func, ast.Attribute) and isinstance(call.func.value, ast.Name):
+            function = getattr(names.get(call.func.value.id), call.func.attr, None)
+        else:
+            function = names.get(getattr(call.func, "id", None))
+        ours = getattr(function, "__module__", "").startswith(("mjx_climb", "tuning"))
+        if ours and not any(isinstance(argument, ast.Starred) for argument in call.args):
             keywords = {keyword.arg: None for keyword in call.keywords if keyword.arg}
             inspect.signature(function).bind(*call.args, **keywords)
 
 
-def called(call: ast.Call, names: dict):
-    """Return the function of these packages that a call in a block means, None where it is none of theirs."""
-    if isinstance(call.func, ast.Attribute) and isinstance(call.func.value, ast.Name):
-        function = getattr(names.get(call.func.value.id), call.func.attr, None)
-    else:
-        function = names.get(getattr(call.func, "id", None))
-    ours = getattr(function, "__module__", "").startswith(("mjx_climb", "tuning"))
-    return function if ours and "..." not in ast.unparse(call) else None
-
-
 @pytest.mark.slow
 def test_the_code_of_the_readme_runs(monkeypatch):
-    (block,) = fences(ROOT / "README.md", "python")
+    (block,) = fences(README, "python")
     load = mc.load_scenario
     monkeypatch.setattr(mc, "load_scenario", lambda path: load(ROOT / path, {"duration": 0.2}))
     scope = {}
@@ -194,16 +155,15 @@ def test_the_code_of_the_readme_runs(monkeypatch):
 
 
 def test_quick_start_is_two_commands():
-    section = (ROOT / "README.md").read_text("utf-8").split("\n## Quick start\n")[1].split("\n## ")[0]
+    section = README.split("\n## Quick start\n")[1].split("\n## ")[0]
     assert [body.split("\n") for _, body in FENCE.findall(section)] == [["make sweep", "make test", ""]]
 
 
 def test_every_dependency_has_its_line():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    declared = {(bare(name), "") for name in project["dependencies"]}
-    for extra, names in project["optional-dependencies"].items():
-        declared |= {(bare(name), extra) for name in names if bare(name) != project["name"]}
-    section = (ROOT / "README.md").read_text("utf-8").split("\n## Dependencies\n")[1].split("\n## ")[0]
+    declared = {(bare(name), "") for name in PROJECT["dependencies"]}
+    for extra, names in PROJECT["optional-dependencies"].items():
+        declared |= {(bare(name), extra) for name in names if bare(name) != PROJECT["name"]}
+    section = README.split("\n## Dependencies\n")[1].split("\n## ")[0]
     listed = [
         (name, extra)
         for names, extra in re.findall(r"^\| ([\w ,-]+?)(?: \(`(\w+)`\))? \| [^|]+ \|$", section, re.MULTILINE)
@@ -215,10 +175,9 @@ def test_every_dependency_has_its_line():
 
 def test_the_packages_import_what_they_depend_on():
     """Nothing of the extra `test`; of `compare` what looks first whether it is there."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     modules = {"mujoco_mjx": "mujoco", "pyyaml": "yaml", "pillow": "PIL"}
     along = ("glfw", "jaxlib", "markupsafe", "pydantic_core", "warp")  # come with mujoco, jax and others
-    wanted = project["dependencies"] + project["optional-dependencies"]["compare"]
+    wanted = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["compare"]
     declared = [bare(name).replace("-", "_") for name in (*wanted, *along)]
     allowed = {modules.get(name, name) for name in declared} | {"mjx_climb", "tuning"} | sys.stdlib_module_names
     others = set()
@@ -250,10 +209,9 @@ def test_names_that_users_write_are_those_registered():
 
 
 def test_the_readme_names_every_command():
-    shown = {arguments[0] for block in fences(ROOT / "README.md", "sh") for arguments in commands(block)}
+    shown = {arguments[0] for block in fences(README, "sh") for arguments in commands(block)}
     assert shown == set(PROGRAM.commands)
 
 
 def test_what_an_index_shows_needs_no_other_file():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert all(re.match(r"https?:", link) for link in LINK.findall((ROOT / project["readme"]).read_text("utf-8")))
+    assert all(re.match(r"https?:", link) for link in LINK.findall((ROOT / PROJECT["readme"]).read_text("utf-8")))
