@@ -23,9 +23,7 @@ from tuning.command_line.from_models import made
 from tuning.command_line.program import InputError, user_error
 from tuning.gains import gains_file
 from tuning.output import comparisons
-from tuning.problem import evaluation
 from tuning.report import numbers, page
-from tuning.searches import schedule
 from tuning.searches import sweep as sweeps
 from tuning.searches.shards import Rows
 
@@ -33,18 +31,6 @@ CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.2"]
 WEAK = ["--set", "contact.holding_limit=1e-6"]  # lets go at the first pull
 GRID = ["--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2", "--batch-size", "4"]
-
-
-@pytest.fixture
-def call(capsys):
-    """Run the program in this process: (exit code, stdout, stderr)."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as ended:
-            main([str(argument) for argument in arguments])
-        return ended.value.code, *capsys.readouterr()
-
-    return call
 
 
 def strict_json(text):
@@ -57,11 +43,10 @@ def strict_json(text):
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
-    (folder / "bad.yaml").write_text("gait: {strid: 0.05}")
-    (folder / "broken.yaml").write_text("gait: [")
-    (folder / "gains.yaml").write_text("damping: 1")
+    texts = {"bad": "gait: {strid: 0.05}", "broken": "gait: [", "gains": "damping: 1"}
+    for name, text in {**texts, "held": "inertia: 1\ndamping: 1\nstiffness: 1"}.items():
+        (folder / f"{name}.yaml").write_text(text)
     (folder / "file").write_text("")
-    (folder / "held.yaml").write_text("inertia: 1\ndamping: 1\nstiffness: 1")
     for name in ("trajectory.nc", "sweep.nc", "search.nc", "parts"):  # of other commands, the last one's unfinished
         (folder / f"with_{name}").mkdir()
         (folder / f"with_{name}" / name).write_text("")
@@ -78,10 +63,11 @@ def refused():
 @pytest.mark.parametrize(("line", "expected"), refused())
 def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    for name in ("rollout", "rollout_metrics", "rollout_histories"):  # refused before anything is computed
-        monkeypatch.setattr(mc, name, lambda *_, **__: pytest.fail("computed"))
-    monkeypatch.setattr(evaluation, "baseline", lambda *_: pytest.fail("computed"))
-    monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: pytest.fail("computed"))
+    for name in (  # refused before anything is computed
+        "mjx_climb.rollout", "mjx_climb.rollout_metrics", "mjx_climb.rollout_histories",
+        "tuning.problem.evaluation.baseline", "tuning.searches.schedule.pd_of",
+    ):  # fmt: skip
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("computed"))
     code, out, err = call(*(word.format(config=CONFIG, files=files, long="b" * 300) for word in line.split()))
     assert (code, out) == (2, "")
     assert err.startswith("mjx-climb: error: ")
@@ -92,42 +78,26 @@ def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeyp
 
 
 HAS_NONE = "cost_of_transport: expected a metric that pd has"
-WEIGHTLESS = [*SHORT, "--set", "gravity=[0,0,0]"]
 UNWEIGHABLE = {  # in free fall no transport has a cost relative to the weight
-    "tune": (["tune", CONFIG, *WEIGHTLESS], f"error: --weight {HAS_NONE} here, got nan under pd"),
-    "search file": (
-        ["tune", CONFIG, *WEIGHTLESS, "--search", "search.yaml"],
-        f"error: search.yaml: weights.{HAS_NONE}",
-    ),
-    "ensemble": (
-        ["tune", CONFIG, *WEIGHTLESS, "--ensemble", "ensemble", "--members", "2"],
-        f"error: --weight {HAS_NONE} in every member, got nan in the mean",
-    ),
-    "pareto": (
-        ["pareto", CONFIG, *WEIGHTLESS, "--better", "cost_of_transport"],
-        f"error: --better: weights.{HAS_NONE}",
-    ),
-    "schedule": (
-        ["schedule", CONFIG, *SHORT, "--gravity", "1e-300", "--cargo", "0"],
-        f"case_1_2.yaml: weights.{HAS_NONE} here",
-    ),
+    "tune": f"error: --weight {HAS_NONE} here, got nan under pd",
+    "tune --search search.yaml": f"error: search.yaml: weights.{HAS_NONE}",
+    "tune --ensemble ensemble --members 2": f"error: --weight {HAS_NONE} in every member, got nan in the mean",
+    "pareto --better cost_of_transport": f"error: --better: weights.{HAS_NONE}",
+    "schedule --gravity 1e-300 --cargo 0": f"case_1_2.yaml: weights.{HAS_NONE} here",
 }
+QUICKLY = list(UNWEIGHABLE)[:2]
 
 
-@pytest.mark.parametrize(
-    "search",
-    [pytest.param(name, marks=() if name in ("tune", "search file") else pytest.mark.slow) for name in UNWEIGHABLE],
-)
-def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(search, call, monkeypatch, tmp_path):
+@pytest.mark.parametrize("line", [pytest.param(s, marks=() if s in QUICKLY else pytest.mark.slow) for s in UNWEIGHABLE])
+def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(line, call, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    if search == "search file":
-        (tmp_path / "search.yaml").write_text("weights: {cost_of_transport: 1.0}")
-    before = set(tmp_path.iterdir())
-    arguments, expected = UNWEIGHABLE[search]
-    code, out, err = call(*arguments)
+    (tmp_path / "search.yaml").write_text("weights: {cost_of_transport: 1.0}")
+    command, *options = line.split()
+    weightless = [] if command == "schedule" else ["--set", "gravity=[0,0,0]"]
+    code, out, err = call(command, CONFIG, *SHORT, *weightless, *options)
     assert (code, out) == (2, "")
-    assert expected in err.splitlines()[-1]
-    assert set(tmp_path.iterdir()) == before
+    assert UNWEIGHABLE[line] in err.splitlines()[-1]
+    assert [file.name for file in tmp_path.iterdir()] == ["search.yaml"]
 
 
 WALK = f"run {CONFIG} --set duration=0.02 --out out"
@@ -179,22 +149,17 @@ def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):
 def test_run_writes_and_prints(call, tmp_path):
     code, out, err = call("run", CONFIG, *SHORT, "--controller", "pd", "--out", tmp_path)
     assert code == 0
-    assert "peak foot force" in out
-    assert "N m" in out
-    assert out.rstrip().endswith("held all the way")
-    assert "compil" in err
-    assert str(tmp_path) in err
-    pictures = {"walk.png", "feet.png"}
-    written = {"trajectory.nc", "config.yaml", "metrics.json"} | pictures
+    assert "peak foot force" in out and "N m" in out and out.rstrip().endswith("held all the way")
+    assert "compil" in err and str(tmp_path) in err
+    written = {"trajectory.nc", "config.yaml", "metrics.json", "walk.png", "feet.png"}
     assert {path.name for path in tmp_path.iterdir()} == written
     scenario = mc.load_scenario(tmp_path / "config.yaml")
     assert scenario == mc.load_scenario(CONFIG, ["duration=0.2", "control.controller=pd"])
     metrics = strict_json((tmp_path / "metrics.json").read_text())
-    assert list(metrics) == list(mc.METRICS.names)
-    assert metrics["detached_at"] is None
-    with xr.open_dataset(tmp_path / "trajectory.nc", engine="h5netcdf") as walk:
-        assert walk.sizes["time"] == 200
-        assert np.linalg.norm(walk["foot_force"], axis=-1).max() == pytest.approx(metrics["peak_foot_force"])
+    assert list(metrics) == list(mc.METRICS.names) and metrics["detached_at"] is None
+    walk = xr.load_dataset(tmp_path / "trajectory.nc", engine="h5netcdf")
+    assert walk.sizes["time"] == 200
+    assert np.linalg.norm(walk["foot_force"], axis=-1).max() == pytest.approx(metrics["peak_foot_force"])
 
 
 def test_run_takes_metrics_of_ones_own(call, tmp_path):
@@ -206,8 +171,8 @@ def test_run_takes_metrics_of_ones_own(call, tmp_path):
     code, out, _ = call("run", CONFIG, *SHORT, "--controller", "pd", "--metric", metric, "--out", tmp_path / "out")
     assert code == 0
     value = strict_json((tmp_path / "out" / "metrics.json").read_text())["highest_base"]
-    with xr.open_dataset(tmp_path / "out" / "trajectory.nc", engine="h5netcdf") as walk:
-        assert value == pytest.approx(walk["base_position"].values[:, 2].max())
+    walk = xr.load_dataset(tmp_path / "out" / "trajectory.nc", engine="h5netcdf")
+    assert value == pytest.approx(walk["base_position"].values[:, 2].max())
     assert re.search(rf"highest base +{value:.4g} +m\b", out)
 
 
@@ -230,25 +195,22 @@ def test_run_says_who_let_go(call, tmp_path):
 def test_run_survives_divergence(call, tmp_path):
     law = ["--set", "control.reading=measured_pose", "--set", "control.damping=1e7"]
     code, out, _ = call("run", CONFIG, *SHORT, *law, "--out", tmp_path)
-    assert code == 1
-    assert "diverged at 0." in out
+    assert code == 1 and "diverged at 0." in out
     metrics = strict_json((tmp_path / "metrics.json").read_text())
     assert metrics["diverged"] is True
-    with xr.open_dataset(tmp_path / "trajectory.nc", engine="h5netcdf") as walk:
-        force = np.linalg.norm(walk["foot_force"], axis=-1)
-        finite = np.isfinite(force).all(1) & np.isfinite(walk["base_position"].values).all(1)
+    walk = xr.load_dataset(tmp_path / "trajectory.nc", engine="h5netcdf")
+    force = np.linalg.norm(walk["foot_force"], axis=-1)
+    finite = np.isfinite(force).all(1) & np.isfinite(walk["base_position"].values).all(1)
     until = np.argmin(finite)  # the metrics are those of the walk until then
     assert 0 < until < 200 and not finite.all()
     assert metrics["peak_foot_force"] == pytest.approx(force[:until].max())
 
 
 def test_gains_file_takes_the_place_of_the_configs(call, tmp_path):
-    gains_file.save(mc.Gains(2.0, 30.0, 500.0, kp=45.0), tmp_path / "gains.yaml")
-    code, _, _ = call(
-        "run", CONFIG, *SHORT, "--controller", "pd", "--gains", tmp_path / "gains.yaml", "--out", tmp_path / "out"
-    )
-    control = mc.load_scenario(tmp_path / "out" / "config.yaml").control
-    assert code == 0
+    file, out = tmp_path / "gains.yaml", tmp_path / "out"
+    gains_file.save(mc.Gains(2.0, 30.0, 500.0, kp=45.0), file)
+    assert call("run", CONFIG, *SHORT, "--controller", "pd", "--gains", file, "--out", out)[0] == 0
+    control = mc.load_scenario(out / "config.yaml").control
     assert (control.inertia, control.damping, control.stiffness, control.kp) == (2.0, 30.0, 500.0, 45.0)
 
 
@@ -297,7 +259,7 @@ def swept(tmp_path_factory):
     return out, *finish("sweep", CONFIG, *SHORT, *GRID, "--out", out, "--json")
 
 
-def test_sweep_prints_json_alone_on_stdout(swept):
+def test_sweep_prints_json_alone_on_stdout_and_writes_grid_maps_and_config(swept):
     folder, out, err = swept
     found = strict_json(out)
     assert out.startswith("{")
@@ -314,17 +276,17 @@ def test_sweep_prints_json_alone_on_stdout(swept):
     assert found["force_sensor"]["in_words"] in " ".join(err.split())
     for word in ("compil", "cache", "6 of 6 walks", "paper", "force variation", str(folder)):
         assert word in err
-
-
-def test_sweep_writes_grid_maps_and_config(swept):
-    folder, out, _ = swept
     names = {path.name for path in folder.iterdir()}
     assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps.png"}
-    with xr.open_dataset(folder / "sweep.nc", engine="h5netcdf") as result:
-        np.testing.assert_allclose(result["stiffness"], [1e3, 1e4, 1e5])
-        best = sweeps.best_cell(result.load())
-        assert best["stiffness"].item() == strict_json(out)["best"]["gains"]["stiffness"]
+    result = xr.load_dataset(folder / "sweep.nc", engine="h5netcdf")
+    np.testing.assert_allclose(result["stiffness"], [1e3, 1e4, 1e5])
+    assert sweeps.best_cell(result)["stiffness"].item() == found["best"]["gains"]["stiffness"]
     assert mc.load_scenario(folder / "config.yaml") == mc.load_scenario(CONFIG, ["duration=0.2"])
+
+
+def same_grids(*folders):
+    one, other = (xr.load_dataset(folder / "sweep.nc", engine="h5netcdf").drop_attrs() for folder in folders)
+    xr.testing.assert_identical(one, other)
 
 
 @pytest.mark.slow
@@ -334,11 +296,10 @@ def test_a_sweep_from_python_writes_what_the_command_writes(swept, monkeypatch, 
     axes = {"stiffness": np.geomspace(1e3, 1e5, 3), "damping": np.geomspace(1e2, 1e3, 2)}
     found = tuning.sweep(scenario, axes, batch_size=4, out=tmp_path)
     judged = found.write(tmp_path)
-    names = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")}
-    assert names == {str(path.relative_to(swept[0])) for path in swept[0].rglob("*")}
+    ours, theirs = ({str(path.relative_to(folder)) for path in folder.rglob("*")} for folder in (tmp_path, swept[0]))
+    assert ours == theirs
     assert judged.summary == swept[1].strip() == (tmp_path / "comparison.json").read_text().strip()
-    results = [xr.load_dataset(folder / "sweep.nc", engine="h5netcdf") for folder in (tmp_path, swept[0])]
-    xr.testing.assert_identical(*(result.drop_attrs() for result in results))
+    same_grids(tmp_path, swept[0])
 
 
 @pytest.mark.slow
@@ -358,37 +319,27 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     last = err.splitlines()[-1]
     assert last == (f"mjx-climb: interrupted: 4 of 6 walks are kept in {tmp_path}; the same command goes on from there")
     code, _, err = call("sweep", CONFIG, *SHORT, *GRID[:2], "--damping", "1:9:2", "--out", tmp_path)
-    assert code == 2
-    assert str(tmp_path) in err
-
+    assert code == 2 and str(tmp_path) in err
     monkeypatch.setattr(plots, "save_figure", lambda *_: None)
     monkeypatch.setattr(page, "write", lambda _, folder: folder / "report.html")
     code, out, err = call(*command)
-    assert code == 0
-    assert len(calls) == 2
-    assert "4 are there already" in err
-    assert "best: stiffness" in out
-    results = [xr.load_dataset(folder / "sweep.nc", engine="h5netcdf") for folder in (tmp_path, swept[0])]
-    xr.testing.assert_identical(*(result.drop_attrs() for result in results))
+    assert (code, len(calls)) == (0, 2)
+    assert "4 are there already" in err and "best: stiffness" in out
+    same_grids(tmp_path, swept[0])
 
 
 @pytest.mark.slow
 def test_sweep_in_which_all_fail(call, tmp_path):
     code, out, _ = call("sweep", CONFIG, *SHORT, *GRID, *WEAK, "--out", tmp_path, "--json")
     found = strict_json(out)
-    assert code == 0
-    assert found["best"] is None
-    assert found["grid"]["failed"] == 6
+    assert (code, found["best"], found["grid"]["failed"]) == (0, None, 6)
 
 
 def test_version_and_no_arguments(call):
     code, out, _ = call("--version")
-    assert code == 0
-    assert "mjx-climb" in out
-    assert "jax" in out
+    assert code == 0 and "mjx-climb" in out and "jax" in out
     code, out, _ = call()
-    assert code == 0
-    assert "sweep" in out
+    assert code == 0 and "sweep" in out
 
 
 def test_ranges_are_even_on_a_logarithmic_scale():
@@ -412,10 +363,8 @@ def test_a_long_sweep_says_before_how_long_it_takes(count, said, monkeypatch, ca
     with pytest.raises(_Called):
         main(["sweep", CONFIG, "--stiffness", f"1:9:{count}", "--damping", f"1:9:{count}", "--out", str(tmp_path)])
     line = next(line for line in capsys.readouterr().err.splitlines() if "walks (" in line)
-    assert (
-        f"{count**2} walks ({count} stiffness x {count} damping) of 8000 steps on {jax.devices()[0].device_kind}{said}"
-        in line
-    )
+    sizes = f"{count**2} walks ({count} stiffness x {count} damping)"
+    assert f"{sizes} of 8000 steps on {jax.devices()[0].device_kind}{said}" in line
     assert ("expect" in line) == bool(said)
 
 
@@ -435,21 +384,16 @@ def test_only_the_compilers_time_is_called_compiling():
         watched.since -= 5.0
         monitoring.record_event(session.FROM_CACHE)
         monitoring.record_event_duration_secs(session.COMPILED, 0.5)
-    assert watched.seconds == {
-        "compiling": pytest.approx(3.0, abs=0.5),
-        "loading compiled programs from the cache": pytest.approx(5.0, abs=0.5),
-    }
+    expected = {"compiling": 3.0, "loading compiled programs from the cache": 5.0}
+    assert watched.seconds == pytest.approx(expected, abs=0.5)
 
 
 def test_numbers_in_tables_and_json():
     assert numbers.change(2.0, 1.0) == "+100"
     assert numbers.change(0.5, 1.0) == "-50.0"
     assert numbers.change(None, 1.0) == numbers.change("LF", 1.0) == numbers.change(1.0, 0.0) == ""
-    assert strict_json(numbers.to_json({"a": np.float32("nan"), "b": np.int32(3), "c": [np.inf, True]})) == {
-        "a": None,
-        "b": 3,
-        "c": [None, True],
-    }
+    text = numbers.to_json({"a": np.float32("nan"), "b": np.int32(3), "c": [np.inf, True]})
+    assert strict_json(text) == {"a": None, "b": 3, "c": [None, True]}
 
 
 def test_configs_that_come_with_the_program_are_found_by_name(call, monkeypatch, tmp_path):
@@ -457,8 +401,8 @@ def test_configs_that_come_with_the_program_are_found_by_name(call, monkeypatch,
     scenario = options.scenario_from(Path("case_2"), ("duration=0.2",))
     assert scenario == mc.load_scenario(ROOT / "configs" / "case_2.yaml", ["duration=0.2"])
     code, _, err = call("run", "case_9")
-    assert code == 2
-    assert "case_9: expected a file, or a config that comes with the program (case_1_1, case_1_2, case_2" in err
+    expected = "case_9: expected a file, or a config that comes with the program (case_1_1, case_1_2, case_2"
+    assert (code, expected in err) == (2, True)
     (tmp_path / "case_2").write_text("duration: -1")  # a file of one's own comes first
     code, _, err = call("run", "case_2")
     assert (code, "case_2: duration: expected" in err) == (2, True)

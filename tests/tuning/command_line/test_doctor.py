@@ -12,14 +12,14 @@ import pytest
 
 from mjx_climb.checks import self_check
 from mjx_climb.rendering import RenderingError, backend
-from tuning.command_line import machine, main
+from tuning.command_line import machine
 
 ROOT = Path(__file__).parents[3]
 PARTS = ["versions", "devices", "cache", "path", "renderer", "dynamics", "walk", "gradient"]
 
 
 @pytest.fixture
-def doctor(monkeypatch, capsys):
+def doctor(monkeypatch, call):
     """Run the program as on a machine with OpenGL that computes what is stored: (exit code, parsed JSON)."""
     stored = self_check.load()
     engines = dict.fromkeys(["limb", "mjx", "mujoco"], stored.pop("acceleration"))
@@ -29,9 +29,8 @@ def doctor(monkeypatch, capsys):
     jax.config.update("jax_compilation_cache_dir", None)
 
     def run():
-        with pytest.raises(SystemExit) as ended:
-            main(["doctor", "--json"])
-        return ended.value.code, json.loads(capsys.readouterr().out)
+        code, out, _ = call("doctor", "--json")
+        return code, json.loads(out)
 
     yield run
     jax.config.update("jax_compilation_cache_dir", chosen)
@@ -78,26 +77,43 @@ def test_a_value_that_is_off_is_seen(doctor, monkeypatch, part, name, value, see
         assert found["parts"]["walk"]["deviation"] == {"walk": None}
 
 
-def test_a_gpu_that_jax_does_not_use_is_seen(doctor, monkeypatch, tmp_path, cpu_alone):
-    monkeypatch.setattr(machine, "NVIDIA", tmp_path)
-    installed = machine.versions_of
-    plugins = ("jax-cuda12-plugin", "jax-cuda13-plugin")
-    monkeypatch.setattr(machine, "versions_of", lambda *names: installed(*names) | dict.fromkeys({*names} & {*plugins}))
-    monkeypatch.setenv("JAX_PLATFORMS", "")
-    code, found = doctor()
-    assert (code, list(wrong(found))) == (1, ["devices"])
-    assert "mjx-climb[cuda13]" in found["parts"]["devices"]["findings"][0]
-    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
-    assert doctor()[0] == 0
+def no_opengl():
+    raise RenderingError("expected OpenGL, install libegl1")
 
 
-def test_a_cache_folder_that_cannot_be_written_is_seen(doctor, monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "file" / "cache"))
+def another_mujoco(name, version=importlib.metadata.version):
+    return "4.0.0" if name == "mujoco" else version(name)
+
+
+@pytest.mark.parametrize(
+    ("damage", "setting", "part", "said", "cured"),
+    [
+        (
+            {(machine, "NVIDIA"): ROOT, (jax, "default_backend"): lambda: "cpu"},
+            ("JAX_PLATFORMS", ""), "devices", "mjx-climb[cuda13]", "cpu",
+        ),
+        ({}, ("MJX_CLIMB_CACHE", f"{__file__}/cache"), "cache", "MJX_CLIMB_CACHE", "off"),
+        ({(backend, "find"): no_opengl}, ("MUJOCO_GL", ""), "renderer", "install", "off"),
+        (
+            {(importlib.metadata, "version"): another_mujoco},
+            ("MUJOCO_GL", ""), "versions", "mujoco 4.0.0 with mujoco-mjx 3.17.0: python -m pip", None,
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_machine_lacks_is_seen_and_what_is_switched_off_is_fine(
+    doctor, monkeypatch, damage, setting, part, said, cured
+):
+    """A GPU that JAX does not use, a cache that cannot be written, no renderer, two releases of MuJoCo."""
+    for (module, name), value in damage.items():
+        monkeypatch.setattr(module, name, value)
+    monkeypatch.setenv(*setting)
     code, found = doctor()
-    assert (code, list(wrong(found))) == (1, ["cache"])
-    assert found["parts"]["cache"]["writable"] is False
-    assert "MJX_CLIMB_CACHE" in found["parts"]["cache"]["findings"][0]
+    assert (code, list(wrong(found))) == (1, [part])
+    assert said in found["parts"][part]["findings"][0]
+    assert part != "cache" or found["parts"]["cache"]["writable"] is False
+    if cured is not None:
+        monkeypatch.setenv(setting[0], cured)
+        assert doctor()[0] == 0
 
 
 def test_the_cache_is_counted(doctor, monkeypatch, tmp_path):
@@ -107,27 +123,6 @@ def test_the_cache_is_counted(doctor, monkeypatch, tmp_path):
     assert code == 0
     cache = {"on": True, "folder": str(tmp_path), "programs": 1, "bytes": 1000, "writable": True, "findings": []}
     assert found["parts"]["cache"] == cache
-
-
-def test_no_renderer_is_seen_and_one_switched_off_is_fine(doctor, monkeypatch):
-    def none():
-        raise RenderingError("expected OpenGL, install libegl1")
-
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(backend, "find", none)
-    code, found = doctor()
-    assert (code, list(wrong(found))) == (1, ["renderer"])
-    assert "install" in found["parts"]["renderer"]["findings"][0]
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    assert doctor()[0] == 0
-
-
-def test_two_releases_of_mujoco_are_seen(doctor, monkeypatch):
-    version = importlib.metadata.version
-    monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.0" if name == "mujoco" else version(name))
-    code, found = doctor()
-    assert (code, list(wrong(found))) == (1, ["versions"])
-    assert found["parts"]["versions"]["findings"][0].startswith("mujoco 4.0.0 with mujoco-mjx 3.17.0: python -m pip")
 
 
 def test_a_part_that_breaks_down_is_a_finding_beside_the_others(monkeypatch, doctor):

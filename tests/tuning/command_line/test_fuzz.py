@@ -8,16 +8,10 @@ from pathlib import Path
 
 import pytest
 
-import mjx_climb as mc
-import tuning.searches.schedule
 from mjx_climb.rendering import backend
 from tests.fuzz import COMMANDS, Case, case
 from tests.shell import ends, start
-from tuning.benchmarks import measure
-from tuning.command_line import machine, main, program
-from tuning.evaluation import deployment
-from tuning.output import comparisons
-from tuning.problem import evaluation
+from tuning.command_line import main, program
 
 CASES, CHUNK, QUICK = 1000, 50, 150
 PATIENCE = 1000  # times the processor's time for a call that is valid; the longest takes a hundred
@@ -32,17 +26,13 @@ def valid_input_stops_here(monkeypatch):
     def start(*_, **__):
         raise Started
 
-    for module, names in (
-        (mc, ("rollout", "rollout_metrics", "rollout_histories")),
-        (comparisons, ("of_grid",)),  # compiles
-        (evaluation, ("baseline", "pd_of")),
-        (tuning.searches.schedule, ("pd_of",)),
-        (deployment, ("check",)),
-        (measure, ("measure",)),
-        (machine, ("examine",)),
-    ):
-        for name in names:
-            monkeypatch.setattr(module, name, start)
+    for name in (
+        "mjx_climb.rollout", "mjx_climb.rollout_metrics", "mjx_climb.rollout_histories",
+        "tuning.output.comparisons.of_grid", "tuning.problem.evaluation.baseline", "tuning.problem.evaluation.pd_of",
+        "tuning.searches.schedule.pd_of", "tuning.evaluation.deployment.check", "tuning.benchmarks.measure.measure",
+        "tuning.command_line.machine.examine",
+    ):  # fmt: skip
+        monkeypatch.setattr(name, start)
     monkeypatch.setattr(backend, "find", lambda: "egl")
 
 
@@ -98,21 +88,18 @@ def check_refusal(code, out: str, err: str, arguments: list[str]) -> None:
     assert err.startswith("mjx-climb: error: ") and err.endswith("\n")
     assert len(err.splitlines()) == 1, err
     assert len(err) < 1500
-    said = [words for argument in arguments for words in named(argument) if len(words) > 1]
-    assert re.search(r"--[a-z]|'", err) or any(words in err for words in said)
-
-
-def named(argument: str) -> tuple[str, ...]:
-    """Return the forms in which a message may name an argument."""
-    path = Path("".join(c if c.isprintable() else ascii(c)[1:-1] for c in argument))
-    return f"error: {path}: ", f"error: {path}/", path.name[:40]
+    named = []  # the forms in which a message may name an argument
+    for argument in arguments:
+        path = Path("".join(c if c.isprintable() else ascii(c)[1:-1] for c in argument))
+        named += [f"error: {path}: ", f"error: {path}/", path.name[:40]]
+    assert re.search(r"--[a-z]|'", err) or any(words in err for words in named if len(words) > 1)
 
 
 STARTS = [pytest.param(start, marks=[pytest.mark.slow] * (start >= QUICK)) for start in range(0, CASES, CHUNK)]
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_malformed_input_is_refused(start, patience, tmp_path, capsys, monkeypatch):
+def test_malformed_input_is_refused(start, patience, tmp_path, capsys, call, monkeypatch):
     refused = 0
     for number in range(start, start + CHUNK):
         folder = tmp_path / str(number)
@@ -122,11 +109,10 @@ def test_malformed_input_is_refused(start, patience, tmp_path, capsys, monkeypat
         arguments = prepare(malformed, folder)
         before = tree(folder)
         try:
-            with patience(), pytest.raises(SystemExit) as ended:
-                main(arguments)
-            out, err = capsys.readouterr()
-            if ended.value.code != 0:
-                check_refusal(ended.value.code, out, err, arguments)
+            with patience():
+                code, out, err = call(*arguments)
+            if code != 0:
+                check_refusal(code, out, err, arguments)
                 assert tree(folder) == before
                 refused += 1
         except Started:

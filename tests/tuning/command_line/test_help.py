@@ -12,7 +12,7 @@ import mjx_climb as mc
 from mjx_climb.scenario import shipped
 from mjx_climb.walk.metrics import FAILURES
 from tests.shell import PROGRAM, ROOT, environment
-from tuning.command_line import from_models, main
+from tuning.command_line import from_models
 from tuning.command_line.options import EngineName
 from tuning.command_line.program import COMMANDS
 from tuning.problem import search
@@ -20,30 +20,19 @@ from tuning.problem import search
 HEAVY = {"jax", "numpy", "matplotlib", "xarray", "mujoco", "yaml"}
 
 
-@pytest.fixture
-def say(capsys):
-    def say(*arguments):
-        with pytest.raises(SystemExit) as ended:
-            main(list(arguments))
-        assert ended.value.code == 0
-        return capsys.readouterr().out
-
-    return say
-
-
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_examples_and_says_what_each_option_does(say, command):
-    text = say(command, "--help")
+def test_every_command_has_examples_and_says_what_each_option_does(call, command):
+    code, text, _ = call(command, "--help")
     examples = re.findall(rf"^    (mjx-climb {command}.*)$", text, re.MULTILINE)
-    assert examples
+    assert code == 0 and examples
     for option in re.findall(r"--[a-z-]+", " ".join(examples)):
         assert re.search(rf"^  {option}\b", text, re.MULTILINE), option
     for parameter in re.split(r"\n(?=  -)", text.partition("\nOptions:\n")[2]):
         assert re.search(r"(  |\n {10,})[A-Z]\w*[:,]? \w+", parameter), parameter  # a sentence
 
 
-def test_the_list_of_commands_is_not_cut_off(say):
-    text = say("--help")
+def test_the_list_of_commands_is_not_cut_off(call):
+    text = call("--help")[1]
     listed = re.findall(r"^  (\w+) +(.+)$", text.partition("\nCommands:\n")[2].partition("\n\n")[0], re.MULTILINE)
     assert dict(listed) == COMMANDS
 
@@ -117,7 +106,7 @@ def test_names_written_for_completion_are_the_real_ones():
     assert {"case_1_1", "case_1_2", "case_2", "limbero_like_cliff"} <= set(shipped.names())
 
 
-def call(*arguments, **variables):
+def completion(*arguments, **variables):
     quiet = environment(_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1", **variables)
     return subprocess.run(
         [*PROGRAM, *arguments], cwd=ROOT, env=quiet, capture_output=True, text=True, check=True
@@ -126,8 +115,8 @@ def call(*arguments, **variables):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_installs_in_a_home_and_sources(shell, tmp_path):
-    shown = call("--show-completion", shell, HOME=str(tmp_path))
-    call("--install-completion", shell, HOME=str(tmp_path))
+    shown = completion("--show-completion", shell, HOME=str(tmp_path))
+    completion("--install-completion", shell, HOME=str(tmp_path))
     assert "_MJX_CLIMB_COMPLETE" in shown
     scripts = [file for file in tmp_path.rglob("*mjx-climb*") if file.is_file()]
     assert [file.read_text().strip() for file in scripts] == [shown.strip()]
@@ -139,6 +128,6 @@ def test_bash_asks_the_program(tmp_path):
     program.write_text(f'#!/bin/bash\nPYTHONPATH={ROOT} exec {shlex.join(PROGRAM)} "$@"\n')
     program.chmod(0o755)
     press = 'COMP_WORDS=(mjx-climb export --format j); COMP_CWORD=3; _mjx_climb_completion "$0"; echo "${COMPREPLY[@]}"'
-    script = f"{call('--show-completion', 'bash')}\n{press}"
+    script = f"{completion('--show-completion', 'bash')}\n{press}"
     done = subprocess.run(["bash", "-c", script, str(program)], cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout.split() == ["json"], done.stderr

@@ -1,7 +1,6 @@
 """Ctrl-C and SIGTERM: heard at every instant, obeyed at the next occasion, and at once the second time."""
 
 import gc
-import os
 import re
 import signal
 import subprocess
@@ -17,16 +16,16 @@ from mjx_climb import plots
 from mjx_climb.execution.devices import LostProcess
 from mjx_climb.files import dataset
 from tests import interrupts
-from tuning.command_line import interruption, main
+from tests.shell import ROOT, environment
+from tuning.command_line import interruption
 from tuning.command_line.options import Output
 from tuning.command_line.session import Session
 
-ROOT = Path(__file__).parents[3]
 RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.2"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_where_exceptions_are_lost_is_heard(number, monkeypatch, capsys, tmp_path):
+def test_a_signal_where_exceptions_are_lost_is_heard(number, monkeypatch, call, tmp_path):
     """As in a callback of JAX's: Python drops what is raised while it collects garbage."""
     walk, drawn = mc.rollout, []
 
@@ -42,10 +41,8 @@ def test_a_signal_where_exceptions_are_lost_is_heard(number, monkeypatch, capsys
 
     monkeypatch.setattr(mc, "rollout", walked)
     monkeypatch.setattr(plots, "save_figure", lambda *_: drawn.append(1))
-    with pytest.raises(SystemExit) as ended:
-        main([*RUN, "--out", str(tmp_path)])
-    out, err = capsys.readouterr()
-    assert (ended.value.code, out, drawn) == (130, "", [])
+    code, out, err = call(*RUN, "--out", tmp_path)
+    assert (code, out, drawn) == (130, "", [])
     assert err.splitlines()[-1] == "mjx-climb: interrupted: nothing was kept; the same command starts again"
 
 
@@ -61,11 +58,16 @@ main(sys.argv[2:])
 """
 
 
+def interrupted_in(module, folder):
+    """Run the program in a process of its own that gets a signal as it imports a module."""
+    command = [sys.executable, "-c", _WHILE_IMPORTING, module, *RUN, "--out", str(folder)]
+    return subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
+
+
 @pytest.mark.parametrize("module", ["tuning.command_line.program", "typer", "jax", "mjx_climb.simulation"])
 def test_a_signal_while_modules_are_imported(module, tmp_path):
     """It ends the program in one line, not in an ImportError of whatever was under way."""
-    command = [sys.executable, "-c", _WHILE_IMPORTING, module, *RUN, "--out", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    done = interrupted_in(module, tmp_path)
     assert (done.returncode, done.stdout) == (130, ""), done.stderr
     assert done.stderr.splitlines()[-1].startswith("mjx-climb: interrupted: nothing was kept")
     assert "Traceback" not in done.stderr
@@ -73,8 +75,7 @@ def test_a_signal_while_modules_are_imported(module, tmp_path):
 
 def test_a_signal_before_the_program_watches(tmp_path):
     """It ends the process at once, as any program that has not begun, without a traceback."""
-    command = [sys.executable, "-c", _WHILE_IMPORTING, "socket", *RUN, "--out", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    done = interrupted_in("socket", tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
 
 
@@ -138,12 +139,10 @@ def test_what_is_kept_is_said_where_another_process_was_stopped_first(asked, mon
         raise LostProcess("gone")
 
 
-def test_a_command_that_came_to_its_end_says_so(monkeypatch, capsys, tmp_path):
+def test_a_command_that_came_to_its_end_says_so(monkeypatch, call, tmp_path):
     monkeypatch.setattr(dataset, "write_text_atomically", lambda *_: signal.raise_signal(signal.SIGINT))
-    with pytest.raises(SystemExit) as ended:
-        main(["schema", "--out", str(tmp_path / "schema.json")])
-    assert ended.value.code == 130
-    assert "all that it writes is written" in capsys.readouterr().err.splitlines()[-1]
+    code, _, err = call("schema", "--out", tmp_path / "schema.json")
+    assert code == 130 and "all that it writes is written" in err.splitlines()[-1]
 
 
 @pytest.mark.slow
