@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,17 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from mjx_climb.files.dataset import AXES
-from mjx_climb.plots.events import (
-    detachments,
-    disturbances,
-    end_of,
-    failure_time,
-    finite_rows,
-    grip_changes,
-    largest_foot_force,
-    lengths,
-    thin,
-)
+from mjx_climb.plots import events
 from mjx_climb.plots.styling import AXIS_COLORS, BLACK, COLUMN, GREY, LIMB_COLORS, RED, SERIES, key, legend, style
 from mjx_climb.quantities.ground import foothold_heights, footholds, relief
 from mjx_climb.robot.constants import load_robot
@@ -57,7 +47,7 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     base, wanted = (1e3 * (path - reference[0]) for path in (position, reference))
     shift = 1e3 * trajectory.base_displacement
     panels = [
-        _Panel("largest foot\nforce [N]", largest_foot_force(trajectory)[:, None], height=1.4, from_zero=True),
+        _Panel("largest foot\nforce [N]", events.largest_foot_force(trajectory)[:, None], height=1.4, from_zero=True),
         *(
             _Panel(f"{joint} $\\tau$\n[N m]", trajectory.joint_torque[:, :, number], limbs, width=0.6)
             for number, joint in enumerate(joints)
@@ -72,18 +62,18 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     if not shift.any():
         panels = [panel for panel in panels if "Delta" not in panel.label]
     heights = [*(panel.height for panel in panels), 0.9]
-    figure, axes = _over_time(heights, end_of(trajectory), 0.5 + 0.77 * len(heights))
+    figure, axes = _over_time(heights, events.end_of(trajectory), 0.5 + 0.77 * len(heights))
     _draw_lines(axes, trajectory, panels)
     _name_the_axes(axes[1 + len(joints)])
     _mark_holding_limit(axes[0], trajectory.scenario.contact.holding_limit)
     _draw_gait(axes[-1], trajectory)
     _mark_events(axes, trajectory)
-    if (rows := finite_rows(trajectory)) < trajectory.time.size:  # there is no state any more
-        gone = trajectory.time[rows], end_of(trajectory)
+    if (rows := events.finite_rows(trajectory)) < trajectory.time.size:  # there is no state any more
+        gone = trajectory.time[rows], events.end_of(trajectory)
         for place in axes:
             place.axvspan(*gone, color=GREY, linewidth=0, zorder=0.2, gid="diverged")
     _mark_failure(axes, trajectory, panels)
-    legend(figure, _keys(zip(trajectory.limbs, limbs, strict=True), linewidth=1.2))
+    legend(figure, [key(name, color=color, linewidth=1.2) for name, color in zip(trajectory.limbs, limbs, strict=True)])
     return figure
 
 
@@ -104,7 +94,7 @@ def plot_comparison(
     first, *_ = trajectories.values()
     walks = {name: _compared(trajectory, per_limb=per_limb) for name, trajectory in trajectories.items()}
     heights = [panel.height for panel in next(iter(walks.values()))]
-    end = max(map(end_of, trajectories.values()))
+    end = max(map(events.end_of, trajectories.values()))
     figure, axes = _over_time(heights, end, 0.7 + 0.95 * len(heights))
     level, handles = 0, []
     for number, (name, panels) in enumerate(walks.items()):
@@ -120,12 +110,12 @@ def plot_comparison(
 def _compared(trajectory: Trajectory, *, per_limb: bool) -> list[_Panel]:
     torque = np.abs(trajectory.joint_torque).max(2)
     lines = {
-        "largest foot\nforce [N]": largest_foot_force(trajectory),
+        "largest foot\nforce [N]": events.largest_foot_force(trajectory),
         "largest joint\ntorque [N m]": torque.max(1),
         **{f"{limb} largest\ntorque [N m]": torque[:, i] for i, limb in enumerate(trajectory.limbs) if per_limb},
         "TSM [m]": trajectory.tsm,
         "GIA margin\n[m/s$^2$]": trajectory.gia_margin,
-        "base off its\nreference [mm]": 1e3 * lengths(trajectory.base_position - trajectory.base_reference),
+        "base off its\nreference [mm]": 1e3 * events.lengths(trajectory.base_position - trajectory.base_reference),
     }
     first, *others = (_Panel(label, values[:, None], from_zero=True) for label, values in lines.items())
     return [first._replace(height=1.2), *others]
@@ -158,48 +148,37 @@ def _over_time(heights: Sequence[float], end: float, height: float) -> tuple[Fig
 
 
 def _draw_lines(axes: Sequence[Axes], trajectory: Trajectory, panels: Sequence[_Panel], **look: Any) -> None:
-    """Draw all lines of a walk, each panel into its axes; `look` is in place of the panel's own."""
+    """Draw all lines of a walk up to where its state stopped being finite; `look` is in place of the panels' own.
+
+    What comes after a failure may be thousands of times larger: the axes reach at most two spans beyond what was
+    before.
+    """
+    rows, failed = events.finite_rows(trajectory), events.failure_time(trajectory)
     for place, panel in zip(axes, panels, strict=False):
         place.set_ylabel(panel.label)
         place.autoscale(axis="y")  # for this walk too
-        for values, color in zip(panel.lines.T, panel.colors, strict=True):
-            _draw_line(place, trajectory, values, **{"color": color, "linewidth": panel.width, **look})
+        lines = [(panel.lines, {"linewidth": panel.width, **look})]
         if panel.reference is not None:
-            for values, color in zip(panel.reference.T, panel.colors, strict=True):
-                _draw_line(place, trajectory, values, color=color, linestyle=_DASHED)
+            lines.append((panel.reference, {"linestyle": _DASHED}))
+        for group, own in lines:
+            for values, color in zip(group.T, panel.colors, strict=True):
+                time, drawn = events.thin(trajectory.time[:rows], values[:rows])
+                before = drawn[(time <= failed) & np.isfinite(drawn)]
+                if not before.size:  # a margin that is not defined, as the TSM without gravity
+                    continue
+                low, high = before.min(), before.max()
+                low, high = max(np.nanmin(drawn), 3 * low - 2 * high), min(np.nanmax(drawn), 3 * high - 2 * low)
+                # unlike plot, add_artist leaves the limits alone
+                place.add_artist(Line2D(time, drawn, solid_joinstyle="round", **{"color": color, **own}))
+                place.update_datalim([(time[0], low), (time[-1], high)])
+                place.autoscale_view(scalex=False)
         if panel.from_zero:
             place.set_ylim(bottom=0)
 
 
-def _draw_line(place: Axes, trajectory: Trajectory, values: np.ndarray, **look: Any) -> None:
-    """Draw one line over time, up to where the state stopped being finite.
-
-    What comes after a failure may be thousands of times larger: the axes reach at most two spans beyond what
-    was before.
-    """
-    rows = finite_rows(trajectory)
-    if not rows:
-        return
-    time, drawn = thin(trajectory.time[:rows], values[:rows])
-    before = drawn[(time <= failure_time(trajectory)) & np.isfinite(drawn)]
-    if not before.size:  # a margin that is not defined, as the TSM without gravity
-        return
-    low, high = before.min(), before.max()
-    low, high = max(np.nanmin(drawn), 3 * low - 2 * high), min(np.nanmax(drawn), 3 * high - 2 * low)
-    # unlike plot, add_artist leaves the limits alone
-    place.add_artist(Line2D(time, drawn, solid_joinstyle="round", **look))
-    place.update_datalim([(time[0], low), (time[-1], high)])
-    place.autoscale_view(scalex=False)
-
-
-def _keys(colors: Iterable[tuple[str, str]], **look: Any) -> list[Line2D]:
-    """Return the lines of a legend from names and colours."""
-    return [key(name, color=color, **look) for name, color in colors]
-
-
 def _name_the_axes(panel: Axes) -> None:
     """Name the three axes and the reference in a panel, above what it shows."""
-    handles = _keys(zip(AXES, AXIS_COLORS, strict=True))
+    handles = [key(name, color=color) for name, color in zip(AXES, AXIS_COLORS, strict=True)]
     panel.legend(
         handles=[*handles, key("reference", color="0.3", linestyle=_DASHED)], loc="upper left",
         ncols=4, handlelength=1.0, columnspacing=0.7, handletextpad=0.3, borderaxespad=0.1, fontsize=6.5,
@@ -228,14 +207,14 @@ def _mark_holding_limit(panel: Axes, limit: float | None) -> None:
 
 def _draw_gait(panel: Axes, trajectory: Trajectory) -> None:
     """Draw per limb when its gripper is shut and holds, and a red cross where it is torn off."""
-    time = np.append(trajectory.time, end_of(trajectory))
-    support = trajectory.support[: finite_rows(trajectory)]
+    time = np.append(trajectory.time, events.end_of(trajectory))
+    support = trajectory.support[: events.finite_rows(trajectory)]
     panel.grid(False)
     for number, color in enumerate(limb_colors(trajectory)):
         edges = np.flatnonzero(np.diff(support[:, number].astype(int), prepend=0, append=0))
         bars = [(time[a], time[b] - time[a]) for a, b in edges.reshape(-1, 2)]
         panel.broken_barh(bars, (number - 0.35, 0.7), facecolors=color, linewidth=0, gid="support")
-    for instant, limb in detachments(trajectory):
+    for instant, limb in events.detachments(trajectory):
         _draw_cross(panel, instant, trajectory.limbs.index(limb))
     panel.set_yticks(range(len(trajectory.limbs)), trajectory.limbs)
     panel.set_ylim(len(trajectory.limbs) - 0.5, -0.5)
@@ -251,7 +230,7 @@ def _mark_events(axes: Sequence[Axes], trajectory: Trajectory) -> None:
     first, end = axes[0], axes[0].get_xlim()[1]
     letter = 3.9 / (0.8 * 72 * COLUMN) * end  # s, that a letter of the labels takes of the panel
     placed: list[tuple[int, float, float]] = []  # line, middle and half the width of each so far, s
-    for start, stop, label, color in disturbances(trajectory):
+    for start, stop, label, color in events.disturbances(trajectory):
         for panel in axes:
             panel.axvspan(start, stop, color=color, linewidth=0, zorder=0, gid="disturbance")
         middle, half = (start + stop) / 2, 0.5 * letter * (len(label) + 1)
@@ -262,7 +241,7 @@ def _mark_events(axes: Sequence[Axes], trajectory: Trajectory) -> None:
             label, (middle, 1), xycoords=first.get_xaxis_transform(), xytext=(0, 2 + 8 * level), ha="center",
             va="bottom", gid="disturbance label", **_SMALL,
         )  # fmt: skip
-    for panel, change in itertools.product(axes, grip_changes(trajectory)):
+    for panel, change in itertools.product(axes, events.grip_changes(trajectory)):
         panel.axvline(change, color="0.7", linewidth=0.4, linestyle=(0, (4, 2)), zorder=0.5, gid="grip change")
 
 
@@ -274,14 +253,14 @@ def _mark_failure(
     What failed when stands in the first panel, `level` lines below its top. False where nothing failed.
     """
     failures = []  # instants, s, and words
-    for instant, limb in detachments(trajectory)[:1]:
+    for instant, limb in events.detachments(trajectory)[:1]:
         failures.append((instant, f"{limb} torn off, {instant:.2f} s"))
         row = int(np.searchsorted(trajectory.time, instant))
         for place, panel in zip(axes, panels, strict=False):
             place.axvline(instant, color=RED, linewidth=0.5, zorder=1.5)
             values = panel.lines[row]
             _draw_cross(place, instant, values[np.abs(np.nan_to_num(values)).argmax()])
-    if (rows := finite_rows(trajectory)) < trajectory.time.size:
+    if (rows := events.finite_rows(trajectory)) < trajectory.time.size:
         instant = float(trajectory.time[rows])
         failures.append((instant, f"diverged, {instant:.2f} s"))
     if failures:
@@ -312,7 +291,9 @@ def plot_feet(trajectory: Trajectory) -> Figure:
     that the picture ends.
     """
     scenario, along = trajectory.scenario, _along(trajectory)
-    rows = min(finite_rows(trajectory), int(np.searchsorted(trajectory.time, failure_time(trajectory) + 0.1)))
+    rows = min(
+        events.finite_rows(trajectory), int(np.searchsorted(trajectory.time, events.failure_time(trajectory) + 0.1))
+    )
     planned = along(_planned(trajectory))
     feet, base = along(trajectory.foot_position[:rows]), along(trajectory.base_position[:rows])
     low, high = planned.min((0, 1)) - 50, planned.max((0, 1)) + 50
@@ -337,7 +318,7 @@ def plot_feet(trajectory: Trajectory) -> Figure:
         for ahead, _, height in holds:
             side.plot([ahead - 12, ahead + 12], [height] * 2, color=color, linewidth=2.5, alpha=0.45, gid="foothold")
         above.plot(holds[:, 0], holds[:, 1], "o", markersize=7, mec=color, mfc="none", gid="foothold")
-    torn = [(*event, int(np.searchsorted(trajectory.time, event[0]))) for event in detachments(trajectory)]
+    torn = [(*event, int(np.searchsorted(trajectory.time, event[0]))) for event in events.detachments(trajectory)]
     for panel, axis in ((side, 2), (above, 1)):
         panel.plot(base[:, 0], base[:, axis], color=BLACK, linewidth=0.8, zorder=3)
         for _, name, row in torn:
@@ -351,7 +332,7 @@ def plot_feet(trajectory: Trajectory) -> Figure:
         side.annotate(words, (0.02, 0.95), xycoords="axes fraction", va="top", color=RED, fontsize=6.5, gid="failure")
     side.set(ylim=(bottom, top), ylabel="height [mm]")
     above.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), ylabel="to the left [mm]", xlabel="ahead [mm]")
-    legend(figure, _keys([*limbs, ("base", BLACK)], linewidth=1.2))
+    legend(figure, [key(name, color=color, linewidth=1.2) for name, color in [*limbs, ("base", BLACK)]])
     return figure
 
 

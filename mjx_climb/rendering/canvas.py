@@ -40,54 +40,40 @@ class View:
     azimuth: float  # degrees
     gravity: np.ndarray  # (3,) m/s^2, world; the ground's normal is up where there is none
 
-    def camera(self) -> mujoco.MjvCamera:
-        """Return MuJoCo's camera, whose up is always the world's z."""
-        made = mujoco.MjvCamera()
-        made.type = mujoco.mjtCamera.mjCAMERA_FREE
-        made.lookat[:], made.distance = self.target, self.distance
-        made.azimuth, made.elevation = self.azimuth, ELEVATION
-        return made
-
     def axes(self) -> np.ndarray:
         """Return right, up and forward of the picture as rows, (3, 3) world."""
         azimuth, elevation = np.deg2rad([self.azimuth, ELEVATION])
         flat = np.cos(elevation)
         forward = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-        strength = np.linalg.norm(self.gravity)
-        up = np.array([0.0, 0.0, 1.0]) if strength < MICROGRAVITY else -self.gravity / strength
+        up = np.array([0.0, 0.0, 1.0]) if np.linalg.norm(self.gravity) < MICROGRAVITY else -self.gravity
         up = up - (up @ forward) * forward
         up /= np.linalg.norm(up)
         return np.stack([np.cross(forward, up), up, forward])
 
 
-class Follower:
-    """The view over time: it glides with the gait's base reference, far enough to show all feet and bases."""
+def follower(trajectories: Sequence[Trajectory], fovy: float, aspect: float) -> Callable[[float], View]:
+    """Return the view over time, s: it glides with the gait's base reference, and shows all feet and bases."""
+    first = max(trajectories, key=whole)
+    scenario, rows = first.scenario, whole(first)
+    # the moving average over a cycle, the path's ends held
+    window = round(scenario.gait.cycle / scenario.time_step)
+    padded = np.pad(first.base_reference[:rows], ((window // 2, window - window // 2), (0, 0)), mode="edge")
+    sums = np.cumsum(padded, axis=0)
+    path = (sums[window:] - sums[:-window]) / window
 
-    def __init__(self, trajectories: Sequence[Trajectory], fovy: float, aspect: float):
-        first = max(trajectories, key=whole)
-        self._scenario, rows = first.scenario, whole(first)
-        self._time = first.time[:rows]
-        # the moving average over a cycle, the path's ends held
-        window = round(self._scenario.gait.cycle / self._scenario.time_step)
-        padded = np.pad(first.base_reference[:rows], ((window // 2, window - window // 2), (0, 0)), mode="edge")
-        sums = np.cumsum(padded, axis=0)
-        self._path = (sums[window:] - sums[:-window]) / window
-        radius = 0.0  # m, of the ball around what is to be seen, which must fit the narrower side of the picture
-        for walk in trajectories:
-            some = slice(0, whole(walk), 20)
-            points = np.concatenate([walk.foot_position[some], walk.base_position[some, None]], axis=1)
-            away = np.linalg.norm(points - self._target(walk.time[some])[:, None], axis=-1)
-            radius = max(radius, away[np.isfinite(away) & (away < TALLEST)].max(initial=0.2))
-        half = np.deg2rad(fovy) / 2
-        self._distance = MARGIN * radius / np.sin(min(half, np.arctan(np.tan(half) * aspect * 0.8)))
+    def target(time: np.ndarray | float) -> np.ndarray:
+        return np.stack([np.interp(time, first.time[:rows], line) for line in path.T], axis=-1)
 
-    def _target(self, time: np.ndarray | float) -> np.ndarray:
-        return np.stack([np.interp(time, self._time, line) for line in self._path.T], axis=-1)
-
-    def at(self, time: float) -> View:
-        """Return the view at a time, s."""
-        azimuth = AZIMUTH + float(np.rad2deg(self._scenario.gait.heading))
-        return View(self._target(time) * [1, 1, 0.55], self._distance, azimuth, np.asarray(self._scenario.gravity))
+    radius = 0.0  # m, of the ball around what is to be seen, which must fit the narrower side of the picture
+    for walk in trajectories:
+        some = slice(0, whole(walk), 20)
+        points = np.concatenate([walk.foot_position[some], walk.base_position[some, None]], axis=1)
+        away = np.linalg.norm(points - target(walk.time[some])[:, None], axis=-1)
+        radius = max(radius, away[np.isfinite(away) & (away < TALLEST)].max(initial=0.2))
+    half = np.deg2rad(fovy) / 2
+    distance = MARGIN * radius / np.sin(min(half, np.arctan(np.tan(half) * aspect * 0.8)))
+    azimuth, gravity = AZIMUTH + float(np.rad2deg(scenario.gait.heading)), np.asarray(scenario.gravity)
+    return lambda time: View(target(time) * [1, 1, 0.55], distance, azimuth, gravity)
 
 
 class Canvas:
@@ -122,8 +108,11 @@ class Canvas:
         `inside` adds geoms among the model's, `on_top` such that nothing hides: an arrow inside a leg or the ground.
         """
         scene = self.scene
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(self._model, data, self._options, None, view.camera(), everything, scene)
+        camera, everything = mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL.value
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE  # its up is the world's z
+        camera.lookat[:], camera.distance = view.target, view.distance
+        camera.azimuth, camera.elevation = view.azimuth, ELEVATION
+        mujoco.mjv_updateScene(self._model, data, self._options, None, camera, everything, scene)
         for geom in scene.geoms[: scene.ngeom]:
             # what stands still casts no shadow: on itself it is specks, as fine as the cells of the shadow map
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and self._model.geom_bodyid[geom.objid] == 0:

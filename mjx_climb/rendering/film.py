@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -19,7 +18,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.plots.events import row_at
 from mjx_climb.rendering import marks, surroundings
 from mjx_climb.rendering.backend import require_display
-from mjx_climb.rendering.canvas import AZIMUTH, Canvas, Follower, View, pose
+from mjx_climb.rendering.canvas import AZIMUTH, ELEVATION, Canvas, View, follower, pose
 from mjx_climb.rendering.captions import Caption, ForceTrace, controller
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.description import bare, compiled, described
@@ -47,13 +46,13 @@ def pictures(
     size = size[0], size[1] - strip
     model = surroundings.model(trajectories)
     data, fovy = mujoco.MjData(model), float(model.vis.global_.fovy)
-    follower, scale = Follower(trajectories, fovy, size[0] / size[1]), marks.scale(trajectories)
+    view_at, scale = follower(trajectories, fovy, size[0] / size[1]), marks.scale(trajectories)
     focal = size[1] / (2 * np.tan(np.deg2rad(fovy) / 2))  # pixels
     named = zip(trajectories, labels or map(controller, trajectories), strict=True)
     captions = [Caption(trajectory, label, size, scale) for trajectory, label in named]
     with Canvas(model, *size) as canvas:
         for instant in map(float, times):
-            view, panels = follower.at(instant), []
+            view, panels = view_at(instant), []
             for number, trajectory in enumerate(trajectories):
                 row = row_at(trajectory, instant)
                 pose(model, data, trajectory, row)
@@ -124,16 +123,8 @@ def snapshots(
 ) -> np.ndarray:  # fmt: skip
     """Return a strip of snapshots, (walks H, snapshots W, 3) uint8: one row per walk, time from left to right.
 
-    Arguments:
-        trajectories: walks of one robot.
-        count: number of snapshots, in the middles of equal stretches of the walk.
-        times: instants in place of `count`, s.
-        labels: above each walk; its controller by default.
-        size: width and height of one snapshot, even numbers of pixels.
-
-    Raises:
-        RenderingError: no OpenGL on this machine.
-        ValueError: what cannot be shown.
+    They are taken at `times`, s, else in the middles of `count` equal stretches of the walk; `size` is of one of them.
+    All else, errors too, is as of `frames`.
     """
     instants = (np.arange(count) + 0.5) / count * length(trajectories) if times is None else times
     shown = pictures(trajectories, instants, labels=labels, size=size)
@@ -145,14 +136,9 @@ def save_video(
     path: str | os.PathLike[str], *trajectories: Trajectory, labels: Sequence[str] | None = None, fps: int = FPS,
     size: tuple[int, int] = SIZE, progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:  # fmt: skip
-    """Write walks as an MP4 video, side by side and in sync, and return its path.
+    """Write the `frames` of walks as an MP4 video and return its path; the file is either whole or not there.
 
-    The file is either whole or not there.
-
-    Arguments:
-        path: ends in .mp4.
-        trajectories, labels, fps, size: as of `frames`.
-        progress: called with how many frames are done, and of how many.
+    `progress` is called with how many frames are done, and of how many; all else is as of `frames`.
 
     Raises:
         RenderingError: no OpenGL on this machine.
@@ -201,12 +187,10 @@ def save_image(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
 
 
 def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[], bool] = lambda: False) -> None:
-    """Show walks one after the other in MuJoCo's viewer, in real time and over and over, until its window is closed.
+    """Show walks of one robot one after the other in MuJoCo's viewer, in real time, until its window is closed.
 
-    Arguments:
-        trajectories: walks of one robot; they share the scale of the forces.
-        rounds: how often they are shown; None: until the window is closed.
-        until: asked for every frame; the window closes where it says so.
+    They share the scale of the forces and are shown over and over, or so many `rounds`; `until` is asked for every
+    frame, and the window closes where it says so.
 
     Raises:
         RenderingError: no display, or no window can be opened on it.
@@ -214,16 +198,18 @@ def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[
     """
     check(trajectories, None, SIZE)
     require_display()
+    from mujoco.viewer import launch_passive
+
     model = surroundings.model(trajectories)
     model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
     model.light("sun").castshadow = False  # such a ground takes none
     data, scale = mujoco.MjData(model), marks.scale(trajectories)
-    start = Follower(trajectories, float(model.vis.global_.fovy), 1.5).at(0.0)
+    start = follower(trajectories, float(model.vis.global_.fovy), 1.5)(0.0)
     pose(model, data, trajectories[0], 0)
-    with _window(model, data) as window:
+    with _joined(), launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
         with window.lock():
             window.cam.lookat[:], window.cam.distance = start.target, start.distance
-            window.cam.azimuth, window.cam.elevation = start.azimuth, start.camera().elevation
+            window.cam.azimuth, window.cam.elevation = start.azimuth, ELEVATION
         begin = time.perf_counter()
         while window.is_running() and not until():
             shown, now = divmod(time.perf_counter() - begin, length(trajectories) + PAUSE)
@@ -242,17 +228,14 @@ def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[
 
 
 @contextlib.contextmanager
-def _window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
-    """Open MuJoCo's viewer without its panels; on leaving, wait until its thread has ended.
+def _joined() -> Iterator[None]:
+    """Wait, on leaving, until all threads that began meanwhile have ended.
 
-    A process that ends before the thread that draws dies of a segmentation fault.
+    A process that ends before the viewer's thread, which draws, dies of a segmentation fault.
     """
-    from mujoco.viewer import launch_passive
-
     others = set(threading.enumerate())
     try:
-        with launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
-            yield window
+        yield
     finally:
         for thread in set(threading.enumerate()) - others:
             thread.join()
@@ -262,11 +245,10 @@ def viewer_words(trajectory: Trajectory, row: int) -> tuple[str, str]:
     """Return names and values to write into the window."""
     forces = np.linalg.norm(trajectory.foot_force[row], axis=-1)
     limb = int(forces.argmax())
-    at = f" at {trajectory.limbs[limb]}" if forces[limb] else ""
     shown = {
         "controller": controller(trajectory),
         "time": f"{trajectory.time[row]:.2f} s",
-        "largest force": f"{forces[limb]:.1f} N{at}",
+        "largest force": f"{forces[limb]:.1f} N" + (f" at {trajectory.limbs[limb]}" if forces[limb] else ""),
     }
     if torn := [name for name, lost in zip(trajectory.limbs, trajectory.detached[row], strict=True) if lost]:
         shown["torn off"] = ", ".join(torn)
