@@ -1,6 +1,5 @@
 """Peers: MuJoCo's bare dynamics of many robots that fall from the rest stance, without any controller or grip."""
 
-import importlib.util
 from collections.abc import Callable
 
 import numpy as np
@@ -43,13 +42,8 @@ class Rollout:
         )
 
 
-def has_warp() -> bool:
-    """Return whether the extra `compare` has brought `mujoco_warp`."""
-    return importlib.util.find_spec("mujoco_warp") is not None
-
-
 class Warp:
-    """`mujoco_warp`; on a GPU a step is a CUDA graph, on a CPU a sequence of kernels."""
+    """`mujoco_warp`, of the extra `compare`; on a GPU a step is a CUDA graph, on a CPU a sequence of kernels."""
 
     def __init__(self, scenario: mc.Scenario, count: int):
         import mujoco_warp as mjwarp

@@ -1,12 +1,12 @@
 """The measurements of `mjx-climb bench`: every ratio from runs that take turns, medians of several rounds."""
 
 import contextlib
+import importlib.util
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from tuning.benchmarks import commands, operations
 Timed = tuple[int, Callable[[], object]]  # env-steps, and what does them
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """How much is run."""
 
     rounds: int
@@ -60,9 +59,7 @@ def in_turns(rounds: int, work: Mapping[str, Timed]) -> dict[str, float]:
 
 def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float | None:
     """Return the exponent of growth: the slope of log time over log size by least squares; None of nothing."""
-    if not sizes:
-        return None
-    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0]) if sizes else None
 
 
 def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -> dict[str, Any]:
@@ -70,7 +67,11 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
 
     Times are in s; ratios say how many times faster this program is than the peer, or what a gradient costs in values.
     """
-    with _cache() as cache:
+    from mjx_climb.execution.cache import cache_in
+
+    folder = tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True)
+    # new, in this process and for its children, so that every run compiles alike
+    with folder as cache, cache_in(cache):
         say("compiling in fresh processes")
         value = commands.compiled("value", batch, plan.steps, engine, cache)
         warm = commands.compiled("value", batch, plan.steps, engine, cache)
@@ -114,15 +115,14 @@ def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> t
     """
     from tuning.benchmarks import bare_dynamics, numpy_walk, programs
 
-    steps = plan.steps
-    few, fewer = steps // 2, steps // 4  # a gradient's cost per step does not depend on their number
+    steps, few = plan.steps, plan.steps // 2
     ours: dict[str, Timed] = {
         "closed_loop": (batch * steps, programs.walk(batch, steps, engine)),
         "mjx": (batch * few, programs.walk(batch, few, "mjx")),
         "value": (batch * few, programs.walk(batch, few, engine)),
     }
     for tangents in plan.tangents:
-        length = few if tangents == 2 else fewer
+        length = steps // 2 if tangents == 2 else steps // 4  # its cost per step does not depend on their number
         ours[f"gradient_{tangents}"] = (batch * length, programs.gradient(tangents, batch, length, engine))
     whole = round(8.0 / programs.TIME_STEP)  # one robot is walked for its whole walk
     case, cores, length = programs.scenario(steps), devices.usable_cores(), plan.peer_steps
@@ -133,7 +133,8 @@ def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> t
         "mujoco_c": (batch * length, bare.run),
         "mujoco_batch": (batch * length // 2, lambda: steered.run(length // 2)),
     }
-    if not _on_cpu() and bare_dynamics.has_warp():  # on a CPU it steps on one core, which nobody would take it for
+    # on a CPU it steps on one core, which nobody would take it for
+    if not _on_cpu() and importlib.util.find_spec("mujoco_warp"):
         falling = bare_dynamics.Warp(case, batch)
         peers["mujoco_warp"] = (batch * length, lambda: falling.run(length))
     loop = numpy_walk.Loop(programs.scenario(length), programs.gains(1))
@@ -146,10 +147,8 @@ def _growth(engine: str, batch: int, plan: Plan) -> dict[str, object]:
 
     found: dict[str, object] = {}
     for name, plural, sizes in (("batch", "batch", plan.batches), ("step", "steps", plan.lengths)):
-        work = {}
-        for size in sizes:
-            robots, steps = (size, plan.steps) if name == "batch" else (batch, size)
-            work[str(size)] = (robots * steps, programs.walk(robots, steps, engine))
+        each = {size: (size, plan.steps) if name == "batch" else (batch, size) for size in sizes}
+        work = {str(n): (robots * steps, programs.walk(robots, steps, engine)) for n, (robots, steps) in each.items()}
         for _, run in work.values():
             run()
         rates = in_turns(max(plan.rounds // 2, 2), work)
@@ -181,31 +180,14 @@ def _machine() -> dict[str, object]:
 
     import jax
 
-    names = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
+    names, processor = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy"), platform.processor()
+    with contextlib.suppress(OSError), open("/proc/cpuinfo") as file:
+        models = (line.partition(":")[2].strip() for line in file if line.startswith("model name"))
+        processor = next(models, processor)
     return {
         "devices": [device.device_kind for device in jax.devices()],
         "threads": devices.usable_cores(),
-        "processor": _processor(),
+        "processor": processor,
         "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "versions": {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in names},
     }
-
-
-def _processor() -> str:
-    import platform
-
-    with contextlib.suppress(OSError), open("/proc/cpuinfo") as file:
-        for line in file:
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()
-
-
-@contextlib.contextmanager
-def _cache() -> Iterator[str]:
-    """Use a new folder as XLA's cache, in this process and for its children, so that every run compiles alike."""
-    from mjx_climb.execution import cache
-
-    with tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True) as folder:
-        with cache.cache_in(folder):
-            yield folder

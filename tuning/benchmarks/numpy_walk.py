@@ -5,6 +5,7 @@ scenario and MuJoCo model alone they read. Arrays are components first, limbs se
 """
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -28,27 +29,6 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
     return out
-
-
-class _Disturbance:
-    """Cargo and pushes over time, the same for all robots."""
-
-    def __init__(self, scenario: mc.Scenario):
-        def window(part: Cargo | Push) -> tuple[float, float]:
-            stop = math.inf if part.stop is None else round(part.stop / scenario.time_step)
-            return round(part.start / scenario.time_step), stop
-
-        self._cargo = (scenario.disturbance.cargo.mass, *window(scenario.disturbance.cargo))
-        self._pushes = [(np.concatenate([p.force, p.moment]), *window(p)) for p in scenario.disturbance.pushes]
-
-    def cargo(self, step: int) -> float:
-        """Return the cargo in kg."""
-        mass, start, stop = self._cargo
-        return mass if start <= step < stop else 0.0
-
-    def push(self, step: int) -> np.ndarray:
-        """Return force and moment on the base (6,) N, N m."""
-        return sum((wrench for wrench, start, stop in self._pushes if start <= step < stop), np.zeros(6))
 
 
 class Walker:
@@ -90,15 +70,8 @@ class Walker:
         self.foot_force = np.zeros_like(self.anchor)
         self.torque = np.zeros_like(self.anchor)
 
-    def __call__(
-        self,
-        step: int,
-        base: np.ndarray,
-        foot: np.ndarray,
-        foot_velocity: np.ndarray,
-        angles: np.ndarray,
-        rates: np.ndarray,
-    ) -> None:
+    def __call__(self, step: int, base: np.ndarray, foot: np.ndarray, foot_velocity: np.ndarray,
+                 angles: np.ndarray, rates: np.ndarray) -> None:  # fmt: skip
         """Work out the foot forces and joint torques of a step.
 
         Takes base position (3, N) m, feet (3, 4, N) m and their velocities, joint angles (3, 4, N) rad and rates.
@@ -122,12 +95,8 @@ class Walker:
                 self.lost |= pulled & ((force * force).sum(0) > self.limit**2)
 
         # Eq. 3, driven by -w so that the base yields
-        wrench = np.concatenate([force.sum(1), cross(foot - base[:, None], force).sum(1)])
-        t = self.transition
-        self.shift, self.rate = (
-            t[0, 0] * self.shift + t[0, 1] * self.rate - t[0, 2] * wrench,
-            t[1, 0] * self.shift + t[1, 1] * self.rate - t[1, 2] * wrench,
-        )
+        wrench, was = np.concatenate([force.sum(1), cross(foot - base[:, None], force).sum(1)]), self.shift
+        self.shift, self.rate = (row[0] * was + row[1] * self.rate - row[2] * wrench for row in self.transition)
 
         # where base and feet should be, then the joints
         target = self.anchor.copy()
@@ -149,18 +118,15 @@ class Walker:
         x, y, z = (axis[0] * foot[0] + axis[1] * foot[1] + axis[2] * foot[2] for axis in g["axes"])
         x, y, z = x - g["origin"][0], y - g["origin"][1], z - g["origin"][2]
         reach = np.hypot(x, y)
-        angles = np.empty_like(foot)
-        angles[0] = np.arctan2(y, x) - np.arcsin(g["lateral"] / reach)
+        coxa = np.arctan2(y, x) - np.arcsin(g["lateral"] / reach)
         x = np.sqrt(reach**2 - g["lateral"] ** 2) - g["femur_out"]
         a, b = g["femur_length"], g["tibia_length"]
         square = x * x + z * z
         # law of cosines for the bend at the knee and for the angle at the femur's joint
         bend = np.arccos(np.clip((square - a * a - b * b) / (2 * a * b), -1, 1))
         inner = np.arccos(np.clip((square + a * a - b * b) / (2 * a * np.sqrt(square)), -1, 1))
-        angles[1] = g["femur_sign"] * np.arctan2(z, x) - g["inner_sign"] * inner
-        angles[2] = g["bend_sign"] * bend
-        angles += g["zero"]
-        return angles
+        femur = g["femur_sign"] * np.arctan2(z, x) - g["inner_sign"] * inner
+        return np.asarray(np.stack([coxa, femur, g["bend_sign"] * bend]) + g["zero"])
 
 
 class _Peer:
@@ -174,10 +140,23 @@ class _Peer:
         self.model = spec.compile()
         self.model.opt.gravity[:] = scenario.gravity
         self.model.opt.timestep = scenario.time_step
-        self.walker, self.disturbance = Walker(self.model, scenario, gains), _Disturbance(scenario)
-        self.step, self.cargo, self.base_mass = 0, 0.0, self.model.body_mass[BASE]
-        self.sites = [self.model.site(foot).id for foot in FEET]
+        self.walker, self.step, self.cargo = Walker(self.model, scenario, gains), 0, 0.0
+        self.base_mass, self.sites = self.model.body_mass[BASE], [self.model.site(foot).id for foot in FEET]
         self.tibias = self.model.site_bodyid[self.sites]
+
+        def steps(part: Cargo | Push) -> range:
+            stop = sys.maxsize if part.stop is None else round(part.stop / scenario.time_step)
+            return range(round(part.start / scenario.time_step), stop)
+
+        cargo, pushes = scenario.disturbance.cargo, scenario.disturbance.pushes
+        self._cargo = cargo.mass, steps(cargo)
+        self._pushes = [(np.concatenate([push.force, push.moment]), steps(push)) for push in pushes]
+
+    def disturbance(self, step: int) -> tuple[float, np.ndarray]:
+        """Return the cargo in kg, and force and moment on the base (6,), N and N m, the same for all robots."""
+        mass, loaded = self._cargo
+        push = sum((wrench for wrench, pushed in self._pushes if step in pushed), np.zeros(6))
+        return mass if step in loaded else 0.0, push
 
 
 class Batch(_Peer):
@@ -202,7 +181,8 @@ class Batch(_Peer):
             return np.ascontiguousarray(values.reshape(count, -1, 3).transpose(2, 1, 0))
 
         for step in range(self.step, self.step + steps):
-            if (cargo := self.disturbance.cargo(step)) != self.cargo:
+            cargo, push = self.disturbance(step)
+            if cargo != self.cargo:
                 self.cargo = cargo
                 b.expand("body_mass")[:, BASE] = self.base_mass + cargo
                 b.set_const()
@@ -214,7 +194,7 @@ class Batch(_Peer):
             arm = foot - xipos[:, self.tibias].transpose(2, 1, 0)
             body_wrench[:, self.tibias, :3] = walker.foot_force.transpose(2, 1, 0)
             body_wrench[:, self.tibias, 3:] = cross(arm, walker.foot_force).transpose(2, 1, 0)
-            body_wrench[:, BASE] = self.disturbance.push(step)
+            body_wrench[:, BASE] = push
             joint_force[:, 6:] = walker.torque.transpose(2, 1, 0).reshape(count, -1)
             if watch is not None:
                 watch(step, walker, qpos, qvel)
@@ -234,7 +214,8 @@ class Loop(_Peer):
         """Walk on for some steps."""
         m, d, walker = self.model, self.data, self.walker
         for step in range(self.step, self.step + steps):
-            if (cargo := self.disturbance.cargo(step)) != self.cargo:
+            cargo, push = self.disturbance(step)
+            if cargo != self.cargo:
                 self.cargo = cargo
                 m.body_mass[BASE] = self.base_mass + cargo
                 mujoco.mj_setConst(m, mujoco.MjData(m))
@@ -245,7 +226,7 @@ class Loop(_Peer):
             force = walker.foot_force[..., 0]
             d.xfrc_applied[self.tibias, :3] = force.T
             d.xfrc_applied[self.tibias, 3:] = cross(foot - d.xipos[self.tibias].T, force).T
-            d.xfrc_applied[BASE] = self.disturbance.push(step)
+            d.xfrc_applied[BASE] = push
             d.qfrc_applied[6:] = walker.torque[..., 0].T.ravel()
             if watch is not None:
                 watch(step, walker, d.qpos[None], d.qvel[None])
@@ -309,18 +290,10 @@ def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndar
         femur_sign, tibia_sign = -np.sign(axes[1] @ femur_axis), -np.sign(axes[1] @ tibia_axis)
         thigh, bend = np.arctan2(z, x), np.arctan2(x * w - z * u, x * u + z * w)
         zero = data.qpos[model.jnt_qposadr[joints]] - [0, femur_sign * thigh, tibia_sign * bend]
-        rows.append(
-            {
-                "axes": axes,
-                "origin": axes @ coxa + [0, 0, up @ (femur - coxa)],
-                "lateral": axes[1] @ (foot - coxa),
-                "femur_out": out @ (femur - coxa),
-                "femur_length": np.hypot(x, z),
-                "tibia_length": np.hypot(u, w),
-                "femur_sign": femur_sign,
-                "inner_sign": femur_sign * np.sign(bend),
-                "bend_sign": tibia_sign * np.sign(bend),
-                "zero": zero,
-            }
-        )
+        rows.append({
+            "axes": axes, "origin": axes @ coxa + [0, 0, up @ (femur - coxa)], "lateral": axes[1] @ (foot - coxa),
+            "femur_out": out @ (femur - coxa), "femur_length": np.hypot(x, z), "tibia_length": np.hypot(u, w),
+            "femur_sign": femur_sign, "inner_sign": femur_sign * np.sign(bend),
+            "bend_sign": tibia_sign * np.sign(bend), "zero": zero,
+        })  # fmt: skip
     return {name: np.stack([row[name] for row in rows], axis=-1)[..., None] for name in rows[0]}

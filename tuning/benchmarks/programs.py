@@ -36,10 +36,7 @@ def gradient(tangents: int, batch: int, steps: int, engine: str) -> Callable[[],
     """Return the same with `tangents` of every metric, by log damping and log stiffness: 2 (of all axes), or 12."""
     simulation, values = mc.Simulation(scenario(steps), engine=engine), gains(batch)
     shifts = np.kron(np.eye(2), np.ones((1, 6))) if tangents == 2 else np.eye(12)
-    along = {
-        "damping": shifts[:, None, :6] * values["damping"],
-        "stiffness": shifts[:, None, 6:] * values["stiffness"],
-    }
+    along = {"damping": shifts[:, None, :6] * values["damping"], "stiffness": shifts[:, None, 6:] * values["stiffness"]}
     return lambda: simulation.jvp(mc.Gains(**values), along)
 
 

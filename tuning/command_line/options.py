@@ -216,10 +216,9 @@ def scenario_from(
 
 def own_objects(law: str | None, metrics: tuple[str, ...]) -> "tuple[mc.Law | None, mc.MetricTable]":
     """Return the law of `--law`, None without one, and the shipped metrics with those of `--metric` behind them."""
-    from tuning.gains.own_section import load_law
-    from tuning.problem import own_file
+    from tuning.gains.own_section import load_law, load_metrics
 
-    return None if law is None else load_law(law), own_file.metrics(metrics)
+    return None if law is None else load_law(law), load_metrics(metrics)
 
 
 @contextlib.contextmanager

@@ -221,11 +221,7 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
 
 
 def over_axes(
-    scenario: mc.Scenario,
-    axes: Mapping[str, ArrayLike],
-    *,
-    law: mc.Law | None = None,
-    engine: str = DEFAULT_ENGINE,
+    scenario: mc.Scenario, axes: Mapping[str, ArrayLike], *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
 ) -> xr.DataArray:
     """Return the radius over values of two gains, the same on all axes of one.
 

@@ -1,9 +1,12 @@
 """Laws, metrics and objectives of the user's: FILE.py:NAME, and the section `own` of a config.yaml that names them."""
 
 import dataclasses
+import importlib.util
 import inspect
 import operator
+import os
 import sys
+import types
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,10 +21,40 @@ from mjx_climb.files import scenario_files
 from mjx_climb.rollouts.resolve import checked_gains
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnObject
-from tuning.problem import own_file
 
 THE_CONFIG = "the config's law"
 _SHIPPED = {law.__name__: law for law in LAWS.values()}
+_RUN: list[tuple[types.ModuleType, str]] = []  # what was run here, and the digest of its files then
+
+
+def load(text: str, what: str) -> tuple[Any, str, str]:
+    """Return the object that FILE.py:NAME names, and both names; the file is run.
+
+    Raises:
+        ConfigError: in one line, no such file or name, or a file that fails; `what` was wanted, as "law".
+    """
+    file, colon, name = text.rpartition(":")
+    if not (colon and file and name):
+        raise ConfigError(f"{what}: expected FILE.py:NAME, got {text!r}")
+    path = Path(file)
+    if not os.path.isfile(path):  # where it may not be read either
+        raise ConfigError(f"{path}: expected a file of Python, got none")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{path}: expected a file of Python, whose name ends in .py")
+    module, digest = importlib.util.module_from_spec(spec), scenario_files.digest(path)
+    sys.path.insert(0, str(path.absolute().parent))  # for what the file itself imports, as python FILE does
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else ""
+        raise ConfigError(f"{path}: {type(error).__name__}: {reason}") from None
+    finally:
+        sys.path.pop(0)
+    _RUN.append((module, digest))
+    if (found := getattr(module, name, None)) is None:
+        raise ConfigError(f"{file}: expected a {what} named {name}, got none")
+    return found, file, name
 
 
 def load_law(text: str) -> mc.Law:
@@ -30,7 +63,7 @@ def load_law(text: str) -> mc.Law:
     Raises:
         ConfigError: in one line, no such file or name, a file that fails, or something else than a law.
     """
-    found, file, name = own_file.load(text, "law")
+    found, file, name = load(text, "law")
     if isinstance(found, type) and issubclass(found, mc.Law):
         try:
             found = found()
@@ -39,6 +72,24 @@ def load_law(text: str) -> mc.Law:
     if not isinstance(found, mc.Law):
         raise ConfigError(f"{file}: expected {name} to be a law that inherits from mjx_climb.Law, got {found!r}")
     return found
+
+
+def load_metrics(texts: Iterable[str]) -> mc.MetricTable:
+    """Return the shipped metrics with some of the user's own behind them, each FILE.py:NAME.
+
+    Raises:
+        ConfigError: in one line, no such metric, or one whose name is taken.
+    """
+    table = mc.METRICS
+    for text in texts:
+        found, file, name = load(text, "metric")
+        if not isinstance(found, mc.Metric):
+            raise ConfigError(f"{file}: expected {name} to be a metric, as of mjx_climb.Metric, got {found!r}")
+        try:
+            table = mc.MetricTable((*table, found))
+        except ValueError as error:
+            raise ConfigError(f"{file}: {name}: {error}") from None
+    return table
 
 
 def reference(law: mc.Law) -> str:
@@ -71,10 +122,7 @@ def section(law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: An
 
 
 def taken(
-    scenario: mc.Scenario,
-    law: mc.Law | None = None,
-    metrics: mc.MetricTable = mc.METRICS,
-    source: str = "scenario",
+    scenario: mc.Scenario, law: mc.Law | None = None, metrics: mc.MetricTable = mc.METRICS, source: str = "scenario"
 ) -> tuple[mc.Scenario, mc.Law | None, mc.MetricTable]:
     """Return a scenario without the section, and law (None: the scenario's) and metrics: those that it names.
 
@@ -94,7 +142,7 @@ def taken(
         except (TypeError, ValueError) as error:
             raise ConfigError(f"{source}: own.law: {error}") from None
     if metrics == mc.METRICS:
-        metrics = own_file.metrics(_text(each, f"metrics.{n}", source) for n, each in enumerate(own.metrics))
+        metrics = load_metrics(_text(each, f"metrics.{n}", source) for n, each in enumerate(own.metrics))
     return without(scenario), law, metrics
 
 
@@ -119,19 +167,17 @@ def without(scenario: mc.Scenario) -> mc.Scenario:
 def _text(named: OwnObject, key: str, source: str) -> str:
     """Return FILE.py:NAME of an object whose file is as it was."""
     if named.file is None:
-        raise ConfigError(
-            f"{source}: own.{key}.file: expected a file of Python, got none, as {named.name} was defined in a session"
-        )
+        got = f"got none, as {named.name} was defined in a session"
+        raise ConfigError(f"{source}: own.{key}.file: expected a file of Python, {got}")
     if named.digest not in (None, found := scenario_files.digest(Path(named.file))):
-        raise ConfigError(
-            f"{source}: own.{key}.digest: expected {named.file} as it was, {str(named.digest)[:12]}, got {found[:12]}"
-        )
+        expected = f"expected {named.file} as it was, {str(named.digest)[:12]}"
+        raise ConfigError(f"{source}: own.{key}.digest: {expected}, got {found[:12]}")
     return f"{named.file}:{named.name}"
 
 
 def _named(value: Any, name: str) -> dict[str, Any]:
     """Return file, name and digest of an object that a module of the user's holds; else its name alone."""
-    for module, digest in [*reversed(own_file.RUN), *((module, None) for module in list(sys.modules.values()))]:
+    for module, digest in [*reversed(_RUN), *((module, None) for module in list(sys.modules.values()))]:
         file, title = getattr(module, "__file__", None), getattr(module, "__name__", "__main__")
         if file is None or not file.endswith(".py") or title == "__main__":  # which would do all its work again
             continue

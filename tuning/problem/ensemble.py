@@ -5,12 +5,14 @@ Masses are off by one factor for all links (`mjx_climb.Parameters.mass_scale`).
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from types import ModuleType
 from typing import Annotated, Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 import mjx_climb as mc
@@ -111,18 +113,10 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
             tell.
     """
     rng = np.random.default_rng(ensemble.seed)
-    members = ensemble.members
-
-    def uniform(span: tuple[float, float], *shape: int) -> np.ndarray:
-        """Return (members, 1, *shape), one value in each m-th of the span."""
-        count = math.prod(shape)
-        strata = np.argsort(rng.random((count, members)), axis=1).T
-        values = span[0] + (span[1] - span[0]) * (strata + rng.random((members, count))) / members
-        return values.reshape(members, 1, *shape)
-
+    uniform = functools.partial(_uniform, rng, ensemble.members)
     own = own_parameters(scenario)
     changes = {
-        "contact_stiffness": own.contact_stiffness * np.exp(uniform(_logs(ensemble.grip_stiffness))),
+        "contact_stiffness": own.contact_stiffness * uniform(ensemble.grip_stiffness, logs=True),
         "mass_scale": uniform(ensemble.robot_mass),
     }
     if (cargo := ensemble.cargo) is not None:
@@ -141,47 +135,46 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
         changes |= {"push_start": start, "push_stop": start + uniform(pushes.length, n)}
     if ensemble.hardware is not None:
         changes |= _hardware(scenario, ensemble.hardware, own, uniform)
-        changes["seed"] = rng.integers(0, 2**24, (members, 1)).astype(float)
+        changes["seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
     drawn: mc.Parameters = dataclasses.replace(own, **changes)
     return drawn
 
 
+def _uniform(
+    rng: np.random.Generator, members: int, span: tuple[float, float], *shape: int, logs: bool = False
+) -> np.ndarray:
+    """Return (members, 1, *shape), one value in each m-th of the span, or of its logarithm."""
+    low, high = map(math.log, span) if logs else span
+    values = hypercube(rng, members, np.full(math.prod(shape), low), high).reshape(members, 1, *shape)
+    return np.exp(values) if logs else values
+
+
 def _hardware(
-    scenario: mc.Scenario, hardware: Hardware, own: mc.Parameters, uniform: Callable[[AnyRange], np.ndarray]
+    scenario: mc.Scenario, hardware: Hardware, own: mc.Parameters, uniform: Callable[..., np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Return the parameters of the members' hardware, (members, 1) each."""
-    drawn, longest = {}, MAX_DELAY * scenario.time_step
+    drawn, longest, fastest = {}, MAX_DELAY * scenario.time_step, 1 / scenario.time_step
     for name in ("force_delay", "command_delay"):
         if (span := getattr(hardware, name)) is not None and span[1] > longest:
-            raise ConfigError(
-                f"hardware.{name}: expected at most {MAX_DELAY} time steps, {longest:g} s, got {span[1]:g}"
-            )
-    for name in ("force_delay", "command_delay", "force_noise", "force_bias", "backlash", "capture_distance"):
+            most = f"{MAX_DELAY} time steps, {longest:g} s"
+            raise ConfigError(f"hardware.{name}: expected at most {most}, got {span[1]:g}")
+    for name in ("force_delay", "command_delay", "force_noise", "force_bias", "backlash", "capture_distance",
+                 "force_filter"):  # fmt: skip
         if (span := getattr(hardware, name)) is not None:
-            drawn[name] = uniform(span)
-    if hardware.force_filter is not None:
-        drawn["force_filter"] = np.exp(uniform(_logs(hardware.force_filter)))
-    if hardware.control_rate is not None:
-        fastest = 1 / scenario.time_step
-        if hardware.control_rate[1] > fastest * (1 + 1e-9):
-            raise ConfigError(
-                f"hardware.control_rate: expected at most the {fastest:g} Hz of the time step, "
-                f"got {hardware.control_rate[1]:g}"
-            )
-        steps = np.round(fastest / np.exp(uniform(_logs(hardware.control_rate))))
-        drawn["control_period"] = steps * scenario.time_step
+            drawn[name] = uniform(span, logs=name == "force_filter")
+    if (rate := hardware.control_rate) is not None:
+        if rate[1] > fastest * (1 + 1e-9):
+            most = f"the {fastest:g} Hz of the time step"
+            raise ConfigError(f"hardware.control_rate: expected at most {most}, got {rate[1]:g}")
+        drawn["control_period"] = np.round(fastest / uniform(rate, logs=True)) * scenario.time_step
     for key, names in (("friction", _FRICTION), ("armature", ("armature",))):
         if (span := getattr(hardware, key)) is None:
             continue
         if not any(given(getattr(own, name)) for name in names):
             raise ConfigError(f"hardware.{key}: expected {key} in the scenario to scale, got none")
-        factor = np.exp(uniform(_logs(span)))
+        factor = uniform(span, logs=True)
         drawn |= {name: getattr(own, name) * factor for name in names}
     return drawn
-
-
-def _logs(span: tuple[float, float]) -> tuple[float, float]:
-    return math.log(span[0]), math.log(span[1])
 
 
 def _tilted(gravity: np.ndarray, azimuth: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -190,6 +183,12 @@ def _tilted(gravity: np.ndarray, azimuth: np.ndarray, angle: np.ndarray) -> np.n
     sine, cosine = np.sin(angle)[..., None], np.cos(angle)[..., None]
     along = (axis * gravity).sum(-1, keepdims=True) * axis
     return np.asarray(along + cosine * (gravity - along) + sine * np.cross(axis, gravity))
+
+
+def hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: ArrayLike) -> np.ndarray:
+    """Return points (count, n) between bounds (n,): of each coordinate one in each part of `count`."""
+    strata = np.argsort(rng.random((lower.size, count)), axis=1).T
+    return np.asarray(lower + (np.asarray(upper) - lower) * (strata + rng.random((count, lower.size))) / count)
 
 
 def worst_mean(values: Any, share: float, *, larger_is_better: bool = False, numpy: ModuleType = np) -> Any:

@@ -14,7 +14,6 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.execution import devices
-from mjx_climb.rollouts.resolve import AnyGains
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
 from tuning.problem.spaces import NO_SPACE, Space, to_gains64
@@ -77,31 +76,27 @@ class Problem:
     ) -> Evaluation:
         """Simulate with the gains of B points and score them, with tangents along some directions."""
         theta, how = np.asarray(theta, float), {**self.walks, "dtype": self.dtype, "smooth": True}
+        double = np.dtype(self.dtype) == np.float64
         gradient: Any
         sharp: Any
-        double = np.dtype(self.dtype) == np.float64
         with devices.on_host():
+            gains = to_gains64(self.space, theta)
             if directions is None:
-                metrics = mc.rollout_metrics(self.scenario, to_gains64(self.space, theta), self.parameters, **how)
+                metrics = mc.rollout_metrics(self.scenario, gains, self.parameters, **how)
                 with jax.enable_x64(double):
                     reported = _scored(self.objective, metrics)[1]
                 gradient = sharp = np.zeros((len(theta), 0), self.dtype)
             else:
-                gains, tangents = _along(self.space, theta, np.asarray(directions, float))
+                with jax.enable_x64(True):  # tangents (k, B, 6)
+                    along = jnp.broadcast_to(np.asarray(directions, float)[:, None], (len(directions), *theta.shape))
+                    tangents = jax.vmap(lambda v: jax.jvp(self.space.to_gains, (theta,), (v,))[1])(along)
+                    tangents = jax.tree.map(np.asarray, tangents)
                 metrics, tangents = mc.rollout_jvp(self.scenario, gains, tangents, self.parameters, **how)
                 with jax.enable_x64(double):
                     derivatives, reported = _scored_tangents(self.objective, metrics, tangents)
                 gradient, sharp = (np.asarray(each).T for each in derivatives)
         found: Evaluation = jax.tree.map(np.asarray, Evaluation(gradient=gradient, sharp=sharp, **reported))
         return found
-
-
-def _along(space: Space, theta: np.ndarray, directions: np.ndarray) -> tuple[AnyGains, Any]:
-    """Return the gains (B, 6) of points and their tangents (k, B, 6) along directions (k, n)."""
-    with jax.enable_x64(True):
-        along = jnp.broadcast_to(directions[:, None, :], (len(directions), *theta.shape))
-        tangents = jax.vmap(lambda v: jax.jvp(space.to_gains, (theta,), (v,))[1])(along)
-        return to_gains64(space, theta), jax.tree.map(np.asarray, tangents)
 
 
 @functools.partial(jax.jit, static_argnums=0)

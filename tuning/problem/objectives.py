@@ -110,7 +110,9 @@ class Objective:
             penalty += over if self.worst is None else worst_mean(over, self.worst.share, numpy=jnp)
             feasible &= kept if self.worst is None else kept.all(0)
         lost = metrics["diverged"] if self.worst is None else metrics["diverged"].any(0)
-        return worthless(Score(value, smooth + penalty, penalty, feasible), lost)
+        number = jnp.where(lost, jnp.nan, jnp.ones_like(value))  # for derivatives too
+        value, descent, penalty = (jnp.asarray(part * number) for part in (value, smooth + penalty, penalty))
+        return Score(value, descent, penalty, feasible & ~lost)
 
     def ratios(self, values: Array, term: Term, *, smooth: bool = False) -> tuple[Array, ...]:
         """Return a metric relative to pd's, above 1 is worse: of an ensemble (members, ...) mean and worst."""
@@ -123,25 +125,16 @@ class Objective:
 
     def _weighted(self, metrics: Metrics, *, smooth: bool) -> Array:
         total: Array | float = 0.0
-        weights = 0.0
         for term in self.terms:
             soft = smooth and PREFIX + term.metric in metrics
             ratio, *worst = self.ratios(metrics[PREFIX + term.metric if soft else term.metric], term, smooth=soft)
             if self.worst is not None:
                 ratio = (1 - self.worst.weight) * ratio + self.worst.weight * worst[0]
             total += term.weight * ratio
-            weights += term.weight
-        return jnp.asarray(total / weights)
+        return jnp.asarray(total / sum(term.weight for term in self.terms))
 
 
 NO_OBJECTIVE = Objective((), ())
-
-
-def worthless(score: Score, lost: Array) -> Score:
-    """Return a score, with its derivatives, NaN and infeasible where `lost` (...) is true."""
-    number = jnp.where(lost, jnp.nan, jnp.ones_like(score.value))
-    value, descent, penalty = (jnp.asarray(part * number) for part in score[:3])
-    return Score(value, descent, penalty, score.feasible & ~lost)
 
 
 def penalty_of(over: Array | np.ndarray) -> Array:
@@ -194,20 +187,23 @@ def objective(
     terms = tuple(_term(metrics[name], weight, baseline, worst) for name, weight in weighed.items())
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest, factor = float(np.max(baseline["base_deviation"])), search.deviation_factor
-    wanted = {"joint_limit_margin": (0.0, _MARGIN, "joint limits")}
-    if scenario.contact.holding_limit is not None:
-        wanted["peak_pull_force"] = (scenario.contact.holding_limit, _MARGIN, "holding limit of the grippers")
+    wanted = [("joint_limit_margin", 0.0, "joint limits")]
+    if (holding := scenario.contact.holding_limit) is not None:
+        wanted.append(("peak_pull_force", holding, "holding limit of the grippers"))
     if np.isfinite(widest):
-        wanted["base_deviation"] = (factor * widest, _MARGIN, f"{factor:g} times pd's")
-    wanted = {name: limit for name, limit in wanted.items() if name not in search.limits}
-    asked = [(name, (value, _MARGIN, "set by the user")) for name, value in search.limits.items()]
+        wanted.append(("base_deviation", factor * widest, f"{factor:g} times pd's"))
+    asked = [(*limit, _MARGIN) for limit in wanted if limit[0] not in search.limits]
+    asked += [(name, value, "set by the user", _MARGIN) for name, value in search.limits.items()]
     if search.no_worse_than_pd and worst is None:
         own = [term.metric for term in terms if term.metric not in search.limits]
-        asked += [(name, (baseline[name], PD_MARGIN, "no worse than pd")) for name in own]
-    limits = tuple(_limit(metrics[name], *limit) for name, limit in (*wanted.items(), *asked))
-    return Objective(
-        terms, limits, function, worst, PD_MARGIN if search.no_worse_than_pd and worst is not None else None
-    )
+        asked += [(name, float(baseline[name]), "no worse than pd", PD_MARGIN) for name in own]
+    limits = []
+    for name, value, reason, margin in asked:
+        metric, size = metrics[name], abs(value)
+        scale = max(metric.scale or size or 1.0, size)
+        limits.append(Limit(name, value, scale, margin, reason, metric.larger_is_better))
+    ratio_margin = PD_MARGIN if search.no_worse_than_pd and worst is not None else None
+    return Objective(terms, tuple(limits), function, worst, ratio_margin)
 
 
 def _term(metric: mc.Metric, weight: float, baseline: Mapping[str, Any], worst: Worst | None) -> Term:
@@ -223,8 +219,3 @@ def _term(metric: mc.Metric, weight: float, baseline: Mapping[str, Any], worst: 
         raise ConfigError(f"weights.{metric.name}: expected a metric that pd has {where}, got {got}")
     fields = ("baseline", "smooth_baseline", "worst", "smooth_worst")
     return Term(metric.name, weight, larger_is_better=larger, **dict(zip(fields, numbers, strict=False)))
-
-
-def _limit(metric: mc.Metric, value: float, margin: float, reason: str) -> Limit:
-    scale = max(metric.scale or abs(value) or 1.0, abs(value))
-    return Limit(metric.name, float(value), scale, margin, reason, metric.larger_is_better)

@@ -7,6 +7,7 @@ likewise any other gain of six axes; a gain of three has translations alone, a g
 """
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,7 +26,8 @@ from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.resolve import AnyGains, has_gains_of_the_paper
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile
-from tuning.problem.search import Search
+from tuning.problem.ensemble import hypercube
+from tuning.problem.search import LAYOUTS, Search
 
 PARTS = ("translation", "rotation")
 JOINT = {"kp": (5.0, 4.0), "kd": (10.0, 10.0)}  # bounds: how many times below and above the scenario's own
@@ -58,19 +60,16 @@ class Space:
         """Return the gains of points, with their batch axes: `mc.Gains` where they are the paper's, else by name."""
         fixed = jnp.broadcast_to(jnp.asarray(self.fixed, theta.dtype), (*theta.shape[:-1], self.fixed.size))
         values = jnp.exp(jnp.concatenate([theta, fixed], axis=-1))
-        by_name = {name: values[..., index] for name, index in self.index.items()}
-        return as_gains(by_name)
+        return as_gains({name: values[..., index] for name, index in self.index.items()})
 
     def from_gains(self, gains: AnyGains) -> np.ndarray:
         """Return the point (n,) nearest to some gains: geometric means of shared ones, clipped to the bounds."""
-        theta = np.zeros(self.size)
-        by_name = gains if isinstance(gains, Mapping) else vars(gains)
+        theta, values = np.zeros(self.size), gains if isinstance(gains, Mapping) else vars(gains)
         for name, index in self.index.items():
-            value = by_name.get(name)
-            if value is None:
+            if values.get(name) is None:
                 continue
             with np.errstate(divide="ignore"):
-                logs = np.broadcast_to(np.log(np.asarray(value, float)), np.shape(index))
+                logs = np.broadcast_to(np.log(np.asarray(values[name], float)), np.shape(index))
             for place in np.unique(index[index < self.size]):
                 theta[place] = logs[index == place].mean()
         return self.clip(theta)
@@ -90,11 +89,11 @@ class Space:
         ties = self.ties
         low = np.array([self.lower[row > 0].max() for row in ties])
         high = np.array([self.upper[row > 0].min() for row in ties])
-        return self.clip(_hypercube(rng, count, low, np.maximum(low, high)) @ ties)
+        return self.clip(hypercube(rng, count, low, np.maximum(low, high)) @ ties)
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return points (count, n), a Latin hypercube."""
-        return _hypercube(rng, count, self.lower, self.upper)
+        return hypercube(rng, count, self.lower, self.upper)
 
     def on_bound(self, theta: np.ndarray, tolerance: float = 1e-3) -> list[str]:
         """Return the names of the gains that lie on a bound."""
@@ -119,71 +118,60 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
     if unknown := sorted({*search.also} - set(law.GAINS)):
         raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
-    places = _Places(search, default_bounds(scenario, law))
-    for gain, value in own_values(scenario, law).items():
-        values = np.atleast_1d(value)
-        if gain in law.GAINS and (law.GAINS[gain].searched or gain in asked):
-            axes = law.GAINS[gain].length  # that the law has; further ones keep their values
-            own = places.add_axes(gain, axes) + [places.keep(each) for each in values[axes:]]
-        else:
-            places.known.update([gain] if gain in search.pins else [])
-            own = [places.keep(search.pins.get(gain, each)) for each in values]
-        places.of[gain] = np.asarray(own if np.ndim(value) else own[0])
-    if joint_gains:
-        places.of |= {gain: np.asarray(places.add([gain])) for gain in JOINT}
-    return places.space()
+    defaults, own = default_bounds(scenario, law), own_values(scenario, law)
+    bounds: dict[str, tuple[float, float]] = {}
+    known: set[str] = set()  # keys that the settings may name
 
-
-class _Places:
-    """The numbers of a space, one after the other: searched ones counted from 0, fixed ones from -1 downwards."""
-
-    def __init__(self, search: Search, defaults: Mapping[str, tuple[float, float]]):
-        self.search, self.defaults = search, defaults
-        self.names: list[str] = []
-        self.bounds: list[tuple[float, float]] = []
-        self.fixed: list[float] = []
-        self.known: set[str] = set()  # keys that the settings may name
-        self.of: dict[str, np.ndarray] = {}  # gain: its places, (6,) or ()
-
-    def keep(self, value: float) -> int:
-        """Return the place of a value that is not searched."""
-        self.fixed.append(value)
-        return -len(self.fixed)
-
-    def add(self, keys: list[str]) -> int:
-        """Return the place of one number, by its keys from the general to the particular."""
-        self.known.update(keys)
-        if pinned := [self.search.pins[key] for key in keys if key in self.search.pins]:
-            return self.keep(pinned[-1])
-        sources = self.search.bounds, self.defaults  # the user's before the defaults
+    def number(keys: list[str]) -> str | float:
+        """Return a number's name, or its value where that is pinned, by its keys from the general to the particular."""
+        known.update(keys)
+        if pinned := [search.pins[key] for key in keys if key in search.pins]:
+            return pinned[-1]
+        sources = search.bounds, defaults  # the user's before the defaults
         low, high = next(source[key] for source in sources for key in reversed(keys) if key in source)
         if not low > 0:
             raise ConfigError(f"bounds.{keys[-1]}: expected a low end above 0 to search it, got {low:g}")
-        self.names.append(keys[-1])
-        self.bounds.append((low, high))
-        return len(self.names) - 1
+        bounds[keys[-1]] = low, high
+        return keys[-1]
 
-    def add_axes(self, gain: str, axes: int) -> list[int]:
-        """Return the places of a gain's axes, as the settings share it between them."""
-        if axes == 1 or self.search.space == "isotropic":
-            return [self.add([gain])] * axes
-        if self.search.space == "split":
-            return [place for part in PARTS[: axes // 3] for place in [self.add([gain, f"{gain}.{part}"])] * 3]
-        return [self.add([gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"]) for axis in range(axes)]
+    entries: dict[str, list[str | float]] = {}
+    for gain, value in own.items():
+        values = np.atleast_1d(value)
+        if gain in law.GAINS and (law.GAINS[gain].searched or gain in asked):
+            axes = law.GAINS[gain].length  # that the law has; further ones keep their values
+            depth = 1 if axes == 1 else 1 + LAYOUTS.index(search.space)
+            keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"][:depth] for axis in range(axes)]
+            entries[gain] = [*map(number, keys), *values[axes:]]
+        else:
+            known.update({gain} & search.pins.keys())
+            entries[gain] = [search.pins.get(gain, each) for each in values]
+    if joint_gains:
+        entries |= {gain: [number([gain])] for gain in JOINT}
+    for section in ("bounds", "pins"):
+        for key in getattr(search, section):
+            if key not in known:
+                raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(known))}")
+    if not bounds:
+        raise ConfigError("pins: expected a gain left to search, got none")
+    return _space(entries, bounds, {gain: np.shape(own.get(gain, 0.0)) for gain in entries})
 
-    def space(self) -> Space:
-        """Return the space of all of them."""
-        for section in ("bounds", "pins"):
-            for key in getattr(self.search, section):
-                if key not in self.known:
-                    raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(self.known))}")
-        if not self.names:
-            raise ConfigError("pins: expected a gain left to search, got none")
-        last = len(self.names) - 1
-        index = {gain: np.where(at < 0, last - at, at).astype(np.int32) for gain, at in self.of.items()}
-        with np.errstate(divide="ignore"):  # a gain of 0 that is not searched
-            lower, upper = np.log(self.bounds).T
-            return Space(tuple(self.names), lower, upper, index, np.log(np.asarray(self.fixed, float)))
+
+def _space(
+    entries: Mapping[str, list[str | float]],
+    bounds: Mapping[str, tuple[float, float]],
+    shapes: Mapping[str, tuple[int, ...]],
+) -> Space:
+    """Return the space of gains whose numbers are searched, by name, or fixed."""
+    names = list(bounds)
+    fixed = [entry for own in entries.values() for entry in own if not isinstance(entry, str)]
+    behind = itertools.count(len(names))  # fixed numbers come after the searched ones
+    index = {}
+    for gain, own in entries.items():
+        places = [names.index(entry) if isinstance(entry, str) else next(behind) for entry in own]
+        index[gain] = np.reshape(places, shapes[gain]).astype(np.int32)
+    with np.errstate(divide="ignore"):  # a gain of 0 that is not searched
+        lower, upper = np.log(list(bounds.values())).T
+        return Space(tuple(names), lower, upper, index, np.log(np.asarray(fixed, float)))
 
 
 def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
@@ -205,11 +193,8 @@ def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float,
     control = scenario.control
     joint = {"kp": control.kp, "kd": control.kd or _DAMPED * control.kp}
     bounds = law.search_bounds(scenario.time_step)
-    if (
-        has_gains_of_the_paper(law)
-        and isinstance(scenario.robot, RobotFile)
-        and type(law).search_bounds is mc.Law.search_bounds
-    ):
+    scaled = has_gains_of_the_paper(law) and type(law).search_bounds is mc.Law.search_bounds
+    if scaled and isinstance(scenario.robot, RobotFile):
         heavier = float(load_robot(scenario.robot).total_mass / load_robot(_BOUNDED_FOR).total_mass)
         bounds = {name: (low * heavier, high * heavier) for name, (low, high) in bounds.items()}
     return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in JOINT.items()}
@@ -239,8 +224,3 @@ def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> AnyGains:
     with jax.enable_x64(True):
         gains: AnyGains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(theta)))
         return gains
-
-
-def _hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    strata = np.argsort(rng.random((lower.size, count)), axis=1).T
-    return np.asarray(lower + (upper - lower) * (strata + rng.random((count, lower.size))) / count)

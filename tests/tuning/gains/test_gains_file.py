@@ -8,11 +8,7 @@ from tuning.gains import gains_file
 
 
 @pytest.mark.parametrize(
-    "gains",
-    [
-        mc.Gains(1.0, 5e3, 2e4),
-        mc.Gains(np.arange(1.0, 7.0), np.float32(0.1), 1e22, kp=40.0, kd=0.0),
-    ],
+    "gains", [mc.Gains(1.0, 5e3, 2e4), mc.Gains(np.arange(1.0, 7.0), np.float32(0.1), 1e22, kp=40.0, kd=0.0)]
 )
 def test_gains_file_returns_what_went_in(gains, tmp_path):
     read = gains_file.load(gains_file.save(gains, tmp_path / "new" / "gains.yaml", "found by\na test"))

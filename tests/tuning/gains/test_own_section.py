@@ -12,9 +12,9 @@ from mjx_climb.control import PD, law_of
 from mjx_climb.scenario.messages import ConfigError
 from tuning.command_line import main, options
 from tuning.command_line.program import InputError
+from tuning.gains import own_section
 from tuning.gains.own_section import taken
 from tuning.output.folder import write_config
-from tuning.problem import own_file
 from tuning.problem.search import Search
 from tuning.searches import tune
 
@@ -33,6 +33,7 @@ class Scaled(VirtualModelAdmittance):
 
 calm = Scaled(motion=Motion(deadband=(1.0, 0.1)))
 way = total("way", "m", "way", lambda sample, _: sample.base_linear_velocity[0])
+taken = total("travel", "m", "another travel", lambda sample, _: sample.base_linear_velocity[0])
 
 
 def judge(metrics):
@@ -169,9 +170,28 @@ def test_a_law_of_a_session_is_named_and_refused(tmp_path):
 
 
 def test_an_objective_is_named_and_wanted_again(file, tmp_path):
-    judge, *_ = own_file.load(f"{file}:judge", "objective")
+    judge, *_ = own_section.load(f"{file}:judge", "objective")
     write_config(mc.Scenario(), tmp_path, objective=judge)
     scenario, law, _ = asked(tmp_path / "config.yaml")
     assert law is None and scenario.own.objective.name == "judge"
     with pytest.raises(ConfigError, match=r"own\.objective: expected judge again"):
         tune.problem_of(scenario, Search())
+
+
+def test_metrics_stand_behind_the_shipped_ones(file):
+    assert own_section.load_metrics([f"{file}:way"]).names == (*mc.METRICS.names, "way")
+    assert own_section.load_metrics([]) == mc.METRICS
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("missing", "expected a metric named missing, got none"),
+        ("total", "expected total to be a metric, as of mjx_climb.Metric, got <function total"),
+        ("taken", "taken: metric travel: expected one of this name, got two"),
+    ],
+)
+def test_what_is_no_metric_is_refused_in_one_line(file, name, said):
+    with pytest.raises(ConfigError, match=re.escape(f"{file}: {said}")) as refused:
+        own_section.load_metrics([f"{file}:{name}"])
+    assert "\n" not in str(refused.value)
