@@ -45,14 +45,13 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> mc.Gains | 
     source = os.fsdecode(path)
     data = parse(read(source), source)
     required = REQUIRED if law is None else tuple(law.GAINS)
-    keys = ", ".join((*required, *OPTIONAL))
+    keys = (*required, *OPTIONAL)
     if not isinstance(data, dict):
-        raise ConfigError(f"{source}: expected a mapping with keys {keys}")
+        raise ConfigError(f"{source}: expected a mapping with keys {', '.join(keys)}")
     own_section.check_reference(law, data.pop(LAW, None), source)
-    for key in data:
-        if key not in (*required, *OPTIONAL):
-            raise config_error(source, key, f"only the keys {keys}", "another")
-    for key in required:
+    for key in (*data, *required):
+        if key not in keys:
+            raise config_error(source, key, f"only the keys {', '.join(keys)}", "another")
         if key not in data:
             raise config_error(source, key, "a value", "none")
     # what the scenario has too is checked as there

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +16,7 @@ AXES = {3: "three", 6: "six"}  # the dimension of a gain of so many axes
 JOINT_UNITS = {name: COORDINATES[name][0] for name in ("kp", "kd")}
 
 
-class Labelled(NamedTuple):
-    """A variable of a dataset, as xarray takes it."""
-
-    dims: tuple[str, ...]
-    values: np.ndarray
-    attrs: dict[str, str]
+Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]  # dimensions, values and attributes, as xarray takes them
 
 
 def labels(law: mc.Law | None = None) -> dict[str, tuple[str, str]]:
@@ -33,19 +28,19 @@ def labels(law: mc.Law | None = None) -> dict[str, tuple[str, str]]:
 
 def labelled(
     gains: Mapping[str, np.ndarray], leading: tuple[str, ...], law: mc.Law | None = None
-) -> dict[str, Labelled]:
+) -> dict[str, Variable]:
     """Return gains (*leading) or (*leading, axes) as variables."""
     known, variables = labels(law), {}
     for name, values in gains.items():
         axes = () if values.ndim == len(leading) else (AXES[values.shape[-1]],)
         unit, text = known[name]
-        variables[name] = Labelled((*leading, *axes), values, {"units": unit, "long_name": text})
+        variables[name] = (*leading, *axes), values, {"units": unit, "long_name": text}
     return variables
 
 
-def axes_of(variables: Mapping[str, Labelled]) -> dict[str, list[str]]:
+def axes_of(variables: Mapping[str, Variable]) -> dict[str, list[str]]:
     """Return the coordinates of the axes that some gains have."""
-    used = {variable.dims[-1] for variable in variables.values()}
+    used = {dimensions[-1] for dimensions, *_ in variables.values()}
     return {name: list(SIX[:length]) for length, name in AXES.items() if name in used}
 
 

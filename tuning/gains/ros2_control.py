@@ -72,6 +72,11 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
         ConfigError: in one line, the axis, and the update rate or virtual inertia that would do.
     """
     inertia, _, stiffness = six(gains)
+
+    def rounded_up(value: float) -> float:  # to two digits
+        unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+        return float(f"{math.ceil(value / unit) * unit:.6g}")
+
     for name, values, (low, high) in (("inertia", inertia, MASS_BOUNDS), ("stiffness", stiffness, (0, MAX_STIFFNESS))):
         for axis, value in zip(SIX, values, strict=True):
             if not low <= value <= high:
@@ -81,9 +86,9 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
     if holds.all():
         return
     cures = []
-    if (faster := _rounded_up(_ROOM * lowest_rate(gains).max())) <= MAX_RATE:
+    if (faster := rounded_up(_ROOM * lowest_rate(gains).max())) <= MAX_RATE:
         cures.append(f"--update-rate {faster:.0f}")
-    heavier = _rounded_up(_ROOM * smallest_inertia(gains, rate)[~holds].max())
+    heavier = rounded_up(_ROOM * smallest_inertia(gains, rate)[~holds].max())
     if MASS_BOUNDS[0] <= heavier <= MASS_BOUNDS[1]:
         axes = f" ({', '.join(np.array(SIX)[~holds])})" if holds.any() else ""
         cures.append(f"a virtual inertia of {heavier:g}{axes}")
@@ -138,9 +143,3 @@ def read(text: str) -> mc.Gains:
     admittance = controller["ros__parameters"]["admittance"]
     mass, ratio, stiffness = (np.asarray(admittance[key]) for key in ("mass", "damping_ratio", "stiffness"))
     return mc.Gains(mass, ratio * 2 * np.sqrt(mass * stiffness), stiffness)
-
-
-def _rounded_up(value: float) -> float:
-    """Return the value rounded up to two digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.ceil(value / unit) * unit:.6g}")
