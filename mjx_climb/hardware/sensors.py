@@ -12,7 +12,7 @@ from jax import Array
 from mjx_climb.dynamics.spatial import quaternion_normalize
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import signals
-from mjx_climb.hardware.stages import Hardware, Stages
+from mjx_climb.hardware.stages import Hardware
 
 BASE_CHANNELS = 1000  # of the noise of the base estimate, the first; the force sensors have those before
 _PARTS = 8  # of 16 bits each, two to a word
@@ -26,11 +26,6 @@ class ForceSensor(NamedTuple):
 
     buffer: signals.Buffer  # of (limb, 3) N
     filtered: Any  # (limb, 3) N
-
-
-def resting_force_sensor(force: Array, stages: Stages) -> ForceSensor:
-    """Return sensors that have always read `force` (limb, 3) N."""
-    return ForceSensor(signals.filled(force, stages.force_delay), force if stages.force_filter else ())
 
 
 def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Hardware) -> tuple[ForceSensor, Array]:
@@ -69,21 +64,13 @@ def true_base(state: State) -> Base:
     return Base(state.base_position, state.base_orientation, state.base_linear_velocity, state.base_angular_velocity)
 
 
-def resting_estimate(base: Base, stages: Stages) -> Any:
-    """Return the buffers of the estimate of a base that has always been so."""
-    return tuple(signals.filled(value, stages.base_delay) for value in base) if stages.base_delay else ()
-
-
 def estimated_base(buffers: Any, base: Base, step: Array, hardware: Hardware) -> tuple[Any, Base]:
     """Return the buffers after this step and the estimate; orientation and turning rate are late but not noisy."""
     parameters, stages = hardware.parameters, hardware.stages
     if stages.base_delay:
-        pairs = [
-            signals.delayed(buffer, value, hardware.pace.base) for buffer, value in zip(buffers, base, strict=True)
-        ]
-        buffers = tuple(buffer for buffer, _ in pairs)
-        base = Base(*(late for _, late in pairs))
-        base = base._replace(orientation=quaternion_normalize(base.orientation))
+        late = [signals.delayed(buffer, value, hardware.pace.base) for buffer, value in zip(buffers, base, strict=True)]
+        buffers, values = zip(*late, strict=True)
+        base = Base(*values)._replace(orientation=quaternion_normalize(values[1]))
     if stages.base_noise:
         noise = normal(jnp.asarray(parameters.seed), step, BASE_CHANNELS + jnp.arange(6), base.position.dtype)
         base = base._replace(

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.hardware import signals
-from mjx_climb.hardware.stages import Hardware, Stages
+from mjx_climb.hardware.stages import Hardware
 
 PRESLIDING = 5e-4  # rad, bend at which a bristle slips: a third of a count of a servo's encoder of 4096 counts
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
@@ -25,7 +25,7 @@ class Servo(NamedTuple):
     """What the servos remember; empty where they have no such stage."""
 
     buffer: signals.Buffer  # of torques (limb, joint) N m
-    bristle: Any  # (limb, joint) 1, see `bent`
+    bristle: Any  # (limb, joint) 1, see `dry_friction`
 
 
 class Drive(NamedTuple):
@@ -34,19 +34,6 @@ class Drive(NamedTuple):
     motor_torque: Array  # (limb, joint) N m
     joint_torque: Array  # (limb, joint) N m, less friction
     armature: Any  # (limb, joint) kg m^2, what sticking joints have more of it in this step; () without dry friction
-
-
-def resting_servo(angles: Array, stages: Stages) -> Servo:
-    """Return servos without torque, of joints at `angles` (limb, joint) rad."""
-    zero = jnp.zeros_like(angles)
-    return Servo(signals.filled(zero, stages.servo_delay), zero if stages.dry_friction else ())
-
-
-def felt_target(target: Array, angles: Array, hardware: Hardware) -> Array:
-    """Return the target (limb, joint) rad that a joint at `angles` feels through the play of its gears."""
-    if not hardware.stages.backlash:
-        return target
-    return angles + across_play(target - angles, jnp.asarray(hardware.parameters.backlash))
 
 
 def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tuple[Servo, Drive]:
@@ -62,8 +49,7 @@ def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tup
     if stages.dry_friction:
         # the gears rub under the torque that the motor gives, not under the one that it is asked for
         most = jnp.asarray(parameters.coulomb_friction + parameters.load_friction * jnp.abs(torque))
-        bristle = bent(bristle, rates, time_step)
-        lost, armature = dry_friction(bristle, rates, most, time_step)
+        bristle, lost, armature = dry_friction(bristle, rates, most, time_step)
         joint_torque = joint_torque + lost
     if stages.viscous_friction:
         joint_torque = joint_torque - parameters.viscous_friction * rates
@@ -91,17 +77,13 @@ def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Arra
     return jnp.where(limits, jnp.clip(torque, lower, upper), torque)
 
 
-def bent(bristle: Array, rate: Array, time_step: float) -> Array:
-    """Return the bristles after one step at `rate` rad/s: their bend as a share of `PRESLIDING`, -1 to 1."""
-    return jnp.clip(bristle + rate * (time_step / PRESLIDING), -1.0, 1.0)
+def dry_friction(bristle: Array, rate: Array, most: Array, time_step: float) -> tuple[Array, Array, Array]:
+    """Return the bristle after a step at `rate` rad/s, its torque, N m, and what it adds to the armature, kg m^2.
 
-
-def dry_friction(bristle: Array, rate: Array, most: Array, time_step: float) -> tuple[Array, Array]:
-    """Return the torque of dry friction on the joint, N m, and what it adds to the armature in this step, kg m^2.
-
-    The friction can bear `most`, N m; see `bent` for the bristle.
+    The bristle is its bend as a share of `PRESLIDING`, -1 to 1; the friction can bear `most`, N m.
     """
+    bristle = jnp.clip(bristle + rate * (time_step / PRESLIDING), -1.0, 1.0)
     slope = (RELAXATION + time_step) / PRESLIDING
     share = bristle + rate * slope
-    sticks = jnp.abs(share) < 1
-    return -most * jnp.clip(share, -1.0, 1.0), jnp.where(sticks, most * (slope * time_step), 0.0)
+    armature = jnp.where(jnp.abs(share) < 1, most * (slope * time_step), 0.0)
+    return bristle, -most * jnp.clip(share, -1.0, 1.0), armature

@@ -36,11 +36,6 @@ def buffer_length(delay: ArrayLike, time_step: float) -> int:
     return -(-(int(longest * (1 + 2 * ROUNDING)) + 2) // _MULTIPLE) * _MULTIPLE
 
 
-def filled(value: Array, length: int) -> Buffer:
-    """Return the buffer of a signal that has always been `value`."""
-    return (value,) * length
-
-
 def weights(steps: Array, length: int) -> Buffer:
     """Return how much of each sample of a buffer makes up the signal as it was `steps` () time steps ago.
 

@@ -43,9 +43,7 @@ class Stages(NamedTuple):
     @property
     def force(self) -> bool:
         """Whether the law reads other foot forces than act."""
-        return bool(self.force_delay) or any(
-            (self.force_noise, self.force_bias, self.force_resolution, self.force_filter)
-        )
+        return any((self.force_delay, self.force_noise, self.force_bias, self.force_resolution, self.force_filter))
 
 
 IDEAL = Stages()
@@ -61,24 +59,25 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
         if isinstance(value, jax.core.Tracer):
             raise TypeError(f"parameters.{name}: expected an array, got one that JAX traces")
     step = scenario.time_step
-    filtered, by_law = finite(parameters.force_filter), scenario.hardware.force_sensor.filtered_by == "law"
+    filtered, by_law = _finite(parameters.force_filter), scenario.hardware.force_sensor.filtered_by == "law"
     limited, dry, viscous = (
         robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
     )
+    there = {name: given(value) for name, value in vars(parameters).items()}
     simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
-    found: dict[str, Any] = {name: given(getattr(parameters, name)) for name in simple}
+    found: dict[str, Any] = {name: there[name] for name in simple}
     found |= {f"{part}_delay": buffer_length(getattr(parameters, f"{part}_delay"), step) for part in _DELAYED}
     return Stages(
         **found,
         force_filter=filtered and not by_law,
         sampled_filter=filtered and by_law,
-        base_noise=given(parameters.position_noise) or given(parameters.velocity_noise),
-        linear=found["control_period"] and scenario.hardware.interpolation == "linear",
-        torque_limit=limited or finite(parameters.torque_limit),
-        dry_friction=dry or given(parameters.coulomb_friction) or given(parameters.load_friction),
-        viscous_friction=viscous or given(parameters.viscous_friction),
-        capture=finite(parameters.capture_distance),
-        rotational=given(parameters.rotational_stiffness),
+        base_noise=there["position_noise"] or there["velocity_noise"],
+        linear=there["control_period"] and scenario.hardware.interpolation == "linear",
+        torque_limit=limited or _finite(parameters.torque_limit),
+        dry_friction=dry or there["coulomb_friction"] or there["load_friction"],
+        viscous_friction=viscous or there["viscous_friction"],
+        capture=_finite(parameters.capture_distance),
+        rotational=there["rotational_stiffness"],
     )
 
 
@@ -87,8 +86,7 @@ def given(value: ArrayLike) -> bool:
     return bool(np.any(np.asarray(value) != 0))
 
 
-def finite(value: ArrayLike) -> bool:
-    """Return whether any number of an array is finite: infinity stands for none."""
+def _finite(value: ArrayLike) -> bool:
     return bool(np.any(np.isfinite(np.asarray(value))))
 
 
@@ -120,12 +118,10 @@ class Hardware:
 
 
 def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot: Robot | None = None) -> Hardware:
-    """Return the hardware of a robot; what its file says of its joints comes beside the scenario's parameters."""
+    """Return the hardware of a robot; what its file says of its joints comes beside the scenario's parameters.
 
-    def buffer_weights(part: str) -> Buffer:
-        length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")
-        return weights(jnp.asarray(seconds) / time_step, length) if length else ()
-
+    Frictions add up, the lower torque limit holds, and a joint that nothing drives has no gains.
+    """
     period: Any = ()
     if stages.control_period:
         period = period_steps(jnp.asarray(parameters.control_period), time_step)
@@ -133,23 +129,16 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     if stages.force_filter or stages.sampled_filter:
         sampled = time_step * period if stages.sampled_filter and stages.control_period else time_step
         share = filter_share(jnp.asarray(parameters.force_filter), sampled)
-    late = {part: buffer_weights(part) for part in _DELAYED}
+    late: dict[str, Buffer] = {}
+    for part in _DELAYED:
+        length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")
+        late[part] = weights(jnp.asarray(seconds) / time_step, length) if length else ()
     pace = Pace(**late, filter_share=share, period=period)
-    return Hardware(parameters if robot is None else _with_joints_of(robot, parameters), pace, stages, time_step)
-
-
-def _with_joints_of(robot: Robot, parameters: Parameters) -> Parameters:
-    """Return the parameters with what the robot's file says of its joints, (limb, joint) where it does.
-
-    Frictions add up, the lower torque limit holds, and a joint that nothing drives has no gains.
-    """
     changes: dict[str, Any] = {}
-    if robot.driven is not None:
-        changes |= {"kp": parameters.kp * robot.driven, "kd": parameters.kd * robot.driven}
-    if robot.torque_limit is not None:
-        changes["torque_limit"] = jnp.minimum(jnp.asarray(parameters.torque_limit), robot.torque_limit)
-    if robot.friction is not None:
-        changes["coulomb_friction"] = parameters.coulomb_friction + robot.friction
-    if robot.damping is not None:
-        changes["viscous_friction"] = parameters.viscous_friction + robot.damping
-    return dataclasses.replace(parameters, **changes)
+    for name, own, combined in (
+        ("kp", "driven", jnp.multiply), ("kd", "driven", jnp.multiply), ("torque_limit", "torque_limit", jnp.minimum),
+        ("coulomb_friction", "friction", jnp.add), ("viscous_friction", "damping", jnp.add),
+    ):  # fmt: skip
+        if robot is not None and getattr(robot, own) is not None:
+            changes[name] = combined(getattr(parameters, name), getattr(robot, own))
+    return Hardware(dataclasses.replace(parameters, **changes), pace, stages, time_step)

@@ -57,7 +57,7 @@ class Memory(NamedTuple):
     law: Any  # its state
     force_sensor: sensors.ForceSensor
     filtered: Any  # foot forces (limb, 3) N and wrench (6,) N, N m that the law samples; () where it filters nothing
-    base_estimate: Any
+    base_estimate: Any  # buffers, one for each field of a `sensors.Base`
     held: Any  # `Held`
     targets: signals.Buffer  # of joint targets (limb, joint) rad
     servo: servo.Servo
@@ -75,14 +75,6 @@ class Actual(NamedTuple):
     wrench: Array  # (6,) N, N m, on the base, of all that the feet transmit
 
 
-class Output(NamedTuple):
-    """What a pass ends in."""
-
-    command: Command
-    joints: JointSolution  # with the targets that the joint loop got
-    drive: servo.Drive
-
-
 def begin(controller: Controller, state: State, reference: Reference) -> Memory:
     """Return the memory of a robot that has always rested in a state, with its feet where the reference has them.
 
@@ -90,34 +82,35 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         ValueError: the law's `step` does not keep what its `init` returns.
     """
     hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
-    stages, no_force = hardware.stages, jnp.zeros_like(feet)
+    stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
     no_wrench = jnp.zeros_like(state.base_position, shape=6)
     held: Any = ()
     if stages.control_period:
         command = Command(state.base_position, state.base_orientation, feet, no_wrench)
-        joints = JointSolution(angles, jnp.ones(len(angles), bool))
-        held = Held(command, joints, angles if stages.linear else ())
+        held = Held(command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else ())
+    base = sensors.true_base(state) if stages.base_delay else ()
     return Memory(
         law=begin_law(controller.law, Start(hardware.law_period, reference)),
-        force_sensor=sensors.resting_force_sensor(no_force, stages),
+        force_sensor=sensors.ForceSensor((no_force,) * stages.force_delay, no_force if stages.force_filter else ()),
         filtered=(no_force, no_wrench) if stages.sampled_filter else (),
-        base_estimate=sensors.resting_estimate(sensors.true_base(state), stages),
+        base_estimate=tuple((value,) * stages.base_delay for value in base),
         held=held,
-        targets=signals.filled(angles, stages.command_delay),
-        servo=servo.resting_servo(angles, stages),
+        targets=(angles,) * stages.command_delay,
+        servo=servo.Servo((no_torque,) * stages.servo_delay, no_torque if stages.dry_friction else ()),
         posture=angles if isinstance(controller.geometry, Chain) else (),
     )
 
 
 def control(
     controller: Controller, memory: Memory, actual: Actual, reference: Reference, step: Array, action: Action = None
-) -> tuple[Memory, Output]:
-    """Return the memory after a step, and what the joints do in it; `step` counts them, ().
+) -> tuple[Memory, Command, JointSolution, servo.Drive]:
+    """Return the memory after a step, the command, the joint targets that come of it, and what the servos do.
 
-    An action takes the place of the law, whose state then stays as it is; its way to the joints is the same.
+    An action takes the place of the law, whose state then stays as it is; its way to the joints is the same. `step`
+    counts steps, ().
     """
-    hardware = controller.hardware
-    stages, pace, state = hardware.stages, hardware.pace, actual.state
+    hardware, state = controller.hardware, actual.state
+    stages, pace, gains = hardware.stages, hardware.pace, hardware.parameters
     into = signals.steps_into(step, pace.period) if stages.control_period else jnp.zeros(())
     memory, measured = _measure(hardware, memory, actual, step, into)
 
@@ -125,7 +118,7 @@ def control(
     if action is not None:
         displacement = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(actual.wrench)
         law_state, command = memory.law, shifted(reference, displacement)
-    memory, joints = _solve(controller.geometry, memory, command, reference)
+    joints, posture = _solve(controller.geometry, memory.posture, command, reference)
     if isinstance(action, JointTargets):
         joints = joints._replace(joint_angles=action.angles)
 
@@ -144,12 +137,13 @@ def control(
         joints = joints._replace(joint_angles=late)
 
     # joint loop: tau = kp (phi_des - phi) - kd phidot, the desired rate is zero
-    felt = servo.felt_target(joints.joint_angles, state.joint_angles, hardware)
-    gains = hardware.parameters
-    torque = jnp.asarray(gains.kp * (felt - state.joint_angles) - gains.kd * state.joint_rates)
+    error = joints.joint_angles - state.joint_angles
+    if stages.backlash:
+        error = servo.across_play(error, jnp.asarray(gains.backlash))
+    torque = jnp.asarray(gains.kp * error - gains.kd * state.joint_rates)
     servos, drive = servo.driven(memory.servo, torque, state.joint_rates, hardware)
-    memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos)
-    return memory, Output(command, joints, drive)
+    memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture)
+    return memory, command, joints, drive
 
 
 def _measure(
@@ -163,9 +157,7 @@ def _measure(
         wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
     filtered = memory.filtered
     if stages.sampled_filter:
-        force, wrench = (
-            signals.low_passed(before, new, share) for before, new in zip(filtered, (force, wrench), strict=True)
-        )
+        force, wrench = (signals.low_passed(y, u, share) for y, u in zip(filtered, (force, wrench), strict=True))
         if stages.control_period:
             force, wrench = signals.held(into == 0, (force, wrench), filtered)
         filtered = force, wrench
@@ -175,13 +167,13 @@ def _measure(
 
 
 def _solve(
-    geometry: LimbGeometry | Chain, memory: Memory, command: Command, reference: Reference
-) -> tuple[Memory, JointSolution]:
-    """Return the memory with the posture that was solved for, and the joint angles that put base and feet in place."""
+    geometry: LimbGeometry | Chain, posture: Any, command: Command, reference: Reference
+) -> tuple[JointSolution, Any]:
+    """Return the joint angles that put base and feet in place, and the posture from which the next ones are found."""
     rotation = quaternion_to_matrix(command.base_orientation)
     target = (command.foot_position - command.base_position) @ rotation  # in the base's axes: each row times R is R^T p
     if not isinstance(geometry, Chain):
-        return memory, inverse_kinematics(geometry, target)
+        return inverse_kinematics(geometry, target), posture
     turn = rotation.T @ quaternion_to_matrix(reference.base_orientation)
-    joints = inverse_kinematics(geometry, target, memory.posture, turn)
-    return memory._replace(posture=joints.joint_angles), joints
+    joints = inverse_kinematics(geometry, target, posture, turn)
+    return joints, joints.joint_angles

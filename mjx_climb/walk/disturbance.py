@@ -21,18 +21,9 @@ def windows(parameters: Parameters, time_step: float) -> Windows:
     return Windows(*(tuple(whole_steps(time, time_step) for time in times) for times in (cargo, pushes)))
 
 
-def _active(window: tuple[Array, Array], step: Array) -> Array:
-    start, stop = window
-    return (step >= start) & (step < stop)
-
-
-def cargo_mass(parameters: Parameters, windows: Windows, step: Array) -> Array:
-    """Return the cargo on the base, () kg."""
-    return jnp.where(_active(windows.cargo, step), parameters.cargo_mass, 0.0)
-
-
-def push(parameters: Parameters, windows: Windows, step: Array) -> Array:
-    """Return force and moment on the base at its centre of mass, (6,) N and N m, world axes."""
-    active = _active(windows.pushes, step)[:, None]
+def acting(parameters: Parameters, windows: Windows, step: Array) -> tuple[Array, Array]:
+    """Return the cargo at the base's centre of mass, () kg, and force and moment there, (6,) N and N m, world axes."""
+    loaded, pushed = ((step >= start) & (step < stop) for start, stop in windows)
     wrenches = jnp.concatenate([parameters.push_force, parameters.push_moment], axis=1)
-    return jnp.where(active, wrenches, 0.0).sum(0)
+    cargo = jnp.where(loaded, parameters.cargo_mass, 0.0)
+    return cargo, jnp.where(pushed[:, None], wrenches, 0.0).sum(0)

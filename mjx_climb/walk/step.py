@@ -136,39 +136,24 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         cycle_start = start = jnp.where(now.cycle_phase == 0, state.base_position, carry.cycle_start)
     feet = gait.foot_targets(walk.plan, now, actual.contact.grip_point)
     reference = Reference(gait.base_reference(walk.plan, now, start), walk.plan.base_orientation, feet)
-    memory, output = control_loop.control(walk.controller, carry.memory, actual, reference, step, action)
+    memory, command, joints, drive = control_loop.control(
+        walk.controller, carry.memory, actual, reference, step, action
+    )
 
-    cargo = disturbance.cargo_mass(parameters, walk.windows, step)
-    push = disturbance.push(parameters, walk.windows, step)
-    acceleration = _accelerations(walk, actual, output.drive, push, cargo)
-
+    cargo, push = disturbance.acting(parameters, walk.windows, step)
+    acceleration = _accelerations(walk, actual, drive, push, cargo)
     com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
     tsm, gia = _stability_margins(walk, actual, push, com, cargo)
     sample = Sample(
-        time=step * jnp.asarray(walk.structure.time_step, com.dtype),
-        **vars(state),
-        base_linear_acceleration=acceleration.base_linear,
-        base_angular_acceleration=acceleration.base_angular,
-        joint_accelerations=acceleration.joints,
-        joint_targets=output.joints.joint_angles,
-        joint_torque=output.drive.motor_torque,
-        foot_position=actual.feet.position,
-        foot_velocity=actual.feet.velocity,
-        foot_target=output.command.foot_position,
-        **actual.grip._asdict(),
-        grip_point=actual.contact.grip_point,
-        contact=actual.contact.touching,
-        detached=carry.contact.detached,
-        reachable=output.joints.reachable,
-        base_reference=reference.base_position,
-        base_displacement=output.command.base_displacement,
-        base_wrench=actual.wrench,
-        push=push,
-        cargo_mass=cargo,
-        center_of_mass=com,
-        tsm=tsm,
-        gia_margin=gia,
-    )
+        time=step * jnp.asarray(walk.structure.time_step, com.dtype), **vars(state), **actual.grip._asdict(),
+        base_linear_acceleration=acceleration.base_linear, base_angular_acceleration=acceleration.base_angular,
+        joint_accelerations=acceleration.joints, joint_torque=drive.motor_torque,
+        joint_targets=joints.joint_angles, reachable=joints.reachable,
+        foot_position=actual.feet.position, foot_velocity=actual.feet.velocity, foot_target=command.foot_position,
+        grip_point=actual.contact.grip_point, contact=actual.contact.touching, detached=carry.contact.detached,
+        base_reference=reference.base_position, base_displacement=command.base_displacement,
+        base_wrench=actual.wrench, push=push, cargo_mass=cargo, center_of_mass=com, tsm=tsm, gia_margin=gia,
+    )  # fmt: skip
     return Carry(integrate(state, acceleration, walk.structure.time_step), actual.contact, cycle_start, memory), sample
 
 
@@ -193,8 +178,7 @@ def _accelerations(
     robot as its file says, and forces, armature and cargo over s.
     """
     robot, parameters, torque = walk.robot, walk.parameters, drive.joint_torque
-    state, held = actual.state, actual.grip
-    share = 1 / parameters.mass_scale
+    state, held, share = actual.state, actual.grip, 1 / parameters.mass_scale
     if actual.turning is not None:
         torque = torque + jnp.vecmat(held.foot_moment, actual.turning.jacobian)
     if walk.structure.stages.armature or walk.structure.stages.dry_friction or robot.armature is not None:

@@ -43,7 +43,7 @@ def late(signal, steps, length=8):
     def one(buffer, value):
         return signals.delayed(buffer, value, signals.weights(jnp.asarray(steps, float), length))
 
-    return jax.lax.scan(one, signals.filled(jnp.zeros(()), length), signal)[1]
+    return jax.lax.scan(one, (jnp.zeros(()),) * length, signal)[1]
 
 
 def white(seed, count=20):
@@ -188,7 +188,7 @@ SAMPLES = 20_000
 
 def test_each_axis_of_each_force_sensor_has_a_noise_of_its_own():
     own = hardware({"force_sensor": {"noise": 0.3}})
-    sensor = sensors.resting_force_sensor(jnp.zeros((4, 3)), own.stages)
+    sensor = sensors.ForceSensor((), ())
     read = jax.vmap(lambda n: sensors.measured_force(sensor, jnp.ones((4, 3)), n, own)[1])(jnp.arange(SAMPLES))
     check_white(np.asarray(read).reshape(SAMPLES, 12) - 1.0, 0.3)
 
@@ -207,7 +207,8 @@ def test_a_force_sensor_reads_late_with_its_bias_in_steps_of_its_resolution_and_
     """Delay 2 steps, then bias, rounding and filter, in this order."""
     own = hardware({"force_sensor": {"delay": 2e-3, "bias": 0.3, "resolution": 0.5, "filter": 60.0}})
     forces = np.random.default_rng(7).normal(scale=3, size=(6, 4, 3))
-    sensor, expected = sensors.resting_force_sensor(jnp.asarray(forces[0]), own.stages), forces[0]
+    rest, expected = jnp.asarray(forces[0]), forces[0]
+    sensor = sensors.ForceSensor((rest,) * own.stages.force_delay, rest)
     for n, force in enumerate(forces):
         sensor, read = sensors.measured_force(sensor, jnp.asarray(force), jnp.asarray(n), own)
         chain = 0.5 * np.round((forces[max(n - 2, 0)] + 0.3) / 0.5)
@@ -220,7 +221,7 @@ def test_a_late_base_estimate_keeps_unit_quaternions():
     turned = jnp.asarray([0.0, 1.0, 0.0, 0.0])
     there = sensors.Base(jnp.zeros(3), jnp.asarray([1.0, 0, 0, 0]), jnp.zeros(3), jnp.zeros(3))
     here = sensors.Base(jnp.ones(3), turned, jnp.ones(3), jnp.ones(3))
-    buffers = sensors.resting_estimate(there, own.stages)
+    buffers = tuple((value,) * own.stages.base_delay for value in there)
     for n in range(2):
         buffers, found = sensors.estimated_base(buffers, here, jnp.asarray(n), own)
     np.testing.assert_allclose(found.position, 0.5)
@@ -256,8 +257,7 @@ def slid(force, mass=0.01, coulomb=0.1, steps=4000, step=STEP):
 
     def one(carry, n):
         angle, rate, bristle = carry
-        bristle = servo.bent(bristle, rate, step)
-        lost, armature = servo.dry_friction(bristle, rate, coulomb, step)
+        bristle, lost, armature = servo.dry_friction(bristle, rate, coulomb, step)
         rate = rate + step / (mass + armature) * (force(n * step) - 0.05 * rate + lost)
         return (angle + step * rate, rate, bristle), (angle, rate)
 
@@ -288,8 +288,8 @@ def test_friction_dissipates():
     angle = jnp.asarray(0.2 * np.sin(2 * np.pi * np.arange(4001) / 4000))
 
     def one(bristle, rate):
-        bristle = servo.bent(bristle, rate, STEP)
-        return bristle, -servo.dry_friction(bristle, rate, 0.1, STEP)[0] * rate * STEP
+        bristle, lost, _ = servo.dry_friction(bristle, rate, 0.1, STEP)
+        return bristle, -lost * rate * STEP
 
     lost = float(jax.lax.scan(one, jnp.zeros(()), jnp.diff(angle) / STEP)[1].sum())
     way = float(np.abs(np.diff(angle)).sum())
@@ -320,8 +320,6 @@ def test_backlash_is_a_dead_zone():
     np.testing.assert_allclose(servo.across_play(error, jnp.asarray(0.01)), [-0.025, 0, 0, 0, 0.025], atol=1e-15)
     np.testing.assert_array_equal(servo.across_play(error, jnp.asarray(0.0)), error)
     check_tangent(lambda play: servo.across_play(error, play), 0.01, rtol=1e-8)
-    own = hardware({"servo": {"backlash": 0.01}})
-    np.testing.assert_allclose(servo.felt_target(1 + error, jnp.ones(5), own), 1 + servo.across_play(error, 0.01))
 
 
 def test_what_a_robots_file_says_of_its_joints_comes_beside_the_scenario():
