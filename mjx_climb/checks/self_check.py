@@ -25,6 +25,7 @@ from mjx_climb.rollouts.trajectory import named
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.simulation import Simulation
 
+LIMBS = ("LF", "LH", "RH", "RF")
 MUJOCO = "mujoco"  # among the engines: its C code
 STORED = Path(str(resources.files("mjx_climb"))) / "checks" / "self_check.json"
 
@@ -64,11 +65,9 @@ def measure() -> dict[str, dict[str, Any]]:
     # the derivative by a logarithm is that along the gain itself
     along = {"damping": np.full((1, 6), DAMPING), "stiffness": np.full((1, 6), STIFFNESS)}
     values, tangents = Simulation(SCENARIO).jvp(gains, along, dtype=np.float64)
-    walk = named({name: value.item() for name, value in values.items()}, ("LF", "LH", "RH", "RF"))
+    walk = named({name: value.item() for name, value in values.items()}, LIMBS)
     gradient = {name: tangents[name].item() for name, value in walk.items() if type(value) is float}
-    with jax.enable_x64(True):
-        accelerations = {engine: _acceleration(engine) for engine in sorted(ENGINES)}
-    return {"walk": walk, "gradient": gradient, **accelerations, MUJOCO: _mujoco_acceleration()}
+    return {"walk": walk, "gradient": gradient, **_accelerations()}
 
 
 def deviations(
@@ -97,39 +96,24 @@ def _distance(value: Any, stored: Any) -> float:
     return float(abs(value - stored) / max(abs(stored), 1e-300))
 
 
-def _state() -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
-    """Return values of a state, joint torques (12,) N m, foot forces (4, 3) N and base wrench (6,), without pattern."""
-    spread = np.sin(np.arange(1.0, 63.0) ** 2)
+def _accelerations() -> dict[str, dict[str, float]]:
+    """Return the accelerations of a state without pattern by engine, and by MuJoCo's C code, and what moves."""
     angles, rates, torque, foot_force, wrench, velocity, orientation, _ = np.split(
-        spread, np.cumsum([12, 12, 12, 12, 6, 3, 4])
+        np.sin(np.arange(1.0, 63.0) ** 2), np.cumsum([12, 12, 12, 12, 6, 3, 4])
     )
-    state = {
-        "base_position": np.array([0.1, -0.2, 0.3]),
-        "base_orientation": orientation / np.linalg.norm(orientation),
-        "base_linear_velocity": velocity,
-        "base_angular_velocity": velocity[::-1].copy(),
-        "joint_angles": angles,
-        "joint_rates": 5 * rates,
-    }
-    return state, torque, 10 * foot_force.reshape(4, 3), 5 * wrench
-
-
-def _acceleration(engine: str) -> dict[str, float]:
-    values, torque, foot_force, wrench = _state()
-    state = State(**{name: jnp.asarray(value) for name, value in values.items()})
-    result = forward_dynamics(state, torque, foot_force, wrench, 0.0, engine=engine)
-    return _labelled(np.concatenate([result.base_linear, result.base_angular, result.joints]))
-
-
-def _mujoco_acceleration() -> dict[str, float]:
-    """Return the accelerations by MuJoCo's C code, whose base rates are in the base's own axes."""
-    state, torque, foot_force, wrench = _state()
+    position, orientation = np.array([0.1, -0.2, 0.3]), orientation / np.linalg.norm(orientation)
+    spin, rates, foot_force, wrench = velocity[::-1].copy(), 5 * rates, 10 * foot_force.reshape(4, 3), 5 * wrench
+    found = {}
+    with jax.enable_x64(True):
+        state = State(*map(jnp.asarray, (position, orientation, velocity, spin, angles, rates)))
+        for engine in sorted(ENGINES):
+            result = forward_dynamics(state, torque, foot_force, wrench, 0.0, engine=engine)
+            found[engine] = np.concatenate([result.base_linear, result.base_angular, result.joints])
     model = load_model("hubrobo_v3_2")
     data, rotation = mujoco.MjData(model), np.empty((3, 3))
-    mujoco.mju_quat2Mat(rotation.reshape(9), state["base_orientation"])
-    data.qpos[:] = np.concatenate([state["base_position"], state["base_orientation"], state["joint_angles"]])
-    angular = rotation.T @ state["base_angular_velocity"]
-    data.qvel[:] = np.concatenate([state["base_linear_velocity"], angular, state["joint_rates"]])
+    mujoco.mju_quat2Mat(rotation.reshape(9), orientation)
+    data.qpos[:] = np.concatenate([position, orientation, angles])
+    data.qvel[:] = np.concatenate([velocity, rotation.T @ spin, rates])  # the base's spin in its own axes
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     for site, force in enumerate(foot_force):
@@ -138,14 +122,10 @@ def _mujoco_acceleration() -> dict[str, float]:
     data.qfrc_applied[6:] += torque
     data.xfrc_applied[1] = wrench
     mujoco.mj_forward(model, data)
-    return _labelled(np.concatenate([data.qacc[:3], rotation @ data.qacc[3:6], data.qacc[6:]]))
-
-
-def _labelled(acceleration: np.ndarray) -> dict[str, float]:
-    """Return an acceleration (18,) by what moves."""
-    base = [f"base {kind}{axis}" for kind in ("", "r") for axis in "xyz"]
-    joints = [f"{limb} {link}" for limb in ("LF", "LH", "RH", "RF") for link in ("coxa", "femur", "tibia")]
-    return dict(zip([*base, *joints], acceleration.tolist(), strict=True))
+    found[MUJOCO] = np.concatenate([data.qacc[:3], rotation @ data.qacc[3:6], data.qacc[6:]])
+    names = [f"base {kind}{axis}" for kind in ("", "r") for axis in "xyz"]
+    names += [f"{limb} {link}" for limb in LIMBS for link in ("coxa", "femur", "tibia")]
+    return {engine: dict(zip(names, values.tolist(), strict=True)) for engine, values in found.items()}
 
 
 if __name__ == "__main__":

@@ -102,10 +102,7 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
     """Yield mass, stiffness and damping matrix (18, 18) at stance and on the way of every swing, by steps of `h`."""
     model = load_model(scenario.robot)
     contact, control, walk, servo = scenario.contact, scenario.control, scenario.gait, scenario.hardware.servo
-    feet, joint = (
-        np.arange(model.nsite),
-        np.repeat([0.0, 1.0], [6, model.nv - 6]),
-    )  # which degrees of freedom are joints
+    feet, joint = np.arange(model.nsite), np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
     driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
     dry = servo.coulomb_friction + model.dof_frictionloss
@@ -119,11 +116,11 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
             resisted += contact.rotational_damping * turns.T @ turns
         for bristle in (0 * dry, dry / PRESLIDING) if dry.any() else (0 * dry,):  # slipping, sticking
             damping = bristle * (RELAXATION + h)
+            viscous = control.kd * driven + servo.viscous_friction + model.dof_damping + damping
             yield (
                 mass + np.diag((servo.armature + h * damping) * joint),
                 np.diag((control.kp * driven + spring + bristle) * joint) + held,
-                np.diag((control.kd * driven + servo.viscous_friction + model.dof_damping + damping) * joint)
-                + resisted,
+                np.diag(viscous * joint) + resisted,
             )
 
 

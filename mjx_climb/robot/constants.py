@@ -12,32 +12,16 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import PASSIVE, RobotError
+from mjx_climb.robot.description import JOINTS, PASSIVE, RobotError
 from mjx_climb.scenario.model import RobotFile
 
-__all__ = [
-    "Robot",
-    "RobotError",
-    "load_model",
-    "load_robot",
-    "load_spec",
-    "model_path",
-    "robot_from_model",
-]
+__all__ = ["Robot", "RobotError", "load_model", "load_robot", "load_spec", "model_path", "robot_from_model"]
 
 _DRIVES = {"armature": "dof_armature", "damping": "dof_damping", "friction": "dof_frictionloss"}  # by MuJoCo's names
-_KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_STATIC = {"static": True}  # to JAX
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=[
-        "base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation",
-        "foot_center", "joint_lower", "joint_upper", "stance_position", "stance_orientation", "stance_joints",
-        "armature", "damping", "friction", "spring", "spring_rest", "torque_limit",
-    ],
-    meta_fields=["name", "limbs", "model", "slides", "passive", "joint_names"],
-)  # fmt: skip
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Robot:
     """A base with limbs of as many joints each, revolute or prismatic: masses, frames and limits.
@@ -48,9 +32,9 @@ class Robot:
     in rad.
     """
 
-    name: str
-    limbs: tuple[str, ...]
-    model: mujoco.MjModel  # what the constants were read off
+    name: str = dataclasses.field(metadata=_STATIC)
+    limbs: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
+    model: mujoco.MjModel = dataclasses.field(metadata=_STATIC)  # what the constants were read off
     base_mass: Float[np.ndarray, ""]  # kg
     base_inertia: Float[np.ndarray, "3 3"]  # kg m^2, base frame
     link_mass: Float[np.ndarray, "limb joint"]  # kg
@@ -71,9 +55,10 @@ class Robot:
     spring: Float[np.ndarray, "limb joint"] | None = None  # N m/rad
     spring_rest: Float[np.ndarray, "limb joint"] | None = None  # rad, where the springs are slack
     torque_limit: Float[np.ndarray, "limb joint"] | None = None  # N m, of the drives; infinite: none
-    slides: tuple[tuple[bool, ...], ...] = ()  # [limb][joint]: the joint is prismatic; (): none is
-    passive: tuple[tuple[bool, ...], ...] = ()  # [limb][joint]: nothing drives the joint; (): all are driven
-    joint_names: tuple[str, ...] = ()  # (joint,) of a limb, from the base outwards
+    # by limb and joint; (): of none
+    slides: tuple[tuple[bool, ...], ...] = dataclasses.field(default=(), metadata=_STATIC)  # it is prismatic
+    passive: tuple[tuple[bool, ...], ...] = dataclasses.field(default=(), metadata=_STATIC)  # nothing drives it
+    joint_names: tuple[str, ...] = dataclasses.field(default=(), metadata=_STATIC)  # of a limb, from the base outwards
 
     @property
     def joints(self) -> int:
@@ -149,12 +134,10 @@ def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:
         chain = [int(first)]
         while len(children := np.flatnonzero(model.body_parentid == chain[-1])) == 1:
             chain.append(int(children[0]))
-        one = all(model.body_jntnum[b] == 1 and int(model.jnt_type[model.body_jntadr[b]]) in _KINDS for b in chain)
+        one = all(model.body_jntnum[b] == 1 and int(model.jnt_type[model.body_jntadr[b]]) in JOINTS for b in chain)
         if len(children) or not one:
-            raise RobotError(
-                f"{name}: expected limbs that are chains of one hinge or slide a body, got body "
-                f"{model.body(first).name!r}"
-            )
+            expected, got = "limbs that are chains of one hinge or slide a body", f"body {model.body(first).name!r}"
+            raise RobotError(f"{name}: expected {expected}, got {got}")
         limbs.append(chain)
     lengths = {len(chain) for chain in limbs}
     if len(lengths) != 1 or model.nbody != 2 + sum(map(len, limbs)):
@@ -190,9 +173,8 @@ def robot_from_model(model: mujoco.MjModel, name: str, stance: np.ndarray | None
     """
     chains = _limb_bodies(model, name)
     if np.abs(model.body_ipos[1]).max() > 1e-12:
-        raise RobotError(
-            f"{name}: expected the base frame at the base's centre of mass, got an offset {model.body_ipos[1]}"
-        )
+        got = f"an offset {model.body_ipos[1]}"
+        raise RobotError(f"{name}: expected the base frame at the base's centre of mass, got {got}")
     if stance is None and model.nkey < 1:
         raise RobotError(f"{name}: expected a keyframe with the rest stance")
     stance = np.array(model.key_qpos[0] if stance is None else stance)
@@ -231,29 +213,24 @@ def robot_from_model(model: mujoco.MjModel, name: str, stance: np.ndarray | None
 
 def _links(model: mujoco.MjModel, data: mujoco.MjData, chains: list[list[int]], name: str) -> dict[str, np.ndarray]:
     """Return frames, centres and inertias of the links, and the feet, as fields of a `Robot`; joints at zero."""
-    shape = (len(chains), len(chains[0]))
-    position, center, rotation, inertia = (np.empty((*shape, *own)) for own in ((3,), (3,), (3, 3), (3, 3)))
-    foot = np.empty((len(chains), 3))
-    for limb, chain in enumerate(chains):
+    links, feet = [], []
+    for chain in chains:
         at, axes = np.zeros(3), np.eye(3)  # of the parent
-        for link, body in enumerate(chain):
+        for body in chain:
             joint = model.body_jntadr[body]
             parent, anchor = axes, data.xanchor[joint]
             axis, own = data.xaxis[joint], data.xmat[body].reshape(3, 3)
             axes = frame_along(axis, own[:, np.argmin(np.abs(own.T @ axis).round(6))])
-            position[limb, link] = _exact(parent.T @ (anchor - at))
-            rotation[limb, link] = _exact(parent.T @ axes)
-            center[limb, link] = _exact(axes.T @ (data.xipos[body] - anchor))
-            inertia[limb, link] = _inertia(model, data, body, axes)
+            placed = (parent.T @ (anchor - at), parent.T @ axes, axes.T @ (data.xipos[body] - anchor))
+            links.append((*map(_exact, placed), _inertia(model, data, body, axes)))
             at = anchor
         sites = np.flatnonzero(model.site_bodyid == chain[-1])
         if len(sites) != 1:
             raise RobotError(f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}")
-        foot[limb] = axes.T @ (data.site_xpos[sites[0]] - at)
-    return {
-        "frame_position": position, "frame_rotation": rotation, "link_center": center, "link_inertia": inertia,
-        "foot_center": foot,
-    }  # fmt: skip
+        feet.append(axes.T @ (data.site_xpos[sites[0]] - at))
+    fields = ("frame_position", "frame_rotation", "link_center", "link_inertia")
+    values = (np.reshape(each, (len(chains), -1, *each[0].shape)) for each in zip(*links, strict=True))
+    return dict(zip(fields, values, strict=True)) | {"foot_center": np.array(feet)}
 
 
 def _inertia(model: mujoco.MjModel, data: mujoco.MjData, body: int, rotation: np.ndarray) -> np.ndarray:
