@@ -35,31 +35,25 @@ def explorer(
     first = walks[BASELINE]
     scenario = first.scenario
     count, steps = stretches(scenario.steps)
-    lines = []
+    lines, drawn = [], []
     for name, (unit, text, _) in LINES.items():
         factor, scaled = SCALES.get(unit, (1, unit))
         lines.append({"name": name, "label": text, "unit": scaled, "factor": factor})
+    for name, walk in walks.items():
+        about_walk = {"name": name, "shown": shown is None or name in shown, "metrics": plain(metrics[name])}
+        packed_lines = {line: packed(values) for line, values in histories(walk).items()}
+        drawn.append({**about_walk, "failed": _failure(metrics[name]), "lines": packed_lines})
     return {
-        "baseline": BASELINE,
-        "opens_on": opens_on,
+        "baseline": BASELINE, "opens_on": opens_on,
         "metrics": {m.name: _about(m.long_name, m.unit, larger=m.larger_is_better) for m in about},
         "lines": lines,
         "time": {"count": count, "stretch": steps * scenario.time_step, "end": scenario.steps * scenario.time_step},
         "windows": [window[:3] for window in plots.disturbances(first)],
         "grips": plots.grip_changes(first).tolist(),
         "holding_limit": scenario.contact.holding_limit,
-        "walks": [
-            {
-                "name": name,
-                "shown": shown is None or name in shown,
-                "metrics": plain(metrics[name]),
-                "failed": _failure(metrics[name]),
-                "lines": {line: packed(values) for line, values in histories(walk).items()},
-            }
-            for name, walk in walks.items()
-        ],
+        "walks": drawn,
         "points": points if points and (points["scales"] or not points["axes"]) else None,  # none without a number
-    }
+    }  # fmt: skip
 
 
 def grid_points(
@@ -95,13 +89,10 @@ def grid_points(
         drawn.append({"name": name, "label": label, "unit": units[0], "values": _values(shown[name])})
     begin = dict.fromkeys(axes, 0) if chosen is None else _place_of(shown, chosen)
     return {
-        "count": flat.sizes["cell"],
-        "left_out": grid["diverged"].size - flat.sizes["cell"],
+        "count": flat.sizes["cell"], "left_out": grid["diverged"].size - flat.sizes["cell"],
         "axes": drawn,
         "gains": {name: _values(flat[name]) for name in axes},
-        "values": values_of,
-        "texts": texts,
-        "scales": scales,
+        "values": values_of, "texts": texts, "scales": scales,
         "failed": [_failure(dict(zip(_FAILED, each, strict=True))) for each in failures],
         "marks": [{"name": name, "at": list(at)} for name, at in marks.items()],
         "limit": [line.tolist() for line in plots.stability_lines(grid, *axes)],
@@ -109,7 +100,7 @@ def grid_points(
         "stored": np.flatnonzero(np.logical_and.outer(*with_history)).tolist(),
         "histories": {name: packed(held[name].transpose(*axes, "extreme", "stretch").values) for name in LINES},
         "colors": COLORS,
-    }
+    }  # fmt: skip
 
 
 def listed_points(
@@ -122,22 +113,13 @@ def listed_points(
     """
     count, gains = walks.sizes["front"], walks.attrs["searched"].split()
     return {
-        "count": count,
-        "left_out": 0,
-        "axes": None,
-        "trade": list(trade),
+        "count": count, "left_out": 0, "axes": None, "trade": list(trade),
         "gains": {name: [gain({name: held}, name) for held in walks[name].values] for name in gains},
         # nothing lets go on a front
         "values": {name: _values(walks[name]) for name in about.names} | {"detached_limb": [None] * count},
-        "texts": {},
-        "scales": {},
-        "failed": [None] * count,
-        "marks": [],
-        "begin": chosen,
-        "stored": list(range(count)),
-        "histories": {name: packed(histories[name]) for name in LINES},
-        "colors": COLORS,
-    }
+        "texts": {}, "scales": {}, "failed": [None] * count, "marks": [], "begin": chosen, "stored": list(range(count)),
+        "histories": {name: packed(histories[name]) for name in LINES}, "colors": COLORS,
+    }  # fmt: skip
 
 
 def axes_of(grid: xr.Dataset) -> tuple[str, str]:

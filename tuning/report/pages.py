@@ -65,21 +65,16 @@ def sweep_page(
     begin = best if best is not None else grid.isel(dict.fromkeys(axes, 0))
     points = grid_points(grid, histories, metrics["pd"], marks, begin)
     walks = {name: compared.walks[name] for name in reversed(list(compared.walks))}
+    facts = {
+        "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)", "engine": grid.attrs["engine"],
+        "robots at a time": grid.attrs["batch_size"], "seed": "none: nothing is drawn at random",
+    }  # fmt: skip
     return Page(
-        title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains",
-        origin=origin,
-        verdict=verdict,
-        scenario=problem.scenario,
-        notes=sentences(found),
+        title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
+        verdict=verdict, scenario=problem.scenario, notes=sentences(found), facts=facts,
         explorers={"Maps and walks": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
-        facts={
-            "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)",
-            "engine": grid.attrs["engine"],
-            "robots at a time": grid.attrs["batch_size"],
-            "seed": "none: nothing is drawn at random",
-        },
-    )
+    )  # fmt: skip
 
 
 def tune_page(
@@ -99,21 +94,16 @@ def tune_page(
     objective = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
     values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
     open_notes, folded = ([line[0].upper() + line[1:] for line in lines] for lines in (outcome, tests))
+    side_by_side = comparison.table(rows, "Walks in double precision", about, found.law)
     return Page(
-        title=f"Tuned gains for {origin.name}: {search.method}, {search.space}",
-        origin=origin,
+        title=f"Tuned gains for {origin.name}: {search.method}, {search.space}", origin=origin,
         verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
-        scenario=found.scenario,
+        scenario=found.scenario, more=folded,
         notes=[*open_notes, *sentences(_worse_than_pd(metrics["tuned"], metrics["pd"], about))],
-        more=folded,
         explorers={title: explorer(shown, values, opens_on="tuned", points=points, about=about)},
-        tables=[
-            comparison.table(rows, "Walks in double precision", about, found.law),
-            comparison.gains_table(rows, found.law),
-            _around_table(checked),
-        ],
+        tables=[side_by_side, comparison.gains_table(rows, found.law), _around_table(checked)],
         facts={"precision": "float32 (search, map), float64 (named walks, verification)", **_spent(found)},
-    )
+    )  # fmt: skip
 
 
 def _points_of_map(found: Tuned, over: xr.Dataset, baseline: comparison.Values) -> dict[str, Any]:
@@ -169,14 +159,10 @@ def robust_page(found: Tuned, summed: xr.Dataset, outcome: Sequence[str], origin
         rivals = {**rivals, "config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
     verdict, *notes = sentences(outcome)
     return Page(
-        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}",
-        origin=origin,
-        verdict=verdict,
-        scenario=found.scenario,
-        notes=notes,
+        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}", origin=origin,
+        verdict=verdict, scenario=found.scenario, notes=notes, facts=_spent(found),
         tables=[judged_table(summed, found.problem.metrics), comparison.gains_table(rivals, found.law)],
-        facts=_spent(found),
-    )
+    )  # fmt: skip
 
 
 def shown(metrics: mc.MetricTable) -> list[str]:
@@ -219,15 +205,12 @@ def pareto_page(
         texts.append(f"{about.in_words(name)} {value}")
     points = listed_points(front, histories, knee, trade=(against, better), about=about)
     return Page(
-        title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}",
-        origin=origin,
+        title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}", origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
-        scenario=found.scenario,
-        notes=sentences([found.worth]),
+        scenario=found.scenario, notes=sentences([found.worth]), tables=[front_table(front, knee, about)],
         explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
-        tables=[front_table(front, knee, about)],
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},
-    )
+    )  # fmt: skip
 
 
 def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS) -> Table:

@@ -1,7 +1,8 @@
 """Pictures of searches: how one converged, its way over the map, fronts, schedules, ensembles, margins."""
 
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -48,10 +49,6 @@ def _plain_numbers(axis: Axis, *, few: bool) -> None:
     axis.set_minor_formatter("")
 
 
-# ------------------------------------------------------------------------------------------------------------
-# A search
-
-
 @plots.style()
 def plot_convergence(found: Tuned) -> Figure:
     """Draw the objective over the env-steps spent: every feasible point, the best so far, and gradient norms."""
@@ -77,18 +74,9 @@ def plot_convergence(found: Tuned) -> Figure:
     return figure
 
 
-class _Part(NamedTuple):
-    """Axes whose ways are drawn as one, and how."""
-
-    axes: slice  # of six
-    coordinates: tuple[str, ...]  # what follows the gain in the names of a space
-    color: str
-    marker: str  # of the result
-
-
-_PARTS = {
-    "translations": _Part(slice(0, 3), ("translation", "x", "y", "z"), "0.1", "*"),
-    "rotations": _Part(slice(3, 6), ("rotation", "rx", "ry", "rz"), plots.PURPLE, "P"),
+_PARTS = {  # which of six axes are drawn as one; their names in a space, colour, and the mark of the result
+    "translations": (slice(0, 3), ("translation", "x", "y", "z"), "0.1", "*"),
+    "rotations": (slice(3, 6), ("rotation", "rx", "ry", "rz"), plots.PURPLE, "P"),
 }
 
 
@@ -100,7 +88,8 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
     rotations go their own ways, the geometric means of theirs, and the result has a mark for each axis.
     """
     axes, tuned, control = axes_of(walks), by_name(found.gains), found.scenario.control
-    apart = any("." in str(name) for name in found.data["coordinate"].values)
+    coordinates, theta = found.data["coordinate"].values.astype(str), found.data["theta"].values
+    apart = any("." in name for name in coordinates)
     means = {"tuned": [_mean(tuned[gain]) for gain in axes]}
     if not found.law:
         means["config"] = [_mean(getattr(control, gain)) for gain in axes]
@@ -112,24 +101,18 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
     for legend in figure.legends:
         handles += [handle for handle in legend.legend_handles if handle is not None]
         legend.remove()
-    for name, part in (_PARTS if apart else {"": _PARTS["translations"]}).items():
-        handles += _draw_ways(panel, found.data, [_way(found, gain, part) for gain in axes], part.color, name)
+    for part, (six, names, color, marker) in (_PARTS if apart else {"": _PARTS["translations"]}).items():
+        result, ways = [axis_values(tuned[gain])[six] for gain in axes], []
+        for gain, values in zip(axes, result, strict=True):
+            searched = theta[:, np.isin(coordinates, [gain, *(f"{gain}.{name}" for name in names)])]
+            ways.append(np.exp(searched.mean(1)) if searched.size else np.full(len(theta), _mean(values)))
+        handles += _draw_ways(panel, found.data, ways, color, part)
         if apart:
-            points = [axis_values(tuned[gain])[part.axes] for gain in axes]
-            handles.append(_mark(panel, points, part.marker, part.color, f"tuned, {name}"))
+            handles.append(_mark(panel, result, marker, color, f"tuned, {part}"))
     if apart and "config" in means:
         handles.append(_mark(panel, means["config"], "o", "0.1", "config"))
     plots.legend_below(figure, handles, 3)
     return figure
-
-
-def _way(found: Tuned, gain: str, part: _Part) -> np.ndarray:
-    """Return a gain at every point of a search, (point,): the geometric mean over some axes."""
-    wanted = {gain, *(f"{gain}.{coordinate}" for coordinate in part.coordinates)}
-    searched = found.data["theta"].values[:, np.isin(found.data["coordinate"].values.astype(str), [*wanted])]
-    if not searched.shape[1]:
-        return np.full(len(searched), _mean(axis_values(by_name(found.gains)[gain])[part.axes]))
-    return np.asarray(np.exp(searched.mean(1)))
 
 
 def _draw_ways(panel: Axes, history: xr.Dataset, ways: Sequence[np.ndarray], color: str, part: str) -> list[Artist]:
@@ -171,21 +154,17 @@ def _mean(gain: ArrayLike) -> float:
     return float(np.exp(np.mean(np.log(gain))))
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Many walks: on an ensemble, along a front, by gravity and cargo, on worse hardware
-
-
 @plots.style()
 def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation", "peak_pull_force")) -> Figure:
     """Draw which share of the unseen walks stays below a value, a curve for each set of gains.
 
-    A dot marks the mean, a diamond the mean of the worst 5 %. A gripper lets go beyond the
-    vertical line.
+    A dot marks the mean, a diamond the mean of the worst 5 %. A gripper lets go beyond the vertical line.
     """
     figure = Figure(figsize=(plots.COLUMN, 0.35 + 1.75 * len(metrics)), layout="constrained")
-    others = (plots.BLUE, plots.GREEN, plots.PURPLE)
-    names = judged["gains"].values.tolist()
-    colors = {name: _COLORS.get(name, others[number % 3]) for number, name in enumerate(names)}
+    others = itertools.cycle((plots.BLUE, plots.GREEN, plots.PURPLE))
+    colors = {
+        name: _COLORS.get(name, other) for name, other in zip(judged["gains"].values.tolist(), others, strict=False)
+    }
     share = 100 * (np.arange(judged.sizes["member"]) + 1) / judged.sizes["member"]
     for panel, metric in zip(figure.subplots(len(metrics), 1, squeeze=False)[:, 0], metrics, strict=True):
         factor, label = _scaled(judged[metric])
@@ -199,9 +178,9 @@ def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation",
         limit = judged.attrs.get("holding_limit", np.inf)
         if metric == "peak_pull_force" and limit < panel.get_xlim()[1]:
             panel.axvline(limit, color=plots.RED, linewidth=0.8)
-    marks = {"mean": "o", "worst 5 %": "D"}
     handles = [key(name, color=color) for name, color in colors.items()]
-    handles += [key(label, color="0.3", marker=mark, ms=4, ls="") for label, mark in marks.items()]
+    for label, mark in (("mean", "o"), ("worst 5 %", "D")):
+        handles.append(key(label, color="0.3", marker=mark, ms=4, ls=""))
     plots.legend(figure, handles)
     return figure
 
@@ -249,27 +228,26 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     their geometric mean. Hollow marks break a limit.
     """
     gravity, kinds = table["gravity"].values, table.attrs["searched"].split()
-    colors = {load: _LOADS[number % len(_LOADS)] for number, load in enumerate(table["cargo"].values)}
+    colors = dict(zip(table["cargo"].values, itertools.cycle(_LOADS), strict=False))
     figure = Figure(figsize=(plots.COLUMN, 0.5 + 1.3 * (len(kinds) + 1)), layout="constrained")
     *panels, below = figure.subplots(len(kinds) + 1, 1, sharex=True)
 
-    def draw(panel: Axes, values: np.ndarray, dash: str, color: str, feasible: np.ndarray | None) -> None:
-        panel.plot(gravity, values, dash, color=color)
-        if feasible is not None:
-            panel.plot(gravity[feasible], values[feasible], "o", color=color, ms=3)
-            panel.plot(gravity[~feasible], values[~feasible], "o", color=color, ms=3, mfc="white")
-
     for load, color in colors.items():
-        point = table.sel(cargo=load)
+        point, curves = table.sel(cargo=load), []  # panel, values, dash, and whether a curve's points are marked
         feasible = point["feasible"].values.astype(bool)
         for panel, kind in zip(panels, kinds, strict=True):
-            for part, dash in zip(_translation_and_rotation(point[kind].values), "-:", strict=False):
-                draw(panel, part, dash, color, feasible)
+            logs = np.log(point[kind].values.reshape(gravity.size, -1))
+            parts = [part.mean(1) for part in (logs[:, :3], logs[:, 3:]) if part.size]
+            curves.append((panel, np.exp(parts[0]), "-", True))
+            if not np.allclose(parts[0], parts[-1]):
+                curves.append((panel, np.exp(parts[-1]), ":", True))
             panel.set_ylabel(_UNITS.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
-        variation = point["force_variation"]
-        for walk, dash in _DASHES.items():
-            left = 100 * (variation.sel(walk=walk) / variation.sel(walk="pd")).values
-            draw(below, left, dash, color, feasible if walk == "tuned" else None)
+        left = 100 * point["force_variation"] / point["force_variation"].sel(walk="pd")
+        curves += [(below, left.sel(walk=walk).values, dash, walk == "tuned") for walk, dash in _DASHES.items()]
+        for panel, values, dash, marked in curves:
+            panel.plot(gravity, values, dash, color=color)
+            for some, fill in ((feasible, color), (~feasible, "white")) if marked else ():
+                panel.plot(gravity[some], values[some], "o", color=color, ms=3, mfc=fill)
     for panel in panels:  # a decade at least: less would make mountains of what does not matter
         panel.set_yscale("log")
         low, high = panel.get_ylim()
@@ -282,13 +260,6 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     below.legend(handles=walks, fontsize=6.5)
     plots.legend(figure, [key(f"{load:g} kg", color=color) for load, color in colors.items()], "cargo")
     return figure
-
-
-def _translation_and_rotation(gain: np.ndarray) -> list[np.ndarray]:
-    """Return the geometric means of a gain (n, axes) or (n) over translations, and over rotations where they differ."""
-    logs = np.log(gain.reshape(len(gain), -1))
-    both = [part.mean(1) for part in (logs[:, :3], logs[:, 3:]) if part.size]
-    return [np.exp(part) for part in both[: 1 + (not np.allclose(both[0], both[-1]))]]
 
 
 @plots.style()
