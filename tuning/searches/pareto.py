@@ -281,9 +281,8 @@ def _front(table: mc.MetricTable, asked: Pareto, walks: Mapping[str, np.ndarray]
 
 def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:
     """Return the pairs of joint gains under pd that no other beats in both metrics, all limits but the rows' met."""
-    joint, walks = retuned_pd.walked_on_grid(
-        problem.scenario, problem.metrics, retuned_pd.FINE, dtype=np.float64, engine=problem.engine
-    )
+    how: dict[str, Any] = {"metrics": problem.metrics, "dtype": np.float64, "engine": problem.engine}
+    joint, walks = retuned_pd.walked_on_grid(problem.scenario, retuned_pd.FINE, **how)
     kept = [objectives.violation(limit, walks[limit.metric]) <= 0 for limit in problem.objective.limits]
     held = np.all([walks["detached_limb"] < 0, ~walks["diverged"].astype(bool), *kept], axis=0)
     on = _front(problem.metrics, asked, walks, held)

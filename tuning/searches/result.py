@@ -22,7 +22,7 @@ from tuning.gains.own_section import check_reference, reference
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Judge, Search
-from tuning.problem.spaces import to_gains64
+from tuning.problem.spaces import JOINT, to_gains64
 
 if TYPE_CHECKING:
     from tuning.report.page import Origin
@@ -163,7 +163,6 @@ class Tuned(Result):
         return dataset.save(self.data, path)
 
     def comment(self, name: str) -> str:
-        """Return the method, the space and the value."""
         return f"mjx-climb tune {name}: {self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
 
 
@@ -177,7 +176,6 @@ class Robust(Tuned):
     judges: int = Judge().members  # walks of each set of gains in the fresh draw that tests the result
 
     def comment(self, name: str) -> str:
-        """Return the method, the space, how many members, and the value."""
         how = f"{self.search.method}, {self.search.space}, {self.ensemble.members} members"
         return f"mjx-climb tune {name} --ensemble: {how}, objective {self.value:.4f} (pd: 1)"
 
@@ -186,48 +184,38 @@ def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarra
     """Return the result of the points evaluated so far.
 
     The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
-    A point whose joint gains are too much for the time step is neither, and has a penalty without end.
+    Joint gains shake at a long time step. A search may see little of it in one walk, but nobody can walk with them: a
+    point that would be the best, were its time step short enough, is infeasible and has a penalty without end.
 
     Raises:
         ValueError: nothing was evaluated.
     """
     if not arrays or not len(arrays["value"]):
         raise ValueError("expected a point that was evaluated, got none")
-    metrics, law = problem.metrics, problem.law
-    arrays = _without_the_unsteady(problem, arrays)
+    metrics, scenario, space = problem.metrics, problem.scenario, problem.space
+    arrays = {**arrays, "penalty": np.array(arrays["penalty"], float), "feasible": np.array(arrays["feasible"])}
+    while True:
+        best = best_of(arrays)
+        gains = to_gains64(space, np.asarray(arrays["theta"][best], float))
+        joint = {f"control.{name}": float(value) for name, value in by_name(gains).items() if name in JOINT}
+        steady = not joint or short_enough(scenario.with_overrides(joint))
+        if steady or not np.isfinite(arrays["penalty"][best]):
+            break
+        arrays["penalty"][best], arrays["feasible"][best] = np.inf, False
     data: dict[str, Any] = {}
     for name, values in arrays.items():
         about = {"units": "1", "long_name": name.replace("_", " ")}
         data[name] = ("point", values, dataset.metric_attributes(metrics[name]) if name in metrics.names else about)
     data["theta"] = (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})
-    gains = to_gains64(problem.space, np.asarray(arrays["theta"][best_of(arrays)], float))
-    attrs = {
-        "title": "search for gains", **dataset.provenance(problem.scenario), "search": search.to_yaml(),
-        "interrupted": int(interrupted), "gains": dataset.fields_as_json(by_name(gains)),
-    }  # fmt: skip
-    if law is not None:
-        attrs["law"] = reference(law)
-    coordinates = {"coordinate": list(problem.space.names), "point": np.arange(len(arrays["value"]))}
+    attrs: dict[str, Any] = {"title": "search for gains", **dataset.provenance(scenario), "search": search.to_yaml()}
+    attrs |= {"interrupted": int(interrupted), "gains": dataset.fields_as_json(by_name(gains))}
+    if problem.law is not None:
+        attrs["law"] = reference(problem.law)
+    coordinates = {"coordinate": list(space.names), "point": np.arange(len(arrays["value"]))}
     made = xr.Dataset(data, coordinates, attrs)
     if problem.ensemble is None:
         return Tuned(made, problem, search, gains=gains)
     return Robust(made, problem, search, problem.ensemble, gains)
-
-
-def _without_the_unsteady(problem: Problem, arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    """Return the arrays with a penalty for each point that would be the best, were its time step short enough.
-
-    Joint gains shake at a long time step. A search may see little of it in one walk, but nobody can walk with them.
-    """
-    penalty, feasible = np.array(arrays["penalty"], float), np.array(arrays["feasible"])
-    changed = {**arrays, "penalty": penalty, "feasible": feasible}
-    while np.isfinite(penalty[best := best_of(changed)]):
-        gains = by_name(to_gains64(problem.space, np.asarray(arrays["theta"][best], float)))
-        joint = {f"control.{name}": float(gains[name]) for name in ("kp", "kd") if gains.get(name) is not None}
-        if not joint or short_enough(problem.scenario.with_overrides(joint)):
-            break
-        penalty[best], feasible[best] = np.inf, False
-    return changed
 
 
 def best_of(arrays: Mapping[str, np.ndarray]) -> int:

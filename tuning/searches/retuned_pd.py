@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import short_enough
@@ -55,15 +54,7 @@ def search(
 
     A method of the caller's own is replaced by the default one, in its own number of rounds. The time step is one that
     all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were searched, it is the one of theirs.
-
-    Arguments:
-        problem: what was searched.
-        settings: of its search.
-        out: a folder that keeps each finished round in a folder of its own, see `tuning.tune`.
-        progress: called after each round.
-
-    Returns:
-        The search, or None where what was searched is itself pd.
+    `out` keeps each finished round in a folder of its own. None where what was searched is itself pd.
 
     Raises:
         KeyboardInterrupt: the user stopped it; with `out` it goes on from there.
@@ -79,26 +70,19 @@ def search(
     if JOINT.keys().isdisjoint(problem.space.gains):
         scenario = scenario.with_overrides({"time_step": time_step_for(problem.scenario, _highest(space))})
     rival = dataclasses.replace(problem, scenario=scenario, space=space, law=None)
-    again = tune.run(
-        rival, settings, out=None if out is None else Path(out) / parts.FOLDER / NAME, progress=progress
-    )  # fmt: skip
+    own = None if out is None else Path(out) / parts.FOLDER / NAME
+    again = tune.run(rival, settings, out=own, progress=progress)
     if again.interrupted:
         raise KeyboardInterrupt
     return again
 
 
 def walked_on_grid(
-    scenario: mc.Scenario,
-    metrics: mc.MetricTable,
-    counts: tuple[int, int] = _COARSE,
-    *,
-    parameters: mc.Parameters | None = None,
-    dtype: DTypeLike = np.float32,
-    engine: str = DEFAULT_ENGINE,
+    scenario: mc.Scenario, counts: tuple[int, int] = _COARSE, parameters: mc.Parameters | None = None, **how: Any
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Simulate pd with kp and kd on a grid within the bounds of a search, and with the scenario's own.
 
-    `parameters` (P) walk in place of the scenario's, all of them with each.
+    `parameters` (P) walk in place of the scenario's, all of them with each; `how` as of `mc.rollout_metrics`.
 
     Returns:
         kp and kd, (N,) each, and the metrics of their walks, (N) or (N, P).
@@ -108,7 +92,7 @@ def walked_on_grid(
     axes = [np.append(np.geomspace(*bounds[name], count), own[name]) for name, count in zip(own, counts, strict=True)]
     gains = dict(zip(own, (values.ravel() for values in np.meshgrid(*axes)), strict=True))
     each = gains if parameters is None else {name: values[:, None] for name, values in gains.items()}
-    walks = mc.rollout_metrics(pd, each, parameters, metrics=metrics, dtype=dtype, engine=engine)
+    walks = mc.rollout_metrics(pd, each, parameters, **how)
     return gains, {name: np.asarray(value) for name, value in walks.items()}
 
 
@@ -129,18 +113,22 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
     every = []
     for _ in range(ROUNDS):
         points = np.vstack([np.clip(centre + half * offsets, lower, upper), best])  # rounds of one size: one program
-        joint = dict(zip(JOINT, np.exp(points).T, strict=True))
-        walks = mc.rollout_metrics(pd, joint, metrics=table, engine=engine)
+        pairs = np.exp(points)
+        walks = mc.rollout_metrics(pd, dict(zip(JOINT, pairs.T, strict=True)), metrics=table, engine=engine)
         holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
         values = np.where(holds, walks["force_variation"], np.inf)
-        while np.isfinite(values[place := values.argmin()]) and not _follows(pd, _at(joint, place)):
+        while True:
+            place = values.argmin()
+            joint = dict(zip(JOINT, pairs[place].tolist(), strict=True))
+            if not np.isfinite(values[place]) or _follows(pd, joint):
+                break
             values[place] = np.inf
-        best = points[place]
         every.append(values)
-        centre, half = best, half * 2 / (POINTS - 1)
+        best = centre = points[place]
+        half = half * 2 / (POINTS - 1)
     if not np.isfinite(values[place]):
         return None
-    return Rival(_at(joint, place), float(values[place]), spread(np.concatenate(every)), _lacks(pd, highest))
+    return Rival(joint, float(values[place]), spread(np.concatenate(every)), _lacks(pd, highest))
 
 
 def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: int = HALVINGS) -> float:
@@ -185,8 +173,8 @@ def spread(values: np.ndarray) -> float:
 
 def rival_of(found: Tuned, retuned: Tuned, step: float | None = None) -> Rival:
     """Return what `search` found, to be compared with what it was searched for, at a time step of both."""
-    highest = _highest(spaces.space(retuned.scenario, retuned.search))
-    lacks, spreads = _lacks(retuned.scenario, highest), []
+    lacks = _lacks(retuned.scenario, _highest(spaces.space(retuned.scenario, retuned.search)))
+    spreads = []
     for each in (found, retuned):  # side by side: starts of a descent, a population, points of a grid
         rows = each.data["row"].values
         best = np.full(rows.max() + 1, np.inf)
@@ -205,10 +193,6 @@ def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
 
 def _highest(space: spaces.Space) -> dict[str, float]:
     return dict(zip(space.names, np.exp(space.upper), strict=True))
-
-
-def _at(joint: Mapping[str, np.ndarray], place: int | np.integer) -> dict[str, float]:
-    return {name: float(values[place]) for name, values in joint.items()}
 
 
 class Worth(NamedTuple):
@@ -238,8 +222,7 @@ def worth(
 
     Arguments:
         values: first what the gains were found for, then what else is to be said of them.
-        without: the same of pd retuned.
-        rival: pd retuned.
+        without: the same of pd retuned, which is `rival`.
         larger: whether more of the first value is better, not less.
         place: where the gains were searched, if that is not all there is.
         others: what else is worse, and what is better, in words.
@@ -251,8 +234,8 @@ def worth(
         return Worth(changes, f"the force sensor: not to be compared with {than}: a walk failed")
     first = next(iter(changes.values()))
     if abs(first) <= rival.spread:
-        beyond = f"beyond the search's own spread of {100 * rival.spread:.1f} %"
-        verdict = f"the force sensor changes nothing{place} {beyond}"
+        spread = f"the search's own spread of {100 * rival.spread:.1f} %"
+        verdict = f"the force sensor changes nothing{place} beyond {spread}"
     elif not (first > 0 if larger else first < 0):
         verdict = f"the force sensor does not pay{place}"
     elif rival.lacks:
@@ -263,7 +246,6 @@ def worth(
         f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'} {name.replace('_', ' ')}"
         for name, change in changes.items()
     ]
-    text = f"{verdict}: {' and '.join(said)} than {than}"
-    text += "" if rival.step is None else f", both at a time step of {rival.step:g} s"
-    named = zip(("worse", "better"), others, strict=True)
-    return Worth(changes, "; ".join([text, *(f"{which}: {', '.join(each)}" for which, each in named if each)]))
+    step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
+    more = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
+    return Worth(changes, "; ".join([f"{verdict}: {' and '.join(said)} than {than}{step}", *more]))

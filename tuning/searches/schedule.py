@@ -229,8 +229,8 @@ def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, tran
 
 def _retuned(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return kp and kd, (P,) each, with which pd is best at each point, of a grid, and what it is worth, 1 for pd."""
-    how: dict[str, Any] = {"dtype": problem.dtype, "engine": problem.engine}
-    gains, walks = retuned_pd.walked_on_grid(problem.scenario, problem.metrics, parameters=problem.parameters, **how)
+    how: dict[str, Any] = {"metrics": problem.metrics, "dtype": problem.dtype, "engine": problem.engine}
+    gains, walks = retuned_pd.walked_on_grid(problem.scenario, parameters=problem.parameters, **how)
     score = problem.objective.score({name: jnp.asarray(values) for name, values in walks.items()})
     value, feasible = np.asarray(score.value), np.asarray(score.feasible)
     ranks = np.where(feasible, value, 1e3 + value + np.asarray(score.penalty))

@@ -21,39 +21,29 @@ SPREAD = 0.2  # of the first population, relative to the width of the box
 
 def rounds(task: Task) -> int:
     """Return how many generations a run takes at most."""
-    return task.search.iterations or (MANY if _by_kernel(task) else GENERATIONS)
+    return task.search.iterations or (MANY if execution.many_at_once(task.problem.dtype) else GENERATIONS)
 
 
 def population(task: Task) -> int:
     """Return how many points a generation has: the package's own number, many where they walk side by side on a GPU."""
     size = task.problem.space.size
     few = 4 + math.floor(3 * math.log(size))
-    if task.search.starts or not _by_kernel(task):
+    if task.search.starts or not execution.many_at_once(task.problem.dtype):
         return task.search.starts or few
     return max(few, min(OF_MANY * size, WALKS // task.problem.members))
-
-
-def _by_kernel(task: Task) -> bool:
-    return execution.many_at_once(task.problem.dtype)
 
 
 def run(task: Task) -> Points:
     """Draw populations, the first round the scenario's own gains, until they agree or the generations are spent."""
     from cmaes import CMA
 
-    space = task.problem.space
+    space, by_kernel = task.problem.space, execution.many_at_once(task.problem.dtype)
     if space.size == 1:
         raise ValueError("cmaes: expected two gains or more to search")
-    width = space.upper - space.lower
-    size, by_kernel = population(task), _by_kernel(task)
+    width, box = space.upper - space.lower, np.tile([0.0, 1.0], (space.size, 1))
+    mean, size = (task.start - space.lower) / width, population(task)
+    optimizer = CMA(mean=mean, sigma=SPREAD, bounds=box, seed=task.search.seed, population_size=size)
     best: list[float] = []
-    optimizer = CMA(
-        mean=(task.start - space.lower) / width,
-        sigma=SPREAD,
-        bounds=np.tile([0.0, 1.0], (space.size, 1)),
-        seed=task.search.seed,
-        population_size=size,
-    )
     for _ in range(rounds(task)):
         unit = drawn(optimizer)
         found = yield Request(space.lower + width * unit, None, "population")

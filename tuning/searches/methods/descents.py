@@ -54,14 +54,19 @@ def rounds(task: Task) -> int:
 
 
 def run(task: Task, single: Descend, tied: Descend, race: Descend, alone: Descend) -> Points:
-    """Choose starts, descend with the axes tied, let the two best race with the axes free, go on with the winner.
+    """Descend from several starts with the axes tied, let the two best race with the axes free, go on with the winner.
 
-    A space whose axes are tied anyway has a single descent.
+    The scenario's own gains are the first start, the others the best of random points. A space whose axes are tied
+    anyway has a single descent.
     """
-    space = task.problem.space
+    space, count, theta = task.problem.space, task.search.starts or STARTS, task.start[None]
     rng = np.random.default_rng(task.search.seed)
     first, *others = iterations(task)
-    theta = yield from _starts(task, rng)
+    if count > 1:
+        # the same gains on all axes: of points drawn in twelve dimensions hardly one is any good
+        drawn = space.draw_tied(rng, CANDIDATES * (count - 1))
+        found = yield Request(drawn, None, "random points")
+        theta = np.concatenate([theta, drawn[np.argsort(found.merit, kind="stable")[: count - 1]]])
     scales = np.ones(len(theta))
     if not others:
         yield from single(task, Leg(theta, space.ties, first, "descent", scales), rng)
@@ -70,20 +75,6 @@ def run(task: Task, single: Descend, tied: Descend, race: Descend, alone: Descen
     free, theta = np.eye(space.size), _best(*visited, len(SCALES))
     visited = yield from race(task, Leg(theta, free, others[0], "axes free", SCALES[: len(theta)]), rng)
     yield from alone(task, Leg(_best(*visited, 1), free, others[1], "winner alone", np.ones(1)), rng)
-
-
-def _starts(task: Task, rng: np.random.Generator) -> Generator[Request, Evaluation, np.ndarray]:
-    """Return (count, n) points: the scenario's own gains first, then the best of a Latin hypercube.
-
-    Random points have the same gains on all axes: of points drawn in twelve dimensions hardly one is any good.
-    """
-    count = task.search.starts or STARTS
-    if count == 1:
-        return task.start[None]
-    drawn = task.problem.space.draw_tied(rng, CANDIDATES * (count - 1))
-    found = yield Request(drawn, None, "random points")
-    best = np.argsort(found.merit, kind="stable")[: count - 1]
-    return np.concatenate([task.start[None], drawn[best]])
 
 
 def _best(visited: np.ndarray, merits: np.ndarray, count: int) -> np.ndarray:
@@ -107,7 +98,7 @@ def again(task: Task, theta: np.ndarray, iterations: int, number: int, of: int, 
 
 
 class Pace(NamedTuple):
-    """How a descent moves."""
+    """How a descent by Adam moves."""
 
     rate: float  # of the first step, in the logarithm of a gain
     last: float  # share of it at the end
@@ -155,15 +146,12 @@ def by_adam(task: Task, leg: Leg, rng: np.random.Generator, pace: Pace = TIED) -
         over = found.value > value_there + FALL * np.maximum(1.0, np.abs(value_there))
         lost = over | ~(found.alive & np.isfinite(gradient).all(1))
         better = ~lost & (found.merit < least)
-        best, gradient_there = (
-            np.where(better[:, None], *pair) for pair in ((theta, best), (gradient, gradient_there))
-        )
-        least, value_there = (np.where(better, *pair) for pair in ((found.merit, least), (found.value, value_there)))
-
+        here, there = (theta, gradient, found.merit, found.value), (best, gradient_there, least, value_there)
+        best, gradient_there, least, value_there = choose(better, here, there)
         waited = np.where(better, 0, waited + 1)
         back = lost | (waited >= pace.patience)
         waited = np.where(back, 0, waited)
-        theta, clipped = (np.where(back[:, None], *pair) for pair in ((best, theta), (gradient_there, gradient)))
+        theta, clipped = choose(back, (best, gradient_there), (theta, gradient))
         scales = np.where(back & np.isfinite(least), BACK * scales, scales)
         state = choose(back, blank, state)
         clipped = clipped * np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(clipped, axis=1, keepdims=True), 1e-12))
@@ -173,8 +161,7 @@ def by_adam(task: Task, leg: Leg, rng: np.random.Generator, pace: Pace = TIED) -
         theta = space.clip(theta - rates * np.asarray(steps, float) @ ties)
         homeless = lost & np.isinf(least)
         if homeless.any():
-            theta = np.where(homeless[:, None], space.draw_tied(rng, len(theta)), theta)
-            state = choose(homeless, blank, state)
+            theta, state = choose(homeless, (space.draw_tied(rng, len(theta)), blank), (theta, state))
     return np.array(visited), np.array(merits)
 
 
@@ -218,10 +205,8 @@ def by_lbfgs(task: Task, leg: Leg, rng: np.random.Generator) -> Descent:
         good = found.alive & np.isfinite(found.gradient).all(1)
         promised = np.minimum((gradient * (aim - place)).sum(1), 0.0)
         accepted = good & (np.isinf(value) | (found.descent <= value + DECREASE * promised))
-        theta, place = np.where(accepted[:, None], trial, theta), np.where(accepted[:, None], aim, place)
-        value = np.where(accepted, found.descent, value)
-        gradient = np.where(accepted[:, None], found.gradient, gradient)
-
+        there = theta, place, value, gradient
+        theta, place, value, gradient = choose(accepted, (trial, aim, found.descent, found.gradient), there)
         outwards = _outwards(space, theta, gradient, ties)
         free = np.where(outwards, 0.0, gradient).astype(np.float32)
         with jax.enable_x64(False):
@@ -230,34 +215,28 @@ def by_lbfgs(task: Task, leg: Leg, rng: np.random.Generator) -> Descent:
         directions = np.where(outwards, 0.0, np.asarray(directions, float))
         directions = np.where(((directions * free).sum(1) > 0)[:, None], -directions, -free)
         norm = np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-        directions *= np.where(
-            fresh[:, None], scales[:, None] * FIRST_STEP / norm, np.minimum(1.0, LONGEST_STEP / norm)
-        )
+        shorter = np.minimum(1.0, LONGEST_STEP / norm)
+        directions *= np.where(fresh[:, None], scales[:, None] * FIRST_STEP / norm, shorter)
         fresh &= ~accepted
-
         length = np.where(accepted, 1.0, length * SHRINK)
         step = np.where(accepted[:, None], directions, step)
         stuck = length < GIVE_UP
         if stuck.any():
-            state = choose(stuck, blank, state)
             along = -free / np.maximum(np.linalg.norm(free, axis=1, keepdims=True), 1e-12)
-            step, length = np.where(stuck[:, None], along, step), np.where(stuck, 0.1, length)
+            state, step = choose(stuck, (blank, along), (state, step))
+            length = np.where(stuck, 0.1, length)
         aim = place + length[:, None] * step
         trial = space.clip(theta + (aim - place) @ ties)
         unborn = np.isinf(value)
         if unborn.any():
-            trial = np.where(unborn[:, None], space.draw_tied(rng, count), trial)
-            theta = np.where(unborn[:, None], trial, theta)
-            aim, length = np.where(unborn[:, None], place, aim), np.where(unborn, 1.0, length)
+            trial = choose(unborn, space.draw_tied(rng, count), trial)
+            theta, aim = choose(unborn, (trial, place), (theta, aim))
+            length = np.where(unborn, 1.0, length)
     return np.array(visited), np.array(merits)
 
 
 def _outwards(space: Space, theta: np.ndarray, gradient: np.ndarray, ties: np.ndarray) -> np.ndarray:
-    """Return (B, k) which directions lie on a bound and would pass it: they take no part in a step."""
-
-    def all_of(flags: np.ndarray) -> np.ndarray:
-        """Return (B, k) whether a flag (B, n) is set for every coordinate that a direction moves."""
-        return np.asarray((flags.astype(float) @ ties.T) >= ties.sum(1))
-
-    lowest, highest = all_of(theta <= space.lower), all_of(theta >= space.upper)
+    """Return (B, k) which directions have all their coordinates on a bound and would pass it: no step goes there."""
+    ends = theta <= space.lower, theta >= space.upper
+    lowest, highest = ((at.astype(float) @ ties.T) >= ties.sum(1) for at in ends)
     return np.asarray((lowest & (gradient > 0)) | (highest & (gradient < 0)))

@@ -16,43 +16,31 @@ REFINEMENTS = 2
 BATCH = 256
 
 
+def _plan(task: Task) -> tuple[int, int, int]:
+    """Return how many points a coordinate has, how often the grid is refined, and how many points a batch has."""
+    n, again = task.problem.space.size, task.search.iterations
+    if n > MOST:
+        got = f"got {n} (pin some, or choose another method)"
+        raise ConfigError(f"method: expected a space of at most {MOST} gains for a grid, {got}")
+    points = task.search.starts or POINTS[n]
+    dense = points**n
+    return points, REFINEMENTS if again is None else again - 1, math.ceil(dense / math.ceil(dense / BATCH))
+
+
 def rounds(task: Task) -> int:
     """Return how many rounds a run takes."""
-    dense, fine = _sizes(task)
-    return math.ceil(dense / _batch(dense)) + _refinements(task) * math.ceil(CELLS * fine / _batch(dense))
-
-
-def _refinements(task: Task) -> int:
-    return REFINEMENTS if task.search.iterations is None else task.search.iterations - 1
-
-
-def _points(task: Task) -> int:
-    return task.search.starts or POINTS[task.problem.space.size]
-
-
-def _sizes(task: Task) -> tuple[int, int]:
-    n = task.problem.space.size
-    if n > MOST:
-        raise ConfigError(
-            f"method: expected a space of at most {MOST} gains for a grid, got {n} (pin some, or choose another method)"
-        )
-    return _points(task) ** n, FINE[n] ** n
-
-
-def _batch(dense: int) -> int:
-    return math.ceil(dense / math.ceil(dense / BATCH))
+    n, (points, refinements, batch) = task.problem.space.size, _plan(task)
+    return int(math.ceil(points**n / batch) + refinements * math.ceil(CELLS * FINE[n] ** n / batch))
 
 
 def run(task: Task) -> Points:
     """Evaluate a grid of `starts` points per coordinate, then refine `iterations` - 1 times round its best points."""
-    space = task.problem.space
-    dense, _ = _sizes(task)
-    batch = _batch(dense)
-    axes = [np.linspace(*ends, _points(task)) for ends in zip(space.lower, space.upper, strict=True)]
+    space, (count, refinements, batch) = task.problem.space, _plan(task)
+    axes = [np.linspace(*ends, count) for ends in zip(space.lower, space.upper, strict=True)]
     cell = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
     points = np.array(list(itertools.product(*axes)))
     evaluated, merits = [], []
-    for level in range(1 + _refinements(task)):
+    for level in range(1 + refinements):
         phase = "grid" if level == 0 else "refined grid"
         for begin in range(0, len(points), batch):
             # the last batch is filled up with its last point, so that one program walks them all
