@@ -449,7 +449,7 @@ def merge(asked: Merge, output: Output) -> None:
         target, about = output.out or shards.home(kept), kept[0].about
         if target is None:
             raise InputError("--out: expected a folder for the result, as the shards lie in several places")
-        kind = "judge" if kept[0].identity["kind"] == judging.KIND else "sweep"
+        kind = "judge" if kept[0].identity["kind"] == judging.Judged.KIND else "sweep"
         shell.claim(ROWS[kind][0], about.get("name", "the scenario"), at=target)
         found = shards.merged(kept, law, table)
         written = shell.write(found, about.get("repeat") or "the same command")

@@ -33,7 +33,6 @@ from tuning.searches.result import Result
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 from tuning.searches.sweep import default_batch_size
 
-KIND = "judge"  # of shards
 MEMBERS = Judge().members
 WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that no search sees
@@ -131,12 +130,10 @@ class Draw:
 
     @property
     def rows(self) -> int:
-        """How many members."""
         return self.problem.members
 
     @property
     def size(self) -> int:
-        """How many members walk at a time."""
         return default_batch_size(self.rows, self.problem.scenario.steps)
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -157,7 +154,6 @@ class Draw:
         return {name: np.concatenate([each[name] for each in found], axis=1) for name in self.problem.metrics.names}
 
     def name(self, row: int) -> str:
-        """Return a member in words."""
         return f"member {row}"
 
     def dataset(self, arrays: Mapping[str, np.ndarray]) -> xr.Dataset:
@@ -179,16 +175,14 @@ class Draw:
         return xr.Dataset(data, {"gains": [*self.gains, *self.pd, PD], "member": np.arange(members)}, attrs)
 
     def result(self, arrays: Mapping[str, np.ndarray]) -> Judged:
-        """Return what all rows gave."""
         return Judged(self.dataset(arrays), self.problem, ensemble=self.ensemble)
 
     def identity(self) -> dict[str, Any]:
-        """Return all that determines the numbers of a row, bit by bit."""
         gains = {
             name: {key: np.asarray(value, float).tolist() for key, value in by_name(own).items()}
             for name, own in self.gains.items()
         }
-        return {"kind": KIND, **identity_of(self.problem), "gains": gains, "batch_size": self.size}
+        return {"kind": Judged.KIND, **identity_of(self.problem), "gains": gains, "batch_size": self.size}
 
     def write_asked(self, folder: Path) -> None:
         """Write scenario, law, ensemble and gains for `read_asked`."""

@@ -8,7 +8,7 @@ was walked on the way is a candidate; the front is what nothing else beats in bo
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -191,8 +191,7 @@ def without_sensor(front: xr.Dataset, index: int, about: mc.MetricTable = mc.MET
     return front.isel(without=int(within[values.argmin()]))
 
 
-@dataclasses.dataclass(frozen=True)
-class Walked:
+class Walked(NamedTuple):
     """All points that were walked, with the smaller cost the better; infinite where a constraint is broken."""
 
     theta: np.ndarray  # (N, n)
@@ -236,18 +235,15 @@ def _limits(problem: Problem, asked: Pareto, walked: Walked) -> np.ndarray:
 
 def _best_within(walked: Walked, ceilings: np.ndarray) -> np.ndarray:
     """Return for each ceiling on x the best point within it (points, n), else the one that comes closest to it."""
-    rows = []
-    for ceiling in ceilings:
-        inside = walked.x <= ceiling
-        rows.append(np.argmin(np.where(inside, walked.y, np.inf)) if inside.any() else np.argmin(walked.x))
-    return np.asarray(walked.theta[rows])
+    inside = walked.x <= ceilings[:, None]
+    best = np.where(inside, walked.y, np.inf).argmin(1)
+    return np.asarray(walked.theta[np.where(inside.any(1), best, walked.x.argmin())])
 
 
 def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> xr.Dataset:
     """Return the front among all that was walked, within the widest ceiling where there are such points."""
     scenario, table, law = problem.scenario, problem.metrics, problem.law
-    candidates = nondominated(walked.x, walked.y)
-    candidates = candidates[np.isfinite(walked.y[candidates])]
+    candidates = _on_front(walked.x, walked.y)
     within = walked.x[candidates] <= widest * (1 + 1e-6 * np.sign(widest))
     gains = to_gains64(problem.space, walked.theta[candidates[within] if within.any() else candidates])
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
@@ -272,11 +268,15 @@ def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> 
     return xr.Dataset(data, coordinates | axes_of(gains_on), attrs)
 
 
+def _on_front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the indices of the points on the front that hold, which is where their costs are finite."""
+    on = nondominated(x, y)
+    return np.asarray(on[np.isfinite(y[on])])
+
+
 def _front(table: mc.MetricTable, asked: Pareto, walks: Mapping[str, np.ndarray], held: np.ndarray) -> np.ndarray:
     """Return the indices of the walks on the front of those that held."""
-    costs = [np.where(held, _sign(table[name]) * walks[name], np.inf) for name in (asked.against, asked.better)]
-    on = nondominated(*costs)
-    return np.asarray(on[np.isfinite(costs[1][on])])
+    return _on_front(*(np.where(held, _sign(table[n]) * walks[n], np.inf) for n in (asked.against, asked.better)))
 
 
 def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:
@@ -284,12 +284,15 @@ def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:
     how: dict[str, Any] = {"metrics": problem.metrics, "dtype": np.float64, "engine": problem.engine}
     joint, walks = retuned_pd.walked_on_grid(problem.scenario, retuned_pd.FINE, **how)
     kept = [objectives.violation(limit, walks[limit.metric]) <= 0 for limit in problem.objective.limits]
-    held = np.all([walks["detached_limb"] < 0, ~walks["diverged"].astype(bool), *kept], axis=0)
-    on = _front(problem.metrics, asked, walks, held)
+    on = _front(
+        problem.metrics,
+        asked,
+        walks,
+        np.all([walks["detached_limb"] < 0, ~walks["diverged"].astype(bool), *kept], axis=0),
+    )
     found: dict[str, Any] = {}
     for (name, values), unit in zip(joint.items(), ("N m/rad", "N m s/rad"), strict=True):
         found[f"without_{name}"] = ("without", values[on], {"units": unit})
     for name in (asked.against, asked.better):
-        about = dataset.metric_attributes(problem.metrics[name])
-        found[f"without_{name}"] = ("without", walks[name][on], about)
+        found[f"without_{name}"] = ("without", walks[name][on], dataset.metric_attributes(problem.metrics[name]))
     return found

@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -39,6 +39,7 @@ CANDIDATES = 24  # random points per operating point
 ITERATIONS = (10, 8)  # of the two descents
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")  # in tables
 _VARIED = ("gravity", "cargo_mass")
+_SHARED = ("metric", "weight", "margin", "reason", "larger_is_better")  # of terms and limits, by all operating points
 _Row = TypeVar("_Row", Term, Limit)
 
 
@@ -176,52 +177,46 @@ def objective_at(
 def _rows(rows: Sequence[Objective]) -> Objective:
     """Return one objective for a batch whose rows have their own."""
 
-    def joined(kind: type[_Row], items: Sequence[_Row]) -> _Row:
-        merged: dict[str, Any] = {name: tuple(getattr(item, name) for item in items) for name in kind._fields}
-        same = {name: values[0] for name, values in merged.items() if isinstance(values[0], str)}
-        same |= {name: merged[name][0] for name in ("weight", "margin", "larger_is_better") if name in merged}
-        return kind(**{**merged, **same})
+    def joined(items: Sequence[_Row]) -> _Row:
+        own: dict[str, Any] = {name: tuple(getattr(item, name) for item in items) for name in items[0]._fields}
+        return items[0]._replace(**{name: values for name, values in own.items() if name not in _SHARED})
 
-    terms = tuple(joined(Term, items) for items in zip(*(row.terms for row in rows), strict=True))
-    limits = tuple(joined(Limit, items) for items in zip(*(row.limits for row in rows), strict=True))
-    return Objective(terms, limits)
+    terms = tuple(map(joined, zip(*(row.terms for row in rows), strict=True)))
+    return Objective(terms, tuple(map(joined, zip(*(row.limits for row in rows), strict=True))))
 
 
 def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, transfer: np.ndarray) -> xr.Dataset:
     problem, asked = points.problem, points.asked
     scenario, space, table, law = problem.scenario, problem.space, problem.metrics, problem.law
-    shape = (len(asked.gravity), len(asked.cargo))
+    shape, here = (len(asked.gravity), len(asked.cargo)), ("gravity", "cargo")
     gains = to_gains64(space, theta)
     pd, (joint, without) = under_pd(scenario), _retuned(problem)
     own = {name: np.full(len(theta), float(getattr(scenario.control, name))) for name in joint}  # pd's one program
     walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
-    walkers = {
-        "tuned": (scenario, gains, law), "config": (scenario, None, law),
-        retuned_pd.NAME: (pd, joint, None), "pd": (pd, own, None),
-    }  # fmt: skip
+    walkers = {"tuned": (scenario, gains, law), "config": (scenario, None, law)}
+    walkers |= {retuned_pd.NAME: (pd, joint, None), "pd": (pd, own, None)}
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
     metrics = [mc.rollout_metrics(s, g, problem.parameters, law=own, **how) for s, g, own in walkers.values()]
     values = {name: value.reshape(*shape, *value.shape[1:]) for name, value in by_name(gains).items()}
-    tuned = labelled(values, ("gravity", "cargo"), law)
+    tuned = labelled(values, here, law)
     data: dict[str, Any] = dict(tuned)
-    data["value"] = (("gravity", "cargo"), np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
-    data["feasible"] = (("gravity", "cargo"), (merit < 1e3).reshape(shape), {"units": "1"})
-    data["transfer"] = (("gravity", "cargo", "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
+    data["value"] = (here, np.where(merit < 1e3, merit, np.nan).reshape(shape), {"units": "1"})
+    data["feasible"] = (here, (merit < 1e3).reshape(shape), {"units": "1"})
+    data["transfer"] = ((*here, "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
     for name, of_each in (*joint.items(), ("value", without)):
         units = dataset.COORDINATES[name][0] if name in joint else "1"
-        data[f"retuned_{name}"] = (("gravity", "cargo"), of_each.reshape(shape), {"units": units})
+        data[f"retuned_{name}"] = (here, of_each.reshape(shape), {"units": units})
     bounds = [", ".join(space.on_bound(point)) for point in theta]
-    data["on_bound"] = (("gravity", "cargo"), np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})
+    data["on_bound"] = (here, np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})
     for metric in table:
         values_of = np.stack([m[metric.name].reshape(shape) for m in metrics])
-        data[metric.name] = (("walk", "gravity", "cargo"), values_of, dataset.metric_attributes(metric))
+        data[metric.name] = (("walk", *here), values_of, dataset.metric_attributes(metric))
+    gravity, cargo = np.asarray(asked.gravity, float), np.asarray(asked.cargo, float)
     coordinates = {
-        "gravity": ("gravity", np.asarray(asked.gravity, float), {"units": "G", "long_name": "gravity"}),
-        "cargo": ("cargo", np.asarray(asked.cargo, float), {"units": "kg", "long_name": "mass of the cargo"}),
-        "gravity_of": np.asarray(asked.gravity, float),
-        "cargo_of": np.asarray(asked.cargo, float),
-        "walk": list(walkers),
-    }
+        "gravity": ("gravity", gravity, {"units": "G", "long_name": "gravity"}),
+        "cargo": ("cargo", cargo, {"units": "kg", "long_name": "mass of the cargo"}),
+        "gravity_of": gravity, "cargo_of": cargo, "walk": list(walkers),
+    }  # fmt: skip
     attrs = {"title": "gain schedule", "search": points.search.to_yaml()}
     attrs |= {"space": " ".join(space.names), "gains": " ".join(tuned), "searched": " ".join(space.gains)}
     return xr.Dataset(data, coordinates | axes_of(tuned), {**attrs, **dataset.provenance(scenario)})
@@ -286,16 +281,11 @@ def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
     return float(table["gravity"][g]), float(table["cargo"][c]), float(worst[g, c])
 
 
-def _points(table: xr.Dataset) -> Iterator[xr.Dataset]:
-    for g in range(table.sizes["gravity"]):
-        for c in range(table.sizes["cargo"]):
-            yield table.isel(gravity=g, cargo=c)
-
-
 def rows(table: xr.Dataset) -> list[dict[str, Any]]:
     """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd."""
     result = []
-    for point in _points(table):
+    for g, c in np.ndindex(table["value"].shape):
+        point = table.isel(gravity=g, cargo=c)
         row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
         for name in table.attrs["gains"].split():
             values = np.unique(np.round(point[name].values.ravel(), 12))
@@ -311,7 +301,8 @@ def rows(table: xr.Dataset) -> list[dict[str, Any]]:
 def to_csv(table: xr.Dataset) -> str:
     """Return the schedule as CSV: one line per operating point, a column per axis of each gain."""
     lines = []
-    for point in _points(table):
+    for g, c in np.ndindex(table["value"].shape):
+        point = table.isel(gravity=g, cargo=c)
         cells = {"gravity_G": point["gravity"], "cargo_kg": point["cargo"]}
         for name in table.attrs["gains"].split():
             axes = [str(axis) for dim in point[name].dims for axis in point[dim].values]

@@ -29,7 +29,6 @@ from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 
 Axes = Mapping[str, ArrayLike]  # two gains by name
 
-KIND = "sweep"  # of shards
 MOST = 10**9  # walks: their metrics alone are some 80 GB
 HISTORIES = 256  # walks up to which a grid keeps time histories
 GAINS_FILE = "gains.yaml"  # beside a shard
@@ -151,7 +150,6 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """How many walks."""
         return math.prod(self.shape)
 
     def _values(self, rows: np.ndarray | int) -> dict[str, np.ndarray]:
@@ -167,7 +165,6 @@ class Grid:
         return walk(walked.scenario, gains, dtype=walked.dtype, **walked.walks)
 
     def name(self, row: int) -> str:
-        """Return a pair of gains in words."""
         return " ".join(f"{name} {value:.4g}" for name, value in self._values(row).items())
 
     def result(self, arrays: Mapping[str, np.ndarray]) -> Swept:
@@ -195,10 +192,9 @@ class Grid:
         return Swept(data, self.problem, gains=self.gains)
 
     def identity(self) -> dict[str, Any]:
-        """Return all that determines the numbers of a sweep, bit by bit."""
         axes = {name: values.tolist() for name, values in self.axes.items()}
         how = {"dtype": np.dtype(self.walked.dtype).name, "batch_size": self.size, "histories": self.rows <= HISTORIES}
-        return {"kind": KIND, **identity_of(self.walked), "axes": axes, **how}
+        return {"kind": Swept.KIND, **identity_of(self.walked), "axes": axes, **how}
 
     def write_asked(self, folder: Path) -> None:
         """Write scenario, law and gains for `read_asked`."""
