@@ -35,17 +35,6 @@ def torn():
     return mc.rollout(mc.Scenario().with_overrides({**CASE, "contact.holding_limit": 2.0}))
 
 
-def diverged(trajectory):
-    """The walk as it would be if its state grew without bound from 0.8 s on."""
-    late = np.maximum(trajectory.time - 0.8, 0)
-    growth = np.where(late < 0.1, np.exp(np.minimum(1000 * late, 300)), np.nan)
-    changes = {
-        name: getattr(trajectory, name) * growth.reshape(-1, *[1] * (getattr(trajectory, name).ndim - 1))
-        for name in ("base_position", "joint_rates", "foot_force", "joint_torque", "tsm")
-    }
-    return dataclasses.replace(trajectory, **changes)
-
-
 def grid(**more):
     """Metrics over 4 stiffnesses and 3 dampings: one walk lost a gripper, one diverged."""
     values = np.geomspace(1.0, 2.0, 12).reshape(4, 3)
@@ -60,11 +49,11 @@ def grid(**more):
         "detached_limb": (limb, names),
         "diverged": (np.isnan(values), {}),
     }
-    variables = {name: (("stiffness", "damping"), *rest) for name, rest in data.items()}
-    made = xr.Dataset(variables, {"stiffness": [1e2, 1e3, 1e4, 1e5], "damping": [1e0, 1e2, 1e4]})
-    for name, numbers in more.items():
-        made[name][:] = numbers
-    return made
+    variables = {
+        name: (("stiffness", "damping"), np.full((4, 3), more.get(name, numbers)), attributes)
+        for name, (numbers, attributes) in data.items()
+    }
+    return xr.Dataset(variables, {"stiffness": [1e2, 1e3, 1e4, 1e5], "damping": [1e0, 1e2, 1e4]})
 
 
 def find(figure, gid):
@@ -72,7 +61,7 @@ def find(figure, gid):
 
 
 def texts(figure):
-    return [text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))]
+    return {text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))}
 
 
 def y_labels(figure):
@@ -91,17 +80,13 @@ def test_thin_keeps_the_extremes_and_the_ends():
     values[[17, 4321]] = 9.0, -9.0
     thin_time, thin_values = plots.thin(time, values)
     assert thin_time.size <= 1502 and (np.diff(thin_time) > 0).all()
-    assert thin_values.max() == 9.0 and thin_values.min() == -9.0
-    assert thin_time[0] == time[0] and thin_time[-1] == time[-1]
-
-
-def series(panel):
-    """Return the lines over time that a panel shows, without its marks."""
-    return [line for line in panel.lines if len(line.get_xdata()) > 2]
+    assert (thin_values.max(), thin_values.min()) == (9.0, -9.0)
+    assert (thin_time[0], thin_time[-1]) == (time[0], time[-1])
 
 
 def assert_drawn(panel, walk, expected):
-    found = series(panel)
+    """Compare the lines over time that a panel shows, without its marks."""
+    found = [line for line in panel.lines if len(line.get_xdata()) > 2]
     assert len(found) == len(expected), panel.get_ylabel()
     for line, values in zip(found, expected, strict=True):
         time, values = plots.thin(walk.time, values)
@@ -111,13 +96,12 @@ def assert_drawn(panel, walk, expected):
 
 def shown(walk):
     """Return the lines of every panel: millimetres and milliradians where the axis says so."""
-    error, shift = 1e3 * (walk.base_position - walk.base_reference).T, 1e3 * walk.base_displacement.T
-    torques = walk.joint_torque.transpose(2, 1, 0)
+    shift, torques = 1e3 * walk.base_displacement.T, walk.joint_torque.transpose(2, 1, 0)
     return {
         "largest foot force [N]": [np.linalg.norm(walk.foot_force, axis=2).max(1)],
         **{f"{name} $\\tau$ [N m]": torques[i] for i, name in enumerate(("coxa", "femur", "tibia"))},
         "base [mm]": 1e3 * (walk.base_position - walk.base_reference[0]).T,
-        "base off ref. [mm]": error,
+        "base off ref. [mm]": 1e3 * (walk.base_position - walk.base_reference).T,
         "shift $\\Delta x$ [mm]": shift[:3],
         "turn $\\Delta x$ [mrad]": shift[3:],
         "TSM [m]": [walk.tsm],
@@ -146,8 +130,7 @@ def test_a_mark_is_on_its_line(torn):
     row = int(np.searchsorted(torn.time, instant))
     figure = plots.plot_walk(torn)
     crosses = [find(panel, "detachment")[0] for panel in figure.axes]
-    assert {cross.get_color() for cross in crosses} == {plots.RED}
-    assert {cross.get_xdata()[0] for cross in crosses} == {instant}
+    assert {(cross.get_color(), cross.get_xdata()[0]) for cross in crosses} == {(plots.RED, instant)}
     expected = [max((line[row] for line in lines), key=abs) for lines in list(shown(torn).values())[:-1]]
     places = [cross.get_ydata()[0] for cross in crosses]
     np.testing.assert_allclose(places, [*expected, torn.limbs.index(limb)], rtol=1e-12)
@@ -166,15 +149,10 @@ def test_every_panel_of_a_comparison_shows_its_series(walk, torn):
     figure = plots.plot_comparison({"pd": walk, "proposed": torn}, "Case 2", per_limb=True)
     for panel, expected in zip(figure.axes, zip(lines(walk), lines(torn), strict=True), strict=True):
         assert_drawn(panel, walk, expected)
-    assert y_labels(figure) == [
-        "largest foot force [N]",
-        "largest joint torque [N m]",
-        *(f"{limb} largest torque [N m]" for limb in walk.limbs),
-        "TSM [m]",
-        "GIA margin [m/s$^2$]",
-        "base off its reference [mm]",
-    ]
-    assert {"pd", "proposed", "Case 2"} <= set(texts(figure))
+    of_limbs = [f"{limb} largest torque [N m]" for limb in walk.limbs]
+    margins = ["TSM [m]", "GIA margin [m/s$^2$]", "base off its reference [mm]"]
+    assert y_labels(figure) == ["largest foot force [N]", "largest joint torque [N m]", *of_limbs, *margins]
+    assert {"pd", "proposed", "Case 2"} <= texts(figure)
     assert len(find(figure, "detachment")) == len(figure.axes)
     assert len(plots.plot_comparison({"pd": walk}).axes) == 5
     with pytest.raises(ValueError, match="at least one walk"):
@@ -183,37 +161,41 @@ def test_every_panel_of_a_comparison_shows_its_series(walk, torn):
 
 def test_walk_marks_grip_changes_and_disturbances(walk):
     figure = plots.plot_walk(walk)
-    labels = [text.get_text() for text in find(figure, "disturbance label")]
-    assert labels == ["cargo 0.5 kg", "\N{MINUS SIGN}5 N x"]
+    assert [text.get_text() for text in find(figure, "disturbance label")] == ["cargo 0.5 kg", "\N{MINUS SIGN}5 N x"]
     assert len(find(figure, "disturbance")) == 2 * len(figure.axes)
     changes = {line.get_xdata()[0] for line in find(figure.axes[0], "grip change")}
     assert min(abs(change - 1.0) for change in changes) < 0.01
     assert not find(figure, "detachment") and not find(figure, "failure")
 
 
-def test_diverged_walk_is_drawn_to_its_end(walk, tmp_path):
-    figure = plots.plot_walk(diverged(walk))
+def test_a_walk_that_diverged_without_gravity_or_a_law(walk, tmp_path):
+    """Its state grows without bound from 0.8 s on; there is no TSM, and no shift of the base."""
+    late = np.maximum(walk.time - 0.8, 0)
+    growth = np.where(late < 0.1, np.exp(np.minimum(1000 * late, 300)), np.nan)
+    changes = {"tsm": np.full_like(walk.tsm, np.nan), "base_displacement": np.zeros_like(walk.base_displacement)}
+    for name in ("base_position", "joint_rates", "foot_force", "joint_torque"):
+        values = getattr(walk, name)
+        changes[name] = values * growth.reshape(-1, *[1] * (values.ndim - 1))
+    figure = plots.plot_walk(dataclasses.replace(walk, **changes))
     (label,) = find(figure, "failure")
     assert label.get_text() == "diverged, 0.90 s"
     assert figure.axes[0].get_ylim()[1] < 100
+    assert_drawn(figure.axes[y_labels(figure).index("TSM [m]")], walk, [])
+    assert not any("Delta" in label for label in y_labels(figure))
     plots.save_figure(figure, tmp_path / "diverged", dpi=50)
 
 
-def test_a_walk_without_gravity_has_no_tsm_and_one_without_a_law_no_shift(walk):
-    nothing = {"tsm": np.full_like(walk.tsm, np.nan), "base_displacement": np.zeros_like(walk.base_displacement)}
-    figure = plots.plot_walk(dataclasses.replace(walk, **nothing))
-    assert series(figure.axes[y_labels(figure).index("TSM [m]")]) == []
-    assert not any("Delta" in label for label in y_labels(figure))
-
-
-def test_feet_go_where_they_went(walk):
-    """From the side and from above, in mm from where the base starts: four feet, then the base."""
+def test_feet_go_where_they_went(walk, torn):
+    """From the side and from above, in mm from where the base starts: four feet, then the base; up to a failure."""
     paths = 1e3 * np.concatenate([walk.foot_position, walk.base_position[:, None]], axis=1)
     paths[..., :2] -= 1e3 * walk.base_reference[0, :2]
     for panel, axis in zip(plots.plot_feet(walk).axes, (2, 1), strict=True):
         drawn = [line for line in panel.lines if len(line.get_xdata()) > 10]
         for line, path in zip(drawn, paths.swapaxes(0, 1), strict=True):
             np.testing.assert_allclose(np.transpose(line.get_data()), path[:, [0, axis]], atol=1e-9)
+    figure = plots.plot_feet(torn)
+    (label,) = find(figure, "failure")
+    assert len(find(figure, "detachment")) >= 2 and "torn off" in label.get_text()
 
 
 def test_feet_are_drawn_on_the_ground_that_the_scenario_has(walk):
@@ -242,12 +224,6 @@ def test_a_height_map_is_drawn_where_it_lies(walk, tmp_path):
     assert "ground [mm]" in y_labels(figure)
 
 
-def test_feet_of_a_torn_walk_end_with_it(torn):
-    figure = plots.plot_feet(torn)
-    (label,) = find(figure, "failure")
-    assert len(find(figure, "detachment")) >= 2 and "torn off" in label.get_text()
-
-
 def test_map_shows_each_value_at_its_gains_with_units_marks_and_baseline():
     marks = {"paper": (5e4, 5e3), "best": (3e3, 1e2), "beside the grid": (4e7, 1e4)}
     figure = plots.plot_map(grid(), "peak_foot_force", marks, baseline=1.5)
@@ -261,7 +237,11 @@ def test_map_shows_each_value_at_its_gains_with_units_marks_and_baseline():
     drawn = {line.get_label(): line for line in panel.lines}
     assert {name: (line.get_xdata()[0], line.get_ydata()[0]) for name, line in drawn.items()} == marks
     assert len({line.get_marker() for line in drawn.values()}) == 3 and panel.get_xlim()[1] > 4e7
-    assert {*marks, "gripper torn off", "diverged", "no value", "pd"} <= set(texts(figure))
+    assert {*marks, "gripper torn off", "diverged", "no value", "pd"} <= texts(figure)
+    # the first dimension of a metric runs along the horizontal axis
+    upright, turned = (plots.plot_map(data, "peak_foot_force") for data in (grid(), grid().transpose()))
+    assert turned.axes[0].get_xlabel() == "damping" and turned.axes[0].get_xlim() == upright.axes[0].get_ylim()
+    np.testing.assert_array_equal(np.ma.filled(cells(turned)[0], 0), np.ma.filled(cells(upright)[0], 0).T)
 
 
 def test_map_hatches_failed_walks_and_scales_by_the_others():
@@ -274,6 +254,10 @@ def test_map_hatches_failed_walks_and_scales_by_the_others():
         ((polygon),) = hatched.get_path().to_polygons()
         np.testing.assert_allclose(polygon.min(0), corner)
     assert cells(figure)[1].vmax < 3
+    figure = plots.plot_map(grid(peak_foot_force=np.nan, diverged=True), "peak_foot_force", baseline=2.0)
+    corners = np.concatenate(find(figure, "diverged")[0].get_path().to_polygons())
+    np.testing.assert_allclose([corners.min(0), corners.max(0)], [[10**1.5, 0.1], [10**5.5, 1e5]])
+    assert not np.isfinite(np.ma.filled(cells(figure)[0], np.nan)).any()
 
 
 def test_the_colours_of_a_map_are_for_what_is_near_the_baseline_or_better():
@@ -285,35 +269,16 @@ def test_the_colours_of_a_map_are_for_what_is_near_the_baseline_or_better():
     assert larger.vmax > 37.0 and larger.vmin == pytest.approx(37.0 - 3 * (larger.vmax - 37.0))
 
 
-def test_map_of_walks_without_values():
-    figure = plots.plot_map(grid(peak_foot_force=np.nan, diverged=True), "peak_foot_force", baseline=2.0)
-    corners = np.concatenate(find(figure, "diverged")[0].get_path().to_polygons())
-    np.testing.assert_allclose([corners.min(0), corners.max(0)], [[10**1.5, 0.1], [10**5.5, 1e5]])
-    assert not np.isfinite(np.ma.filled(cells(figure)[0], np.nan)).any()
-
-
-@pytest.mark.parametrize(
-    ("metric", "lowest", "message"),
-    [
+@pytest.mark.parametrize("draw", [plots.plot_map, lambda data, metric: plots.plot_maps(data, ["diverged", metric])])
+def test_map_rejects_what_it_cannot_draw(draw):
+    data = grid().assign(history=(("stiffness", "damping", "time"), np.zeros((4, 3, 2))))
+    for metric, lowest, message in (
         ("speed", 1.0, "speed: expected one of peak_foot_force"),
         ("history", 1.0, "history: expected two dimensions, got stiffness, damping, time"),
         ("peak_foot_force", 0.0, "above 0"),
-    ],
-)
-def test_map_rejects_what_it_cannot_draw(metric, lowest, message):
-    data = grid().assign(history=(("stiffness", "damping", "time"), np.zeros((4, 3, 2))))
-    with pytest.raises(ValueError, match=message):
-        plots.plot_map(data.assign_coords(damping=[lowest, 2.0, 3.0]), metric)
-    if lowest:
+    ):
         with pytest.raises(ValueError, match=message):
-            plots.plot_maps(data, ["peak_foot_force", metric])
-
-
-def test_the_first_dimension_of_a_metric_runs_along_the_horizontal_axis():
-    upright, turned = (plots.plot_map(data, "peak_foot_force") for data in (grid(), grid().transpose()))
-    assert (upright.axes[0].get_xlabel(), turned.axes[0].get_xlabel()) == ("stiffness", "damping")
-    np.testing.assert_array_equal(np.ma.filled(cells(turned)[0], 0), np.ma.filled(cells(upright)[0], 0).T)
-    assert turned.axes[0].get_xlim() == upright.axes[0].get_ylim()
+            draw(data.assign_coords(damping=[lowest, 2.0, 3.0]), metric)
 
 
 def test_sheet_of_maps(tmp_path):
@@ -321,19 +286,15 @@ def test_sheet_of_maps(tmp_path):
     figure = plots.plot_maps(grid(), metrics, {"paper": (5e4, 5e3)}, baselines={"peak_foot_force": 9.0})
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
     assert titles[:3] == ["peak foot force [N]", "smallest GIA margin [m/s$^2$]", "cost of transport"]
-    assert {"none", "LF", "LH", "RH", "RF", "pd \N{UPWARDS ARROW}"} <= set(texts(figure))
+    assert {"none", "LF", "LH", "RH", "RF", "pd \N{UPWARDS ARROW}"} <= texts(figure)
     for panel, name in zip(figure.axes, metrics[:3], strict=False):
         shown = np.ma.filled(panel.collections[0].get_array(), np.nan)
         np.testing.assert_array_equal(shown, grid()[name].values.T, err_msg=name)
-    paths = plots.save_figure(figure, tmp_path / "out" / "sheet.v1", dpi=50)
-    assert [path.name for path in paths] == ["sheet.v1.png"]
-
-
-def test_a_map_without_a_difference_says_so_in_no_colour():
-    same = grid().assign(missed=(("stiffness", "damping"), np.zeros((4, 3)), {"units": "1"}))
-    figure = plots.plot_map(same, "missed", baseline=0.0)
-    assert "all cells: 0" in texts(figure) and not find(figure, "baseline")
-    assert np.ptp(figure.axes[0].collections[0].to_rgba([0.0])[0, :3]) == 0
+    [path] = plots.save_figure(figure, tmp_path / "out" / "sheet.v1", dpi=50)
+    assert path.name == "sheet.v1.png"
+    same = plots.plot_map(grid(cost_of_transport=0.0), "cost_of_transport", baseline=0.0)
+    assert "all cells: 0" in texts(same) and not find(same, "baseline")
+    assert np.ptp(same.axes[0].collections[0].to_rgba([0.0])[0, :3]) == 0  # in no colour
 
 
 def test_the_limit_of_stability_runs_between_the_cells_on_both_sides_of_it():
