@@ -15,15 +15,12 @@ from tests import shapes
 shapes.check()  # before either package is imported
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.dynamics.state import State, integrate
 from mjx_climb.execution import cache, gpu_kernel
-from mjx_climb.robot.constants import load_robot
 from tests.execution.interpreter import launched
 
 jax.config.update("jax_enable_x64", True)
@@ -128,25 +125,3 @@ def walk():
 @pytest.fixture(scope="session", params=list(mc.ENGINES))
 def engine(request):
     return request.param
-
-
-@pytest.fixture(scope="session")
-def open_loop():
-    """Return states (motion, T, ...) of motions under given forces (motion, T, ...), by engine."""
-
-    @functools.cache
-    def program(engine, robot="hubrobo_v3_2"):
-        forward_dynamics = mc.ENGINES[engine](jax.tree.map(jnp.asarray, load_robot(robot)))
-
-        @jax.jit
-        @jax.vmap
-        def move(state: State, torque, foot_force, push, cargo, gravity, time_step):
-            def step(state, forces):
-                after = integrate(state, forward_dynamics(state, *forces, gravity), time_step)
-                return after, after
-
-            return jax.lax.scan(step, state, (torque, foot_force, push, cargo))[1]
-
-        return move
-
-    return program

@@ -14,17 +14,7 @@ from scipy.linalg import expm, expm_frechet
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.control.virtual_mass import (
-    EXACT,
-    LONGEST_PERIOD,
-    Motion,
-    advance,
-    at_rest,
-    bounded,
-    dead,
-    discretize,
-    inward,
-)
+from mjx_climb.control.virtual_mass import EXACT, Motion, advance, at_rest, bounded, dead, discretize, inward
 
 STEP = 1e-3
 GAINS = {  # M, D, K
@@ -142,8 +132,7 @@ def test_stable_for_any_positive_gains(inertia, damping, stiffness, dtype):
     assert np.abs(np.linalg.eigvals(step[:, :2])).max() <= 1 + 20 * np.finfo(dtype).eps
 
 
-# ------------------------------------------------------------------------------------------------------------
-# As the paper's first author moves it on a robot
+# --- As the paper's first author moves it on a robot
 
 SOFT = mc.Gains(2.0, 30.0, 400.0)
 
@@ -201,7 +190,6 @@ def test_substeps_are_of_2_ms_at_most_and_the_period_is_cut(period, substeps, le
     once = pushed(ROBOT, [1.0, 2.0, 3.0], period=period)
     many = pushed(ROBOT, [1.0, 2.0, 3.0], period=length / substeps, steps=substeps)
     np.testing.assert_allclose(once.displacement, many.displacement, rtol=1e-12)
-    assert length <= LONGEST_PERIOD
 
 
 @pytest.mark.parametrize("motion", [EXACT, ROBOT])

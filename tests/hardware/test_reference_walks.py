@@ -18,35 +18,21 @@ SEEDS = 10
 METRICS = ("force_variation", "peak_foot_force", "cost_of_transport", "base_deviation")
 
 # what the reference names, and the parameters that it is here; there the base's pose is as late as the wrench
-PARAMETERS = {
-    "force_sensor.delay": ("force_delay", "base_delay"),
-    "force_sensor.filter": ("force_filter",),
-    "force_sensor.noise": ("force_noise",),
-    "command_delay": ("command_delay",),
-    "control_period": ("control_period",),
-    "servo.delay": ("servo_delay",),
-    "servo.torque_limit": ("torque_limit",),
-    "servo.coulomb_friction": ("coulomb_friction",),
-    "kp": ("kp",),
-    "kd": ("kd",),
-}
+PARAMETERS = {name: (name,) for name in ("command_delay", "control_period", "kp", "kd")} | {
+    "force_sensor.delay": ("force_delay", "base_delay"), "force_sensor.filter": ("force_filter",),
+    "force_sensor.noise": ("force_noise",), "servo.delay": ("servo_delay",),
+    "servo.torque_limit": ("torque_limit",), "servo.coulomb_friction": ("coulomb_friction",),
+}  # fmt: skip
 LAWS = {
     "pd": ("pd",),
     "virtual_model": ("paper", "soft", "damped", "six_axes"),
     "measured_pose": ("measured_pose_paper",),
 }
-ENTRIES = [
-    (case, entry, gains)
-    for case, walks in REFERENCE["cases"].items()
-    for entry, results in walks.items()
-    for gains in results
-]
+ENTRIES = [(c, e, g) for c, walks in REFERENCE["cases"].items() for e, results in walks.items() for g in results]
 
 
 def changes(entry):
-    if entry == "ideal":
-        return {}
-    pairs = [part.split("=") for part in entry.split()]
+    pairs = [] if entry == "ideal" else [part.split("=") for part in entry.split()]
     return {name: np.asarray(float(value)) for key, value in pairs for name in PARAMETERS[key]}
 
 

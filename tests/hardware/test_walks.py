@@ -13,37 +13,22 @@ from mjx_climb.scenario.load import load_hardware, with_hardware
 
 PUSH = {"start": 0.01, "stop": 0.1, "force": [3.0, 1.0, 1.0], "moment": [0.0, 0.5, 0.0]}
 EVERYTHING = {
-    "duration": 0.15,
-    "gait.cycle": 0.4,  # a swing of 0.1 s: it lifts, lands and grips
-    "gait.stride": 0.005,
-    "gait.step_height": 0.002,
-    "contact.capture_distance": 0.01,
-    "disturbance.pushes": [PUSH],
+    # a swing of 0.1 s: it lifts, lands and grips
+    "duration": 0.15, "gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.002,
+    "contact.capture_distance": 0.01, "disturbance.pushes": [PUSH],
     "control": {
-        "damping": 150.0,
-        "stiffness": 3000.0,
-        "deadband": 0.05,
-        "max_offset": 0.05,
-        "integration": "semi_implicit",
+        "damping": 150.0, "stiffness": 3000.0, "deadband": 0.05, "max_offset": 0.05, "integration": "semi_implicit",
     },
     "hardware": {
-        "control_period": 0.005,
-        "command_delay": 0.0024,
-        "interpolation": "linear",
+        "control_period": 0.005, "command_delay": 0.0024, "interpolation": "linear",
         "force_sensor": {"delay": 0.0034, "noise": 0.1, "bias": 0.05, "resolution": 0.01, "filter": 60.0},
         "base_estimate": {"delay": 0.0013, "position_noise": 1e-4, "velocity_noise": 1e-3},
         "servo": {
-            "torque_limit": 1.0,
-            "no_load_speed": 4.8,
-            "armature": 0.002,
-            "coulomb_friction": 0.02,
-            "viscous_friction": 0.01,
-            "load_friction": 0.05,
-            "backlash": 0.001,
-            "delay": 0.0007,
+            "torque_limit": 1.0, "no_load_speed": 4.8, "armature": 0.002, "coulomb_friction": 0.02,
+            "viscous_friction": 0.01, "load_friction": 0.05, "backlash": 0.001, "delay": 0.0007,
         },
     },
-}
+}  # fmt: skip
 VARIED = (
     "command_delay", "force_delay", "force_noise", "force_bias", "force_filter", "torque_limit", "no_load_speed",
     "armature", "coulomb_friction", "viscous_friction", "load_friction", "backlash", "servo_delay", "capture_distance",
@@ -60,8 +45,7 @@ def parameters_of(scenario, robots, seed=3):
     own = own_parameters(scenario)
     rng = np.random.default_rng(seed)
     changes = {name: getattr(own, name) * rng.uniform(0.5, 1.0, robots) for name in VARIED}
-    changes["control_period"] = rng.choice([0.002, 0.005, 0.007], robots)
-    changes["seed"] = np.arange(robots) * 1.0
+    changes |= {"control_period": rng.choice([0.002, 0.005, 0.007], robots), "seed": np.arange(robots) * 1.0}
     return dataclasses.replace(own, **changes)
 
 
@@ -102,8 +86,7 @@ def test_neutral_parameters_change_nothing(scenario):
     own = own_parameters(plain)
     there = parameters_of(scenario, 2)
     names = [name for name, value in vars(own).items() if np.ndim(value) == 0 and np.ndim(getattr(there, name)) == 1]
-    mixed = {name: np.stack([getattr(own, name), getattr(there, name)[1]]) for name in names}
-    mixed = dataclasses.replace(own, **mixed)
+    mixed = dataclasses.replace(own, **{n: np.stack([getattr(own, n), getattr(there, n)[1]]) for n in names})
     ideal, found = (mc.rollout_metrics(plain, parameters=of, dtype=np.float64) for of in (own, mixed))
     for name in ("force_variation", "peak_foot_force", "travel", "base_deviation", "peak_joint_torque"):
         np.testing.assert_allclose(found[name][0], ideal[name], rtol=1e-9, err_msg=name)
@@ -113,9 +96,8 @@ def test_neutral_parameters_change_nothing(scenario):
 @pytest.mark.slow
 def test_engines_agree_on_hardware(scenario):
     parameters = parameters_of(scenario, 2)
-    limb, mjx = (
-        mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64, engine=e) for e in ("limb", "mjx")
-    )
+    how = {"parameters": parameters, "dtype": np.float64}
+    limb, mjx = (mc.rollout_metrics(scenario, engine=engine, **how) for engine in ("limb", "mjx"))
     for name, values in limb.items():
         np.testing.assert_allclose(mjx[name], values, rtol=1e-8, atol=1e-12, err_msg=name)
 

@@ -103,25 +103,6 @@ def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
         np.testing.assert_array_equal(np.argmax(rate, axis=0), number + 1)
 
 
-def test_supports_step_by_step():
-    """Three groups of limbs whose lift-offs are no whole steps, over two cycles, against a count in integers."""
-    groups, cycle = [["LF"], ["RH", "LH"], ["RF"]], 1.0
-    scenario = mc.Scenario().with_overrides({"gait.sequence": groups, "gait.duty": 0.7005, "gait.cycle": cycle})
-    steps, swing = np.arange(2000), 299  # of 299.5
-    lift_off = {limb: (2 * 1000 * place + 3) // 6 for place, group in enumerate(groups) for limb in group}
-    plan = plan_of(scenario, mc.parameters(scenario))
-    now = jax.jit(jax.vmap(lambda step: gait.schedule(plan, step)))(steps)
-    assert sorted(lift_off.values()) == [0, 333, 333, 667]
-    for row, limb in enumerate(LIMBS):
-        since = (steps - lift_off[limb]) % 1000
-        np.testing.assert_array_equal(now.closed[:, row], since >= swing, err_msg=limb)
-        np.testing.assert_allclose(now.swing_phase[:, row], since / swing, rtol=1e-12)
-        past_middle = steps % 1000 >= lift_off[limb] + swing / 2
-        np.testing.assert_array_equal(now.foothold[:, row], steps // 1000 + past_middle, err_msg=limb)
-    np.testing.assert_array_equal(now.cycle, steps // 1000)
-    np.testing.assert_allclose(now.cycle_phase, steps % 1000 / 1000, rtol=1e-12)
-
-
 @pytest.mark.slow
 def test_a_batch_walks_the_gait_of_one_robot():
     """And no two limbs swing in one step: a swing of 256 steps of 1022 would begin before the last one ends."""
