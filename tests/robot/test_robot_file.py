@@ -1,4 +1,4 @@
-"""Robots from a user's own file: the same robot as MuJoCo's, walked by every engine, and refused with a reason."""
+"""Robots from a user's own file: the same robot as MuJoCo's, walked by every engine."""
 
 import dataclasses
 import importlib
@@ -10,16 +10,22 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step, growth, largest_time_step
 from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import limb_frames
-from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot.constants import load_model, load_robot, model_path
 
 LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
+LINKS = ("yaw", "lift", "knee")
 IMU = 'name="imu_mount" type="fixed"><parent link="trunk"/><child link="imu"/><origin xyz="0.02 0 0.03"/>'
 REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "hubrobo_v2_2.json").read_text())["model"]
+
+
+def row(values):
+    return " ".join(map(str, values))
 
 
 def inertial(rng, mass, reach):
@@ -27,7 +33,7 @@ def inertial(rng, mass, reach):
     a, b = rng.uniform(0.4, 1.0, 2) * mass * reach**2
     xyz, rpy = rng.uniform(-reach, reach, 3) / 4, rng.uniform(-3, 3, 3)
     return (
-        f'<inertial><origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}" rpy="{rpy[0]} {rpy[1]} {rpy[2]}"/><mass value="{mass}"/>'
+        f'<inertial><origin xyz="{row(xyz)}" rpy="{row(rpy)}"/><mass value="{mass}"/>'
         f'<inertia ixx="{a}" iyy="{b}" izz="{0.7 * (a + b)}" ixy="0" ixz="0" iyz="0"/></inertial>'
     )
 
@@ -55,26 +61,29 @@ def urdf(seed=0, quarter="1.5707963267948966"):
             ("ankle", "fixed", "shank", "toe", (tibia, 0.001, 0.002), (0, 0, 0), (0, 0, 1), (0, 0)),
         ):
             parent = parent if parent == "trunk" else f"{limb}_{parent}"
-            place = " ".join(str(v) for v in xyz), " ".join(str(v) for v in rpy), " ".join(str(v) for v in axis)
             parts.append(
                 f'<joint name="{limb}_{name}" type="{kind}"><parent link="{parent}"/><child link="{limb}_{child}"/>'
-                f'<origin xyz="{place[0]}" rpy="{place[1]}"/><axis xyz="{place[2]}"/>'
+                f'<origin xyz="{row(xyz)}" rpy="{row(rpy)}"/><axis xyz="{row(axis)}"/>'
                 f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="9" velocity="9"/></joint>'
             )
     reach = hip + (coxa + 0.7 * np.hypot(femur, tibia)) * np.sqrt(0.5)
     return "<robot name='any'>" + "".join(parts) + "</robot>", reach
 
 
-def keys(path, reach, height=0.1):
+def keys(path, reach, height=0.1, links=LINKS, foot="toe"):
     limbs = {
         limb: {
-            "joints": [f"{limb}_yaw", f"{limb}_lift", f"{limb}_knee"],
-            "foot": f"{limb}_toe",
+            "joints": [f"{limb}_{link}" for link in links],
+            "foot": f"{limb}_{foot}",
             "foothold": [x * reach, y * reach],
         }
         for limb, (x, y) in LIMBS.items()
     }
     return {"robot": {"file": str(path), "height": height, "limbs": limbs}}
+
+
+def robot_of(sections):
+    return load_robot(mc.Scenario.model_validate(sections).robot)
 
 
 @pytest.fixture
@@ -96,26 +105,7 @@ def written(saved):
 @pytest.fixture
 def loaded(written):
     """Return the robot of a file, by the arguments of `written`."""
-    return lambda *given, **how: load_robot(mc.Scenario.model_validate(written(*given, **how)).robot)
-
-
-def theirs(path, joint_names, offset, angles, rates, spin, tau):
-    """Return MuJoCo's accelerations of the URDF set free: of the base's centre of mass, and of the joints by name."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    for part in (*spec.geoms, *spec.meshes):
-        spec.delete(part)
-    spec.compiler.fusestatic = False
-    spec.body("trunk").add_freejoint()
-    model = spec.compile()
-    model.opt.gravity[:] = (0.3, -0.2, -4.0)
-    data = mujoco.MjData(model)
-    for name, angle, rate, torque in zip(joint_names, angles, rates, tau, strict=True):
-        data.joint(name).qpos[:], data.joint(name).qvel[:], data.joint(name).qfrc_applied[:] = angle, rate, torque
-    data.qvel[3:6] = spin
-    mujoco.mj_forward(model, data)
-    a, alpha = data.qacc[:3], data.qacc[3:6]
-    of_center = a + np.cross(alpha, offset) + np.cross(spin, np.cross(spin, offset))
-    return of_center, alpha, np.array([data.joint(name).qacc[0] for name in joint_names])
+    return lambda *given, **how: robot_of(written(*given, **how))
 
 
 @pytest.mark.slow
@@ -123,27 +113,35 @@ def theirs(path, joint_names, offset, angles, rates, spin, tau):
 def test_a_urdf_moves_as_in_mujoco(written, engine, seed):
     """Every engine gives the accelerations that MuJoCo gives for the file itself, fixed links included, to 1e-9."""
     scenario = mc.Scenario.model_validate(written(seed))
-    robot = load_robot(scenario.robot)
+    robot, gravity = load_robot(scenario.robot), (0.3, -0.2, -4.0)
     rng = np.random.default_rng(seed)
     angles = rng.uniform(robot.joint_lower.T, robot.joint_upper.T).T.ravel()
     rates, spin, tau = rng.normal(size=12), rng.normal(size=3), 0.1 * rng.normal(size=12)
-    names = [f"{limb}_{joint}" for limb in robot.limbs for joint in ("yaw", "lift", "knee")]
-    feet = jnp.zeros((4, 3))
     # no offset in velocity: the file's origin is at rest, so its centre of mass moves with spin x offset
-    height = scenario.robot.height
-    offset = robot.stance_position - [0, 0, height]
-    state = mc.State(
-        jnp.zeros(3),
-        jnp.array([1.0, 0, 0, 0]),
-        jnp.asarray(np.cross(spin, offset)),
-        *map(jnp.asarray, (spin, angles, rates)),
+    offset = robot.stance_position - [0, 0, scenario.robot.height]
+    still = (np.zeros(3), np.array([1.0, 0, 0, 0]), np.cross(spin, offset), spin, angles, rates)
+    state = mc.State(*map(jnp.asarray, still))
+    ours = jax.jit(lambda *given: mc.forward_dynamics(*given, 0.0, gravity=gravity, robot=robot, engine=engine))(
+        state, tau, jnp.zeros((4, 3)), jnp.zeros(6)
     )
-    ours = jax.jit(
-        lambda *given: mc.forward_dynamics(*given, 0.0, gravity=(0.3, -0.2, -4.0), robot=robot, engine=engine)
-    )(state, tau, feet, jnp.zeros(6))
-    for mine, other in zip(
-        dataclasses.astuple(ours), theirs(scenario.robot.file, names, offset, angles, rates, spin, tau), strict=True
-    ):
+    # the file set free, in MuJoCo: of the base's centre of mass, and of the joints by name
+    spec = mujoco.MjSpec.from_file(scenario.robot.file)
+    for part in (*spec.geoms, *spec.meshes):
+        spec.delete(part)
+    spec.compiler.fusestatic = False
+    spec.body("trunk").add_freejoint()
+    model = spec.compile()
+    model.opt.gravity[:] = gravity
+    data = mujoco.MjData(model)
+    names = [f"{limb}_{link}" for limb in robot.limbs for link in LINKS]
+    for name, angle, rate, torque in zip(names, angles, rates, tau, strict=True):
+        data.joint(name).qpos[:], data.joint(name).qvel[:], data.joint(name).qfrc_applied[:] = angle, rate, torque
+    data.qvel[3:6] = spin
+    mujoco.mj_forward(model, data)
+    a, alpha = data.qacc[:3], data.qacc[3:6]
+    of_center = a + np.cross(alpha, offset) + np.cross(spin, np.cross(spin, offset))
+    theirs = of_center, alpha, np.array([data.joint(name).qacc[0] for name in names])
+    for mine, other in zip(dataclasses.astuple(ours), theirs, strict=True):
         np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
 
 
@@ -166,23 +164,18 @@ def test_the_closed_form_reaches_what_the_joints_reach(written, seed):
     assert np.abs(solved.joint_angles - angles)[ahead].max() < 1e-6
     again = limb_frames(robot, None, solved.joint_angles).foot
     assert np.abs(again - feet)[ahead].max() < 1e-9
-    standing = feet[0] + robot.stance_position
     wanted = [(*getattr(source.limbs, limb).foothold, 0.0) for limb in robot.limbs]
-    np.testing.assert_allclose(standing, wanted, atol=1e-9)
+    np.testing.assert_allclose(feet[0] + robot.stance_position, wanted, atol=1e-9)
 
 
-def test_axes_along_each_other_are_exactly_so():
-    """Kernels leave out what zeros and ones multiply, but not what 1e-17 does."""
+def test_axes_along_each_other_are_exactly_so(loaded):
+    """Kernels leave out what zeros and ones multiply, but not what 1e-17 does; 1.5708 is meant for a right angle."""
     robot = load_robot("hubrobo_v3_2")
     for value in (robot.frame_rotation, robot.frame_position):
         whole = np.round(value)
         near = abs(value - whole) < 1e-9
         assert near.any()
         np.testing.assert_array_equal(value[near], whole[near])
-
-
-def test_axes_written_with_few_digits_are_meant_square(loaded):
-    """A URDF with 1.5708 for a right angle gives the robot of the exact one, to the digits written."""
     rough, exact = (loaded(seed=1, quarter=quarter) for quarter in ("1.5708", "1.5707963267948966"))
     limb_geometry(rough)
     np.testing.assert_allclose(rough.frame_position, exact.frame_position, atol=1e-5)
@@ -191,29 +184,13 @@ def test_axes_written_with_few_digits_are_meant_square(loaded):
 
 def test_a_foot_off_a_frame_that_is_turned(loaded):
     """`at` is along the axes of the site, body or link that is named, not along the last link's or the world's."""
-    turned = ('<origin xyz="', '" rpy="0 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="0"')
+    plain = '" rpy="0 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="0"'
     at, rpy = np.array([0.01, -0.02, 0.015]), (0.3, -0.5, 1.1)
-    axes = np.eye(3)
-    for axis, angle in zip("xyz", rpy, strict=True):
-        quaternion, matrix = np.zeros(4), np.empty(9)
-        mujoco.mju_axisAngle2Quat(quaternion, np.eye(3)["xyz".index(axis)], angle)
-        mujoco.mju_quat2Mat(matrix, quaternion)
-        axes = matrix.reshape(3, 3) @ axes  # roll, pitch and yaw about fixed axes
     feet = []
-    for angles, offset in (("0 0 0", axes @ at), (" ".join(map(str, rpy)), at)):
-        tilt = (turned[1], turned[1].replace("0 0 0", angles, 1))
+    for angles, offset in ((np.zeros(3), Rotation.from_euler("xyz", rpy).apply(at)), (rpy, at)):
         put_at = lambda robot, offset=offset: [limb.update(at=offset.tolist()) for limb in robot["limbs"].values()]  # noqa: E731
-        feet.append(loaded(0, [tilt], put_at).foot_center)
+        feet.append(loaded(0, [(plain, plain.replace("0 0 0", row(angles), 1))], put_at).foot_center)
     np.testing.assert_allclose(feet[0], feet[1], atol=1e-12)
-
-
-def test_a_spring_damps_beside_the_file(loaded):
-    plain = loaded(0)
-    slack = float(plain.stance_joints[plain.limbs.index("LF"), 2])
-    springs = put({"LF_knee": {"stiffness": 2.0, "damping": 0.03, "rest": slack}}, "springs")
-    robot = loaded(0, [("</joint>", '<dynamics damping="0.1"/></joint>')], springs)
-    assert robot.damping[robot.limbs.index("LF"), 2] == pytest.approx(0.13)
-    assert np.sort(robot.damping.ravel())[:-1] == pytest.approx(0.1)
 
 
 def put(value, *path):
@@ -229,9 +206,20 @@ def put(value, *path):
     return change
 
 
-JOINTS = ["LF_yaw", "LF_lift", "LF_knee"]
-LIFT_ORIGIN = '<child link="LF_thigh"/>'
-BAD = {
+def test_friction_and_damping_of_the_file_are_taken(loaded):
+    """A spring damps beside the file."""
+    plain = loaded(0, [("</joint>", '<dynamics damping="0.1" friction="0.02"/></joint>')])
+    np.testing.assert_array_equal(plain.damping, np.full((4, 3), 0.1))
+    np.testing.assert_array_equal(plain.friction, np.full((4, 3), 0.02))
+    slack = float(plain.stance_joints[plain.limbs.index("LF"), 2])
+    springs = put({"LF_knee": {"stiffness": 2.0, "damping": 0.03, "rest": slack}}, "springs")
+    robot = loaded(0, [("</joint>", '<dynamics damping="0.1"/></joint>')], springs)
+    assert robot.damping[robot.limbs.index("LF"), 2] == pytest.approx(0.13)
+    assert np.sort(robot.damping.ravel())[:-1] == pytest.approx(0.1)
+
+
+JOINTS = [f"LF_{link}" for link in LINKS]
+BAD = {  # text of the file that is replaced, keys that are, what is said
     "no file": ([], put("nowhere.urdf", "file"), "expected an MJCF or URDF"),
     "no XML": ([("<robot", "robot")], put(0.1, "height"), "expected an MJCF or URDF"),
     "no such joint": ([], put(["LF_yaw", "LF_lift", "elbow"], "limbs", "LF", "joints"), "LF.joints: expected revolute"),
@@ -244,52 +232,32 @@ BAD = {
     "out of reach": ([], put([0.5, 0.5], "limbs", "LH", "foothold"), "limbs.LH.foothold: expected"),
     "no joint to hold": ([], put({"neck": 0.0}, "locked"), "robot.locked.neck: expected a revolute or prismatic joint"),
     "a limb's joint held": ([], put({"LF_yaw": 0.0}, "locked"), "robot.locked.LF_yaw: expected a joint of no limb"),
+    "no height": ([], put(None, "height"), "robot.height: expected a value"),
+    "three limbs": ([], put(None, "limbs", "LF"), "gait.sequence: expected the three limbs LH, RH, RF, each once"),
+    "one joint": ([], put(["a"], "limbs", "LF", "joints"), "LF.joints: expected a list of two to seven joint names"),
+    "places": ([], put([1, 2, 3], "limbs", "LF", "foothold"), "robot.limbs.LF.foothold: expected a list of two"),
+    "another key": ([], put(1, "limbs", "LF", "toe"), "robot.limbs.LF.toe: expected a known key"),
+    "misspelt": ([], put(1, "hight"), "did you mean height?"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_cannot_be_walked_is_refused_with_its_key(loaded, name):
+def test_what_cannot_be_walked_is_refused_with_its_key(written, saved, name):
     replace, change, expected = BAD[name]
-    with pytest.raises(mc.RobotError) as refused:
-        loaded(0, replace, change)
+    config = saved(json.dumps(written(0, replace, change)), "walk.yaml")
+    with pytest.raises((mc.RobotError, mc.ConfigError)) as refused:
+        load_robot(mc.load_scenario(config).robot)
     assert expected in str(refused.value)
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_friction_and_damping_of_the_file_are_taken(loaded):
-    robot = loaded(0, [("</joint>", '<dynamics damping="0.1" friction="0.02"/></joint>')])
-    np.testing.assert_array_equal(robot.damping, np.full((4, 3), 0.1))
-    np.testing.assert_array_equal(robot.friction, np.full((4, 3), 0.02))
-
-
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        (put(None, "height"), "robot.height: expected a value"),
-        (put(None, "limbs", "LF"), "gait.sequence: expected the three limbs LH, RH, RF, each once"),
-        (put(["a"], "limbs", "LF", "joints"), "robot.limbs.LF.joints: expected a list of two to seven joint names"),
-        (put([1, 2, 3], "limbs", "LF", "foothold"), "robot.limbs.LF.foothold: expected a list of two"),
-        (put(1, "limbs", "LF", "toe"), "robot.limbs.LF.toe: expected a known key"),
-        (put(1, "hight"), "did you mean height?"),
-    ],
-)
-def test_bad_keys_are_named(written, tmp_path, change, key):
-    config = tmp_path / "walk.yaml"
-    config.write_text(json.dumps(written(0, (), change)))
-    with pytest.raises(mc.ConfigError) as refused:
-        mc.load_scenario(config)
-    assert key in str(refused.value)
-
-
-def test_a_relative_path_starts_at_the_config(written, tmp_path, monkeypatch):
+def test_a_relative_path_starts_at_the_config(written, saved, monkeypatch):
     data = written(0)
     data["robot"]["file"] = Path(data["robot"]["file"]).name
-    (tmp_path / "walk.yaml").write_text(json.dumps(data))
     monkeypatch.chdir("/")
-    scenario = mc.load_scenario(tmp_path / "walk.yaml")
+    scenario = mc.load_scenario(saved(json.dumps(data), "walk.yaml"))
     assert load_robot(scenario.robot).limbs == tuple(LIMBS)
-    (tmp_path / "again.yaml").write_text(scenario.to_yaml())
-    assert mc.load_scenario(tmp_path / "again.yaml") == scenario
+    assert mc.load_scenario(saved(scenario.to_yaml(), "again.yaml")) == scenario
 
 
 @pytest.mark.parametrize(
@@ -303,28 +271,20 @@ def test_a_relative_path_starts_at_the_config(written, tmp_path, monkeypatch):
 )
 def test_joints_are_called_what_the_file_calls_them(loaded, theirs, expected):
     """In pictures and netCDF files, where the limb stands beside: without what tells the limbs apart."""
-    own = {f"{limb}_{link}": theirs[n].format(limb) for limb in LIMBS for n, link in enumerate(("yaw", "lift", "knee"))}
+    own = {f"{limb}_{link}": name.format(limb) for limb in LIMBS for name, link in zip(theirs, LINKS, strict=True)}
 
     def renamed(robot):
         for limb in robot["limbs"].values():
             limb["joints"] = [own[name] for name in limb["joints"]]
 
     robot = loaded(0, [(f'joint name="{name}"', f'joint name="{other}"') for name, other in own.items()], renamed)
-    assert robot.joint_names == expected
-    assert robot.limbs == tuple(LIMBS)
+    assert (robot.joint_names, robot.limbs) == (expected, tuple(LIMBS))
 
 
-def test_an_mjcf_is_a_file_like_any_other(tmp_path):
+def test_an_mjcf_is_a_file_like_any_other():
     """HubRobo's own MJCF as a user's: the robot is the one that comes by name."""
-    from mjx_climb.robot.constants import model_path
-
-    limbs = {
-        limb: {"joints": [f"{limb}_{link}" for link in ("coxa", "femur", "tibia")], "foot": f"{limb}_foot",
-               "foothold": [0.14 * x, 0.14 * y]}
-        for limb, (x, y) in LIMBS.items()
-    }  # fmt: skip
-    data = {"file": str(model_path("hubrobo_v3_2")), "height": 0.11, "limbs": limbs}
-    ours, named = load_robot(mc.Scenario.model_validate({"robot": data}).robot), load_robot("hubrobo_v3_2")
+    ours = robot_of(keys(model_path("hubrobo_v3_2"), 0.14, 0.11, ("coxa", "femur", "tibia"), "foot"))
+    named = load_robot("hubrobo_v3_2")
     np.testing.assert_allclose(ours.total_mass, named.total_mass)
     np.testing.assert_allclose(ours.stance_joints, named.stance_joints, atol=1e-9)
     np.testing.assert_allclose(ours.stance_position, named.stance_position, atol=1e-12)
@@ -334,28 +294,20 @@ def test_an_mjcf_is_a_file_like_any_other(tmp_path):
 # HubRobo v2.2
 
 
-def test_hubrobo_v2_2_is_climblabs(tmp_path):
+def test_hubrobo_v2_2_is_climblabs():
     """Centres of mass, orientations, inertias and feet of the MJCF are those of the reference, at random angles."""
     model = load_model("hubrobo_v2_2")
     data = mujoco.MjData(model)
     angles = np.random.default_rng(0).uniform(-1, 1, 12)
     data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *angles]
     mujoco.mj_kinematics(model, data)
-
-    def turn(axis, angle):
-        i, j = {0: (1, 2), 1: (2, 0), 2: (0, 1)}[axis]
-        matrix = np.eye(3)
-        matrix[[i, j], [i, j]] = np.cos(angle)
-        matrix[i, j], matrix[j, i] = -np.sin(angle), np.sin(angle)
-        return matrix
-
     of = lambda name: np.array([v if v is not None else [0, 0, 0] for v in REFERENCE[name]], float)  # noqa: E731
     start, own, child, foot, qi = map(of, ("base_com_to_joint_c0", "link_com_to_own_joint_cc_ii",
                                            "link_com_to_child_joint_cc", "end_link_com_to_foot_ce", "Qi"))  # fmt: skip
     for limb in range(4):
         axes, joint = np.eye(3), start[3 * limb]
         for link in range(3 * limb, 3 * limb + 3):
-            axes = axes @ turn(0, qi[link, 0]) @ turn(1, qi[link, 1]) @ turn(2, qi[link, 2] + angles[link])
+            axes = axes @ Rotation.from_euler("XYZ", qi[link] + [0, 0, angles[link]]).as_matrix()
             center = joint - axes @ own[link]
             np.testing.assert_allclose(data.xipos[2 + link], center, atol=1e-12)
             principal = data.ximat[2 + link].reshape(3, 3)
@@ -386,11 +338,9 @@ def test_joint_gains_that_are_given_count_for_the_time_step(given):
     stiff = {"kp": 2e3, "kd": 30.0}
     numbers = mc.parameters(scenario)
     check_time_step(scenario, parameters=numbers)
+    replaced = dataclasses.replace(numbers, **jax.tree.map(np.asarray, stiff))
     with pytest.raises(mc.ConfigError, match=r"control.kp 2000 and control.kd 30, got 0\.001"):
-        if given == "gains":
-            mc.rollout(scenario, stiff)
-        else:
-            mc.rollout(scenario, parameters=dataclasses.replace(numbers, **jax.tree.map(np.asarray, stiff)))
+        mc.rollout(scenario, **({"gains": stiff} if given == "gains" else {"parameters": replaced}))
 
 
 @pytest.mark.slow
