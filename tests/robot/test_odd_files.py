@@ -252,58 +252,6 @@ def test_what_is_told_of_a_robot_with_little_in_its_file(saved):
     assert load_robot(robot).base_mass == pytest.approx(2.2)
 
 
-LIMB = '<mujoco>\n<body name="x">\n<joint name="bad" axis="0 0 z"/>\n</body>\n</mujoco>'
-PART = PLAIN.replace("<worldbody>", '<worldbody>\n<include file="part.xml"/>')
-TWICE = urdf(0)[0].replace("><", ">\n<").replace('<link name="LF_toe"/>', '<link name="LF_hip"/>')
-AGAIN = TWICE[: TWICE.rindex('<link name="LF_hip"/>')].count("\n") + 1
-WRONG = {  # name of the file, its text, of part.xml, where it is and what is said
-    "in an included file": ("robot.xml", PART, LIMB, r"part.xml:3: .*'axis'"),
-    "limits in an included file": (
-        "robot.xml", PART, LIMB.replace("0 0 z", '0 0 1" range="2 1'), r"part.xml:3: joint 'bad': expected limits",
-    ),
-    "a weight in an included file": (
-        "robot.xml", PART, LIMB.replace('axis="0 0 z"/>', '/>\n<geom size="1" mass="-1"/>'), r"part.xml:4: .*negative",
-    ),
-    "another alphabet": (
-        "robot.xml", PLAIN.replace("trunk", "tr\xfcnk").encode("latin-1"), "", r"xml:\d+: expected names in UTF-8",
-    ),
-    "a weight that is no number": (
-        "robot.urdf", re.sub('mass value="[^"]*"', 'mass value="nan"', urdf(0)[0], count=1), "",
-        r"urdf:1: link 'trunk': .*nan",
-    ),
-    "limits without end": (
-        "robot.xml", PLAIN.replace("-20 100", "-20 inf", 1), "", r"xml:\d+: joint 'L0_1': expected finite",
-    ),
-    "a motor of no joint": (
-        "robot.xml", PLAIN.replace("</mujoco>", '<actuator>\n<motor joint="gone"/></actuator></mujoco>'), "",
-        r"xml:\d+: .*'gone'",
-    ),
-    "a macro": (
-        "robot.urdf", '<robot name="r">\n<xacro:leg/></robot>', "", r"urdf:2: .*written out, got <xacro:leg>",
-    ),
-    "two of a name": ("robot.urdf", TWICE, "", rf"urdf:{AGAIN}: .*repeated"),
-    "a mesh that weighs": (
-        "robot.xml",
-        PLAIN.replace("<worldbody>", '<asset>\n<mesh name="m" file="gone.stl"/></asset><worldbody>').replace(
-            "<freejoint/>", '<freejoint/><body><geom type="mesh" mesh="m"/></body>'
-        ), "", r"xml:\d+: .*gone.stl",
-    ),
-    "another kind": ("robot.sdf", "<sdf/>", "", r"sdf: expected a file whose name ends in .xml or .urdf"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_told_where_it_stands(saved, tmp_path, name):
-    named, text, part, expected = WRONG[name]
-    if part:
-        saved(part, "part.xml")
-    file = saved(text, named)
-    with pytest.raises(mc.RobotError) as refused:
-        model_of(file)
-    assert "\n" not in str(refused.value) and str(refused.value).startswith(str(tmp_path))
-    assert re.search(expected, str(refused.value)), refused.value
-
-
 def test_the_robots_own_file_is_not_written_over(saved, ended):
     file = saved(PLAIN)
     code, _, error = ended(file, "--write", f"{file.parent}/./robot.xml")

@@ -296,20 +296,3 @@ def test_the_command_leaves_a_config_that_runs(saved, ended):
     assert "taken    base 'trunk'" in out and f"mjx-climb run {config}" in out
     assert yaml.safe_load(config.read_text())["robot"]["file"] == "robot.xml"
     check_time_step(mc.load_scenario(config))
-
-
-BROKEN = {
-    "empty": ("", "expected an MJCF or URDF that MuJoCo loads"),
-    "no robot": ("<mujoco/>", "expected a robot, got a file without bodies"),
-    "a table": ("<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>", "2 limbs or more"),
-    "nowhere to stand": (climbers.mjcf(4, 3).replace("-20 100", "80 81").replace("-150 10", "-1 0"), "a stance"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BROKEN)
-def test_what_is_no_climber_is_told_in_one_line(saved, name):
-    text, expected = BROKEN[name]
-    file = saved(text)
-    with pytest.raises(mc.RobotError, match=re.escape(expected)) as refused:
-        propose(file)
-    assert str(refused.value).startswith(str(file)) and "\n" not in str(refused.value)
