@@ -3,6 +3,7 @@
 MuJoCo loads that OpenGL as it is imported, and ends in a traceback where it cannot.
 """
 
+import contextlib
 import ctypes
 import ctypes.util
 import importlib
@@ -11,32 +12,24 @@ import sys
 from types import ModuleType
 from typing import Any
 
-LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
-KNOWN = ("", "glfw", "glx", *"enable enabled on true 1 disable disabled off false 0".split())
-_VARIABLE = "MUJOCO_GL"
-
-
-def _unusable(wanted: str) -> bool:
-    """Return whether MuJoCo's import would fail for this value of MUJOCO_GL."""
-    if wanted not in LIBRARIES:
-        return wanted not in KNOWN
-    try:
-        ctypes.CDLL(ctypes.util.find_library(LIBRARIES[wanted]) or "nowhere")
-    except OSError:
-        return True
-    return False
+_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
+_OTHERS = ("", "glfw", "glx", *"enable enabled on true 1 disable disabled off false 0".split())
 
 
 def import_mujoco() -> ModuleType:
     """Import MuJoCo; without OpenGL where MUJOCO_GL asks for one that is not there."""
-    value = os.environ.get(_VARIABLE)
-    if value is None or "mujoco" in sys.modules or not _unusable(value.lower().strip()):
+    value = os.environ.get("MUJOCO_GL", "")
+    usable = (wanted := value.lower().strip()) in _OTHERS
+    if wanted in _LIBRARIES:
+        with contextlib.suppress(OSError):
+            usable = bool(ctypes.CDLL(ctypes.util.find_library(_LIBRARIES[wanted]) or "nowhere"))
+    if usable or "mujoco" in sys.modules:
         return importlib.import_module("mujoco")
-    os.environ[_VARIABLE] = "disable"
+    os.environ["MUJOCO_GL"] = "disable"
     try:
         return importlib.import_module("mujoco")
     finally:
-        os.environ[_VARIABLE] = value
+        os.environ["MUJOCO_GL"] = value
 
 
 mujoco: Any = import_mujoco()

@@ -27,13 +27,14 @@ from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE, checked_engine
 from mjx_climb.dynamics.state import State
+from mjx_climb.execution.batches import Progress
 from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.stance import check_stance
 from mjx_climb.rollouts.resolve import (
     AnyGains,
-    Resolved,
+    check_robots,
     checked,
     floating_dtype,
     is_traced,
@@ -50,8 +51,6 @@ from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
-
-Progress = Callable[[int, int], None]
 
 
 class How(TypedDict, total=False):
@@ -299,14 +298,28 @@ class Simulation:
             ValueError: batched gains or parameters (`jax.vmap` makes a batch), gains that the law does not have, or
                 parameters with hardware that the scenario does not have.
         """
-        resolved = self.resolved_for_steps(gains, parameters, dtype)
-        if resolved.shape != ():
-            raise ValueError("reset is of one robot: a batch is made by jax.vmap, or by mjx_climb.Environment")
-        return self.start(resolved.law, resolved.parameters)
+        return self.start(gains, parameters, dtype)
 
-    def start(self, law: Law, parameters: Parameters) -> SimulationState:
-        """Return what `reset` does, of a law and parameters that are resolved."""
-        state: SimulationState = _start(self.structure, law, parameters)
+    def start(
+        self,
+        gains: AnyGains | None,
+        parameters: Parameters | None,
+        dtype: DTypeLike | None,
+        batch: tuple[int, ...] | None = None,
+    ) -> SimulationState:
+        """Return what `reset` does, of a batch of robots with further axes `batch` where this is not None."""
+        precision, stages = jnp.result_type(float) if dtype is None else dtype, self.structure.stages
+        resolved = resolve(self.scenario, self.law, gains, parameters, precision)
+        if not is_traced(resolved.own) and (asked := self._structure(resolved.own).stages) != stages:
+            raise ValueError(
+                f"parameters: expected the stages of hardware and the longest delays of the scenario, {stages}, got "
+                f"{asked}; make the simulation of a scenario that has them"
+            )
+        if batch is None and resolved.shape:
+            raise ValueError("reset is of one robot: a batch is made by jax.vmap, or by mjx_climb.Environment")
+        shape, begin_one = jnp.broadcast_shapes(resolved.shape, batch or ()), functools.partial(_start, self.structure)
+        check_robots(shape)
+        state: SimulationState = over_batch(begin_one, resolved[:2], resolved.axes, shape)
         return state
 
     def step(self, state: SimulationState, action: Action = None) -> tuple[SimulationState, Sample]:
@@ -339,24 +352,6 @@ class Simulation:
         change, axes = functools.partial(_with_law, self.structure), (axes_behind(state, shape), *resolved.axes)
         changed: SimulationState = over_batch(change, (state, *resolved[:2]), axes, shape)
         return changed
-
-    def resolved_for_steps(
-        self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike | None
-    ) -> Resolved:
-        """Return law and parameters of robots that begin: arrays of JAX.
-
-        Raises:
-            ValueError: as `reset` says, but for batch axes.
-        """
-        precision = jnp.result_type(float) if dtype is None else dtype
-        resolved = resolve(self.scenario, self.law, gains, parameters, precision)
-        own = self.structure.stages
-        if not is_traced(resolved.own) and (asked := self._structure(resolved.own).stages) != own:
-            raise ValueError(
-                f"parameters: expected the stages of hardware and the longest delays of the scenario, {own}, got "
-                f"{asked}; make the simulation of a scenario that has them"
-            )
-        return resolved
 
 
 @functools.partial(jax.jit, static_argnums=0)

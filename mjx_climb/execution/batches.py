@@ -79,7 +79,7 @@ def run(
     if directions is not None:
         trees, own = [*trees, directions], [*own, jax.tree.map(lambda rate: rate.ndim - len(shape), directions)]
     leaves, tree = jax.tree.flatten(tuple(trees))
-    flat = [_flat(leaf, size, shape) for leaf, size in zip(leaves, jax.tree.leaves(tuple(own)), strict=True)]
+    flat = [flattened(leaf, size, shape) for leaf, size in zip(leaves, jax.tree.leaves(tuple(own)), strict=True)]
     batched = [leaf.ndim > size for leaf, size in zip(flat, jax.tree.leaves(tuple(own)), strict=True)]
     if not any(batched):  # a batch of equal robots: one leaf says how many
         flat[0], batched[0] = np.broadcast_to(flat[0], (count, *flat[0].shape)), True
@@ -133,8 +133,8 @@ def walking_with(robots: range, whole: int) -> range:
     return devices.walking_with(robots, whole, in_regions=paths.path_for(None, double=False) == "regions")
 
 
-def _flat(value: np.ndarray, own: int, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a value with one batch axis where it varies, before its `own` axes.
+def flattened(value: Any, own: int, shape: Sequence[int]) -> Any:
+    """Return an array of NumPy or JAX with one batch axis where it varies, before its `own` axes.
 
     Of a single robot those vary that have batch axes, so that it goes by the executable of several.
     """
@@ -142,7 +142,8 @@ def _flat(value: np.ndarray, own: int, shape: tuple[int, ...]) -> np.ndarray:
     count = math.prod(shape)
     if math.prod(lead) == 1 and not (count == 1 and lead):
         return value.reshape(tail)
-    return np.broadcast_to(value, (*shape, *tail)).reshape(count, *tail)
+    xp = np if isinstance(value, np.ndarray) else jnp
+    return xp.broadcast_to(value, (*shape, *tail)).reshape(count, *tail)
 
 
 @functools.cache

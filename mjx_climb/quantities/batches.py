@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from mjx_climb.dynamics.spatial import namespace
+from mjx_climb.execution.batches import flattened
 
 Tree = TypeVar("Tree")
 
@@ -49,21 +49,13 @@ def over_batch(function: Callable[..., Any], trees: Sequence[Any], axes: Sequenc
     """
     if not shape:
         return function(*trees)
-    robots = math.prod(shape)
-
-    def flat(value: Any, own: int) -> Any:
-        batch, tail = value.shape[: value.ndim - own], value.shape[value.ndim - own :]
-        if math.prod(batch) == 1 and (robots > 1 or not batch):
-            return value.reshape(tail)
-        return namespace(value).broadcast_to(value, (*shape, *tail)).reshape(robots, *tail)
-
     owns = jax.tree.leaves(tuple(axes))
     leaves, tree = jax.tree.flatten(tuple(trees))
-    leaves = [flat(value, own) for value, own in zip(leaves, owns, strict=True)]
+    leaves = [flattened(value, own, shape) for value, own in zip(leaves, owns, strict=True)]
     mapped = [0 if value.ndim > own else None for value, own in zip(leaves, owns, strict=True)]
 
     def of_leaves(*leaves: Any) -> Any:
         return function(*jax.tree.unflatten(tree, leaves))
 
-    found = jax.vmap(of_leaves, in_axes=mapped, axis_size=robots)(*leaves)
+    found = jax.vmap(of_leaves, in_axes=mapped, axis_size=math.prod(shape))(*leaves)
     return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), found)

@@ -29,9 +29,6 @@ _Values = Array | np.ndarray
 _Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | float
 _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
-_Vector = Real[_Values, "... 3"]
-_Footholds = Real[_Values, "... limbs N"]
-_SwingPaths = Real[_Values, "... limbs 3 K"]
 _Pushes = Real[_Values, "... pushes 3"]
 _PushTimes = Real[_Values, "... pushes"]
 _PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
@@ -76,7 +73,7 @@ class Parameters:
          "push_stop": 1}
     )  # fmt: skip
 
-    gravity: _Vector = _of("gravity")  # (3,) m/s^2
+    gravity: Real[_Values, "... 3"] = _of("gravity")  # (3,) m/s^2
     contact_stiffness: _Scalar = _of("contact.stiffness", "N/m", "contact stiffness")
     contact_damping: _Scalar = _of("contact.damping", "N s/m", "contact damping")
     rotational_stiffness: _Scalar = _of("contact.rotational_stiffness", "N m/rad", "turning stiffness of a grip")
@@ -89,8 +86,10 @@ class Parameters:
     cycle: _Scalar = _of("gait.cycle", "s", "gait cycle")
     duty: _Scalar = _of("gait.duty", "1", "duty")
     heading: _Scalar = _of("gait.heading", "rad", "heading")
-    foothold_height: _Footholds = _of(None)  # (limb, N) m, in order; N = 0: flat ground
-    swing_path: _SwingPaths = _of(None)  # (limb, 3, K) step heights, added to each swing; K = 0: nothing
+    foothold_height: Real[_Values, "... limbs N"] = _of(None)  # (limb, N) m, in order; N = 0: flat ground
+    swing_path: Real[_Values, "... limbs 3 K"] = _of(
+        None
+    )  # (limb, 3, K) step heights, added to each swing; K = 0: nothing
     cargo_mass: _Scalar = _of("disturbance.cargo.mass", "kg", "mass of the cargo")
     cargo_start: _Scalar = _of("disturbance.cargo.start", "s", "loading of the cargo")
     cargo_stop: _Scalar = _of("disturbance.cargo.stop", "s", "unloading of the cargo")

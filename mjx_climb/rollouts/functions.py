@@ -13,7 +13,7 @@ from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters
-from mjx_climb.rollouts.resolve import AnyGains, check_robots, checked_dtype, is_traced
+from mjx_climb.rollouts.resolve import AnyGains, checked_dtype, is_traced
 from mjx_climb.rollouts.trajectory import Trajectory, named
 from mjx_climb.rollouts.walks import Metrics, metrics_of_samples
 from mjx_climb.scenario.model import Scenario
@@ -156,10 +156,7 @@ class Environment:
             ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, or parameters
                 with hardware that the scenario does not have.
         """
-        resolved = self.simulation.resolved_for_steps(gains, parameters, self.dtype)
-        shape = check_robots(jnp.broadcast_shapes(resolved.shape, tuple(batch)))
-        start: SimulationState = over_batch(self.simulation.start, resolved[:2], resolved.axes, shape)
-        return start
+        return self.simulation.start(gains, parameters, self.dtype, tuple(batch))
 
     def step(
         self, state: SimulationState, action: Action = None, gains: AnyGains | None = None

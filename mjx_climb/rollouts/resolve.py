@@ -65,7 +65,8 @@ def resolve(
     parameters = dataclasses.replace(parameters, **joint)
     # gains of a law without any still say how many robots there are
     others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
-    shape = check_robots(jnp.broadcast_shapes(batch_shape(law, parameters), *others))
+    shape = jnp.broadcast_shapes(batch_shape(law, parameters), *others)
+    check_robots(shape)
     if shape != batch_shape(law, parameters):
         parameters = dataclasses.replace(parameters, kp=xp.broadcast_to(parameters.kp, shape))
     return Resolved(law, parameters, shape, own)
@@ -79,11 +80,10 @@ def resolve_in(
         return resolve(scenario, law, gains, parameters, dtype, np)
 
 
-def check_robots(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return a batch shape; raise a ValueError where it has nobody."""
+def check_robots(shape: tuple[int, ...]) -> None:
+    """Raise a ValueError for a batch of nobody."""
     if 0 in shape:
         raise ValueError(f"gains and parameters: expected one robot or more, got batch axes {shape}")
-    return shape
 
 
 def checked_dtype(dtype: DTypeLike) -> np.dtype:
@@ -171,19 +171,23 @@ def checked(law: Law) -> Law:
     return law
 
 
+def by_name(gains: AnyGains) -> dict[str, Any]:
+    """Return gains as a mapping, without those that are not given."""
+    if isinstance(gains, Law):
+        return {name: getattr(gains, name) for name in gains.GAINS}
+    values = gains if isinstance(gains, Mapping) else vars(gains)
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
     """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
-    if gains is None:
-        return {}
+    values = {} if gains is None else by_name(gains)
     if isinstance(gains, Gains):
-        values = {name: value for name, value in vars(gains).items() if value is not None}
         for name, field in law.GAINS.items():
             if field.length == 3 and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
                 values[name] = values[name][..., :3]
         if isinstance(law, PD):
             return values
-    else:
-        values = dict(gains) if isinstance(gains, Mapping) else {name: getattr(gains, name) for name in gains.GAINS}
     known = [*law.GAINS, *_JOINT_LOOP]
     if unknown := [name for name in values if name not in known]:
         names = f"{', '.join(known)}, the gains of {type(law).__name__}"

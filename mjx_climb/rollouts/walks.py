@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -104,17 +104,10 @@ def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Cont
 # --- histories
 
 
-class Stretches(NamedTuple):
-    """How a walk is cut up."""
-
-    number: int
-    steps: int  # of one stretch; the last may be shorter
-
-
-def stretches(steps: int) -> Stretches:
-    """Return the stretches of a walk of so many steps: `STRETCHES` of them, or fewer."""
+def stretches(steps: int) -> tuple[int, int]:
+    """Return the number of stretches of a walk, `STRETCHES` or fewer, and the steps of one; the last may be shorter."""
     length = math.ceil(steps / STRETCHES)
-    return Stretches(math.ceil(steps / length), length)
+    return math.ceil(steps / length), length
 
 
 def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:

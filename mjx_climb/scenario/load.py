@@ -55,5 +55,4 @@ def with_hardware(scenario: Scenario, hardware: Hardware, source: str = "hardwar
     Raises:
         ConfigError: a control period that is no whole number of the scenario's time steps.
     """
-    data = scenario.model_dump(mode="json") | {"hardware": hardware.model_dump(mode="json")}
-    return validated(Scenario, data, source)
+    return overridden(scenario, {"hardware": hardware.model_dump(mode="json")}, source)

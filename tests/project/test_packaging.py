@@ -15,13 +15,10 @@ import pytest
 import mjx_climb as mc
 
 ROOT = Path(__file__).parents[2]
-ASSETS = (
-    "mjx_climb/robot/models/*.xml",
-    "mjx_climb/checks/*.json",
-    "mjx_climb/plots/*.mplstyle",
-    "tuning/report/page.*",
+FILES = (  # beside the code
+    "mjx_climb/robot/models/*.xml", "mjx_climb/checks/*.json", "mjx_climb/plots/*.mplstyle", "tuning/report/page.*",
     "*/py.typed",
-)  # beside the code
+)  # fmt: skip
 
 pytestmark = pytest.mark.slow
 
@@ -81,13 +78,10 @@ def programs(built, tmp_path_factory):
 
 def test_the_wheel_holds_every_module_and_asset(built, checkout):
     inside = files_in(built[0])
-    wanted = {path for pattern in (*ASSETS, "mjx_climb/**/*.py", "tuning/**/*.py") for path in checkout.glob(pattern)}
+    wanted = {path for pattern in (*FILES, "mjx_climb/**/*.py", "tuning/**/*.py") for path in checkout.glob(pattern)}
     assert {path.relative_to(checkout).as_posix() for path in wanted} < set(inside)
-    configs = {name for name in inside if name.startswith("mjx_climb/configs/")}
-    assert configs == {
-        f"mjx_climb/configs/{path.relative_to(checkout / 'configs').as_posix()}"
-        for path in (checkout / "configs").rglob("*.*")
-    }
+    configs = {f"mjx_climb/{path.relative_to(checkout).as_posix()}" for path in checkout.glob("configs/**/*.*")}
+    assert {name for name in inside if name.startswith("mjx_climb/configs/")} == configs
     assert {name.split("/")[0].split("-")[0] for name in inside} == {"mjx_climb", "tuning"}
 
 

@@ -1,4 +1,4 @@
-"""What must hold for any input: scenarios and YAML, contact.
+"""What must hold for any input: scenarios and YAML, contact, and shapes in signatures, see `tests/shapes.py`.
 
 `HYPOTHESIS_PROFILE=thorough` tries many more.
 """
@@ -6,21 +6,24 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+import pytest
 import yaml
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from jaxtyping import TypeCheckError
 
 import mjx_climb as mc
 from mjx_climb.dynamics.kinematics import Feet
+from mjx_climb.dynamics.spatial import norm, quaternion_multiply, quaternion_to_matrix
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.scenario.yaml_text import Dumper
+from mjx_climb.scenario.yaml_text import Dumper, pairs
 from mjx_climb.walk.contact import Contact, grip
 
-# ------------------------------------------------------------------------------------------------------------
-# Scenarios
+# --- scenarios
 
 number = st.floats(allow_nan=False, allow_infinity=False)
 above = st.floats(0, exclude_min=True, allow_infinity=False)
@@ -74,11 +77,9 @@ def scenarios(draw):
     }  # fmt: skip
 
 
-def leaves(data, prefix=""):
+def leaves(data):
     """Return the values of a scenario by dotted key, lists as a whole."""
-    if not isinstance(data, dict):
-        return {prefix: data}
-    return {k: v for name, value in data.items() for k, v in leaves(value, f"{prefix}.{name}".lstrip(".")).items()}
+    return dict(pairs({key: value for key, value in data.items() if value != {}}, "data"))
 
 
 def outcome(make):
@@ -91,14 +92,9 @@ def outcome(make):
 
 
 @given(scenarios())
-def test_a_scenario_survives_yaml(data):
+def test_a_scenario_survives_yaml_and_is_made_by_its_keys_one_by_one(data):
     scenario = Scenario.model_validate(data)
     assert Scenario.from_yaml(scenario.to_yaml()) == scenario
-
-
-@given(scenarios())
-def test_keys_one_by_one_make_the_scenario_of_the_file(data):
-    scenario = Scenario.model_validate(data)
     one_by_one = [f"{key}={inline(value)}" for key, value in leaves(scenario.model_dump(mode="json")).items()]
     assert Scenario().with_overrides(one_by_one) == scenario
 
@@ -109,9 +105,8 @@ def inline(value) -> str:
     return text.removesuffix("...\n").strip("\n")
 
 
-junk = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.lists(st.floats() | st.text(), max_size=7)
-)
+junk = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
+junk = junk | st.lists(st.floats() | st.text(), max_size=7)
 
 
 @given(st.data(), scenarios())
@@ -132,8 +127,7 @@ def test_an_option_says_what_the_file_would(data, scenario):
         assert in_file == as_option
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Contact
+# --- contact
 
 PARAMETERS = jax.tree.map(np.asarray, mc.parameters(Scenario()))
 place = arrays(float, (4, 3), elements=st.floats(-0.1, 0.1, allow_subnormal=False))
@@ -142,14 +136,10 @@ contacts = st.builds(Contact, grip_point=place, touching=flags, detached=flags, 
 gripped = jax.jit(grip)
 
 
-@given(
-    contacts,
-    place,
-    place,
-    flags,
-    arrays(float, 4, elements=st.floats(-0.05, 0.05, allow_subnormal=False)),
-    st.floats(0, 1e3),
-)
+levels = arrays(float, 4, elements=st.floats(-0.05, 0.05, allow_subnormal=False))
+
+
+@given(contacts, place, place, flags, levels, st.floats(0, 1e3))
 def test_contact(contact, position, velocity, closed, ground, limit):
     """Who is held, who is pushed, and that the damper takes energy out, whatever a foot does."""
     feet = Feet(position, velocity, position, np.zeros((4, 3, 3)))
@@ -167,11 +157,37 @@ def test_contact(contact, position, velocity, closed, ground, limit):
     # power: what the spring stores comes back, what is left goes into the damper
     spring = -float(PARAMETERS.contact_stiffness) * (position - after.grip_point)
     damped = np.sum((held.foot_force - spring) * velocity, axis=1)[after.touching]
+    lost = float(PARAMETERS.contact_damping) * np.sum(velocity**2, axis=1)[after.touching]
     assert (damped <= 1e-9).all()
-    np.testing.assert_allclose(
-        damped, -float(PARAMETERS.contact_damping) * np.sum(velocity**2, axis=1)[after.touching], atol=1e-9
-    )
+    np.testing.assert_allclose(damped, -lost, atol=1e-9)
     # grippers: torn off by a pull beyond the limit alone, and for good
     torn = held.support & (held.foot_force[:, 2] < 0) & (np.linalg.norm(held.foot_force, axis=1) > limit)
     np.testing.assert_array_equal(held.torn_off, torn)
     np.testing.assert_array_equal(after.detached, contact.detached | torn)
+
+
+# --- shapes
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: quaternion_to_matrix(jnp.ones(3)),
+        lambda: quaternion_multiply(jnp.ones(4), jnp.ones(3)),
+        lambda: mc.Gains(np.ones(5), 1.0, 2.0),
+        lambda: mc.State(*[np.ones((2, 3))] * 6),  # its orientation has four components
+    ],
+)
+def test_wrong_shapes_are_seen(wrong):
+    with pytest.raises(TypeCheckError):
+        wrong()
+
+
+def test_right_shapes_pass():
+    """Batch axes that broadcast, arrays of numpy for those of JAX, and what JAX puts into trees on its way."""
+    gains = mc.Gains(1, np.ones((64, 1)), 3e3)
+    assert jax.tree.map(jnp.ndim, gains).damping == 2
+    assert jax.tree.map(lambda _: True, gains).damping is True
+    batch = mc.Gains(*[np.ones((3, 6))] * 3)
+    assert jax.vmap(lambda one: one.damping)(batch).shape == (3, 6)
+    assert norm(np.ones((5, 4))).shape == (5,)

@@ -43,18 +43,15 @@ def test_the_reference_shows_every_field(site):
 
 
 @pytest.mark.slow
-def test_docstrings_are_shown_as_they_are_written(site):
-    """(*batch, 3) twice is no emphasis, and what is returned is one thing however many lines say what."""
+def test_docstrings_and_lists_are_shown_as_they_are_written(site):
+    """(*batch, 3) twice is no emphasis, what is returned is one thing however many lines say what, and no item of a
+    list is lost in a paragraph: Python-Markdown wants an empty line where GitHub does not."""
     for page in (site / "reference").glob("*.html"):
         article = page.read_text("utf-8").split("<article")[1].split("</article")[0]
         assert "<em>" not in article and r"\*" not in article
         assert not re.search(r"<code>[^<]*`", article)  # a sentence that was taken for a type
         assert not re.search(r"Returns:</span></p>\s*<ul>\s*<li[^>]*>(?:(?!</ul>).)*<li", article, re.DOTALL)
 
-
-@pytest.mark.slow
-def test_no_item_of_a_list_is_lost_in_a_paragraph(site):
-    """Python-Markdown wants an empty line where GitHub does not."""
     for page in [*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md")]:
         built = site / ("index.html" if page.name == "README.md" else f"{page.stem}.html")
         if not built.exists():  # docs/package.md is for the package index

@@ -4,7 +4,6 @@ Those of a law of one's own are named as the law names them, and `law` says whos
 """
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, overload
 
@@ -13,6 +12,7 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
+from mjx_climb.rollouts.resolve import by_name as by_name
 from mjx_climb.scenario.messages import ConfigError, config_error
 from mjx_climb.scenario.model import overridden
 from mjx_climb.scenario.yaml_text import parse, read
@@ -79,14 +79,6 @@ def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: 
     plain: dict[str, Any] = {} if law is None else {LAW: own_section.reference(law)}
     plain |= {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
     return write_text_atomically(path, commented(comment, plain))
-
-
-def by_name(gains: AnyGains) -> dict[str, Any]:
-    """Return gains as a mapping, without those that are not given."""
-    if isinstance(gains, mc.Law):
-        return {name: getattr(gains, name) for name in gains.GAINS}
-    values = gains if isinstance(gains, Mapping) else vars(gains)
-    return {name: value for name, value in values.items() if value is not None}
 
 
 def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
