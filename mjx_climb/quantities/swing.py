@@ -128,11 +128,10 @@ def swing_reaction(
 @functools.cache
 def _samples(nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return phases (S,), the matrix (S, S) that differentiates by phase within each half, and weights (S,)."""
-    order = np.arange(nodes)
-    points = -np.cos(np.pi * order / (nodes - 1))
+    points = -np.cos(np.pi * np.arange(nodes) / (nodes - 1))
     values = chebyshev.chebvander(points, nodes - 1)
-    slopes = np.stack([chebyshev.chebval(points, chebyshev.chebder(one)) for one in np.eye(nodes)], axis=1)
-    integrals = np.where(order % 2 == 0, 2 / (1 - np.where(order == 1, 0, order) ** 2), 0.0)
+    slopes = chebyshev.chebval(points, chebyshev.chebder(np.eye(nodes))).T
+    integrals = chebyshev.chebval(1.0, chebyshev.chebint(np.eye(nodes), lbnd=-1))
     derivative, weight = slopes @ np.linalg.inv(values), np.linalg.solve(values.T, integrals)
     phase = (points + 1) / 4  # a half is a quarter as long as from -1 to 1
     return np.concatenate([phase, phase + 0.5]), 4 * np.kron(np.eye(2), derivative), np.tile(weight, 2) / 4

@@ -55,11 +55,7 @@ def rollout_histories(
 
 
 def rollout_jvp(
-    scenario: Scenario,
-    gains: AnyGains,
-    directions: AnyGains,
-    parameters: Parameters | None = None,
-    **options: Any,
+    scenario: Scenario, gains: AnyGains, directions: AnyGains, parameters: Parameters | None = None, **options: Any
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return `Simulation.jvp`: metrics of a batch, and their tangents; options as of `rollout_metrics`."""
     return _simulation(scenario, options).jvp(gains, directions, parameters, **options)
