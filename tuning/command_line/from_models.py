@@ -6,7 +6,7 @@ defaults. See `tuning.problem.settings.setting` for what is said of a field; its
 
 import inspect
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -25,6 +25,9 @@ METRICS = (  # for completion: a key press waits for it, so what heavy modules h
 )  # fmt: skip
 
 
+_WITH_FILES = {"config": shipped.names, "ensemble": shipped.ensembles, "hardware": shipped.profiles}
+
+
 def command(folder: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that makes what typer takes of a function, with a parameter for each field of its models.
 
@@ -33,8 +36,15 @@ def command(folder: str = "") -> Callable[[Callable[..., None]], Callable[..., N
     """
 
     def made_of(function: Callable[..., None]) -> Callable[..., None]:
-        models = dict(_models(function))
-        places = {name: (taken, model) for taken, (model, names) in models.items() for name in names}
+        models: dict[str, type[BaseModel]] = {}  # by the name of a parameter
+        places: dict[str, tuple[str, type[BaseModel]]] = {}  # by the name of an option: a parameter and its model
+        for taken, hint in get_type_hints(function, include_extras=True).items():
+            if taken != "return":
+                model, *chosen = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+                but = {word[1:] for word in chosen if word.startswith("-")}
+                models[taken] = model
+                names = model.model_fields if but or not chosen else chosen
+                places |= {name: (taken, model) for name in names if name not in but}
 
         def called(context: typer.Context, **values: Any) -> None:
             typed: dict[str, dict[str, Any]] = {taken: {} for taken in models}
@@ -42,7 +52,7 @@ def command(folder: str = "") -> Callable[[Callable[..., None]], Callable[..., N
                 source = context.get_parameter_source(name)
                 if source is not None and source.name == "COMMANDLINE":
                     typed[taken][name] = _read(name, model.model_fields[name], values[name])
-            function(**{taken: made(model, typed[taken]) for taken, (model, _) in models.items()})
+            function(**{taken: made(model, typed[taken]) for taken, model in models.items()})
 
         first = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
         parameters = [
@@ -82,16 +92,6 @@ def in_options(message: str, model: type[BaseModel]) -> str:
 
 def _flag(name: str, field: FieldInfo) -> str:
     return (_shell(field).flag or f"--{name.replace('_', '-')}").partition("/")[0]
-
-
-def _models(function: Callable[..., None]) -> Iterator[tuple[str, tuple[type[BaseModel], tuple[str, ...]]]]:
-    """Yield the name of each parameter of a command, its model, and the fields that are options."""
-    for name, hint in get_type_hints(function, include_extras=True).items():
-        if name != "return":
-            model, *chosen = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-            but = {word[1:] for word in chosen if word.startswith("-")}
-            names = tuple(model.model_fields) if but or not chosen else tuple(chosen)
-            yield name, (model, tuple(each for each in names if each not in but))
 
 
 def _shell(field: FieldInfo) -> Shell:
@@ -160,6 +160,7 @@ def _completion(kind: str | None, choices: tuple[str, ...]) -> Callable[[str], l
     """Return what completes one of some choices, or what `Shell.complete` names."""
 
     def complete(incomplete: str) -> list[str]:
+        words = [*(choices or METRICS)]
         if kind in _WITH_FILES:  # YAML files of this folder; below other folders the shell itself completes
             files = sorted(str(file) for file in Path().iterdir() if file.suffix in (".yaml", ".yml"))
             words = [*_WITH_FILES[kind](), *files]
@@ -168,11 +169,6 @@ def _completion(kind: str | None, choices: tuple[str, ...]) -> Callable[[str], l
             from mjx_climb.scenario.model import Scenario
 
             words = [f"{name}=" for name in keys(Scenario)]
-        else:
-            words = [*(choices or METRICS)]
         return [word for word in words if word.startswith(incomplete)]
 
     return complete
-
-
-_WITH_FILES = {"config": shipped.names, "ensemble": shipped.ensembles, "hardware": shipped.profiles}

@@ -1,10 +1,11 @@
 """Options that several commands share, each a model, and what is loaded for them."""
 
 import contextlib
+import dataclasses
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
@@ -18,24 +19,11 @@ if TYPE_CHECKING:
     import mjx_climb as mc
     from mjx_climb.rollouts.resolve import AnyGains
     from tuning.command_line.session import Session
+    from tuning.problem.evaluation import Problem
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 EngineName = Literal["limb", "mjx"]
 FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.plots`, which the command line does not wait for
-
-
-class Loaded(NamedTuple):
-    """What the options of `Walk` name."""
-
-    scenario: "mc.Scenario"
-    law: "mc.Law | None"  # of the user's own; None: the scenario's
-    metrics: "mc.MetricTable"
-    engine: EngineName
-
-    @property
-    def how(self) -> dict[str, Any]:
-        """All but the scenario, as what walks takes it."""
-        return {"law": self.law, "metrics": self.metrics, "engine": self.engine}
 
 
 HARDWARE = setting(
@@ -77,20 +65,21 @@ class Walk(Options):
     metrics: tuple[str, ...] = METRICS
     engine: EngineName = ENGINE
 
-    def load(self) -> Loaded:
-        """Return scenario, law and metrics, from options or the config, without the gains file.
+    def load(self) -> "Problem":
+        """Return scenario, law, metrics and engine, from options or the config, without the gains file.
 
         A change of `control.NAME`, a gain of a law of one's own, is the law's.
         """
         import mjx_climb as mc
         from mjx_climb.scenario.yaml_text import pairs
         from tuning.gains.own_section import of_one, taken, without
+        from tuning.problem.evaluation import Problem
 
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(self.law, self.metrics)
         changes = dict(pairs(self.changes, source))
-        if self.law is not None and self.controller is not None:
-            raise InputError(f"--controller: expected none with --law, got {self.controller}")
         if self.controller is not None:
+            if self.law is not None:
+                raise InputError(f"--controller: expected none with --law, got {self.controller}")
             changes["own.law"] = None
         own = mc.load_scenario(source, {key: value for key, value in changes.items() if key.split(".")[0] == "own"})
         _, law, metrics = taken(own, law, metrics, source)
@@ -106,19 +95,19 @@ class Walk(Options):
             except (TypeError, ValueError) as error:
                 raise InputError(f"--set {', '.join(mine)}: {error}") from None
         scenario = scenario_from(Path(source), changes, self.hardware, self.controller)
-        return Loaded(without(scenario), law, metrics, self.engine)
+        return Problem(without(scenario), law=law, metrics=metrics, engine=self.engine)
 
-    def load_with_gains(self) -> Loaded:
+    def load_with_gains(self) -> "Problem":
         """Return what `load` does, with the values of the gains file in the scenario or the law."""
         from mjx_climb.checks.time_step import check_time_step
         from tuning.gains import gains_file
 
         loaded = self.load()
-        if (values := self.values(loaded.law)) is None:
-            return loaded
-        scenario, law = gains_file.replaced(loaded.scenario, loaded.law, values)
-        check_time_step(scenario, str(self.gains))
-        return loaded._replace(scenario=scenario, law=law)
+        if (values := self.values(loaded.law)) is not None:
+            scenario, law = gains_file.replaced(loaded.scenario, loaded.law, values)
+            check_time_step(scenario, str(self.gains))
+            loaded = dataclasses.replace(loaded, scenario=scenario, law=law)
+        return loaded
 
     def values(self, law: "mc.Law | None") -> "AnyGains | None":
         """Return the values of the gains file, None without one."""
@@ -127,8 +116,7 @@ class Walk(Options):
         return None if self.gains is None else gains_file.load(self.gains, law)
 
 
-def _formats(text: Any) -> Any:
-    """Return the formats that a text names, with commas between them."""
+def _formats(text: str) -> tuple[str, ...]:
     formats = tuple(dict.fromkeys(name.strip().lower() for name in text.split(",")))
     if unknown := [name for name in formats if name not in FORMATS]:
         raise ValueError(f"expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
@@ -160,7 +148,7 @@ class SearchFile(Options):
 
     search: Path | None = setting(None, "settings of the search, YAML; options change them", metavar="FILE")
 
-    def settings(self, typed: Search, loaded: Loaded, config: Path) -> Search:
+    def settings(self, typed: Search, loaded: "Problem", config: Path) -> Search:
         """Return the settings of the file with those that were typed in their place, checked against the scenario."""
         from tuning.problem.spaces import space
 
@@ -187,10 +175,7 @@ class SearchFile(Options):
 
 
 def scenario_from(
-    config: Path,
-    changes: "tuple[str, ...] | Mapping[str, Any]" = (),
-    hardware: str | None = None,
-    controller: str | None = None,
+    config: Path, changes: Mapping[str, Any], hardware: str | None = None, controller: str | None = None
 ) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     import mjx_climb as mc
@@ -205,8 +190,7 @@ def scenario_from(
     probe.begin()  # the walk of this scenario asks for it
     scenario = mc.load_scenario(config, () if hardware else changes)
     if hardware:
-        profile = load_hardware(hardware)
-        scenario = overridden(with_hardware(scenario, profile, hardware), changes, str(config))
+        scenario = overridden(with_hardware(scenario, load_hardware(hardware), hardware), changes, str(config))
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
     for check in (check_stance, check_time_step, check_reach):

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from tuning.reproduce.results import Found
 
 
+_BESIDE = "config.yaml"  # what a search leaves beside its gains
+
+
 def _inches(text: str) -> tuple[float, float]:
     try:
         width, height = (float(part) / 25.4 for part in text.lower().split("x"))
@@ -102,9 +105,8 @@ def plot(asked: Plot) -> None:
                 raise
             # a file of another program, or one with gaps
             got = f"one that cannot be drawn ({type(error).__name__}: {error})"
-            raise ConfigError(
-                f"{folder}: expected a result as a command wrote it, with all its files, got {got}"
-            ) from None
+            expected = "expected a result as a command wrote it, with all its files"
+            raise ConfigError(f"{folder}: {expected}, got {got}") from None
 
 
 class Rival(Options):
@@ -114,12 +116,12 @@ class Rival(Options):
         None, "gains file whose kp and kd pd has too, in a curve of its own", metavar="FILE"
     )
 
-    def joint_gains(self) -> dict[str, float] | None:
-        """Return kp and kd of the file, None without one."""
+    def joint_gains(self) -> dict[str, float]:
+        """Return kp and kd of the file, none without one."""
         from tuning.gains import gains_file
 
         if self.retuned_pd is None:
-            return None
+            return {}
         values = gains_file.by_name(gains_file.load(self.retuned_pd))
         if missing := [name for name in ("kp", "kd") if name not in values]:
             expected = f"a gains file with kp and kd, {self.retuned_pd} has no {' and no '.join(missing)}"
@@ -156,13 +158,14 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         from tuning.output.folder import write_config
         from tuning.report.pictures import plot_margins
 
-        scenario, law, *_ = walk.load()
+        loaded = walk.load()
+        law = loaded.law
         gains = walk.values(law) or {}
         others = {} if walk.gains is None or law is not None else {"config": evaluation.Walker(None, {})}
-        if (joint := rival.joint_gains()) is not None:
+        if joint := rival.joint_gains():
             others["retuned pd"] = evaluation.Walker(PD(), joint)
         out = shell.claim("margins.json", walk.config.stem, "margins")
-        scenario = write_config(scenario, out, law)
+        scenario = write_config(loaded.scenario, out, law)
         shell.opening(scenario)
         how: dict[str, Any] = {"law": law, "engine": walk.engine}
         with shell.stage("margins") as told:
@@ -276,9 +279,6 @@ def show(found: "Found", console: "Console") -> None:
         console.print()
 
 
-_BESIDE = "config.yaml"  # what a search leaves beside its gains
-
-
 def _identifier(name: str) -> str:
     if not (name.isascii() and name.isidentifier()):
         raise ValueError(f"expected ASCII letters, digits and underscores, got {name!r}")
@@ -321,12 +321,11 @@ class Export(Options):
         from mjx_climb.scenario.messages import ConfigError, config_error
 
         beside = self.gains.parent / _BESIDE
-        config = beside if self.config is None and beside.is_file() else self.config
-        if config is None:
+        if (config := beside if self.config is None and beside.is_file() else self.config) is None:
             if self.hardware is not None:
                 raise InputError("--hardware: expected --config with it")
             return None
-        scenario = scenario_from(config, hardware=self.hardware)
+        scenario = scenario_from(config, {}, self.hardware)
         if self.rate is not None:
             period = 0.0 if self.rate == round(1 / scenario.time_step) else 1 / self.rate
             try:
@@ -396,14 +395,14 @@ def _written(asked: Export, gains: "mc.Gains", scenario: "mc.Scenario | None") -
         cutoff = scenario.hardware.force_sensor.filter
     if asked.form == "ros2_control":
         ros2_control.check(gains, rate, source)
-        if scenario is None or cutoff is None or scenario.hardware.force_sensor.filtered_by == "law":
-            return ros2_control.write(gains, rate, asked.name, cutoff), []
-        note = (
-            f"the config's sensors filter their forces at {cutoff:g} Hz: filter_coefficient 1, so that they are not "
-            "filtered twice; where admittance_controller is to filter in their place, walk and search with "
-            "hardware.force_sensor.filtered_by=law"
-        )
-        return ros2_control.write(gains, rate, asked.name, None), [note]
+        notes = []
+        if scenario is not None and cutoff is not None and scenario.hardware.force_sensor.filtered_by != "law":
+            notes.append(
+                f"the config's sensors filter their forces at {cutoff:g} Hz: filter_coefficient 1, so that they are "
+                "not filtered twice; where admittance_controller is to filter in their place, walk and search with "
+                "hardware.force_sensor.filtered_by=law"
+            )
+        return ros2_control.write(gains, rate, asked.name, None if notes else cutoff), notes
     if asked.form == "admittance_control":
         admittance_control.check(gains, 1 / rate, source)
         motion = getattr(None if scenario is None else law_of(scenario), "motion", Motion())

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator
 
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
-from tuning.command_line.options import ControllerName, Loaded, Output, Walk
+from tuning.command_line.options import ControllerName, Output, Walk
 from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import mjx_climb as mc
     from tuning.background import Stage
     from tuning.command_line.session import Session
+    from tuning.problem.evaluation import Problem
 
 Walks = Mapping[str, "mc.Trajectory"]  # by the name of the controller, in the order in which they are shown
 MOST_SNAPSHOTS = 12
@@ -139,7 +140,7 @@ def run(walk: Walk, output: Output, pictures: Pictures) -> None:
             raise typer.Exit(1)
 
 
-def _walked(loaded: Loaded, name: str, shell: "Session", pictures: Pictures) -> tuple[Walks, dict[str, Any]]:
+def _walked(loaded: "Problem", name: str, shell: "Session", pictures: Pictures) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
     import mjx_climb as mc
     from mjx_climb.files import dataset, scenario_files
@@ -174,7 +175,7 @@ def _walked(loaded: Loaded, name: str, shell: "Session", pictures: Pictures) -> 
     return walks, metrics[name]
 
 
-def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: Loaded, shell: "Session") -> None:
+def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:
     """Print the metrics of a walk, and of the one beside it where there is one, and how they went."""
     from mjx_climb.rollouts.remedies import remedies
     from tuning.command_line.session import comparison_table, plain_table

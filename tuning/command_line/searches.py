@@ -95,7 +95,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
         shell.say(*filter(None, [team.said]))
         team.begin(out, loaded.scenario.to_yaml())
         with shell.stage("baseline"), file.naming(search):
-            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.how)
+            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.walks)
         files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
         again, compared = repeated(["tune", *files], "--engine"), None
         with shell.keeping("rounds"), background(busy=1) as begin:
@@ -148,7 +148,7 @@ def pareto(
         out = shell.claim("front.nc", walk.config.stem, "pareto")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(space, "--better"):
-            problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.how)
+            problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.walks)
         with shell.keeping("rounds"):
             with shell.rounds("front") as show:
                 found = fronts.run(problem, wanted, asked, out=out, progress=show)
@@ -192,7 +192,7 @@ def schedule(
         out = shell.claim("schedule.nc", walk.config.stem, "schedule")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(space, walk.config):
-            points = schedules.operating_points(loaded.scenario, wanted, asked, **loaded.how)
+            points = schedules.operating_points(loaded.scenario, wanted, asked, **loaded.walks)
         with shell.keeping("rounds"):
             with shell.rounds("schedule") as show:
                 found = schedules.run(points, out=out, progress=show)
@@ -264,7 +264,6 @@ class Grid(Options):
         """Return the walks of the grid."""
         import numpy as np
 
-        from tuning.problem.evaluation import Problem
         from tuning.searches.sweep import grid_of
 
         axes = {name: np.geomspace(*span) for name, span in self.ranges.items()}
@@ -276,7 +275,7 @@ class Grid(Options):
         if loaded.law is None and loaded.scenario.control.controller == "pd":
             raise InputError("--controller: expected a law with gains to sweep, got pd")
         try:
-            return grid_of(Problem(loaded.scenario, **loaded.how), axes, walk.values(loaded.law), self.batch_size)
+            return grid_of(loaded, axes, walk.values(loaded.law), self.batch_size)
         except ValueError as error:
             raise InputError(str(error).replace("axes", "--axis", 1).replace("--axis.", "--axis ", 1)) from None
 
@@ -288,11 +287,10 @@ class Grid(Options):
         from tuning.command_line.session import duration
         from tuning.searches.sweep import expected_duration
 
-        scenario = work.walked.scenario
-        sizes = " x ".join(f"{len(values)} {name}" for name, values in work.axes.items())
+        steps, sizes = work.walked.scenario.steps, " x ".join(f"{len(each)} {name}" for name, each in work.axes.items())
         device = jax.devices(device_for(work.rows, 0, double=False))[0]  # too few for a GPU
-        said = [f"{work.rows} walks ({sizes}) of {scenario.steps} steps on {device.device_kind}"]
-        seconds = expected_duration(here - there, scenario.steps, device.platform)
+        said = [f"{work.rows} walks ({sizes}) of {steps} steps on {device.device_kind}"]
+        seconds = expected_duration(here - there, steps, device.platform)
         if seconds > 600:  # of shorter sweeps progress says enough
             said.append(f"expect some {duration(seconds)}, or spread them over machines with --shard")
         return said
@@ -302,8 +300,7 @@ class Grid(Options):
         from tuning.output import comparisons
 
         begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
-        problem = work.problem
-        return comparisons.of_grid(problem.scenario, problem.law, work.gains, work.axes, problem.engine, begin)
+        return comparisons.of_grid(work.problem, work.gains, work.axes, begin)
 
 
 class Rivals(Judge):
@@ -317,7 +314,6 @@ class Rivals(Judge):
         """Return the walks of the gains."""
         from tuning.gains import gains_file
         from tuning.problem.ensemble import Ensemble
-        from tuning.problem.evaluation import Problem
         from tuning.searches.judge import draw_of
 
         loaded = walk.load()
@@ -328,7 +324,7 @@ class Rivals(Judge):
             got = ", ".join(file.stem for file in self.gains)
             raise InputError(f"--gains: expected files of different names, none config or pd, got {got}")
         ensemble = Ensemble.load(shipped.found(self.ensemble))
-        return draw_of(Problem(loaded.scenario, **loaded.how), named, ensemble, self.members)
+        return draw_of(loaded, named, ensemble, self.members)
 
     def said(self, work: "Draw", here: int, _: int) -> list[str]:
         """Return how many walks there are."""
@@ -345,14 +341,13 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
         from tuning.background import background
         from tuning.searches import shards
 
-        work, name = asked.work(walk), walk.config.stem
-        file, stage, unit = ROWS[kind]
+        work, name, (file, stage, unit) = asked.work(walk), walk.config.stem, ROWS[kind]
         out = shell.claim(file, name, kind, team=team)
         about = {"again": typed_but("--shard", shards.SHARD), "name": name, "repeat": again}
         rows = shards.Rows(work, out, part, about)
         here, there, folder = len(rows.rows), rows.there, rows.folder or out
-        kept_already = f"{there} are there already" if there else ""
-        shell.say("; ".join(filter(None, [*asked.said(work, here, there), which, team.said, kept_already])))
+        said = [*asked.said(work, here, there), which, team.said, f"{there} are there already" if there else ""]
+        shell.say("; ".join(filter(None, said)))
         shell.opening(work.problem.scenario)
         team.begin(folder, work.identity())
         with shell.keeping(f"of {here} {unit}", folder, there), background() as begin:

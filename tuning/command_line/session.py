@@ -265,11 +265,8 @@ def comparison_table(
     """Return walks side by side, each with its change against the baseline where `width` characters have room."""
     from tuning.report import comparison
 
-    columns: list[tuple[str, str | None]] = []
-    for name in walks:
-        columns.append((name, None))
-        if name != baseline and width >= 38 + 19 * (len(walks) - 1):
-            columns.append((name, baseline))
+    others = (None, baseline) if width >= 38 + 19 * (len(walks) - 1) else (None,)
+    columns = [(name, other) for name in walks for other in others if other != name]
     return from_page(comparison.table(walks, "", about, law, columns))
 
 

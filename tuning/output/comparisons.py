@@ -40,10 +40,9 @@ class OfSearch(NamedTuple):
     on_hardware: Mapping[str, Work[xr.Dataset]]  # pd, config: the first walks on worse hardware
 
 
-def of_grid(
-    scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains | None, axes: Axes, engine: str, begin: Begin
-) -> OfGrid:
-    """Begin what a grid is compared with; the arguments are those of `tuning.sweep`."""
+def of_grid(problem: Problem, gains: AnyGains | None, axes: Axes, begin: Begin) -> OfGrid:
+    """Begin what a grid is compared with; `gains` and `axes` are as of `tuning.sweep`."""
+    scenario, law, engine = problem.scenario, problem.law, problem.engine
     control = scenario.control
     papers = law is None and (control.inertia, control.damping, control.stiffness) in PAPER
     walkers = {"pd": (under_pd(scenario), None), "paper" if papers else "config": (scenario, law)}

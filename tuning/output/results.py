@@ -259,9 +259,7 @@ def compare_sweep(found: Swept, stage: Stage, begun: OfGrid | None = None) -> Sw
     """Simulate what the grid is compared with, and work out its limit of stability."""
     problem, best = found.problem, best_cell(found.data)
     axes = {name: found.data[name].values for name in found.axes}
-    others = begun or comparisons.of_grid(
-        problem.scenario, problem.law, found.gains, axes, problem.engine, lambda work: work
-    )
+    others = begun or comparisons.of_grid(problem, found.gains, axes, lambda work: work)
     # side by side: most of the time goes to the compiler, which has a program of its own for each
     with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
 

@@ -398,7 +398,7 @@ def test_numbers_in_tables_and_json():
 
 def test_configs_that_come_with_the_program_are_found_by_name(call, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    scenario = options.scenario_from(Path("case_2"), ("duration=0.2",))
+    scenario = options.scenario_from(Path("case_2"), {"duration": 0.2})
     assert scenario == mc.load_scenario(ROOT / "configs" / "case_2.yaml", ["duration=0.2"])
     code, _, err = call("run", "case_9")
     expected = "case_9: expected a file, or a config that comes with the program (case_1_1, case_1_2, case_2"

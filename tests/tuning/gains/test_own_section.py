@@ -53,7 +53,8 @@ def asked(config, *changes, law=None, controller=None, metrics=None):
     walk = options.Walk(
         config=Path(config), controller=controller, changes=tuple(changes), law=law, metrics=tuple(metrics or ())
     )
-    return walk.load()[:3]
+    found = walk.load()
+    return found.scenario, found.law, found.metrics
 
 
 @pytest.mark.parametrize("given", ["case_1_2", "config"])
