@@ -37,17 +37,13 @@ def mjcf(limbs, joints, *, slides=(), attributes="", on_base="", reach=0.3):
     )
 
 
-def config(path, limbs, joints, *, foothold=0.24, height=0.12):
+def config(path, limbs, joints, /, *, foothold=0.24, height=0.12, **more):
     """Return the robot and gait sections of a scenario: limb0, limb1 ... swing one after the other."""
     named = {}
     for limb in range(limbs):
         around = 2 * np.pi * (limb + 0.5) / limbs
-        named[f"limb{limb}"] = {
-            "joints": [f"L{limb}_{joint}" for joint in range(joints)],
-            "foot": f"foot{limb}",
-            "foothold": [foothold * np.cos(around), foothold * np.sin(around)],
-        }
-    return {
-        "robot": {"file": str(path), "height": height, "limbs": named},
-        "gait": {"sequence": list(named), "duty": max(1 - 1 / limbs, 0.75)},
-    }
+        place = [foothold * np.cos(around), foothold * np.sin(around)]
+        own = [f"L{limb}_{joint}" for joint in range(joints)]
+        named[f"limb{limb}"] = {"joints": own, "foot": f"foot{limb}", "foothold": place}
+    robot = {"file": str(path), "height": height, "limbs": named, **more}
+    return {"robot": robot, "gait": {"sequence": list(named), "duty": max(1 - 1 / limbs, 0.75)}}

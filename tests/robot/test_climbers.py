@@ -20,13 +20,12 @@ ON_AN_ARC = {"foothold": 0.11 + 0.3 * np.sqrt(1 - 0.3**2), "height": 0.09}  # m,
 
 @pytest.fixture
 def climber(tmp_path):
-    """Return the scenario of a climber, `climber(limbs, joints, keys={...}, change=...)`."""
+    """Return the scenario of a climber, `climber(limbs, joints, keys={...}, more={...})`, `more` about the robot."""
 
-    def build(limbs, joints, keys=(), change=lambda data: None, foothold=0.24, height=0.12, **how):
+    def build(limbs, joints, keys=(), foothold=0.24, height=0.12, more=None, **how):
         path = tmp_path / "climber.xml"
         path.write_text(climbers.mjcf(limbs, joints, **how))
-        data = climbers.config(path, limbs, joints, foothold=foothold, height=height)
-        change(data["robot"])
+        data = climbers.config(path, limbs, joints, foothold=foothold, height=height, **more or {})
         return mc.Scenario.model_validate(data).with_overrides(dict(keys))
 
     return build
@@ -36,16 +35,15 @@ def feet_of(robot, angles):
     return limb_frames(robot, None, angles).foot
 
 
-SHAPES = {
-    "two": (2, ()),
-    "four": (4, ()),
-    "five": (5, ()),
-    "six": (6, ()),
-    "seven": (7, ()),
-    "the last slides": (3, (2,)),
-    "of seven two slide": (7, (2, 5)),
+SHAPES = {  # joints, those that slide, stance
+    "two": (2, (), ON_AN_ARC),
+    "four": (4, (), {}),
+    "five": (5, (), {}),
+    "six": (6, (), {}),
+    "seven": (7, (), {}),
+    "the last slides": (3, (2,), OF_SLIDES),
+    "of seven two slide": (7, (2, 5), OF_SLIDES),
 }
-STANCES = {"two": ON_AN_ARC, "the last slides": OF_SLIDES, "of seven two slide": OF_SLIDES}
 
 
 @pytest.mark.parametrize(
@@ -58,8 +56,8 @@ STANCES = {"two": ON_AN_ARC, "the last slides": OF_SLIDES, "of seven two slide":
 )
 def test_ten_thousand_targets_are_met_from_nearby(climber, name):
     """A foothold that the joints can reach is met to 1e-6 m from the posture of one a few centimetres off."""
-    joints, slides = SHAPES[name]
-    robot = load_robot(climber(2, joints, slides=slides, **STANCES.get(name, {})).robot)
+    joints, slides, stance = SHAPES[name]
+    robot = load_robot(climber(2, joints, slides=slides, **stance).robot)
     geometry = limb_geometry(robot)
     assert isinstance(geometry, Chain)
     rng = np.random.default_rng(0)
@@ -112,22 +110,17 @@ def test_springs_of_the_file_are_taken(climber):
 
 def test_attitudes_are_kept_where_every_limb_can_turn_its_foot(climber):
     """Six driven joints in each limb, not in some."""
-    spring = lambda robot: robot.update(springs={"L1_5": {"stiffness": 2.0, "damping": 0.02}})  # noqa: E731
-    kept = [
-        limb_geometry(load_robot(climber(3, 6, change=change).robot), turned=True).attitude is not None
-        for change in (lambda robot: None, spring)
-    ]
-    assert kept == [True, False]
+    springs = {"springs": {"L1_5": {"stiffness": 2.0, "damping": 0.02}}}
+    geometries = [limb_geometry(load_robot(climber(3, 6, more=more).robot), turned=True) for more in ({}, springs)]
+    assert [geometry.attitude is not None for geometry in geometries] == [True, False]
 
 
 def test_limbs_of_fewer_joints_are_filled_up(climber):
     """A limb that names one joint less, the last held, stands and moves as MuJoCo has it."""
 
-    def shorter(robot):
-        robot["limbs"]["limb2"]["joints"].pop()
-        robot["locked"] = {"L2_3": 0.3}
-
-    robot = load_robot(climber(4, 4, change=shorter).robot)
+    limbs = climbers.config("", 4, 4)["robot"]["limbs"]
+    limbs["limb2"]["joints"].pop()
+    robot = load_robot(climber(4, 4, more={"limbs": limbs, "locked": {"L2_3": 0.3}}).robot)
     assert robot.joints == 4 and len(robot.limbs) == 4
     limb = robot.limbs.index("limb2")
     turned = robot.stance_joints.copy()
@@ -174,8 +167,7 @@ def test_a_walk_is_that_of_mujoco(climber, name):
     }  # fmt: skip
     stance = OF_SLIDES if slides else ON_AN_ARC if joints == 2 else {}
     ankles = {f"L{limb}_3": {"stiffness": 2.0, "damping": 0.02} for limb in range(limbs) if "ankles" in name}
-    given = lambda robot: robot.update(springs=ankles)  # noqa: E731
-    scenario = climber(limbs, joints, keys, change=given, slides=slides, attributes=attributes, **stance)
+    scenario = climber(limbs, joints, keys, more={"springs": ankles}, slides=slides, attributes=attributes, **stance)
     check_time_step(scenario)
     walk = mc.rollout(scenario)
     assert not walk.detached.any() and (walk.reachable.mean() > 0.999) == (joints > 2)  # two joints reach a surface
@@ -195,13 +187,13 @@ def test_the_gradient_of_a_walk_of_an_odd_shape(climber):
         "contact.stiffness": 2e3, "contact.rotational_stiffness": 5.0, "contact.rotational_damping": 0.01,
         "time_step": 0.0005,
     }  # fmt: skip
-    scenario = climber(3, 4, keys, change=lambda robot: robot.update(springs=springs), attributes='damping="0.05"')
+    scenario = climber(3, 4, keys, more={"springs": springs}, attributes='damping="0.05"')
     gains = mc.Gains(
         np.ones((1, 6)), np.full((1, 6), 1e2), np.full((1, 6), 3e3), kp=np.full(1, 50.0), kd=np.full(1, 0.2)
     )
     rates = mc.Gains(
-        np.zeros((2, 1, 6)), np.stack([np.full((1, 6), 1e2), np.zeros((1, 6))]),
-        np.stack([np.full((1, 6), 3e3), np.zeros((1, 6))]), kp=np.array([[0.0], [50.0]]), kd=np.array([[0.0], [0.2]]),
+        np.zeros((2, 1, 6)), np.array([[[1e2] * 6], [[0.0] * 6]]), np.array([[[3e3] * 6], [[0.0] * 6]]),
+        kp=np.array([[0.0], [50.0]]), kd=np.array([[0.0], [0.2]]),
     )  # fmt: skip
     walk = {"dtype": np.float64, "smooth": True}
     _, slopes = mc.rollout_jvp(scenario, gains, rates, **walk)

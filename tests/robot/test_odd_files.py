@@ -8,13 +8,12 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import growth
-from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot.constants import load_model
 from mjx_climb.robot.description import bare, compiled, described, driven_joints
-from mjx_climb.robot.limbs import found as robot_found
-from mjx_climb.robot.limbs import rerooted
+from mjx_climb.robot.limbs import found, rerooted
 from mjx_climb.robot.proposal import propose
 from tests.robot import climbers
-from tests.robot.test_robot_file import urdf
+from tests.robot.test_robot_file import robot_of, urdf
 
 PLAIN = climbers.mjcf(4, 3).replace("><", ">\n<")
 FEET = re.compile(r'<site name="foot\d" pos="0.15 0 0"/>')
@@ -24,10 +23,14 @@ def model_of(file):
     return compiled(str(file), bare(str(file)))
 
 
-def found(file):
+def limbs_in(file):
     """Return the limbs of a file by name, and what was noted."""
-    robot = robot_found(file)
+    robot = found(file)
     return robot.limbs, " ".join(map(" ".join, robot.notes))
+
+
+def driving(text, actuators):
+    return text.replace("</worldbody>", f"</worldbody><actuator>{actuators}</actuator>")
 
 
 @pytest.mark.parametrize(
@@ -36,14 +39,15 @@ def found(file):
         ('<frame pos="0.08 0 0"><geom type="capsule" size="0.01 0.07" euler="0 90 0"/></frame>', [0.15, 0, 0]),
         ('<geom type="box" size="0.07 0.01 0.01" pos="0.08 0 0"/>', [0.15, 0, 0]),
         ('<body pos="0.1 0 0"><geom type="box" size="0.02 0.03 0.01" pos="0.03 0 0"/></body>', [0.15, 0, 0]),
+        ("", [0.15, 0.004, 0]),
     ],
-)  # fmt: skip
+)
 def test_a_limb_ends_where_its_shape_does(saved, shape, at):
-    """In a frame, turned by angles, in a part welded on: the place is the one that MuJoCo gives the shape."""
-    limbs, told = found(saved(FEET.sub(shape, PLAIN)))
+    """In a frame, turned by angles, in a part welded on: where MuJoCo has the shape; an end that is guessed is told."""
+    limbs, told = limbs_in(saved(FEET.sub(shape, PLAIN)))
     for limb in limbs.values():
         np.testing.assert_allclose(limb.at, at, atol=1e-5)
-    assert "ends" not in told
+    assert ("ends of last links not in the file" in told) == ("ends" in told) == (not shape)
 
 
 def stl(points):
@@ -65,7 +69,7 @@ def test_a_limb_of_a_urdf_ends_where_its_mesh_does(saved, kind, folder):
     shape = f'<{kind}><origin xyz="0 0 0.01" rpy="0 0 1.2"/><geometry>{mesh}</geometry></{kind}></link>'
     text = re.sub(r'<link name="\w+_toe"/>|<joint name="\w+_ankle".*?</joint>', "", urdf(1)[0])
     text = re.sub(r'(<link name="\w+_shank">.*?)</link>', rf"\1{shape}", text)
-    limbs, told = found(saved(text, "urdf/robot.urdf"))
+    limbs, told = limbs_in(saved(text, "urdf/robot.urdf"))
     there = folder != "urdf/gone"
     for limb in limbs.values():
         end = [0.15 * np.cos(1.2), 0.15 * np.sin(1.2), 0.01]
@@ -80,29 +84,21 @@ def test_a_mesh_of_an_mjcf_and_one_that_is_none(saved):
     text = text.replace("<compiler", '<compiler meshdir="looks"')
     for mesh, at in ((stl(PRONGS), [0.16, 0, 0]), (b"solid nothing", [0.1, 0, 0])):
         saved(mesh, f"{len(mesh)}/looks/shin.stl")
-        limbs, told = found(saved(text, f"{len(mesh)}/robot.xml"))
+        limbs, told = limbs_in(saved(text, f"{len(mesh)}/robot.xml"))
         np.testing.assert_allclose(limbs["L0"].at, at, atol=1e-5)
         assert ("ignored meshes of the last links" in told) == (at[0] == 0.1)
-
-
-def test_an_end_that_is_guessed_is_told(saved):
-    limbs, told = found(saved(FEET.sub("", PLAIN)))
-    assert limbs["L0"].at == (0.15, 0.004, 0.0) and "ends of last links not in the file" in told
 
 
 def test_joints_driven_in_any_way(saved):
     """By a motor, one in the parent's frame, a tendon: not the fourth limb's last. A ball joint's drive its hinges."""
     tendons = "".join(f'<fixed name="t{n}"><joint joint="L{n}_2" coef="2"/></fixed>' for n in range(3))
-    motors = "".join(
-        f'<motor joint="L{n}_0"/><motor jointinparent="L{n}_1"/>{f"""<motor tendon="t{n}"/>""" if n < 3 else ""}'
-        for n in range(4)
-    )
-    text = PLAIN.replace("</worldbody>", f"</worldbody><tendon>{tendons}</tendon><actuator>{motors}</actuator>")
+    motors = "".join(f'<motor joint="L{n}_0"/><motor jointinparent="L{n}_1"/>' for n in range(4))
+    motors += "".join(f'<motor tendon="t{n}"/>' for n in range(3))
+    text = driving(PLAIN, motors).replace("</worldbody>", f"</worldbody><tendon>{tendons}</tendon>")
     joints = {f"L{n}_{k}" for n in range(4) for k in range(3)}
     assert driven_joints(described(str(saved(text)))) == joints - {"L3_2"}
     ball = re.sub(r'<joint name="L0_1"[^>]*>', '<joint name="L0_1" type="ball"/>', PLAIN)
-    motors = '<motor joint="L0_1" gear="0 1 0"/><motor joint="L0_1" gear="0 0 2"/>'
-    text = ball.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
+    text = driving(ball, '<motor joint="L0_1" gear="0 1 0"/><motor joint="L0_1" gear="0 0 2"/>')
     assert driven_joints(described(str(saved(text)))) == {"L0_1_y", "L0_1_z"}
 
 
@@ -119,8 +115,7 @@ LIMITS = {
 def test_torque_limits_of_actuators(saved):
     """Those in force, of all actuators of a joint together."""
     motors = "".join(motor.format(f"L{n // 3}_{n % 3}") for n, motor in enumerate(LIMITS))
-    file = saved(PLAIN.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>"))
-    model = model_of(file)
+    model = model_of(saved(driving(PLAIN, motors)))
     for n, limit in enumerate(LIMITS.values()):
         joint = model.joint(f"L{n // 3}_{n % 3}").id
         assert bool(model.jnt_actfrclimited[joint]) == (limit is not None)
@@ -140,11 +135,9 @@ def test_small_and_bounded_weights_are_mujocos(saved):
 
 def test_a_file_is_what_is_in_it_whatever_its_name(saved):
     """A URDF called .xml needs no meshes, and an MJCF called .urdf has the weights of its shapes."""
-    file = saved(urdf(0)[0])
-    assert model_of(file).nmesh == 0
+    assert model_of(saved(urdf(0)[0])).nmesh == 0
     shapes = re.sub(r'<inertial pos="0.075[^>]*>', '<geom type="capsule" size="0.01" fromto="0 0 0 0.1 0 0"/>', PLAIN)
-    file = saved(shapes, "robot.urdf")
-    assert model_of(file).body("L0_2").mass[0] > 0.01
+    assert model_of(saved(shapes, "robot.urdf")).body("L0_2").mass[0] > 0.01
 
 
 def test_a_hand_ends_a_limb(saved):
@@ -157,17 +150,14 @@ def test_a_hand_ends_a_limb(saved):
     hands = lambda _: "".join(map(finger.format, [next(ends)] * 2, (0, 1)))  # noqa: E731
     for joints, expected in ((3, 3), (2, 3)):
         text = re.sub(r'<site name="foot\d" pos="[\d.]+ 0 0"/>', hands, climbers.mjcf(4, joints))
-        limbs, _ = found(saved(text))
+        limbs, _ = limbs_in(saved(text))
         assert [len(limb.joints) for limb in limbs.values()] == [expected] * 4
 
 
-PEBBLE = '<body name="pebble"><freejoint/><geom size="0.1"/></body>'
-SLIDES = '<joint name="rx" type="slide" axis="1 0 0"/>'
-
-
 def test_a_base_that_slides_beside_a_pebble_that_floats(saved):
-    file = saved(PLAIN.replace("<freejoint/>", SLIDES).replace("<worldbody>", f"<worldbody>{PEBBLE}"))
-    robot = robot_found(file)
+    slides = PLAIN.replace("<freejoint/>", '<joint name="rx" type="slide" axis="1 0 0"/>')
+    pebble = '<worldbody><body name="pebble"><freejoint/><geom size="0.1"/></body>'
+    robot = found(saved(slides.replace("<worldbody>", pebble)))
     assert robot.model.body(robot.base).name == "trunk"
 
 
@@ -186,17 +176,13 @@ def test_a_file_that_begins_at_a_foot(saved):
         for n, angle in enumerate(angles):
             data.joint(f"L{n // 3}_{n % 3}").qpos[:] = angle
         mujoco.mj_kinematics(each, data)
-        trunk, foot = data.body("trunk"), data.site("foot3")
-        own = data.site("foot1")
-        axes = trunk.xmat.reshape(3, 3)
-        placed.append([axes.T @ (place.xpos - trunk.xpos) for place in (foot, own)])
-        placed[-1].append(axes.T @ (data.body("L1_2").xipos - trunk.xpos))
+        places = np.array([data.site("foot3").xpos, data.site("foot1").xpos, data.body("L1_2").xipos])
+        placed.append((places - data.body("trunk").xpos) @ data.body("trunk").xmat.reshape(3, 3))
     np.testing.assert_allclose(*placed, atol=1e-12)
-    sections = [propose(file, base=base).sections["robot"] for file, base in ((whole, None), (turned, "trunk"))]
+    files = ((whole, None), (turned, "trunk"))
+    sections = [propose(file, base=base).sections["robot"] for file, base in files]
     assert sections[1]["base"] == "trunk" and set(sections[1]["limbs"]) == set(sections[0]["limbs"])
-    ours, theirs = (load_robot(mc.Scenario.model_validate(
-        climbers.config(file, 4, 3) | {"robot": climbers.config(file, 4, 3)["robot"] | {"base": base}}).robot)
-        for file, base in ((turned, "trunk"), (whole, None)))  # fmt: skip
+    ours, theirs = (robot_of(climbers.config(file, 4, 3, base=base)) for file, base in files)
     for name in ("base_mass", "link_mass", "link_inertia", "frame_position", "foot_center", "stance_joints"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-5)
     with pytest.raises(mc.RobotError, match=r"robot\.base: expected a body of the file"):
@@ -205,14 +191,12 @@ def test_a_file_that_begins_at_a_foot(saved):
 
 def test_one_row_of_joints_begins_at_a_foot(saved):
     """Its base is in the middle, and what hangs on it either way are the limbs."""
-    whole = saved(climbers.mjcf(2, 7))
-    text = rerooted(model_of(whole), "L0_6").to_xml()
+    text = rerooted(model_of(saved(climbers.mjcf(2, 7))), "L0_6").to_xml()
     proposal = propose(saved(text, "worm.xml"))
     robot = proposal.sections["robot"]
     assert robot["base"] == "trunk" and "from foot to foot" in " ".join(map(" ".join, proposal.notes))
-    assert sorted(limb["joints"] for limb in robot["limbs"].values()) == [
-        [f"L{limb}_{joint}" for joint in range(7)] for limb in range(2)
-    ]
+    joints = [[f"L{limb}_{joint}" for joint in range(7)] for limb in range(2)]
+    assert sorted(limb["joints"] for limb in robot["limbs"].values()) == joints
 
 
 def test_arms_above_legs_are_asked_for(saved, ended):
@@ -224,7 +208,7 @@ def test_arms_above_legs_are_asked_for(saved, ended):
     file = saved(trunk + "".join(legs + arms) + "</body></worldbody></mujoco>")
     with pytest.raises(mc.RobotError, match="got arm_L0, arm_L1 above L0, L1: choose with --limbs L0,L1, or"):
         propose(file)
-    assert list(robot_found(file, stand_on=["L1", "L0"]).limbs) == ["L0", "L1"]
+    assert list(found(file, stand_on=["L1", "L0"]).limbs) == ["L0", "L1"]
     code, _, error = ended(file, "--limbs", "L0,leg")
     assert code == 2 and "--limbs: expected two or more of L0, L1, arm_L0" in error
 
@@ -239,17 +223,11 @@ def test_what_is_told_of_a_robot_with_little_in_its_file(saved):
     text = text.replace('joint name="L0_1"', 'joint name="L0_1" damping="0.1 0.2"')
     proposal = propose(saved(text))
     told = "\n".join(" ".join(note) for note in proposal.notes)
-    for line in (
-        "taken base 'pelvis'",
-        "changed joint 'waist' of no limb",
-        "ignored 1 keyframes not of the 20 positions",
-        "changed limits of 12 joints the file has none",
-        "ignored gravity compensation",
-        "ignored damping and stiffness beyond",
-    ):
+    for line in ("taken base 'pelvis'", "changed joint 'waist' of no limb", "ignored damping and stiffness beyond",
+                 "ignored 1 keyframes not of the 20 positions", "ignored gravity compensation",
+                 "changed limits of 12 joints the file has none"):  # fmt: skip
         assert line in told
-    robot = mc.Scenario.model_validate(proposal.sections | {"time_step": 1e-4}).robot
-    assert load_robot(robot).base_mass == pytest.approx(2.2)
+    assert robot_of(proposal.sections | {"time_step": 1e-4}).base_mass == pytest.approx(2.2)
 
 
 def test_the_robots_own_file_is_not_written_over(saved, ended):
@@ -270,20 +248,18 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(saved):
         "</body></body></body>"
         for n, (x, y, turn) in enumerate(((1, 0, 0), (0, 1, 90), (-1, 0, 180), (0, -1, 270)))
     )
-    file = saved(
-        '<mujoco><worldbody><body name="hub"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="0.02 0.02 0.03"/>'
-        f"{limbs}</body></worldbody></mujoco>",
-    )
+    hub = '<body name="hub"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="0.02 0.02 0.03"/>'
+    file = saved(f"<mujoco><worldbody>{hub}{limbs}</body></worldbody></mujoco>")
     out, stride, kd = 0.051, 0.045, 6.5  # m, from the pitch axis; m; N m s/rad
     far = 0.19 + out
-    feet = {"B0": [far, 0], "B1": [0, far], "B2": [-far, 0], "B3": [0, -far]}
-    sections = {
-        "robot": {"file": str(file), "height": 0.17, "limbs": {
-            limb: {"joints": [f"{limb}_{joint}" for joint in ("slide", "yaw", "pitch")], "foot": f"foot{limb[1]}",
-                   "foothold": foot} for limb, foot in feet.items()}},
-        "gait": {"sequence": list(feet), "stride": stride}, "control": {"kp": 1600.0, "kd": kd}, "time_step": 1e-5,
-    }  # fmt: skip
-    scenario = mc.Scenario.model_validate(sections)
+    limbs = {
+        f"B{n}": {"joints": [f"B{n}_slide", f"B{n}_yaw", f"B{n}_pitch"], "foot": f"foot{n}", "foothold": foot}
+        for n, foot in enumerate(([far, 0], [0, far], [-far, 0], [0, -far]))
+    }
+    scenario = mc.Scenario.model_validate({
+        "robot": {"file": str(file), "height": 0.17, "limbs": limbs}, "time_step": 1e-5,
+        "gait": {"sequence": list(limbs), "stride": stride}, "control": {"kp": 1600.0, "kd": kd},
+    })  # fmt: skip
     model = load_model(scenario.robot)
     data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))
     data.qpos[:] = model.key_qpos[0]
@@ -302,12 +278,10 @@ def test_a_held_joint_is_a_body_turned(saved):
     turned = climbers.mjcf(2, 3, on_base=arm.format(f' euler="0 {np.degrees(0.7)} 0"', ""))
     rng, found = np.random.default_rng(0), []
     position, rate = rng.uniform(-0.5, 0.5, 6), rng.normal(size=12)
-    scenario = mc.Scenario.model_validate(climbers.config(saved(held, "free.xml"), 2, 3))
     with pytest.raises(mc.RobotError, match=r"robot.limbs: expected no joints but those named .*robot.locked.mast: 0"):
-        load_robot(scenario.robot)
+        robot_of(climbers.config(saved(held, "free.xml"), 2, 3))
     for name, text, locked in (("held.xml", held, {"mast": 0.7}), ("turned.xml", turned, {})):
-        sections = climbers.config(saved(text, name), 2, 3)
-        sections["robot"]["locked"] = locked
+        sections = climbers.config(saved(text, name), 2, 3, locked=locked)
         model = load_model(mc.Scenario.model_validate(sections).robot)
         data, mass = mujoco.MjData(model), np.empty((12, 12))
         data.qpos[:], data.qvel[:] = [0, 0, 0, 0.6, 0.8, 0, 0, *position], rate
