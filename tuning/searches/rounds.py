@@ -51,16 +51,10 @@ class Method(NamedTuple):
 
 
 def as_method(method: Method | Callable[[Task], Points]) -> Method:
-    """Return a method; the rounds of a bare function are the setting `iterations`, 0 where that is not set.
-
-    Raises:
-        ConfigError: neither a method nor a function.
-    """
-    if isinstance(method, Method):
-        return method
-    if not callable(method):
+    """Return a method; the rounds of a bare function are the setting `iterations`, 0 where that is not set."""
+    if not isinstance(method, Method) and not callable(method):
         raise ConfigError(f"method: expected a name, a Method, or a function of a Task, got {method!r}")
-    return Method(lambda task: task.search.iterations or 0, method)
+    return method if isinstance(method, Method) else Method(lambda task: task.search.iterations or 0, method)
 
 
 class Progress(NamedTuple):

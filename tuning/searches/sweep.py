@@ -90,8 +90,8 @@ def sweep(
         engine: the dynamics, one of `mjx_climb.ENGINES`.
         dtype: precision of the simulation.
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
-        out: a folder that keeps each finished part, so that an interrupted sweep goes on from there, bit by bit. The
-            parts stay until the result is written there, or `tuning.searches.parts.clear(out)`.
+        out: a folder that keeps each finished part, so that an interrupted sweep goes on from there, bit by bit; until
+            the result is written there, or `tuning.searches.parts.clear(out)`.
         progress: called with the number of walks done and the number in all: first with what `out` holds already,
             then after each part.
 
@@ -215,11 +215,7 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
 
 
 def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_size: int | None = None) -> Grid:
-    """Return what `sweep` walks, whose arguments these are.
-
-    Raises:
-        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
-    """
+    """Return what `sweep` walks, whose arguments and errors these are."""
     own = problem.law or law_of(problem.scenario)
     known = [*own.GAINS, *JOINT]
     if not own.GAINS:
@@ -243,12 +239,9 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
 
 
 def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:
-    """Return how many robots walk at a time: equal parts of a few seconds each, so that progress is seen and kept.
+    """Return how many robots of so many walk at a time: equal parts of seconds each, so that progress is seen and kept.
 
-    Arguments:
-        walks: in all.
-        steps: of one walk.
-        platform: "cpu" or an accelerator's name; JAX's default where None.
+    `steps` are those of one walk, `platform` is "cpu" or an accelerator's name, JAX's default where None.
     """
     least, most, budget = _CPU if (platform or jax.default_backend()) == "cpu" else _ACCELERATOR
     parts = math.ceil(walks / min(max(budget // steps, least), most))
@@ -269,10 +262,9 @@ def holding(data: xr.Dataset, metric: str) -> xr.DataArray:
 def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset | None:
     """Return the cell with the least `metric` among those that neither let go nor diverge, None where all fail.
 
-    The result has no axes; its coordinates are the best gains. Margins and other metrics that should be large are
-    maximised.
+    Its coordinates are the best gains. Margins and other metrics that should be large are maximised.
     """
     values = holding(data, metric)
-    if not np.isfinite(values).any():
-        return None
-    return data.isel((-values if larger_is_better(data[metric]) else values).argmin(dim=...))
+    if larger_is_better(data[metric]):
+        values = -values
+    return data.isel(values.argmin(dim=...)) if np.isfinite(values).any() else None

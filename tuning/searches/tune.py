@@ -59,8 +59,8 @@ def tune(
         parameters: in place of the scenario's; with leading axes (members, 1), an ensemble over which the score is the
             mean.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
-        out: a folder that keeps each finished round, so that an interrupted search goes on from there. The rounds
-            stay until the result is written there, or `tuning.searches.parts.clear(out)`.
+        out: a folder that keeps each finished round, so that an interrupted search goes on from there; until the
+            result is written there, or `tuning.searches.parts.clear(out)`.
         progress: called after each round.
 
     Returns:
@@ -119,11 +119,9 @@ def over_ensemble(settings: Search | None, changes: Mapping[str, Any], ensemble:
 
     The joint loop is searched where the ensemble has hardware and the settings do not say.
     """
-    own = {} if settings is not None else {"weights": ROBUST_WEIGHTS}
-    settings = (settings or Search()).changed({**own, **changes})
-    if settings.joint_gains is not None or ensemble.hardware is None:
-        return settings
-    return settings.model_copy(update={"joint_gains": True})
+    settings = (settings or Search(weights=ROBUST_WEIGHTS)).changed(dict(changes))
+    silent = settings.joint_gains is None and ensemble.hardware is not None
+    return settings.model_copy(update={"joint_gains": True}) if silent else settings
 
 
 def run(
@@ -154,15 +152,13 @@ def run(
 def for_this_machine(
     scenario: mc.Scenario, search: Search, chosen: Iterable[object] = (), law: mc.Law | None = None
 ) -> Search:
-    """Return settings with the method that is best here, where nobody has chosen one.
+    """Return settings with the method that is best here, where none of `chosen` (None: not given) says how to search.
 
     Where a GPU's kernel walks thousands in the time of one, many points compared by their values go deeper, and sooner,
-    than a few that follow their gradients. `chosen` is what the user gave that says how to search, settings and a
-    method, each None where it was not given.
+    than a few that follow their gradients.
     """
-    if any(given is not None for given in chosen):
-        return search
-    many = execution.many_at_once(np.dtype(search.precision)) and spaces.space(scenario, search, law).size > 1
+    free = all(given is None for given in chosen) and execution.many_at_once(np.dtype(search.precision))
+    many = free and spaces.space(scenario, search, law).size > 1
     return search.model_copy(update={"method": "cmaes"}) if many else search
 
 
@@ -187,16 +183,18 @@ def problem_of(
     problem = dataclasses.replace(without_goal(scenario, search, **walks), own_objective=objective)
     if isinstance(objective, Goal):
         return dataclasses.replace(problem, objective=objective)
-    table, baseline, worst = problem.metrics, dict[str, Any](), None
+    table, engine, worst = problem.metrics, problem.engine, None
+    baseline: Mapping[str, Any]
     if ensemble is None:
-        baseline |= evaluation.baseline(scenario, problem.engine, table)
+        baseline = evaluation.baseline(scenario, engine, table)
     else:
         drawn, worst = ensembles.draw(scenario, ensemble), ensemble.worst
         problem = dataclasses.replace(problem, parameters=drawn, members=ensemble.members, ensemble=ensemble)
-        each = evaluation.pd_of(scenario, drawn, engine=problem.engine, metrics=table)
-        baseline |= {name: value.reshape(-1) for name, value in each.items()}
-    goal = objectives.objective(scenario, search, baseline, objective, table, worst)
-    return dataclasses.replace(problem, objective=goal)
+        each = evaluation.pd_of(scenario, drawn, engine=engine, metrics=table)
+        baseline = {name: value.reshape(-1) for name, value in each.items()}
+    return dataclasses.replace(
+        problem, objective=objectives.objective(scenario, search, baseline, objective, table, worst)
+    )
 
 
 def without_goal(
@@ -208,9 +206,8 @@ def without_goal(
         ConfigError: settings that make no sense, or a shipped metric, by which searches know what failed, is missing.
     """
     table = mc.MetricTable(metrics)
-    for metric in mc.METRICS:
-        if metric not in table:
-            raise ConfigError(f"metrics: expected the shipped {metric.name} among them, as in METRICS + (mine,)")
+    if missing := [metric.name for metric in mc.METRICS if metric not in table]:
+        raise ConfigError(f"metrics: expected the shipped {missing[0]} among them, as in METRICS + (mine,)")
     search_settings.check_metrics(search, table)
     space, dtype = spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
     return Problem(scenario, space, dtype=dtype, metrics=table, **walks)
