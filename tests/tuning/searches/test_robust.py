@@ -10,7 +10,6 @@ import xarray as xr
 import mjx_climb as mc
 import tuning
 from mjx_climb.scenario.load import load_hardware, with_hardware
-from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tuning.problem import ensemble as ensembles
 from tuning.problem import search, spaces
@@ -41,18 +40,6 @@ def test_the_shipped_ensemble_is_the_default_one():
 def test_yaml_round_trip(tmp_path, ensemble):
     (tmp_path / "e.yaml").write_text(ensemble.to_yaml())
     assert ensembles.Ensemble.load(tmp_path / "e.yaml") == ensemble
-
-
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [("cargo: {mass: [2, 1]}", "cargo: mass: expected low <= high"), ("slope: 3", "slope"), ("members: 0", "members"),
-     ("robot_mass: [0, 1]", "robot_mass"), ("[1]", "expected a mapping")],
-)  # fmt: skip
-def test_errors_name_file_and_key(tmp_path, text, where):
-    (tmp_path / "e.yaml").write_text(text)
-    with pytest.raises(ConfigError, match=r"e\.yaml") as error:
-        ensembles.Ensemble.load(tmp_path / "e.yaml")
-    assert where in str(error.value)
 
 
 def test_a_seed_gives_one_draw_and_another_seed_another(scenario):
@@ -107,19 +94,6 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
         assert values.shape == (50, 1)
         assert low - 1e-9 <= values.min() < low + 0.1 * reach and high - 0.1 * reach < values.max() <= high + 1e-9
     assert np.median(rate) == pytest.approx(np.sqrt(100.0 * 500.0), rel=0.15)
-
-
-@pytest.mark.parametrize(
-    ("hardware", "where"),
-    [
-        ({"friction": (0.5, 2.0)}, "hardware.friction: expected friction in the scenario"),
-        ({"control_rate": (100.0, 2000.0)}, "hardware.control_rate: expected at most the 1000 Hz"),
-        ({"force_delay": (0.0, 1e9)}, "hardware.force_delay: expected at most 500 time steps, 0.5 s"),
-    ],
-)
-def test_hardware_that_cannot_be_drawn_is_refused(scenario, hardware, where):
-    with pytest.raises(ConfigError, match=where):
-        ensembles.draw(scenario, ensembles.Ensemble.make({"hardware": hardware}))
 
 
 def test_joint_gains_are_searched_where_there_is_hardware(scenario):
@@ -274,16 +248,9 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
 
 
 @pytest.mark.slow
-def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, tmp_path):
-    how = {"method": "cmaes", "starts": 4, "iterations": 2}
-
-    def stop(now):
-        if now.rounds == 1:
-            raise KeyboardInterrupt
-
-    cut = tuning.robust(scenario, ensemble, out=tmp_path, progress=stop, **how)
-    assert cut.interrupted
-    walked = []
+def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, tmp_path, stop):
+    how, walked = {"method": "cmaes", "starts": 4, "iterations": 2}, []
+    assert tuning.robust(scenario, ensemble, out=tmp_path, progress=stop(1), **how).interrupted
     resumed = tuning.robust(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
     assert walked == [False, True]
     xr.testing.assert_equal(resumed.data, tuning.robust(scenario, ensemble, **how).data)

@@ -115,27 +115,12 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path, differs, changes
         kept(scenario, tmp_path)
 
 
-@pytest.mark.parametrize("axis", [[], [0.0, 1.0], [1.0, np.nan], [1.0, np.inf], [[1.0]]])
-def test_bad_axes(scenario, axis):
-    with pytest.raises(ValueError, match="stiffness"):
-        sweep(scenario, {**AXES, "stiffness": axis})
-
-
-def test_pd_has_nothing_to_sweep(scenario):
-    with pytest.raises(ValueError, match="pd"):
-        sweep(scenario.with_overrides(["control.controller=pd"]), AXES)
-
-
 def test_best_is_the_least_among_walks_that_hold(whole):
     values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], np.float32)
     limb, diverged = np.full((3, 2), -1, np.int32), np.zeros((3, 2), bool)
     limb[0, 0], diverged[0, 1] = 2, True
-    made = whole.assign(
-        force_variation=(whole["detached_limb"].dims, values),
-        min_tsm=(whole["detached_limb"].dims, values),
-        detached_limb=(whole["detached_limb"].dims, limb),
-        diverged=(whole["detached_limb"].dims, diverged),
-    )
+    cells = {"force_variation": values, "min_tsm": values, "detached_limb": limb, "diverged": diverged}
+    made = whole.assign({name: (("stiffness", "damping"), each) for name, each in cells.items()})
     best = sweeps.best_cell(made)
     assert (best["stiffness"], best["damping"], best["force_variation"]) == (1e4, 1e2, 3)
     assert sweeps.best_cell(made, "min_tsm")["min_tsm"] == 6

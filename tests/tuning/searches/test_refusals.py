@@ -1,0 +1,93 @@
+"""What no search can be asked for: one line says what was expected and where."""
+
+import re
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+import tuning
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import smallest
+from tuning.problem import ensemble as ensembles
+from tuning.problem import spaces
+from tuning.problem.search import Search
+from tuning.searches.methods import Request
+
+CASE = mc.load_scenario("case_1_2", ["duration=0.2"])
+OWN = smallest("lowest_base", "m", "lowest base", lambda s, _: s.base_position[2])
+
+
+def space(**settings):
+    return lambda: spaces.space(CASE, Search.make(settings))
+
+
+def search(**how):
+    return lambda: tuning.tune(CASE, **how)
+
+
+def method(*requests):
+    return search(method=lambda task: iter(requests))
+
+
+def schedule(**points):
+    return lambda: tuning.schedule(CASE, **points)
+
+
+def grid(axis=(1e3,), **axes):
+    return lambda: tuning.sweep(CASE, {"stiffness": axis, "damping": [1e2, 1e3], **axes})
+
+
+def draw(**hardware):
+    return lambda: ensembles.draw(CASE, ensembles.Ensemble.make({"hardware": hardware}))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (space(pins={"damping.rx": 1.0}), "pins.damping.rx: expected one of damping, "),
+        (space(bounds={"kp": [1, 2]}), "bounds.kp: expected one of damping, "),
+        (space(pins={"damping": 1, "stiffness": 1}), "pins: expected a gain left to search, got none"),
+        (search(weights={"speed": 1}), "search: 'speed' is no metric to weigh or limit"),
+        (search(weights={"lowest_base": 1.0}), "search: 'lowest_base' is no metric to weigh or limit"),
+        (search(bounds={"damping": [2, 1]}), "search: bounds.damping: expected low < high, got 2, 1"),
+        (search(metrics=(OWN,)), "metrics: expected the shipped peak_foot_force among them"),
+        (search(method="grid", space="diagonal"), "method: expected a space of at most 4 gains for a grid, got 12"),
+        (search(method="magic"), "expected 'gradient', 'lbfgs', 'grid', 'cmaes' or 'optuna', got 'magic'"),
+        (search(method="own"), "method: expected the method itself"),
+        (search(method=3.0), "method: expected a name, a Method, or a function"),
+        (method(np.zeros((2, 2))), "method: expected a Request of finite theta (B, 2), got a ndarray"),
+        (method(Request(np.zeros((2, 5)), None, "")), "method: expected a Request of finite theta (B, 2), got (2, 5)"),
+        (method(Request(np.diag([0.0, np.nan]), None, "")), "(B, 2), got (2, 2) with values that are not finite"),
+        (method(Request(np.zeros((2, 2)), np.ones((1, 3)), "")), "method: expected directions (k, 2), got (1, 3)"),
+        (lambda: tuning.pareto(CASE, better="travel", against="travel"), "against: expected another metric than"),
+        (schedule(gravity=(1.0, 0.1)), "gravity: expected ascending numbers, got 1, 0.1"),
+        (schedule(gravity=(0.0, 1.0)), "gravity.0: expected a number above 0"),
+        (schedule(cargo=()), "cargo: "),
+        (schedule(cargo=(-1.0,)), "cargo.0: expected 0 or more"),
+        *((grid(axis), "stiffness: expected a list of finite numbers above 0")
+          for axis in ([], [0.0, 1.0], [1.0, np.nan], [1.0, np.inf], [[1.0]])),
+        (grid(inertia=[1.0]), "axes: expected two gains, got 3"),
+        (grid(speed=[1.0]), "axes.speed: expected a gain of the law, one of "),
+        (lambda: tuning.sweep(CASE.with_overrides(["control.controller=pd"]), {}), "an admittance law, got pd"),
+        (draw(friction=(0.5, 2.0)), "hardware.friction: expected friction in the scenario"),
+        (draw(control_rate=(100.0, 2000.0)), "hardware.control_rate: expected at most the 1000 Hz"),
+        (draw(force_delay=(0.0, 1e9)), "hardware.force_delay: expected at most 500 time steps, 0.5 s"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_in_one_line(call, message):
+    with pytest.raises((ConfigError, ValueError), match=re.escape(message)) as refused:
+        call()
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [("cargo: {mass: [2, 1]}", "cargo: mass: expected low <= high"), ("slope: 3", "slope"), ("members: 0", "members"),
+     ("robot_mass: [0, 1]", "robot_mass"), ("[1]", "expected a mapping")],
+)  # fmt: skip
+def test_errors_name_file_and_key(tmp_path, text, where):
+    (tmp_path / "e.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=r"e\.yaml") as error:
+        ensembles.Ensemble.load(tmp_path / "e.yaml")
+    assert where in str(error.value)
