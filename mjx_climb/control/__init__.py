@@ -1,12 +1,13 @@
 """Control laws behind one seam: what is measured and planned goes in, targets of base and feet come out."""
 
 import math
+from typing import Any
 
 from mjx_climb.control.admittance import EndEffectorAdmittance, MeasuredPoseAdmittance, VirtualModelAdmittance
 from mjx_climb.control.law import PD, Command, GainField, Law, Measurement, Reference, Start, begin, gain, shifted
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import Control, Scenario
+from mjx_climb.scenario.model import Scenario
 
 # (controller, reading of the paper's equation), as a config names them
 LAWS: dict[tuple[str, str], type[Law]] = {
@@ -18,22 +19,9 @@ LAWS: dict[tuple[str, str], type[Law]] = {
 }
 
 __all__ = [
-    "LAWS",
-    "PD",
-    "Command",
-    "EndEffectorAdmittance",
-    "GainField",
-    "Law",
-    "MeasuredPoseAdmittance",
-    "Measurement",
-    "Reference",
-    "Start",
-    "VirtualModelAdmittance",
-    "begin",
-    "gain",
-    "law_of",
-    "shifted",
-]
+    "LAWS", "PD", "Command", "EndEffectorAdmittance", "GainField", "Law", "MeasuredPoseAdmittance", "Measurement",
+    "Reference", "Start", "VirtualModelAdmittance", "begin", "gain", "law_of", "shifted",
+]  # fmt: skip
 
 
 def law_of(scenario: Scenario) -> Law:
@@ -50,18 +38,9 @@ def law_of(scenario: Scenario) -> Law:
     law, control = LAWS[scenario.control.controller, scenario.control.reading], scenario.control
     values = {name: getattr(control, name) for name in law.GAINS}
     # six values of a law of translations alone: the rotations are not its own
-    own = {n: v[: law.GAINS[n].length] if isinstance(v, tuple) else v for n, v in values.items()}
-    options = {"motion": _motion(control)} if law in (VirtualModelAdmittance, EndEffectorAdmittance) else {}
-    return law(**own, **options)
-
-
-def _motion(control: Control) -> Motion:
-    def pair(value: float | tuple[float, float] | None) -> tuple[float, float]:
-        return value if isinstance(value, tuple) else (math.inf if value is None else value,) * 2
-
-    return Motion(
-        semi_implicit=control.integration == "semi_implicit",
-        deadband=pair(control.deadband),
-        max_offset=pair(control.max_offset),
-        max_velocity=pair(control.max_velocity),
-    )
+    own: dict[str, Any] = {n: v[: law.GAINS[n].length] if isinstance(v, tuple) else v for n, v in values.items()}
+    if law not in (VirtualModelAdmittance, EndEffectorAdmittance):
+        return law(**own)
+    limits = (control.deadband, control.max_offset, control.max_velocity)
+    pairs = (v if isinstance(v, tuple) else (math.inf if v is None else v,) * 2 for v in limits)
+    return law(**own, motion=Motion(control.integration == "semi_implicit", *pairs))

@@ -20,13 +20,9 @@ class SixAxes(Law):
     """
 
     inertia: Array = gain(
-        "kg, kg m^2",
-        bounds=(1e-1, 1e2),
-        rotation_bounds=(1e-2, 1e1),
-        default=1.0,
-        long_name="virtual inertia M",
+        "kg, kg m^2", bounds=(1e-1, 1e2), rotation_bounds=(1e-2, 1e1), default=1.0, long_name="virtual inertia M",
         searched=False,
-    )
+    )  # fmt: skip
     damping: Array = gain(
         "N s/m, N m s/rad", bounds=(1e0, 1e5), rotation_bounds=(1e-1, 1e4), default=5e3, long_name="virtual damping D"
     )
@@ -89,11 +85,9 @@ class MeasuredPoseAdmittance(SixAxes):
         """
         mass = float(np.exp(np.log(np.asarray(self.inertia, float)).mean()))
         bounds = super().search_bounds(period)
-        return {
-            **{key: bounds[key] for key in ("inertia", "inertia.rotation")},
-            "damping": (mass / period, 1e2 * mass / period),
-            "stiffness": (1e-2 * mass / period**2, mass / period**2),
-        }
+        inertias = {key: bounds[key] for key in ("inertia", "inertia.rotation")}
+        damping, stiffness = (mass / period, 1e2 * mass / period), (1e-2 * mass / period**2, mass / period**2)
+        return inertias | {"damping": damping, "stiffness": stiffness}
 
 
 class EndEffectorAdmittance(Law):
@@ -118,11 +112,10 @@ class EndEffectorAdmittance(Law):
         """Let the masses move under the forces for one period, and shift the supporting feet by where they are."""
         rotation, support = quaternion_to_matrix(reference.base_orientation), measured.support[:, None]
         moved = advance(masses, measured.foot_force @ rotation, self.motion)  # each row of F R is R^T times a force
-        moved = moved._replace(
-            displacement=jnp.where(support, moved.displacement, 0.0), rate=jnp.where(support, moved.rate, 0.0)
-        )
+        displacement, rate = jnp.where(support, moved.displacement, 0.0), jnp.where(support, moved.rate, 0.0)
         no_shift = jnp.zeros_like(reference.base_position, shape=6)
-        target = reference.foot_position + moved.displacement @ rotation.T
+        target = reference.foot_position + displacement @ rotation.T
+        moved = moved._replace(displacement=displacement, rate=rate)
         return moved, Command(reference.base_position, reference.base_orientation, target, no_shift)
 
 

@@ -20,9 +20,6 @@ from jax import Array
 
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
 
-_LENGTHS = (1, 3, 6)
-_JOINT_LOOP = ("kp", "kd")
-
 
 class Measurement(NamedTuple):
     """What the robot's sensors measure, and the base pose that it estimates from them; world axes."""
@@ -109,14 +106,12 @@ def gain(
     Raises:
         ValueError: a length other than 1, 3 and 6, or bounds that are not in order.
     """
-    if length not in _LENGTHS:
+    if length not in (1, 3, 6):
         raise ValueError(f"length of a gain: expected 1, 3 or 6, got {length}")
     for low, high in (bounds, rotation_bounds or bounds):
         if not low < high:
             raise ValueError(f"bounds of a gain: expected low < high, got {low}, {high}")
     field = GainField(unit, length, bounds, rotation_bounds, long_name, searched)
-    if default is dataclasses.MISSING:
-        return dataclasses.field(metadata={"gain": field})
     return dataclasses.field(default=default, metadata={"gain": field})
 
 
@@ -139,8 +134,8 @@ class Law:
         dataclasses.dataclass(frozen=True, eq=False)(cls)
         fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # a dataclass from here on
         gains = {field.name: field.metadata["gain"] for field in fields if "gain" in field.metadata}
-        if taken := [name for name in _JOINT_LOOP if name in gains]:
-            raise ValueError(f"{cls.__name__}.{taken[0]}: expected another name, this one is the joint loop's")
+        for name in {"kp", "kd"} & gains.keys():
+            raise ValueError(f"{cls.__name__}.{name}: expected another name, this one is the joint loop's")
         cls.GAINS = MappingProxyType(gains)
         cls.AXES = MappingProxyType({name: int(field.length > 1) for name, field in gains.items()})
         others = [field.name for field in fields if field.name not in gains]
@@ -157,8 +152,8 @@ class Law:
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches look, by gain and by `gain.rotation`, for steps of `period` s."""
         bounds = {name: field.bounds for name, field in self.GAINS.items()}
-        rotations = {name: field.rotation_bounds for name, field in self.GAINS.items()}
-        return bounds | {f"{name}.rotation": found for name, found in rotations.items() if found is not None}
+        rotations = {f"{name}.rotation": field.rotation_bounds for name, field in self.GAINS.items()}
+        return bounds | {name: found for name, found in rotations.items() if found is not None}
 
 
 class PD(Law):
@@ -190,15 +185,11 @@ def begin(law: Law, start: Start) -> Any:
     state = jax.tree.map(as_array, law.init(start))
     six, support = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool)
     measured = Measurement(*start.reference[:2], position, position, feet, six, support)
-    after, command = jax.eval_shape(law.step, state, measured, start.reference)
-    _check(f"{type(law).__name__}.step: expected a state like that of init", state, after)
-    _check(f"{type(law).__name__}.step: expected the command", Command(*start.reference, six), command)
+    found = jax.eval_shape(law.step, state, measured, start.reference)
+    wanted = {"a state like that of init": state, "the command": Command(*start.reference, six)}
+    for (what, expected), got in zip(wanted.items(), found, strict=True):
+        # maps whole trees, so that the message shows the names of their fields
+        one, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
+        if jax.tree.flatten(one) != jax.tree.flatten(other):
+            raise ValueError(f"{type(law).__name__}.step: expected {what}, {one}, got {other}")
     return state
-
-
-def _check(message: str, expected: Any, got: Any) -> None:
-    """Raise a ValueError where two trees differ in structure, or their arrays in shape or type."""
-    # maps whole trees, so that the message shows the names of their fields
-    one, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
-    if jax.tree.flatten(one) != jax.tree.flatten(other):
-        raise ValueError(f"{message}, {one}, got {other}")

@@ -8,7 +8,7 @@ rate and displacement bounded in norm, and at the bound of the displacement no r
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,17 +20,8 @@ SUBSTEP = 2e-3  # s, at most
 LONGEST_PERIOD = 20e-3  # s
 _DOUBLINGS = 24
 Pair = tuple[float, float]  # of translations, of rotations
-
-
-class Impedance(Protocol):
-    """Gains of a virtual mass, damper and spring, of any shape that broadcasts with the displacement."""
-
-    @property
-    def inertia(self) -> Any: ...  # kg, kg m^2
-    @property
-    def damping(self) -> Any: ...  # N s/m, N m s/rad
-    @property
-    def stiffness(self) -> Any: ...  # N/m, N m/rad
+# `inertia`, `damping` and `stiffness` of a virtual mass, of any shape that broadcasts with the displacement
+Impedance = Any
 
 
 class Motion(NamedTuple):
@@ -83,7 +74,7 @@ def at_rest(gains: Impedance, period: float | Array, like: Array, motion: Motion
 
 def advance(mass: VirtualMass, force: Array, motion: Motion = EXACT) -> VirtualMass:
     """Return the virtual mass one period later, under `force` in N, N m, of the displacement's shape."""
-    force = _each_vector(force, motion.deadband, dead)
+    force = _each_vector(dead, motion.deadband, force)
     if isinstance(mass.by, EulerSteps):
         return _semi_implicit(mass, mass.by, force, motion)
     t, x, v = mass.by, mass.displacement, mass.rate
@@ -155,7 +146,7 @@ def _semi_implicit(mass: VirtualMass, by: EulerSteps, force: Array, motion: Moti
     for substep in range(round(LONGEST_PERIOD / SUBSTEP)):
         x, v = mass.displacement, mass.rate
         v = v + h * (force - by.damping * v - by.stiffness * x) / by.inertia
-        v = _each_vector(v, motion.max_velocity, bounded)
+        v = _each_vector(bounded, motion.max_velocity, v)
         moved = _bounded(x + h * v, v, mass, motion)
         # every robot computes as many substeps as the longest period has, and stops after its own
         going = substep < count
@@ -166,18 +157,14 @@ def _semi_implicit(mass: VirtualMass, by: EulerSteps, force: Array, motion: Moti
 
 def _bounded(x: Array, v: Array, mass: VirtualMass, motion: Motion) -> VirtualMass:
     """Return the virtual mass at a displacement and a rate, both within their bounds."""
-    v = _each_vector(v, motion.max_velocity, bounded)
-    if set(motion.max_offset) != {math.inf}:
-        inwards = (
-            inward(v[..., i : i + 3], x[..., i : i + 3], motion.max_offset[i // 3]) for i in range(0, x.shape[-1], 3)
-        )
-        v = jnp.concatenate(list(inwards), axis=-1)
-    return mass._replace(displacement=_each_vector(x, motion.max_offset, bounded), rate=v)
+    v = _each_vector(bounded, motion.max_velocity, v)
+    v = _each_vector(inward, motion.max_offset, v, x)
+    return mass._replace(displacement=_each_vector(bounded, motion.max_offset, x), rate=v)
 
 
-def _each_vector(values: Array, limits: Pair, change: Callable[[Array, float], Array]) -> Array:
-    """Return (..., 3) or (6,) with each three-vector changed by its limit; any shape where there is no limit."""
+def _each_vector(change: Callable[..., Array], limits: Pair, *values: Array) -> Array:
+    """Return values (..., 3) or (6,) with each three-vector changed by its limit; any shape where there is no limit."""
     if set(limits) <= {0.0, math.inf}:
-        return values
-    parts = (change(values[..., i : i + 3], limits[i // 3]) for i in range(0, values.shape[-1], 3))
-    return jnp.concatenate(list(parts), axis=-1)
+        return values[0]
+    starts = range(0, values[0].shape[-1], 3)
+    return jnp.concatenate([change(*(v[..., i : i + 3] for v in values), limits[i // 3]) for i in starts], axis=-1)

@@ -50,18 +50,16 @@ def grip(
 ) -> tuple[Contact, Grip]:
     """Return the contacts after this step and the forces in it.
 
-    A shut gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while its
-    foot is at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or the
-    foot first touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down and the
-    whole force is larger than the holding limit (ClimbLab's rule); `closed` (limb,) says which grippers are commanded
-    shut, `ground` (limb,) m how high it is below each foot.
+    `closed` (limb,) says which grippers are commanded shut, `ground` (limb,) m how high it is below each foot. A shut
+    gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while its foot is
+    at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or the foot first
+    touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force
+    is larger than the holding limit (ClimbLab's rule).
 
-    With a `Reach` and a finite capture distance a gripper that shuts further off the ground than the capture
-    distance holds nothing and stays open until its next swing, and the ground only pushes a foot whose gripper is
-    open, along its normal.
-
-    With an `Attitude` a gripper that holds also keeps its foot from turning, by the sine of the angle from the attitude
-    in which it shut (the gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
+    With a `Reach` and a finite capture distance a gripper that shuts further off the ground holds nothing and stays
+    open until its next swing, and the ground only pushes a foot whose gripper is open, along its normal. With an
+    `Attitude` a gripper that holds also keeps its foot from turning, by the sine of the angle from the attitude in
+    which it shut (the gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
     """
     height = feet.position[:, 2]
     support, missed, caught = closed & ~contact.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
@@ -85,15 +83,10 @@ def grip(
     torn_off = support & (force[:, 2] < 0) & (norm(force) > parameters.holding_limit)
     moment = jnp.zeros_like(force)
     if attitude and turning is not None:
-        attitude, moment = _resisted(attitude, turning, support, parameters)
+        held_on = (support & attitude.held)[:, None, None]
+        rotation = jnp.where(held_on, attitude.rotation, turning.rotation)
+        moment = parameters.rotational_stiffness * turn_between(turning.rotation, rotation)
+        moment = jnp.where(support[:, None], moment - parameters.rotational_damping * turning.velocity, 0.0)
+        attitude = Attitude(rotation, support)
     after = Contact(grip_point, touching, contact.detached | torn_off, reach, attitude)
     return after, Grip(force, moment, support, torn_off, missed)
-
-
-def _resisted(attitude: Attitude, turning: Turning, support: Array, parameters: Parameters) -> tuple[Attitude, Array]:
-    """Return the attitudes that grips hold on to, and the moments by which they do, (limb, 3) N m."""
-    holds_on = (support & attitude.held)[:, None, None]
-    rotation = jnp.where(holds_on, attitude.rotation, turning.rotation)
-    moment = parameters.rotational_stiffness * turn_between(turning.rotation, rotation)
-    moment = moment - parameters.rotational_damping * turning.velocity
-    return Attitude(rotation, support), jnp.where(support[:, None], moment, 0.0)

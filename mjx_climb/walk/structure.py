@@ -53,6 +53,13 @@ def structure(
         ValueError: two metrics of one name.
     """
     table = MetricTable(metrics)
+    own: list[Any] = [metric for metric in table if metric not in METRICS]
+    own += [] if law is None or type(law) in LAWS.values() else [type(law)]
+    own += [] if ENGINES[engine].__module__.startswith(_PACKAGE) else [ENGINES[engine]]
+    try:
+        own_code = identity(own) if own else ""
+    except Unidentifiable:
+        own_code = ""
     return Structure(
         robot=scenario.robot,
         engine=engine,
@@ -64,19 +71,8 @@ def structure(
         smooth=smooth,
         stages=stages_of(scenario, parameters, load_robot(scenario.robot)),
         model=_digest(scenario.robot, engine),
-        own_code=_own_code(law, table, engine),
+        own_code=own_code,
     )
-
-
-def _own_code(law: Law | None, metrics: MetricTable, engine: str) -> str:
-    """Return a digest of law, metrics and engine that are not shipped, empty without any."""
-    own: list[Any] = [metric for metric in metrics if metric not in METRICS]
-    own += [] if law is None or type(law) in LAWS.values() else [type(law)]
-    own += [] if ENGINES[engine].__module__.startswith(_PACKAGE) else [ENGINES[engine]]
-    try:
-        return identity(own) if own else ""
-    except Unidentifiable:
-        return ""
 
 
 @functools.lru_cache(maxsize=64)
