@@ -48,8 +48,7 @@ def plot_map(
     `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
-    grid = _Grid(dataset, _axes(dataset, metric), marks or {})
-    handles, bar = grid.draw(figure.subplots(), metric, baseline)
+    handles, bar = _Grid(dataset, metric, marks).draw(figure.subplots(), metric, baseline)
     bar.set_label(_label(dataset[metric], metric))
     legend_below(figure, handles, 3)
     if title:
@@ -70,7 +69,7 @@ def plot_maps(
         raise ValueError("expected at least one metric to draw")
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
     figure, axes = _sheet(rows, columns)
-    grid, handles = _Grid(dataset, _axes(dataset, metrics[0]), marks or {}), {}
+    grid, handles = _Grid(dataset, metrics[0], marks), {}
     for metric, panel in zip(metrics, axes.flat, strict=False):
         found, _ = grid.draw(panel, metric, (baselines or {}).get(metric))
         panel.set_title(_label(dataset[metric], metric), y=1.0)  # where it is anyway, without a search for it
@@ -109,8 +108,9 @@ def _sheet(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
 class _Grid:
     """Walks over two gains, and what all maps of them show."""
 
-    def __init__(self, dataset: xr.Dataset, axes: tuple[str, str], marks: Marks):
-        self.dataset, self.axes, self.marks = dataset, axes, marks  # axes: horizontal, vertical
+    def __init__(self, dataset: xr.Dataset, metric: str, marks: Marks | None):
+        self.dataset, self.marks = dataset, marks or {}
+        self.axes = axes = _axes(dataset, metric)  # horizontal, vertical
         self.edges = [_log_edges(dataset[name].values) for name in axes]
         self.limit = stability_lines(dataset, *axes)
         self.torn, self.failed = _torn_off(dataset, *axes), failed_walks(dataset, *axes)
@@ -134,11 +134,11 @@ class _Grid:
         empty, handles = np.isnan(values), []
         for name, cells in (("gripper torn off", self.torn), ("diverged", failed & ~self.torn)):
             handles += _hatch(panel, edges, cells, (shades < 0.4) & ~empty, name)
-        if metric == "detached_at" and (held := empty & ~failed).any():
+        held = empty & ~failed & (metric == "detached_at")
+        if held.any():
             panel.pcolormesh(*edges, np.ma.masked_where(~held, held), cmap=ListedColormap([HELD]), linewidth=0)
             handles.append(Patch(facecolor=HELD, label="held all the way"))
-            empty &= failed
-        if empty.any():
+        if (empty & ~held).any():
             handles.append(Patch(facecolor=GREY, label="no value"))
         handles += self._mark(panel)
         bar = panel.figure.colorbar(mesh, ax=panel, extend=extend, fraction=0.05, pad=0.02, aspect=25)
@@ -176,8 +176,7 @@ def _name_values(bar: Colorbar, variable: xr.DataArray, panel: Axes, baseline: f
         return
     if known.size == 1:
         bar.set_ticks([])
-        text = f"all cells: {known[0]:.4g}"
-        panel.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", gid="constant")
+        panel.text(0.5, 0.5, f"all cells: {known[0]:.4g}", transform=panel.transAxes, ha="center", gid="constant")
         return
     if isinstance(bar.norm, LogNorm) and high < 1e3 * low:  # so few decades want ticks between them
         bar.locator = LogLocator(subs=(1, 2, 5))
@@ -249,11 +248,7 @@ def comparable(dataset: xr.Dataset, metric: str) -> xr.DataArray:
 
 
 def _axes(dataset: xr.Dataset, metric: str) -> tuple[str, str]:
-    """Return the two dimensions of a metric.
-
-    Raises:
-        ValueError: no such variable, or not two of them.
-    """
+    """Return the two dimensions of a metric, which must be there and have two."""
     if metric not in dataset:
         raise ValueError(f"{metric}: expected one of {', '.join(map(str, dataset.data_vars))}")
     dims = [str(name) for name in dataset[metric].dims]
@@ -298,21 +293,18 @@ def color_scale(
     to the worse side at most three times as far as to the better one, spans 5 % of its values at least, and is
     logarithmic where it spans more than a factor of 30.
     """
-    finite = values[np.isfinite(values)]
-    held = values[np.isfinite(values) & ~failed]
+    finite, held = values[np.isfinite(values)], values[np.isfinite(values) & ~failed]
     if finite.size == 0:
         return Normalize(0, 1), "neither"
     low, high = np.percentile(held if held.size >= 4 else finite, [2, 98])
     if baseline is not None and np.isfinite(baseline):
         reach = 0.5 * (high - low)
-        low, high = (min(low, baseline), high) if baseline > low - reach else (low, high)
+        low = min(low, baseline) if baseline > low - reach else low
         high = max(high, baseline) if baseline < high + reach else high
-        if low < baseline < high:  # colours for what is better, and for how little is worse
-            low, high = (
-                (max(low, baseline - 3 * (high - baseline)), high)
-                if larger_is_better
-                else (low, min(high, baseline + 3 * (baseline - low)))
-            )
+        if low < baseline < high and larger_is_better:  # colours for what is better, and for how little is worse
+            low = max(low, baseline - 3 * (high - baseline))
+        elif low < baseline < high:
+            high = min(high, baseline + 3 * (baseline - low))
     room = (_LEAST_SPAN * (max(abs(low), abs(high)) or 1.0) - (high - low)) / 2
     if room > 0:  # else a change that does not matter would use all colours
         low, high = low - room, high + room

@@ -20,6 +20,7 @@ from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import Scenario
 
 BEYOND = 1e4  # N
+NO_FORCE = "no force on any foot"
 WHITE, DIM, DARK, ALARM = "#FFFFFF", "#CDD0D4", "#101216A8", "#FF786E"
 GROUND, SHADE, OTHERS, OWN = "#16191E", "#2C323C", "#767C84", "#78BEFF"  # of a trace of forces
 
@@ -66,7 +67,7 @@ class Caption:
     """Draws over the pictures of one walk, in which an arrow of 1 N is `scale` m long."""
 
     def __init__(self, trajectory: Trajectory, label: str, size: tuple[int, int], scale: float):
-        self._trajectory, self._label, self._size, self._scale = trajectory, label, size, scale
+        self._walk, self._label, self._size, self._scale = trajectory, label, size, scale
         self._unit = max(min(size[1] / 36, size[0] / 56), 7.0)  # pixels, the height of a line of text
         self._forces = np.linalg.norm(trajectory.foot_force[: whole(trajectory)], axis=-1)
         self._torn = detachments(trajectory)
@@ -76,9 +77,8 @@ class Caption:
 
         They are at the distance of what the camera looks at.
         """
-        image = Image.fromarray(picture)
+        image, unit, line = Image.fromarray(picture), self._unit, case(self._walk.scenario)
         draw = ImageDraw.Draw(image, "RGBA")
-        unit, line = self._unit, case(self._trajectory.scenario)
         title, text = font(1.25 * unit, bold=True), font(0.9 * unit)
         width = max(title.getlength(self._label), text.getlength(line)) + 1.2 * unit
         self._box(draw, 0.7 * unit, 0.7 * unit, width, 3.4 * unit)
@@ -86,8 +86,9 @@ class Caption:
         draw.text((1.3 * unit, 2.7 * unit), line, DIM, text)
         self._state(draw, row)
         if pixels_per_meter is not None:
-            self._legend(draw, pixels_per_meter)
-        self._down(draw, view)
+            self._legend(draw, self._scale * pixels_per_meter)
+        if np.linalg.norm(view.gravity) >= MICROGRAVITY:
+            self._down(draw, view)
         return np.array(image)
 
     def _box(self, draw: ImageDraw.ImageDraw, left: float, top: float, width: float, height: float) -> None:
@@ -96,21 +97,19 @@ class Caption:
 
     def _state(self, draw: ImageDraw.ImageDraw, row: int) -> None:
         """Write time and forces, and what is or went wrong, at the bottom left."""
-        trajectory, unit = self._trajectory, self._unit
+        walk, unit, plain, bold = self._walk, self._unit, font(self._unit), font(self._unit, bold=True)
         limb = int(self._forces[row].argmax())
         now, peak = self._forces[row, limb], self._forces[: row + 1].max()
-        force = f"largest force {newtons(now)} at {trajectory.limbs[limb]}" if now >= 0.05 else "no force on any foot"
-        plain, bold = font(unit), font(unit, bold=True)
         lines = [
-            (f"t = {trajectory.time[row]:.2f} s", WHITE, font(1.25 * unit, bold=True)),
-            (force, WHITE, plain),
+            (f"t = {walk.time[row]:.2f} s", WHITE, font(1.25 * unit, bold=True)),
+            (f"largest force {newtons(now)} at {walk.limbs[limb]}" if now >= 0.05 else NO_FORCE, WHITE, plain),
             (f"largest so far {newtons(peak)}", DIM, plain),
         ]
-        if push := float(np.linalg.norm(trajectory.push[row, :3])):
+        if push := float(np.linalg.norm(walk.push[row, :3])):
             lines.append((f"push {newtons(push)}", to_hex(marks.PUSH), bold))
-        if torn := [name for time, name in self._torn if time <= trajectory.time[row]]:
+        if torn := [name for time, name in self._torn if time <= walk.time[row]]:
             lines.append((f"{', '.join(torn)} torn off", ALARM, bold))
-        if row == whole(trajectory) - 1 < trajectory.time.size - 1:
+        if row == len(self._forces) - 1 < walk.time.size - 1:
             lines.append(("diverged", ALARM, bold))
         step = 1.45 * unit
         top = self._size[1] - 1.1 * unit - step * len(lines) - 0.4 * unit
@@ -118,15 +117,12 @@ class Caption:
         for number, (words, fill, letters) in enumerate(lines):
             draw.text((1.3 * unit, top + 0.3 * unit + number * step), words, fill, letters)
 
-    def _legend(self, draw: ImageDraw.ImageDraw, pixels_per_meter: float) -> None:
+    def _legend(self, draw: ImageDraw.ImageDraw, pixels_per_newton: float) -> None:
         """Say what the arrows' colours and lengths mean, at the bottom right."""
-        unit, text = self._unit, font(0.85 * self._unit)
-        limit = self._trajectory.scenario.contact.holding_limit
-        entries = {
-            "foot force, pressed": marks.PRESSED,
-            f"pulled, share of {limit:g} N" if limit else "foot force, pulled": marks.pulled(0.5),
-        }
-        if self._trajectory.scenario.disturbance.pushes:
+        unit, text, limit = self._unit, font(0.85 * self._unit), self._walk.scenario.contact.holding_limit
+        pulled = f"pulled, share of {limit:g} N" if limit else "foot force, pulled"
+        entries = {"foot force, pressed": marks.PRESSED, pulled: marks.pulled(0.5)}
+        if self._walk.scenario.disturbance.pushes:
             entries["push on the base"] = marks.PUSH
         width, height = 15.5 * unit, (1.5 * (len(entries) + (1.1 if limit else 0) + 1) + 0.8) * unit
         left, top = self._size[0] - width - 0.7 * unit, self._size[1] - height - 0.7 * unit
@@ -138,14 +134,13 @@ class Caption:
             draw.polygon([(tip, middle), (head, middle - 0.45 * unit), (head, middle + 0.45 * unit)], fill)
             draw.text((tip + 0.6 * unit, y), words, WHITE, text)
             y += 1.5 * unit
-            if limit and words.startswith("pulled"):
+            if limit and words == pulled:
                 bar = round(width - 1.4 * unit)
                 for pixel in range(bar):
                     draw.line((x + pixel, y, x + pixel, y + 0.55 * unit), to_hex(marks.pulled(pixel / bar)))
                 for share, anchor in ((0.0, "lt"), (0.5, "mt"), (1.0, "rt")):
                     draw.text((x + share * bar, y + 0.7 * unit), f"{100 * share:.0f} %", DIM, text, anchor=anchor)
                 y += 1.65 * unit
-        pixels_per_newton = self._scale * pixels_per_meter
         most = 0.55 * width / pixels_per_newton  # N, of the scale: it is 1, 2 or 5 times a power of ten
         power = 10.0 ** math.floor(math.log10(most))
         force = next(step * power for step in (5, 2, 1) if step * power <= most * (1 + 1e-9))
@@ -155,9 +150,7 @@ class Caption:
         draw.text((end + 0.6 * unit, y + 0.1 * unit), f"{force:g} N", WHITE, text)
 
     def _down(self, draw: ImageDraw.ImageDraw, view: View) -> None:
-        """Draw which way is down: gravity's direction in the picture's plane; nothing where there is none."""
-        if np.linalg.norm(view.gravity) < MICROGRAVITY:
-            return
+        """Draw which way is down: gravity's direction in the picture's plane."""
         right, up, _ = view.axes()
         unit, way = self._unit, np.array([view.gravity @ right, -(view.gravity @ up)])
         way /= max(np.linalg.norm(way), 1e-9)
@@ -174,10 +167,16 @@ class ForceTrace:
     """The largest foot force of one walk over time, that of the walks beside it in grey, and a line that moves on."""
 
     def __init__(self, trajectories: Sequence[Trajectory], number: int, size: tuple[int, int]):
-        self._walk, self._size = trajectories[number], size
-        self._unit = max(size[1] / 6, 7.0)  # pixels, the height of a line of text
-        self._forces = largest_foot_force(self._walk)
-        self._top = 1.08 * max(max(map(_highest, trajectories)), 1e-9)
+        lines, limits = [], []  # of every walk up to where its state stops being finite
+        for walk in trajectories:
+            rows = whole(walk)
+            time, forces = walk.time[:rows], largest_foot_force(walk)[:rows]
+            lines.append(thin(time, forces))
+            # at most three times what was before a failure
+            limits.append(min(forces.max(), 3 * forces[time <= failure_time(walk)].max(initial=0.0) or np.inf))
+        self._walk, self._size, self._unit = trajectories[number], size, max(size[1] / 6, 7.0)  # pixels, a line of text
+        self._forces, highest = largest_foot_force(self._walk), max(*limits, 1e-9 / 1.08)
+        self._top = 1.08 * highest
         (width, height), unit, left = size, self._unit, 3.1 * self._unit
         figure = Figure(figsize=(width / 72, height / 72), dpi=72, facecolor=GROUND)  # a point is a pixel
         frame = (left / width, 0.5 * unit / height, (width - 1.3 * left) / width, 1 - 1.9 * unit / height)
@@ -185,15 +184,13 @@ class ForceTrace:
         self._panel.set_xlim(0, max(*(float(walk.time[-1]) for walk in trajectories), 1e-9))
         for start, stop, *_ in disturbances(self._walk):
             self._panel.axvspan(start, stop, color=SHADE, linewidth=0)
-        others = [walk for walk in trajectories if walk is not self._walk]
-        for walk, color in [*((walk, OTHERS) for walk in others), (self._walk, OWN)]:
-            time, forces = thin(walk.time[: whole(walk)], largest_foot_force(walk)[: whole(walk)])
+        for other, (time, forces) in sorted(enumerate(lines), key=lambda line: line[0] == number):
+            color = OWN if other == number else OTHERS
             self._panel.plot(time, np.minimum(forces, self._top), color=color, linewidth=0.1 * unit, clip_on=False)
-        highest = self._top / 1.08
         letters: dict[str, Any] = {"color": DIM, "fontsize": 0.85 * unit}
         self._panel.set_yticks([0, highest], ["0", f"{highest:.2g} N"], **letters)
         self._panel.tick_params(length=0, pad=0.35 * unit)
-        words = "largest foot force" + (", the other walk's in grey" if others else "")
+        words = "largest foot force" + (", the other walk's in grey" if len(lines) > 1 else "")
         figure.text(frame[0], 1 - 0.2 * unit / height, words, va="top", **letters)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="rgba", dpi=72)
@@ -210,11 +207,3 @@ class ForceTrace:
         draw.line((x, 0, x, self._size[1]), WHITE, max(round(self._unit / 14), 1))
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), OWN, WHITE)
         return np.asarray(picture)
-
-
-def _highest(walk: Trajectory) -> float:
-    """Return the largest force, N; of a walk that failed at most three times what was before."""
-    rows = whole(walk)
-    forces = largest_foot_force(walk)[:rows]
-    before = forces[walk.time[:rows] <= failure_time(walk)]
-    return float(min(forces.max(), 3 * before.max() if before.size else np.inf))
