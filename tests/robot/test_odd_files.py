@@ -230,13 +230,6 @@ def test_what_is_told_of_a_robot_with_little_in_its_file(saved):
     assert robot_of(proposal.sections | {"time_step": 1e-4}).base_mass == pytest.approx(2.2)
 
 
-def test_the_robots_own_file_is_not_written_over(saved, ended):
-    file = saved(PLAIN)
-    code, _, error = ended(file, "--write", f"{file.parent}/./robot.xml")
-    assert code == 2 and "another file than the robot's own" in error
-    assert file.read_text() == PLAIN
-
-
 def test_the_time_step_is_short_enough_where_a_swing_ends(saved):
     """A foot that comes near its yaw axis leaves the joint little inertia: explicit damping holds for h kd < 2 I."""
     limbs = "".join(

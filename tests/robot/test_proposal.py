@@ -111,9 +111,8 @@ def test_the_end_of_a_link_that_the_file_does_not_have(saved):
 def test_a_urdf_with_odd_numbers(saved):
     """Inertias that no body can have are mended and named; limits beyond a turn are none."""
     text, _ = urdf(1)
-    text = re.sub(r'izz="[^"]*"', 'izz="0.9"', text, count=1).replace(
-        'lower="-1.2" upper="1.2"', 'lower="-9.4" upper="9.4"'
-    )
+    text = re.sub(r'izz="[^"]*"', 'izz="0.9"', text, count=1)
+    text = text.replace('lower="-1.2" upper="1.2"', 'lower="-9.4" upper="9.4"')
     for link, moments, off in (("LH_shank", 1, 1), ("RH_shank", 0, 1e-20)):
         inertia = " ".join(f'{axes}="{moments if axes[1] == axes[2] else off}"'
                            for axes in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))  # fmt: skip
@@ -133,27 +132,18 @@ def either_way():
     return re.sub(r"<keyframe>.*?</keyframe>", "", re.sub(r' range="[^"]*"', "", dog()), flags=re.DOTALL)
 
 
-def test_knees_that_bend_either_way_stay_on_one(saved):
-    """Of postures with a foot in one place the inverse kinematics gives the rest stance's."""
+def test_a_foot_is_met_in_the_posture_of_the_rest_stance(saved):
+    """Also where knees bend either way; a hip swung over the back has no closed form: found by steps from it."""
     robot = load_robot(scenario_of(propose(saved(either_way()))).robot)
-    stance = robot.stance_joints
+    stance, over = robot.stance_joints, robot.stance_joints + np.array([2.4, 1.8, 0.0])
     assert np.abs(stance[:, 0]).max() < 0.5  # hips are not swung over the back
-    for rest in (stance, stance * [1, -1, -1]):
+    for rest in (stance, stance * [1, -1, -1], over):
         other = dataclasses.replace(robot, stance_joints=rest)
-        found = inverse_kinematics(limb_geometry(other), limb_frames(other, None, rest).foot)
-        np.testing.assert_allclose(found.joint_angles, rest, atol=1e-9)
-
-
-def test_a_posture_without_closed_form(saved):
-    """A hip swung over the back is a stance of its own: found by steps from it."""
-    robot = load_robot(scenario_of(propose(saved(either_way()))).robot)
-    over = robot.stance_joints + np.array([2.4, 1.8, 0.0])
-    other = dataclasses.replace(robot, stance_joints=over)
-    feet = limb_frames(other, None, over).foot
+        feet = limb_frames(other, None, rest).foot
+        np.testing.assert_allclose(inverse_kinematics(limb_geometry(other), feet).joint_angles, rest, atol=1e-9)
     closed = inverse_kinematics(limb_geometry(robot), feet)
     np.testing.assert_allclose(limb_frames(robot, None, closed.joint_angles).foot, feet, atol=1e-9)
     assert np.abs(closed.joint_angles - over).max() > 1.0
-    np.testing.assert_allclose(inverse_kinematics(limb_geometry(other), feet).joint_angles, over, atol=1e-9)
 
 
 FEW = {(6, 3), (2, 7), (4, 2)}
@@ -175,20 +165,18 @@ def test_any_number_of_limbs(saved, limbs, joints):
 
 
 def test_a_stance_is_not_singular_for_what_the_grips_hold(saved):
-    """Six joints whose third pitch follows a roll: with the roll in the middle of its range four axes are parallel."""
+    """Six joints whose third pitch follows a roll: with the roll in the middle of its range four axes are parallel.
+
+    Of stances as far off the joints' limits none is farther from singular.
+    """
     model = load_model(scenario_of(propose(saved(climbers.mjcf(3, 6)))).robot)
-    data = mujoco.MjData(model)
+    data, jacobian = mujoco.MjData(model), np.empty((6, model.nv))
     data.qpos[:] = model.key_qpos[0]
     mujoco.mj_forward(model, data)
     for limb in range(3):
-        jacobian = np.empty((6, model.nv))
         mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], limb)
         jacobian[:3] /= 0.33  # m, a limb's length
         assert np.linalg.svd(jacobian[:, 6 + 6 * limb : 12 + 6 * limb], compute_uv=False)[-1] > 0.02
-
-
-def test_the_stance_is_the_least_singular(saved):
-    """None of others as far off the joints' limits is farther from singular."""
     section = propose(saved(climbers.mjcf(4, 3))).sections["robot"]
     feet = np.array([limb["foothold"] for limb in section["limbs"].values()])
     worth = Standing(section, feet).worth
@@ -281,9 +269,18 @@ def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, monkeypatc
     assert not config.with_suffix(".png").exists()
 
 
-def test_a_gravity_that_is_none_is_refused(saved, ended):
-    code, _, error = ended(saved(dog()), "--gravity", "inf")
-    assert code == 2 and "gravity: expected a list of three" in error
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (["--gravity", "inf"], "gravity: expected a list of three"),
+        (["--write", "robot.xml"], "another file than the robot's own"),
+    ],
+)
+def test_what_makes_no_config_is_refused(saved, ended, monkeypatch, asked, said):
+    file = saved(dog())
+    monkeypatch.chdir(file.parent)
+    code, _, error = ended(file, *asked)
+    assert code == 2 and said in error and file.read_text() == dog()
 
 
 @pytest.mark.slow
