@@ -16,14 +16,10 @@ from mjx_climb.control import law_of
 from mjx_climb.files import dataset as ds
 from mjx_climb.scenario.model import BaseEstimate, Cargo, Contact, Control, ForceSensor, Gait, Hardware, Servo
 
-SCENARIO = mc.Scenario().with_overrides(
-    {
-        "duration": 2.0,
-        "gravity": [0.0, 0.0, -1.635],
-        "control.stiffness": [1e3, 2e3, 3e3, 4e1, 5e1, 6e1],
-        "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "start": 1.0, "stop": 1.5}],
-    }
-)
+SCENARIO = mc.Scenario().with_overrides({
+    "duration": 2.0, "gravity": [0.0, 0.0, -1.635], "control.stiffness": [1e3, 2e3, 3e3, 4e1, 5e1, 6e1],
+    "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "start": 1.0, "stop": 1.5}],
+})  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -41,30 +37,12 @@ def sweep(scenario=SCENARIO):
     return ds.sweep_dataset(metrics, {"stiffness": [1e2, 1e3, 1e4], "damping": [1e0, 1e2]}, scenario)
 
 
-def assert_equal_walks(one, other):
-    for field in dataclasses.fields(one):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if isinstance(a, np.ndarray):
-            assert a.dtype == b.dtype, field.name
-            np.testing.assert_array_equal(a, b, err_msg=field.name)
-    assert (one.scenario, one.limbs) == (other.scenario, other.limbs)
-    assert jax.tree.structure(one.gains) == jax.tree.structure(other.gains)
-    jax.tree.map(np.testing.assert_array_equal, one.gains, other.gains)
-
-
-def test_every_array_of_a_walk_is_a_variable(trajectory):
+def test_every_array_of_a_walk_is_a_variable_with_units_found_by_label(trajectory):
     arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "parameters", "limbs", "law"}
     assert arrays == {"time", *ds.VARIABLES}
-
-
-def test_every_variable_has_units_and_a_long_name(trajectory):
-    for dataset in (ds.to_dataset(trajectory), sweep()):
-        for name, variable in dataset.variables.items():
-            assert variable.attrs["units"] and variable.attrs["long_name"], name
-
-
-def test_values_are_found_by_label(trajectory):
     dataset = ds.to_dataset(trajectory)
+    for name, variable in [*dataset.variables.items(), *sweep().variables.items()]:
+        assert variable.attrs["units"] and variable.attrs["long_name"], name
     torque = dataset["joint_torque"].sel(limb="RH", joint="femur")
     np.testing.assert_array_equal(torque, trajectory.joint_torque[:, 2, 1])
     np.testing.assert_array_equal(dataset["base_displacement"].sel(six="rz"), trajectory.base_displacement[:, 5])
@@ -72,26 +50,26 @@ def test_values_are_found_by_label(trajectory):
     assert float(dataset["push"].sel(six="x").sel(time=1.2, method="nearest")) == -5.0
 
 
-@pytest.mark.parametrize("kp", [None, 40.0])
-def test_walk_survives_a_file(trajectory, tmp_path, kp):
-    walk = dataclasses.replace(trajectory, gains=dataclasses.replace(trajectory.gains, kp=kp and np.asarray(kp)))
-    path = ds.save(ds.to_dataset(walk), tmp_path / "new" / "walk.nc")
-    assert_equal_walks(walk, ds.load_trajectory(path))
-    assert os.listdir(path.parent) == ["walk.nc"]
-
-
-def test_single_precision_survives_a_file(trajectory, tmp_path):
+@pytest.mark.parametrize(("kp", "dtype"), [(None, np.float64), (40.0, np.float64), (None, np.float32)])
+def test_walk_survives_a_file(trajectory, tmp_path, kp, dtype):
     arrays = {name: getattr(trajectory, name) for name in ("time", *ds.VARIABLES)}
-    singles = {name: array.astype(np.float32) for name, array in arrays.items() if array.dtype == np.float64}
-    gains = jax.tree.map(np.float32, trajectory.gains)
-    walk = dataclasses.replace(trajectory, gains=gains, **singles)
-    loaded = ds.load_trajectory(ds.save(ds.to_dataset(walk), tmp_path / "walk.nc"))
-    assert loaded.base_position.dtype == np.float32
-    assert_equal_walks(walk, loaded)
-
-
-def test_attributes_tell_how_to_repeat_the_run(trajectory, tmp_path):
-    dataset = ds.load(ds.save(ds.to_dataset(trajectory), tmp_path / "walk.nc"))
+    arrays = {name: array.astype(dtype) for name, array in arrays.items() if array.dtype == np.float64}
+    gains = jax.tree.map(dtype, dataclasses.replace(trajectory.gains, kp=kp and np.asarray(kp)))
+    walk = dataclasses.replace(trajectory, gains=gains, **arrays)
+    path = ds.save(ds.to_dataset(walk), tmp_path / "new" / "walk.nc")
+    loaded = ds.load_trajectory(path)
+    assert loaded.base_position.dtype == dtype
+    for field in dataclasses.fields(walk):
+        a, b = getattr(walk, field.name), getattr(loaded, field.name)
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype, field.name
+            np.testing.assert_array_equal(a, b, err_msg=field.name)
+    assert (walk.scenario, walk.limbs) == (loaded.scenario, loaded.limbs)
+    assert jax.tree.structure(walk.gains) == jax.tree.structure(loaded.gains)
+    jax.tree.map(np.testing.assert_array_equal, walk.gains, loaded.gains)
+    assert os.listdir(path.parent) == ["walk.nc"]
+    # attributes tell how to repeat the run
+    dataset = ds.load(path)
     assert ds.scenario_of(dataset) == SCENARIO
     assert json.loads(dataset.attrs["gains"])["stiffness"] == [1e3, 2e3, 3e3, 4e1, 5e1, 6e1]
     assert dataset.attrs["numpy_version"] == np.__version__

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset, scenario_files
@@ -27,11 +28,9 @@ def config(tmp_path):
     (folder / "robot.urdf").write_text(text)
     (folder / "maps" / "rock.csv").write_text("0,0.002\n0.004,0\n")
     data = keys("robot.urdf", reach) | {
-        "duration": 0.02,
-        "time_step": 1e-4,
-        "gait": {"cycle": 0.4, "stride": 0.01},
+        "duration": 0.02, "time_step": 1e-4, "gait": {"cycle": 0.4, "stride": 0.01},
         "ground": {"map": {"file": "maps/rock.csv", "resolution": 2.0, "origin": [-1.0, -1.0]}},
-    }
+    }  # fmt: skip
     path = folder / "walk.yaml"
     path.write_text(json.dumps(data))
     return path
@@ -47,7 +46,10 @@ def kept(scenario, folder):
 def test_a_folder_with_copies_can_be_moved(config, tmp_path):
     scenario = mc.load_scenario(config)
     robot, heights = load_robot(scenario.robot), foothold_heights(scenario)
-    kept(scenario, tmp_path / "out")
+    made = kept(scenario, tmp_path / "out")
+    assert kept(mc.load_scenario(tmp_path / "out" / "config.yaml"), tmp_path / "out") == made  # repeated in place
+    xarray = xr.Dataset({"x": 1.0}, attrs={"scenario": made.to_yaml()})
+    dataset.save(xarray, tmp_path / "out" / "made.nc")
     moved = (tmp_path / "out").rename(tmp_path / "moved")
     shutil.rmtree(config.parent)
     assert str(tmp_path) not in (moved / "config.yaml").read_text()
@@ -56,28 +58,24 @@ def test_a_folder_with_copies_can_be_moved(config, tmp_path):
     np.testing.assert_array_equal(load_robot(again.robot).link_inertia, robot.link_inertia)
     np.testing.assert_array_equal(foothold_heights(again), heights)
     assert again.with_files(lambda key, _: key) == scenario.with_files(lambda key, _: key)
-
-
-def test_a_folder_can_be_repeated_in_place(config, tmp_path):
-    first = kept(mc.load_scenario(config), tmp_path / "out")
-    assert kept(mc.load_scenario(tmp_path / "out" / "config.yaml"), tmp_path / "out") == first
+    loaded = dataset.load(moved / "made.nc")  # a dataset names the files beside it
+    assert str(tmp_path) not in loaded.attrs["scenario"]
+    assert Path(dataset.scenario_of(loaded).robot.file) == moved / "inputs" / "robot" / "robot.urdf"
 
 
 def test_an_mjcf_takes_includes_and_meshes_with_a_weight_along(tmp_path):
     """The copy loads without what is only to be looked at, a mesh on a body whose inertia is written down."""
     mine = tmp_path / "mine"
-    (mine / "models").mkdir(parents=True)
-    (mine / "meshes").mkdir()
-    (mine / "meshes" / "rock.obj").write_text(MESH)
-    (mine / "meshes" / "looks.obj").write_text(MESH)
     inertia = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/><geom type='mesh' mesh='looks'/>"
-    arm = f"<mujoco><worldbody><body name='arm'>{inertia}</body></worldbody></mujoco>"
-    (mine / "models" / "arm.xml").write_text(arm)
-    (mine / "models" / "robot.xml").write_text(
-        "<mujoco><compiler meshdir='../meshes'/><asset><mesh name='rock' file='rock.obj'/>"
+    for name, text in {
+        "meshes/rock.obj": MESH,
+        "meshes/looks.obj": MESH,
+        "models/arm.xml": f"<mujoco><worldbody><body name='arm'>{inertia}</body></worldbody></mujoco>",
+        "models/robot.xml": "<mujoco><compiler meshdir='../meshes'/><asset><mesh name='rock' file='rock.obj'/>"
         "<mesh name='looks' file='looks.obj'/></asset><include file='arm.xml'/><worldbody><body>"
-        "<geom type='mesh' mesh='rock'/></body></worldbody></mujoco>"
-    )
+        "<geom type='mesh' mesh='rock'/></body></worldbody></mujoco>",
+    }.items():
+        dataset.write_text_atomically(mine / name, text)
     _, reach = urdf(0)
     scenario = mc.Scenario.model_validate(keys(mine / "models" / "robot.xml", reach))
     copy = Path(scenario_files.copied(scenario, tmp_path / "out").robot.file)
@@ -101,18 +99,6 @@ def test_identity_is_of_the_contents_not_of_the_place(config, tmp_path):
     assert scenario_files.identity(copy) == before
     Path(copy.ground.map.file).write_text("0,0.002\n0.004,0.001\n")
     assert scenario_files.identity(copy) != before
-
-
-def test_datasets_name_the_files_beside_them(config, tmp_path):
-    import xarray as xr
-
-    scenario = kept(mc.load_scenario(config), tmp_path / "out")
-    made = xr.Dataset({"x": 1.0}, attrs={"scenario": scenario.to_yaml()})
-    dataset.save(made, tmp_path / "out" / "made.nc")
-    moved = (tmp_path / "out").rename(tmp_path / "moved")
-    loaded = dataset.load(moved / "made.nc")
-    assert str(tmp_path) not in loaded.attrs["scenario"]
-    assert Path(dataset.scenario_of(loaded).robot.file) == moved / "inputs" / "robot" / "robot.urdf"
 
 
 @pytest.mark.slow
