@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jax.sharding import Sharding
 
-from mjx_climb.execution import devices, gpu_kernel, paths, probe
+from mjx_climb.execution import devices, gpu_kernel, paths
 from mjx_climb.execution.cache import cached_jit, enable_cache, source_digest
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.execution.one_robot import over_robots
@@ -156,7 +156,7 @@ def _program(path: str, share: int, device: str | None, briefly: bool) -> Callab
         return lambda call, *trees: program(call._replace(path=path), *trees)
 
     plain = functools.cache(lambda: one_at_a_time(compiled("plain")) if device != "gpu" else compiled("plain"))
-    return plain() if path == "plain" else first_possible(compiled(path), plain, probe.PATHS[path])
+    return plain() if path == "plain" else first_possible(compiled(path), plain, paths.PATHS[path])
 
 
 def _identity(call: _Call, *trees: Any) -> str | None:

@@ -15,13 +15,9 @@ from jax.extend import core
 from mjx_climb.execution.elements import Number, OfLane, Unsupported, Value, Writer
 
 TYPES = {
-    "bool": "bool",
-    "int32": "int",
-    "uint32": "unsigned",
-    "int64": "long long",
-    "uint64": "unsigned long long",
+    "bool": "bool", "int32": "int", "uint32": "unsigned", "int64": "long long", "uint64": "unsigned long long",
     "float32": "float",
-}
+}  # fmt: skip
 
 # Sine and cosine by the nearest quarter turn, of which pi/2 is taken away in two parts, and the polynomials of the
 # Cephes library; arctangent by a polynomial of odd powers, fitted on 0 to 1.
@@ -135,55 +131,31 @@ def expression(name: str, parameters: Mapping[str, Any], operands: Sequence[Numb
     Raises:
         Unsupported: an operation, or a use of it, that has none here.
     """
-    dtype = operands[-1].dtype if name == "select_n" else operands[0].dtype
-    real, truth = dtype.kind == "f", dtype.kind == "b"
-    if name in _SPECIAL:
-        return _SPECIAL[name](parameters, operands, names)
-    if name == "not" and truth:
+    dtype = operands[0].dtype
+    real, table = dtype.kind == "f", _PLAIN if name in _PLAIN else _REAL if dtype.kind == "f" else _WHOLE
+    if name == "select_n":
+        which, chosen, *others = names
+        if dtype.kind == "b":
+            return f"{which} ? {others[0]} : {chosen}"
+        for number, case in enumerate(others, 1):
+            chosen = f"({which} >= {number} ? {case} : {chosen})"
+        return chosen
+    if name == "round":
+        even = parameters["rounding_method"] is lax.RoundingMethod.TO_NEAREST_EVEN
+        return f"{'rintf' if even else 'roundf'}({names[0]})"
+    if name == "integer_pow" and real:
+        power = f"to_power<{abs(parameters['y'])}>({names[0]})"
+        return power if parameters["y"] >= 0 else f"1.0f / {power}"
+    if name == "convert_element_type":
+        new = parameters["new_dtype"]
+        return f"{names[0]} != 0" if np.dtype(new).kind == "b" else f"({typed(new)}){names[0]}"
+    if name == "not" and dtype.kind == "b":
         return f"!{names[0]}"
-    if name in _ONE_WORD and dtype.itemsize != 4:
-        raise Unsupported(f"the operation {name} on {dtype}")
-    table = _PLAIN if name in _PLAIN else _REAL if real else _WHOLE
-    if name not in table:
+    if name not in table or (name in _ONE_WORD and dtype.itemsize != 4):
         raise Unsupported(f"the operation {name} on {dtype}")
     if name == "pow" and operands[1].dtype.kind != "f":
         names = [names[0], f"(float){names[1]}"]
     return table[name].format(*names)
-
-
-def _choice(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
-    which, *cases = names
-    if operands[0].dtype == bool:
-        return f"{which} ? {cases[1]} : {cases[0]}"
-    chosen = cases[0]
-    for number, case in enumerate(cases[1:], 1):
-        chosen = f"({which} >= {number} ? {case} : {chosen})"
-    return chosen
-
-
-def _round(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
-    even = parameters["rounding_method"] is lax.RoundingMethod.TO_NEAREST_EVEN
-    return f"{'rintf' if even else 'roundf'}({names[0]})"
-
-
-def _power(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
-    if operands[0].dtype.kind != "f":
-        raise Unsupported("the operation integer_pow on whole numbers")
-    power = f"to_power<{abs(parameters['y'])}>({names[0]})"
-    return power if parameters["y"] >= 0 else f"1.0f / {power}"
-
-
-def _converted(parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
-    dtype = np.dtype(parameters["new_dtype"])
-    return f"{names[0]} != 0" if dtype.kind == "b" else f"({typed(dtype)}){names[0]}"
-
-
-_SPECIAL: dict[str, Callable[[Mapping[str, Any], Sequence[Number], Sequence[str]], str]] = {
-    "select_n": _choice,
-    "round": _round,
-    "integer_pow": _power,
-    "convert_element_type": _converted,
-}
 
 
 # --- the kernel
@@ -232,15 +204,22 @@ class CudaWriter(Writer):
 
     def source(self, results: Sequence[Number]) -> str:
         """Return the kernel, which writes these numbers."""
-        rows = [
-            f"if (mine) made[{row} * (size_t)robots + robot] = {_to_word(_text(number), number.dtype)};"
-            for row, number in enumerate(results)
-        ]
+        rows = []
+        for row, number in enumerate(results):
+            word = f"__float_as_int({_text(number)})" if typed(number.dtype) == "float" else f"(int){_text(number)}"
+            rows.append(f"if (mine) made[{row} * (size_t)robots + robot] = {word};")
+        # without values that nothing is made of: NVIDIA's compiler would leave them out, but not exchanges of lanes
+        read, lines = set(_NAMES.findall("".join(rows))), rows[::-1]
+        for line in reversed(self._lines):
+            made = _MADE.match(line)
+            if made is None or made[1] in read:
+                lines.append(line)
+                read.update(_NAMES.findall(line))
         size = len(self._table)
         constants = f"__constant__ int constants[{size}] = {{{', '.join(map(str, self._table))}}};\n" if size else ""
         head = _HEAD.format(threads=THREADS, name=NAME, width=self.width)
         table = _TABLE.format(size=size) if size else ""
-        return "\n".join([FUNCTIONS + constants + head + table, *_needed(self._lines, rows), *rows, "}\n"])
+        return "\n".join([FUNCTIONS + constants + head + table, *lines[::-1], "}\n"])
 
     def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Number]) -> Value:
         name = primitive.name
@@ -256,7 +235,8 @@ class CudaWriter(Writer):
         dtype = numbers[0].dtype
         if known and len(distinct) > 2:
             place = len(self._table)
-            self._table += [_word(number) for number in padded]
+            values = np.array(padded)
+            self._table += (values.view(np.int32) if dtype.kind == "f" else values.astype(np.int32)).tolist()
             return self._value(dtype, _from_word(f"table[{place} + lane]", dtype))
         texts = [_text(number) for number in padded]
         chosen, *others = distinct
@@ -300,36 +280,11 @@ class CudaWriter(Writer):
         return Value(f"v{self._count}", np.dtype(dtype))
 
 
-def _needed(lines: Sequence[str], results: Sequence[str]) -> list[str]:
-    """Return the lines without values that nothing is made of.
-
-    NVIDIA's compiler would leave out the others itself, but not exchanges between lanes.
-    """
-    read = {name for line in results for name in _NAMES.findall(line)}
-    kept = []
-    for line in reversed(lines):
-        made = _MADE.match(line)
-        if made is None or made[1] in read:
-            kept.append(line)
-            read.update(_NAMES.findall(line))
-    return kept[::-1]
-
-
 def _text(number: Number) -> str:
     assert not isinstance(number, OfLane)  # what is written is of all lanes
     return str(number.content) if isinstance(number, Value) else literal(number)
 
 
-def _word(number: Number) -> int:
-    """Return the 32 bits of a known number as a whole one."""
-    value = np.asarray(number)
-    return int(value.view(np.int32)) if value.dtype.kind == "f" else int(value.astype(np.int64).astype(np.int32))
-
-
 def _from_word(word: str, dtype: Any) -> str:
     kind = typed(dtype)
     return f"__int_as_float({word})" if kind == "float" else f"{word} != 0" if kind == "bool" else f"({kind}){word}"
-
-
-def _to_word(text: str, dtype: Any) -> str:
-    return f"__float_as_int({text})" if typed(dtype) == "float" else f"(int){text}"

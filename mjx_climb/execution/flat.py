@@ -1,12 +1,21 @@
-"""A traced program as one list of equations, and which results of it depend on which of its arguments."""
+"""A traced program as one list of equations, which of its results depend on which arguments, and its tangents.
 
+JAX takes the derivative of a maximum where a value equals it. Two kernels that each work the maximum out, and round
+differently, find no value equal: the derivative of a maximum over rows is then 0/0, of two values 0. So maxima and
+minima are made of comparisons first: one comparison chooses value and derivative. Of equal values the first is taken,
+where JAX takes the mean; what is not a number stays, as in JAX's own.
+"""
+
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+from jax import Array, lax
 from jax.extend import core
 
-from mjx_climb.execution.jax_internals import inner_program, new_program, new_variable, scan_sizes
+from mjx_climb.execution.jax_internals import inner_program, jvp_jaxpr, new_program, new_variable, scan_sizes
 
 Atom = core.Var | core.Literal
 
@@ -137,3 +146,73 @@ def mapped(function: Callable[..., Sequence[Any]], varies: Sequence[Has], result
             into, out = ([-1 if has[axis] else None for has in some] for some in (varies, results))
             function = jax.vmap(function, in_axes=into, out_axes=out)
     return function
+
+
+# --- forward derivatives
+
+
+def tangents_of(program: core.ClosedJaxpr, moving: Sequence[bool]) -> tuple[core.ClosedJaxpr, list[bool]]:
+    """Return a program of the arguments, and the tangents of those that are moving, and which results have tangents.
+
+    It returns the results and then their tangents.
+    """
+    both, moved = jvp_jaxpr(with_stable_maxima(program), tuple(moving), instantiate=False)
+    return both, list(moved)
+
+
+@functools.lru_cache(maxsize=128)
+def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
+    """Return a program without `max`, `min` and their reductions, outside of functions with their own derivative."""
+    if not _has_maxima(program.jaxpr):
+        return program
+
+    def evaluated(*arguments: Any) -> list[Any]:
+        known = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
+        known |= dict(zip(program.jaxpr.invars, arguments, strict=True))
+
+        def read(atom: core.Var | core.Literal) -> Any:
+            return atom.val if isinstance(atom, core.Literal) else known[atom]
+
+        for equation in program.jaxpr.eqns:
+            values = [read(atom) for atom in equation.invars]
+            primitive, parameters, inner = equation.primitive, equation.params, inner_program(equation)
+            if (compare := _COMPARISONS.get(primitive.name)) is not None:
+                axes = parameters.get("axes")
+                results = [_better(compare, *values) if axes is None else _best(compare, values[0], axes)]
+            elif inner is not None and not primitive.name.startswith("custom"):
+                results = core.jaxpr_as_fun(with_stable_maxima(inner))(*values)
+            else:
+                if primitive.name == "scan":
+                    parameters = parameters | {"jaxpr": with_stable_maxima(parameters["jaxpr"])}
+                made = primitive.bind(*values, **primitive.get_bind_params(parameters))
+                results = made if primitive.multiple_results else [made]
+            known.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in program.jaxpr.outvars]
+
+    return jax.make_jaxpr(evaluated)(*program.in_avals)
+
+
+def _has_maxima(jaxpr: core.Jaxpr) -> bool:
+    return any(
+        equation.primitive.name in _COMPARISONS or any(map(_has_maxima, core.jaxprs_in_params(equation.params)))
+        for equation in jaxpr.eqns
+    )
+
+
+def _better(compare: Callable[[Array, Array], Array], one: Any, other: Any) -> Array:
+    """Return the better of two values, element by element: the first of equal ones, and what is not a number."""
+    one, other = jnp.broadcast_arrays(one, other)
+    return lax.select(compare(one, other) | (one != one), one, other)
+
+
+def _best(compare: Callable[[Array, Array], Array], values: Array, axes: Sequence[int]) -> Array:
+    for axis in sorted(axes, reverse=True):
+        while (count := values.shape[axis]) > 1:
+            half = (count + 1) // 2  # of an odd number the middle one is compared with itself
+            first = lax.slice_in_dim(values, 0, half, axis=axis)
+            values = _better(compare, first, lax.slice_in_dim(values, count - half, None, axis=axis))
+        values = lax.squeeze(values, (axis,))
+    return values
+
+
+_COMPARISONS = {"max": lax.ge, "min": lax.le, "reduce_max": lax.ge, "reduce_min": lax.le}

@@ -12,12 +12,12 @@ NVIDIA's GPUs brings, and launched by the custom call
 threads of its own, which work out the values beside it.
 """
 
+import contextlib
 import ctypes
 import functools
 import importlib.metadata
 import importlib.util
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -32,21 +32,24 @@ from mjx_climb.execution.cuda_writer import NAME, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
 from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array
-from mjx_climb.execution.flat import flat
+from mjx_climb.execution.flat import flat, tangents_of
 from mjx_climb.execution.limbs import LimbAxes
-from mjx_climb.execution.tangents import tangents_of
 
 _Result = TypeVar("_Result")
 _TARGET = "__gpu$xla.gpu.ptx"
 
 
 class Body(NamedTuple):
-    """What is written of one robot: `results` are the elements of the outputs, made of the elements of the inputs."""
+    """What is written of one robot."""
 
-    inputs: Sequence[Any]  # with shape and dtype
-    outputs: Sequence[Any]
-    limbs: int  # threads of a robot
-    results: Callable[[Writer, list[Elements]], list[list[Shared]]]
+    program: core.ClosedJaxpr  # flat
+    limbs: LimbAxes
+
+    def results(self, writer: Writer, given: list[Elements]) -> list[list[Shared]]:
+        """Return the elements of each result, the same for all lanes and of its type."""
+        found = results(do := Operations(writer, self.limbs), self.program, given)
+        each = zip(found, self.program.out_avals, strict=True)
+        return [do.put_together(array, aval.dtype, None) for array, aval in each]
 
 
 def over_robots(function: Callable[..., _Result], batched: Sequence[bool]) -> Callable[..., _Result]:
@@ -121,72 +124,45 @@ def _of_one(
 def body_of(program: core.ClosedJaxpr) -> Body:
     """Return what is written of a program of one robot."""
     whole = flat(program)
-    limbs = LimbAxes(whole)
-
-    def numbers(writer: Writer, given: list[Elements]) -> list[list[Shared]]:
-        """Return the elements of each result, the same for all lanes and of its type."""
-        do = Operations(writer, limbs)
-        found = zip(results(do, whole, given), whole.out_avals, strict=True)
-        return [do.put_together(array, aval.dtype, None) for array, aval in found]
-
-    return Body(program.in_avals, program.out_avals, limbs.count, numbers)
+    return Body(whole, LimbAxes(whole))
 
 
 def written(body: Body, batched: Sequence[bool]) -> str:
     """Return the kernel of a body, whose `batched` inputs are the robot's own, in CUDA C."""
-    writer = CudaWriter(body.limbs)
-    given = []
-    for leaf, axis in zip(body.inputs, batched, strict=True):
+    writer, given = CudaWriter(body.limbs.count), []
+    for aval, axis in zip(body.program.in_avals, batched, strict=True):
         of = "own" if axis else "common"
-        given.append(as_array((writer.read(of, leaf.dtype) for _ in range(math.prod(leaf.shape))), leaf.shape))
+        given.append(as_array((writer.read(of, aval.dtype) for _ in range(aval.size)), aval.shape))
     return writer.source([number for result in body.results(writer, given) for number in result])
 
 
 def _launched(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> list[Array]:
     robots = next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
-    sizes = [math.prod(leaf.shape) for leaf in body.outputs]
-    words = [_words(jnp.asarray(array)) for array in arrays]
-    own = [array.reshape(robots, -1).T for array, axis in zip(words, batched, strict=True) if axis]
-    common = [array.reshape(-1) for array, axis in zip(words, batched, strict=True) if not axis]
-    source = ptx(written(body, batched), _capability())
-    threads = robots * CudaWriter(body.limbs).width
+    words: dict[bool, list[Array]] = {True: [], False: [jnp.full(1, robots, np.int32)]}  # of each robot, of all
+    for array, own in zip(map(jnp.asarray, arrays), batched, strict=True):
+        if array.dtype.kind != "b" and (array.dtype.itemsize != 4 or array.dtype.kind not in "fiu"):
+            raise Unsupported(f"a function of {array.dtype}")
+        whole = array.astype(np.int32) if array.dtype.kind == "b" else lax.bitcast_convert_type(array, np.int32)
+        words[own].append(whole.reshape(robots, -1).T if own else whole.reshape(-1))
+    source = ptx(written(body, batched))
+    threads, outputs = robots * CudaWriter(body.limbs.count).width, body.program.out_avals
     launch = {"grid_x": -(-threads // THREADS), "block_x": THREADS, "shared_mem_bytes": 0}
     launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
-    made = jax.ffi.ffi_call(_TARGET, jax.ShapeDtypeStruct((sum(sizes), robots), np.int32))(
-        jnp.concatenate(own),
-        jnp.concatenate([jnp.full(1, robots, np.int32), *common]),
+    made = jax.ffi.ffi_call(_TARGET, jax.ShapeDtypeStruct((sum(aval.size for aval in outputs), robots), np.int32))(
+        jnp.concatenate(words[True]),
+        jnp.concatenate(words[False]),
         name=NAME,
         kernel_type="ptx",
         kernel_data=source,
         **{name: np.int32(number) for name, number in launch.items()},
     )
-    parts = jnp.split(made, list(itertools.accumulate(sizes))[:-1])
-    return [
-        _from_words(part, leaf.dtype).T.reshape(robots, *leaf.shape)
-        for part, leaf in zip(parts, body.outputs, strict=True)
-    ]
-
-
-def _capability() -> str:
-    [device, *_] = jax.local_devices(backend="gpu")
-    return str(device.compute_capability)
-
-
-def _words(value: Array) -> Array:
-    """Return numbers as words of 32 bits, whole numbers of fewer bits and truth values as such ones."""
-    if value.dtype == np.float32 or (value.dtype.itemsize == 4 and jnp.issubdtype(value.dtype, jnp.integer)):
-        return lax.bitcast_convert_type(value, np.int32)
-    if value.dtype.kind == "b":
-        return value.astype(np.int32)
-    raise Unsupported(f"a function of {value.dtype}")
-
-
-def _from_words(words: Array, dtype: Any) -> Array:
-    if np.dtype(dtype).kind == "b":
-        return words != 0
-    if np.dtype(dtype).itemsize != 4:
-        raise Unsupported(f"a function to {dtype}")
-    return lax.bitcast_convert_type(words, dtype)
+    parts, found = jnp.split(made, list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
+    for part, aval in zip(parts, outputs, strict=True):
+        if aval.dtype.kind != "b" and aval.dtype.itemsize != 4:
+            raise Unsupported(f"a function to {aval.dtype}")
+        values = part != 0 if aval.dtype.kind == "b" else lax.bitcast_convert_type(part, aval.dtype)
+        found.append(values.T.reshape(robots, *aval.shape))
+    return found
 
 
 # --- compilation
@@ -197,59 +173,48 @@ OPTIONS = ("--fmad=true", "--ftz=true", "--prec-div=false", "--prec-sqrt=false",
 
 
 @functools.lru_cache(maxsize=32)
-def ptx(source: str, capability: str) -> str:
-    """Return a kernel in PTX.
+def ptx(source: str) -> str:
+    """Return a kernel in PTX, for the first GPU.
 
     Raises:
         Unsupported: no NVRTC, or it does not compile this.
     """
-    library = _library()
-    program = ctypes.c_void_p()
-    _call(library.nvrtcCreateProgram, ctypes.byref(program), source.encode(), b"walk.cu", 0, None, None)
+    library, program = _library(), ctypes.c_void_p()
+
+    def call(name: str, *arguments: object) -> None:
+        if error := library[f"nvrtc{name}"](*arguments):
+            raise Unsupported(f"what NVRTC does not do: error {error} of nvrtc{name}")
+
+    def filled(name: str) -> str:
+        size = ctypes.c_size_t()
+        call(f"Get{name}Size", program, ctypes.byref(size))
+        text = ctypes.create_string_buffer(size.value)
+        call(f"Get{name}", program, text)
+        return text.value.decode()
+
+    [device, *_] = jax.local_devices(backend="gpu")
+    architecture = f"--gpu-architecture=compute_{str(device.compute_capability).replace('.', '')}"
+    call("CreateProgram", ctypes.byref(program), source.encode(), b"walk.cu", 0, None, None)
     try:
-        options = [f"--gpu-architecture=compute_{capability.replace('.', '')}", *OPTIONS]
-        array = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
-        if library.nvrtcCompileProgram(program, len(options), array):
-            log = _filled(library.nvrtcGetProgramLogSize, library.nvrtcGetProgramLog, program)
+        options = [option.encode() for option in (architecture, *OPTIONS)]
+        if library.nvrtcCompileProgram(program, len(options), (ctypes.c_char_p * len(options))(*options)):
+            log = filled("ProgramLog")
             wrong = next((line for line in log.splitlines() if "error" in line), log)
             raise Unsupported(f"what NVRTC does not compile: {wrong.strip()[:200]}")
-        return _filled(library.nvrtcGetPTXSize, library.nvrtcGetPTX, program)
+        return filled("PTX")
     finally:
         library.nvrtcDestroyProgram(ctypes.byref(program))
 
 
-def _filled(size_of: Any, get: Any, program: ctypes.c_void_p) -> str:
-    size = ctypes.c_size_t()
-    _call(size_of, program, ctypes.byref(size))
-    text = ctypes.create_string_buffer(size.value)
-    _call(get, program, text)
-    return text.value.decode()
-
-
-def _call(function: Any, *arguments: object) -> None:
-    if error := function(*arguments):
-        raise Unsupported(f"what NVRTC does not do: error {error} of {function.__name__}")
-
-
 @functools.cache
 def _library() -> ctypes.CDLL:
-    for place in _places():
-        try:
-            return ctypes.CDLL(place)
-        except OSError:
-            continue
-    raise Unsupported("anything without NVRTC (libnvrtc.so; pip install 'jax[cuda13]' brings it)")
-
-
-def _places() -> list[str]:
-    """Return where the library may be: of the CUDA that JAX's plugin is made for, then of any."""
+    """Return NVRTC: of the CUDA that JAX's plugin is made for, else of any."""
     plugins = {package.name for package in importlib.metadata.distributions()}
-    found = []
+    spec = importlib.util.find_spec("nvidia")
     for major in sorted(("13", "12"), key=lambda major: f"jax-cuda{major}-plugin" not in plugins):
-        name = f"libnvrtc.so.{major}"
-        spec = importlib.util.find_spec("nvidia")
-        for folder in () if spec is None else spec.submodule_search_locations or ():
-            for inside in (f"cu{major}/lib", "cuda_nvrtc/lib"):
-                found.append(str(Path(folder) / inside / name))
-        found.append(name)
-    return found
+        folders = () if spec is None else spec.submodule_search_locations or ()
+        places = [Path(folder) / inside for folder in folders for inside in (f"cu{major}/lib", "cuda_nvrtc/lib")]
+        for place in (*places, Path()):
+            with contextlib.suppress(OSError):
+                return ctypes.CDLL(str(place / f"libnvrtc.so.{major}"))
+    raise Unsupported("anything without NVRTC (libnvrtc.so; pip install 'jax[cuda13]' brings it)")

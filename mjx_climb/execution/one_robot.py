@@ -16,9 +16,8 @@ from jax.extend import core
 from jax.interpreters import ad, batching, mlir
 
 from mjx_climb.execution.cpu_regions import in_regions
-from mjx_climb.execution.flat import Has, by_axis, mapped, reached
+from mjx_climb.execution.flat import Has, by_axis, mapped, reached, tangents_of
 from mjx_climb.execution.jax_internals import OVER_ROBOTS, new_program, register_reverse_mode
-from mjx_climb.execution.tangents import tangents_of
 
 _Result = TypeVar("_Result")
 

@@ -1,20 +1,42 @@
-"""Which path carries a batch out, and where, and the plain one where a fast one cannot: said once, and remembered."""
+"""Which path carries a batch out, and where; whether the fast ones work on this machine; the plain one where not.
 
+The fast paths lean on parts of JAX and XLA that promise nothing, and where these fail they stop the process. So before
+a path is first taken a process of its own takes it, and compares with XLA's plain one. The verdict is kept in the
+cache's folder until anything changes that it rests on. Where it is bad, all goes by the plain path, and a warning says
+so, as where a fast path cannot do what a function asks for.
+"""
+
+import contextlib
+import functools
+import hashlib
+import json
 import os
+import signal
+import subprocess
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Hashable
-from typing import Any, TypeVar
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.errors import JaxRuntimeError
 from numpy.typing import DTypeLike
 
-from mjx_climb.execution import probe
+from mjx_climb.execution import gpu_kernel
+from mjx_climb.execution.cache import cache_folder, machine, source_digest
+from mjx_climb.execution.devices import on_host
 from mjx_climb.execution.elements import Unsupported
+from mjx_climb.execution.one_robot import over_robots
+from mjx_climb.files.writing import OutputError, write_text_atomically
 from mjx_climb.scenario.messages import ConfigError
 
+PATHS = {"regions": "the CPU's regions", "kernel": "the GPU kernel"}
 ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots go to the CPU although there is a GPU
 _FUSION_PAYS_BELOW = 48  # robots
 # Robots, times one and the tangents of each, that a few CPU cores simulate as soon as an H200: 8 s of any few take it
@@ -40,7 +62,7 @@ def path_for(device: str | None, *, double: bool) -> str:
     In double precision the values of a kernel do not find room in the registers.
     """
     path = fast_path(device)
-    if path is None or (path == "kernel" and double) or not probe.works(path):
+    if path is None or (path == "kernel" and double) or not works(path):
         return "plain"
     return path
 
@@ -60,10 +82,9 @@ def device_for(robots: int, tangents: int, *, double: bool) -> str | None:
     """
     if jax.default_backend() == "cpu" or jax.process_count() > 1:
         return None
-    limit = os.environ.get(ON_CPU, "").strip()
-    if limit and not limit.isdecimal():
-        raise ConfigError(f"{ON_CPU}: expected a number of robots, got {limit!r}")
-    if limit:
+    if limit := os.environ.get(ON_CPU, "").strip():
+        if not limit.isdecimal():
+            raise ConfigError(f"{ON_CPU}: expected a number of robots, got {limit!r}")
         few = robots <= int(limit)
     elif robots * (1 + tangents) > _AS_LAUNCHES:
         few = False
@@ -82,14 +103,10 @@ def compiler_options(robots: int, path: str, device: str | None, *, briefly: boo
     """
     if (device or jax.default_backend()) != "cpu":
         return {}
-    options: dict[str, str | int] = {}
+    options: dict[str, str | int] = {"xla_backend_optimization_level": 0} if briefly else {}
     if path == "regions":
-        options["xla_cpu_prefer_vector_width"] = 512
-    elif robots >= _FUSION_PAYS_BELOW:
-        options["xla_disable_hlo_passes"] = "fusion"
-    if briefly:
-        options["xla_backend_optimization_level"] = 0
-    return options
+        return options | {"xla_cpu_prefer_vector_width": 512}
+    return options | ({"xla_disable_hlo_passes": "fusion"} if robots >= _FUSION_PAYS_BELOW else {})
 
 
 # --- where a fast path cannot
@@ -133,3 +150,175 @@ def first_possible(
         return plain()(structure, *arrays)
 
     return program
+
+
+# --- does a fast path work on this machine?
+
+_WAITING = threading.Lock()
+_TRIAL = "from mjx_climb.execution import paths; paths.take({!r})"
+_PATIENCE = 300.0  # s, for a process that starts, imports JAX and compiles some hundred operations on a busy machine
+_CRASHES = (signal.SIGILL, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGSEGV)  # not somebody's wish
+
+
+class Verdict(NamedTuple):
+    """Whether a path works on this machine, and what was seen."""
+
+    works: bool
+    seen: str  # in a few words
+
+
+def begin() -> None:
+    """Begin the trials that this machine's walks will ask for and that nothing is known of: other things go on beside.
+
+    Where nobody asks, a trial comes to its end by itself and leaves no verdict.
+    """
+    for path in {"cpu": ("regions",), "gpu": tuple(PATHS)}.get(jax.default_backend(), ()):
+        if (file := _file(path)) is None or not file.exists():
+            with contextlib.suppress(OSError):  # who asks is told
+                _trial(path)
+
+
+@functools.cache
+def works(path: str) -> bool:
+    """Return whether one of `PATHS` works on this machine, and warn once where it does not; see `verdict`.
+
+    Where there is a GPU, all paths are needed: they are tried side by side.
+    """
+    with _WAITING:  # shares of a batch come from several threads
+        if jax.default_backend() == "gpu":
+            begin()
+            for each in PATHS:
+                verdict(each)
+        found = verdict(path)
+    if not found.works:
+        warnings.warn(f"{PATHS[path]} cannot be used here ({found.seen}): walking by XLA's own, slower", stacklevel=3)
+    return found.works
+
+
+@functools.cache
+def verdict(path: str) -> Verdict:
+    """Return whether a path works on this machine: from the cache's folder where it is known there, else by a trial."""
+    kept = _file(path)
+    if kept is not None:
+        try:
+            told = json.loads(kept.read_text())
+            return Verdict(bool(told["works"]), str(told["seen"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            pass  # not there, or not what was written: tried again
+    found, lasting = _tried(path)
+    if kept is not None and lasting:
+        with contextlib.suppress(OutputError):  # no room, no rights: tried again in the next process
+            write_text_atomically(kept, json.dumps(found._asdict()))
+    return found
+
+
+def _file(path: str) -> Path | None:
+    """Return where the verdict of a path is kept, None where there is no cache."""
+    if (folder := cache_folder()) is None:
+        return None
+    made_of = repr([path, source_digest(Path(__file__).parent), machine()])
+    return folder / "probes" / (hashlib.sha256(made_of.encode()).hexdigest() + ".json")
+
+
+@functools.cache
+def _trial(path: str) -> subprocess.Popen[str]:
+    """Start the process that tries a path.
+
+    Raises:
+        OSError: it does not start.
+    """
+    packages = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(filter(None, packages)),
+        "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # this process may have the GPU's memory
+        "JAX_ENABLE_COMPILATION_CACHE": "false",  # what is tried is the compiler
+        "JAX_TRACEBACK_FILTERING": "off",  # its last line is what went wrong
+    }
+    command, pipe = [sys.executable, "-c", _TRIAL.format(path)], subprocess.PIPE
+    return subprocess.Popen(
+        command, env=environment, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True,
+        start_new_session=True,  # Ctrl-C is for this process
+    )  # fmt: skip
+
+
+def _tried(path: str) -> tuple[Verdict, bool]:
+    """Return the verdict of a process of its own, and whether the next one would come to the same."""
+    try:
+        with _trial(path) as process:
+            try:
+                out, errors = process.communicate(timeout=_PATIENCE)
+            except BaseException:
+                process.kill()
+                raise
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Verdict(False, f"no trial: {type(error).__name__}"), False
+    said, code = (out.strip() or errors.strip()).splitlines()[-1:] or [""], process.returncode
+    if code == 0 and said == [SAME]:
+        return Verdict(True, "tried, and compared with XLA's own"), True
+    if code < 0:
+        stopped_by = signal.Signals(-code)
+        return Verdict(False, f"a trial was stopped by {stopped_by.name}"), stopped_by in _CRASHES
+    return Verdict(False, f"a trial failed: {said[0][:200]}"), True
+
+
+# --- what the process does: a small motion and its tangents by a fast path and by the plain one, compared
+
+SAME = "the same"
+_ROBOTS, _STEPS = 5, 3
+_TOLERANCE = {"float32": 1e-4, "float64": 1e-12}  # relative to the largest value
+
+
+def take(path: str) -> None:
+    """Take a path, "regions" or "kernel", and print `SAME`, or how far it was off.
+
+    In each of its precisions it is compared with the plain one in the first of them.
+    """
+    jax.config.update("jax_enable_x64", True)
+    count, precisions = (1, ["float64", "float32"]) if path == "regions" else (2, ["float32"])
+    states = np.linspace(0.1, 0.9, 6 * _ROBOTS).reshape(_ROBOTS, 6)
+    start = np.stack([states, states[:, ::-1]][:count], -1)  # of limbs
+    every = start, np.stack([np.cos(start), np.sin(start)][:count], 1)  # and directions
+    given = [[array.astype(dtype) for array in every] for dtype in precisions]
+    with ThreadPoolExecutor(1 + len(given)) as threads:  # the first walk on a machine waits for this
+        exact = threads.submit(_by_vmap, _motion, *given[0])
+        fast = _by_kernel if path == "kernel" else functools.partial(_by_vmap, over_robots(_motion))
+        moved = list(threads.map(fast, *zip(*given, strict=True)))
+    for dtype, found in zip(precisions, moved, strict=True):
+        for mine, expected in zip(jax.tree.leaves(found), jax.tree.leaves(exact.result()), strict=True):
+            off = float(np.abs(np.asarray(mine) - np.asarray(expected)).max() / np.abs(expected).max())
+            if not off <= _TOLERANCE[dtype]:
+                print(f"{off:.1g} off in {dtype}")
+                return
+    print(SAME)
+
+
+def _by_vmap(motion: Callable[[Array], Any], start: np.ndarray, directions: np.ndarray) -> Any:
+    """Return the ends of a batch's motions, with their tangents and without; on a CPU, as regions are."""
+
+    def along(start: Array, directions: Array) -> list[Any]:
+        return [jax.jvp(jax.vmap(motion), (start,), (along,)) for along in jnp.moveaxis(directions, 1, 0)]
+
+    with on_host():
+        (ends, *_), tangents = zip(*jax.jit(along)(start, directions), strict=True)
+        return ends, jnp.stack(tangents, 1), ends
+
+
+def _by_kernel(start: np.ndarray, directions: np.ndarray) -> Any:
+    with_tangents = jax.jit(gpu_kernel.tangents_over_robots(_motion, [True]))(directions, start)
+    return *with_tangents, jax.jit(gpu_kernel.over_robots(_motion, [True]))(start)
+
+
+def _motion(start: Array) -> Array:
+    """Return three angles and rates (6, limbs) after some steps: a sample of what a walk is made of."""
+
+    def step(state: Array, _: None) -> tuple[Array, None]:
+        angle, rate = state[:3], state[3:]
+        held = jnp.where(angle > 0.5, 0.1 * rate, jnp.minimum(rate, 0.3))
+        mass = 2 + jnp.cos(angle)
+        load = jnp.concatenate([angle[1:], angle[:1]]) * jnp.sin(angle)
+        lever = jnp.stack([mass[0] * load[1], mass[1] * load[2], mass[2] * load[0]])
+        rate = held - 0.01 * (lever / jnp.sqrt(mass**2 + 0.1) + jnp.exp(-rate) * jnp.arctan2(angle, mass))
+        after = jnp.concatenate([angle + 0.01 * rate, rate])
+        return after - 0.01 * after.sum(1, keepdims=True), None  # limbs pull at each other
+
+    return jax.lax.scan(step, start, length=_STEPS)[0]

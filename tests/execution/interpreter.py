@@ -28,13 +28,13 @@ class Interpreter(ArrayWriter):
 def launched(body, arrays, batched):
     """Return the results of a body for a batch, as `gpu_kernel` does on a GPU."""
     robots = next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
-    writer = Interpreter(body.limbs, (robots,))
+    writer = Interpreter(body.limbs.count, (robots,))
     given = []
-    for array, leaf, own in zip(map(jnp.asarray, arrays), body.inputs, batched, strict=True):
+    for array, leaf, own in zip(map(jnp.asarray, arrays), body.program.in_avals, batched, strict=True):
         rows = array.reshape(robots, -1).T if own else array.reshape(-1, 1)
         given.append(as_array((writer.value(row[None]) for row in rows), leaf.shape))
     made = []
-    for numbers, leaf in zip(body.results(writer, given), body.outputs, strict=True):
+    for numbers, leaf in zip(body.results(writer, given), body.program.out_avals, strict=True):
         columns = [writer.column(number) for number in numbers]
         made.append(jnp.stack(columns, 1).reshape(robots, *leaf.shape) if columns else jnp.zeros((robots, *leaf.shape)))
     return made

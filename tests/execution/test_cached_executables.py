@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjx_climb.execution import cache, probe
+from mjx_climb.execution import cache, paths
 from tuning.command_line import machine
 
 ROOT = Path(__file__).parents[2]
@@ -157,7 +157,7 @@ def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
     with cache.cache_in(str(tmp_path)):
         assert program(1.0, np.zeros(2)).tolist() == [1.0, 1.0]
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
-    monkeypatch.setattr(probe, "_tried", lambda path: (probe.Verdict(True, "tried"), True))
-    assert probe.verdict.__wrapped__("regions").works
+    monkeypatch.setattr(paths, "_tried", lambda path: (paths.Verdict(True, "tried"), True))
+    assert paths.verdict.__wrapped__("regions").works
     for folder in ("programs", "probes"):  # XLA writes its own beside
         assert list((tmp_path / folder).iterdir()) == []

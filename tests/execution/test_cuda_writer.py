@@ -19,8 +19,8 @@ from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
 from mjx_climb.execution.cuda_writer import CudaWriter
 from mjx_climb.execution.elements import Unsupported
+from mjx_climb.execution.flat import tangents_of
 from mjx_climb.execution.gpu_kernel import body_of, written
-from mjx_climb.execution.tangents import tangents_of
 from mjx_climb.rollouts.resolve import resolve_in
 from mjx_climb.rollouts.walks import metrics_of
 from mjx_climb.walk.structure import structure
@@ -205,9 +205,9 @@ def test_tangents_of_a_walk_in_cuda_c(built, case):
         both, moved = tangents_of(program(*arguments), [n == 0 for n in range(len(jax.tree.leaves(arguments)))])
         body, leaves = body_of(both), jax.tree.leaves((*arguments, law.damping))
         text = written(body, [False] * len(leaves))
-        rows = sum(math.prod(aval.shape) for aval in body.outputs)
+        rows = sum(math.prod(aval.shape) for aval in body.program.out_avals)
         made = built({"walk": (text, CudaWriter(4).width)})("walk", words([]), words([np.int32(1), *leaves]), rows)
-    found = list(of_words(made, body.outputs))
+    found = list(of_words(made, body.program.out_avals))
 
     step = 1e-4
     law, numbers = jax.tree.map(np.float64, (law, numbers))

@@ -11,7 +11,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.execution import gpu_kernel, paths, probe
+from mjx_climb.execution import gpu_kernel, paths
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.gpu_kernel import over_robots, tangents_over_robots
 from mjx_climb.execution.paths import first_possible
@@ -132,7 +132,7 @@ def test_the_kernel_is_for_new_gpus(monkeypatch, backend, capability, paid):
     device = types.SimpleNamespace(compute_capability=capability) if capability else types.SimpleNamespace()
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     monkeypatch.setattr(jax, "devices", lambda: [device])
-    monkeypatch.setattr(probe, "works", lambda path: path == "kernel")
+    monkeypatch.setattr(paths, "works", lambda path: path == "kernel")
     assert (paths.path_for(None, double=False) == "kernel") == paid
     assert paths.path_for(None, double=True) != "kernel"
 
@@ -168,11 +168,13 @@ def test_a_limit_that_is_no_number_is_refused(monkeypatch):
 
 def test_without_nvrtc_the_reason_is_told(monkeypatch):
     """It is what the fall-back to XLA's own kernels says."""
-    monkeypatch.setattr(gpu_kernel, "_places", lambda: ["libnvrtc.so.0"])
-    gpu_kernel._library.cache_clear()
+
+    def missing(place):
+        raise OSError(place)
+
+    monkeypatch.setattr(gpu_kernel.ctypes, "CDLL", missing)
     with pytest.raises(Unsupported, match=r"libnvrtc\.so; pip install"):
-        gpu_kernel.ptx("", "9.0")
-    gpu_kernel._library.cache_clear()
+        gpu_kernel._library.__wrapped__()
 
 
 def test_without_a_gpu_nothing_is_moved(cpu_alone):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.execution import probe
+from mjx_climb.execution import gpu_kernel, paths
 from mjx_climb.execution.gpu_kernel import tangents_over_robots
 from tests.execution import primitives
 
@@ -143,13 +143,13 @@ def test_what_nothing_moves_has_no_tangents(without_nvrtc):
 @pytest.mark.slow
 def test_the_trial_of_the_kernel_sees_wrong_tangents(interpreted, monkeypatch, capsys):
     """Values alone do not make a verdict."""
-    probe.take("kernel")
-    assert capsys.readouterr().out.strip() == probe.SAME
+    paths.take("kernel")
+    assert capsys.readouterr().out.strip() == paths.SAME
 
     def off(*given, **how):
         right = tangents_over_robots(*given, **how)
         return lambda *values: jax.tree.map(lambda x: 1.01 * x, right(*values))
 
-    monkeypatch.setattr(probe, "tangents_over_robots", off)
-    probe.take("kernel")
+    monkeypatch.setattr(gpu_kernel, "tangents_over_robots", off)
+    paths.take("kernel")
     assert "off in float32" in capsys.readouterr().out

@@ -174,15 +174,15 @@ def cache() -> Iterator[Part]:
 
 def path() -> Iterator[Part]:
     """Yield by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
-    from mjx_climb.execution import paths, probe
+    from mjx_climb.execution import paths
 
     if (fast := paths.fast_path()) is None:
         yield Part("path", "XLA's own: none faster is made for this device", {"path": None})
-    elif (found := probe.verdict(fast)).works:
-        yield Part("path", f"{probe.PATHS[fast]}, {found.seen}", {"path": fast})
+    elif (found := paths.verdict(fast)).works:
+        yield Part("path", f"{paths.PATHS[fast]}, {found.seen}", {"path": fast})
     else:
         remedy = "walks are right, but slower; the versions of jax and jaxlib in pyproject.toml are known to work"
-        finding = f"{probe.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
+        finding = f"{paths.PATHS[fast]} cannot be used here ({found.seen}): {remedy}"
         yield Part("path", "XLA's own", {"path": None}, [finding])
 
 

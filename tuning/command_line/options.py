@@ -180,14 +180,14 @@ def scenario_from(
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     import mjx_climb as mc
     from mjx_climb.checks.time_step import check_time_step
-    from mjx_climb.execution import probe
+    from mjx_climb.execution import paths
     from mjx_climb.quantities.ground import check_reach
     from mjx_climb.robot.stance import check_stance
     from mjx_climb.scenario.load import load_hardware, with_hardware
     from mjx_climb.scenario.model import overridden
 
     config = shipped.found(config)
-    probe.begin()  # the walk of this scenario asks for it
+    paths.begin()  # the walk of this scenario asks for it
     scenario = mc.load_scenario(config, () if hardware else changes)
     if hardware:
         scenario = overridden(with_hardware(scenario, load_hardware(hardware), hardware), changes, str(config))

@@ -2,11 +2,11 @@
 
 import pytest
 
-from mjx_climb.execution import one_robot, paths, probe
+from mjx_climb.execution import one_robot, paths
 
 
 def forget():
-    for known in (probe.works, probe.verdict, probe._trial):
+    for known in (paths.works, paths.verdict, paths._trial):
         known.cache_clear()
 
 
@@ -24,31 +24,31 @@ def trial(monkeypatch):
     """Run another program in place of the trial."""
 
     def put(program):
-        monkeypatch.setattr(probe, "_TRIAL", program)
+        monkeypatch.setattr(paths, "_TRIAL", program)
         forget()
 
     return put
 
 
 def test_a_path_that_works_is_tried_once(fresh, trial):
-    assert probe.verdict("regions") == (True, "tried, and compared with XLA's own")
+    assert paths.verdict("regions") == (True, "tried, and compared with XLA's own")
     trial("1 / 0")
-    assert probe.works("regions")  # known from the folder
+    assert paths.works("regions")  # known from the folder
     for file in fresh.iterdir():
         file.write_text("{")
     trial("1 / 0")
     with pytest.warns(UserWarning, match="ZeroDivisionError"):
-        assert not probe.works("regions")
+        assert not paths.works("regions")
 
 
 def test_a_trial_that_was_begun_is_the_one_asked_for(fresh, trial, monkeypatch):
     trial("print('the same')")
-    probe.begin()
-    monkeypatch.setattr(probe, "_TRIAL", "1 / 0")  # what would be started now
-    assert probe.works("regions")
+    paths.begin()
+    monkeypatch.setattr(paths, "_TRIAL", "1 / 0")  # what would be started now
+    assert paths.works("regions")
     forget()
-    probe.begin()  # known from the folder: starts nothing
-    assert not probe._trial.cache_info().currsize
+    paths.begin()  # known from the folder: starts nothing
+    assert not paths._trial.cache_info().currsize
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_a_path_that_does_not_work_is_left_with_a_word(fresh, trial, program, se
 
 
 def test_a_trial_that_cannot_start_is_no_verdict_for_ever(fresh, monkeypatch):
-    monkeypatch.setattr(probe.sys, "executable", "/nowhere")
+    monkeypatch.setattr(paths.sys, "executable", "/nowhere")
     with pytest.warns(UserWarning, match="no trial: FileNotFoundError"):
         assert not paths.path_for("cpu", double=True) == "regions"
     assert not fresh.exists()
@@ -83,5 +83,5 @@ def test_the_trial_of_the_regions_sees_wrong_values(monkeypatch, capsys):
         return [1.01 * value for value in results], varies
 
     monkeypatch.setattr(one_robot, "in_regions", off)
-    probe.take("regions")
+    paths.take("regions")
     assert "off in float64" in capsys.readouterr().out
