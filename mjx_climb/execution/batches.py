@@ -75,12 +75,13 @@ def run(
         ValueError: a batch size below one.
     """
     count = math.prod(shape)
-    trees, own = list(arguments), [*axes]
+    trees, own = tuple(arguments), tuple(axes)
     if directions is not None:
-        trees, own = [*trees, directions], [*own, jax.tree.map(lambda rate: rate.ndim - len(shape), directions)]
-    leaves, tree = jax.tree.flatten(tuple(trees))
-    flat = [flattened(leaf, size, shape) for leaf, size in zip(leaves, jax.tree.leaves(tuple(own)), strict=True)]
-    batched = [leaf.ndim > size for leaf, size in zip(flat, jax.tree.leaves(tuple(own)), strict=True)]
+        trees, own = (*trees, directions), (*own, jax.tree.map(lambda rate: rate.ndim - len(shape), directions))
+    leaves, tree = jax.tree.flatten(trees)
+    own_axes = jax.tree.leaves(own)
+    flat = [flattened(leaf, size, shape) for leaf, size in zip(leaves, own_axes, strict=True)]
+    batched = [leaf.ndim > size for leaf, size in zip(flat, own_axes, strict=True)]
     if not any(batched):  # a batch of equal robots: one leaf says how many
         flat[0], batched[0] = np.broadcast_to(flat[0], (count, *flat[0].shape)), True
 
@@ -94,8 +95,7 @@ def run(
     enable_cache()
 
     @functools.cache
-    def same_for_all(sharding: Sharding) -> list[Array]:
-        """Return what does not vary on a device, put there once."""
+    def same_for_all(sharding: Sharding) -> list[Array]:  # put on a device once
         same: list[Array] = jax.device_put([v for v, own in zip(flat, batched, strict=True) if not own], sharding)
         return same
 
@@ -122,10 +122,10 @@ def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> An
     """
     double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(arguments))
     path = paths.path_for("cpu", double=double)
-    program = _program(path, 1, "cpu", False)
+    program, call = _program(path, 1, "cpu", False), _Call(function, structure, (), path)
     enable_cache()
     with devices.on_host(), jax.enable_x64(double):
-        return jax.tree.map(np.asarray, program(_Call(function, structure, (), path), *arguments))
+        return jax.tree.map(np.asarray, program(call, *arguments))
 
 
 def walking_with(robots: range, whole: int) -> range:
@@ -161,11 +161,10 @@ def _program(path: str, share: int, device: str | None, briefly: bool) -> Callab
 
 def _identity(call: _Call, *trees: Any) -> str | None:
     """Return what an executable depends on, None where it cannot be told."""
-    package = call.function.__module__.partition(".")[0]
-    folder = Path(str(sys.modules[package].__file__)).parent
-    laws = [type(tree) for tree in trees]
+    package = sys.modules[call.function.__module__.partition(".")[0]]
     try:
-        return repr((identity((call.function, call.structure, laws)), *call[2:], source_digest(folder)))
+        known = identity((call.function, call.structure, [type(tree) for tree in trees]))
+        return repr((known, *call[2:], source_digest(Path(str(package.__file__)).parent)))
     except Unidentifiable:
         return None
 
@@ -183,36 +182,32 @@ def _carried_out(call: _Call, *trees: Any) -> Any:
     one = over_robots(function, regions=call.path == "regions")
     if not call.batched:
         return one(*trees)
+
+    def with_tangents(moving: Any, *trees: Any) -> dict[str, Array]:
+        def real_ones(moving: Any) -> tuple[Any, Any]:
+            found = one(moving, *trees[:-1])
+            real = {name: value for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)}
+            return real, {name: value for name, value in found.items() if name not in real}
+
+        def along(direction: Any) -> Any:
+            return jax.jvp(real_ones, (moving,), (direction,), has_aux=True)
+
+        real, tangents, rest = jax.vmap(along, out_axes=(None, 0, None))(trees[-1])
+        found: dict[str, Array] = real | rest | {_TANGENT + name: value for name, value in tangents.items()}
+        return found
+
     leaves, tree = jax.tree.flatten(trees)
-    carry_out = functools.partial(_with_tangents, one) if call.tangents else one
-    mapped = [0 if batched else None for batched in call.batched]
+    carry_out, mapped = with_tangents if call.tangents else one, [0 if batched else None for batched in call.batched]
     return jax.vmap(lambda *leaves: carry_out(*jax.tree.unflatten(tree, leaves)), in_axes=mapped)(*leaves)
 
 
-def _with_tangents(one: Callable[..., dict[str, Array]], moving: Any, *trees: Any) -> dict[str, Array]:
-    """Return the results of one robot and their tangents (k, ...), along directions that are the last argument."""
-    *others, directions = trees
-
-    def real_ones(moving: Any) -> tuple[Any, Any]:
-        found = one(moving, *others)
-        real = {name: value for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)}
-        return real, {name: value for name, value in found.items() if name not in real}
-
-    def along(direction: Any) -> Any:
-        return jax.jvp(real_ones, (moving,), (direction,), has_aux=True)
-
-    real, tangents, rest = jax.vmap(along, out_axes=(None, 0, None))(directions)
-    found: dict[str, Array] = real | rest | {_TANGENT + name: value for name, value in tangents.items()}
-    return found
-
-
-def _tangents_in_kernel(one: Callable[..., Any], batched: tuple[bool, ...], *trees: Any) -> dict[str, Array]:
+def _tangents_in_kernel(function: Callable[..., Any], batched: tuple[bool, ...], *trees: Any) -> dict[str, Array]:
     moving, *others, directions = trees
     # what moves has the batch axis, as its directions have
     robots, count = len(jax.tree.leaves(directions)[0]), len(jax.tree.leaves(moving))
     own = iter(batched)
     wide = jax.tree.map(lambda v: v if next(own) else jnp.broadcast_to(v, (robots, *v.shape)), moving)
     every = [True] * count + list(batched[count : len(batched) - count])
-    values, tangents = gpu_kernel.tangents_over_robots(one, every)(directions, wide, *others)
+    values, tangents = gpu_kernel.tangents_over_robots(function, every)(directions, wide, *others)
     found: dict[str, Array] = values | {_TANGENT + n: value for n, value in tangents.items() if value is not None}
     return found

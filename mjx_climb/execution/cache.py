@@ -4,9 +4,9 @@ It is in the user's cache folder, so that a second start does not wait for the c
 folder) or switches it off (`off`); a folder that the user has set in JAX itself is left. What lies there is executed,
 so a folder in which another user may have put something is not used.
 
-With a cached executable a warm start neither traces nor compiles. It is found by a key: a digest of this package's
-files, of the versions of what compiles and computes, the machine, JAX's settings, the shapes of the arguments, and all
-that the caller says it depends on. A file that cannot be read, or is not what was written under its key, is made again.
+With a cached executable a warm start neither traces nor compiles. It is found by a digest of this package's files, of
+the versions of what compiles and computes, the machine, JAX's settings, the shapes of the arguments, and all that the
+caller says it depends on. A file that cannot be read, or is not what was written under its name, is made again.
 """
 
 import contextlib
@@ -34,7 +34,6 @@ from mjx_climb.files.writing import whole
 
 VARIABLE = "MJX_CLIMB_CACHE"
 _OFF = {"off", "0", "no", "none", "false"}
-_VERSIONED = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx")
 
 
 def asked_folder() -> Path | None:
@@ -56,32 +55,30 @@ def doubt(folder: Path) -> str | None:
     """Return why a folder is not used, and warn so the first time; None where all in it is this user's own."""
     if not hasattr(os, "geteuid"):  # a system without such owners
         return None
-    path: str | os.PathLike[str]
     with contextlib.suppress(OSError):  # not there yet, or who uses it gets the error
-        private = not os.stat(folder).st_mode & 0o077
-        with os.scandir(folder) as entries:
-            for path in (folder, *entries):
-                if may_be_anothers(path, in_private=private):
-                    why = (
-                        f"the compilation cache is off: {os.fspath(path)} is not this user's own, or others may write "
-                        f"to it, and what lies there would be executed (remove it, chmod -R go-rwx {folder}, or set "
-                        f"{VARIABLE})"
-                    )
-                    warnings.warn(why, stacklevel=4)
-                    return why
+        private = not folder.stat().st_mode & 0o077
+        for path in (folder, *folder.iterdir()):
+            if may_be_anothers(path, in_private=private):
+                why = (
+                    f"the compilation cache is off: {path} is not this user's own, or others may write to it, and what "
+                    f"lies there would be executed (remove it, chmod -R go-rwx {folder}, or set {VARIABLE})"
+                )
+                warnings.warn(why, stacklevel=4)
+                return why
     return None
 
 
-def may_be_anothers(path: str | os.PathLike[str], *, in_private: bool = False) -> bool:
+def may_be_anothers(path: Path, *, in_private: bool = False) -> bool:
     """Return whether another user owns a file or folder, or may write to it, unless its folder lets nobody in."""
-    about = os.stat(path)
+    about = path.stat()
     return about.st_uid != os.geteuid() or bool(about.st_mode & 0o022 and not in_private)
 
 
 def cache_in_use() -> str | None:
     """Return the folder that rollouts use: JAX's where the user has set one there, else ours; None where it is off."""
     of_jax: str | None = jax.config.values["jax_compilation_cache_dir"]
-    return of_jax if of_jax is not None else (None if (own := cache_folder()) is None else str(own))
+    own = cache_folder() if of_jax is None else None
+    return of_jax if own is None else str(own)
 
 
 def enable_cache() -> None:
@@ -111,13 +108,12 @@ def cache_in(folder: str) -> Iterator[None]:
 @functools.cache
 def machine() -> str:
     """Return what all entries of this process depend on, as text: versions, processor, devices, flags of XLA."""
-    versions = [importlib.metadata.version(name) for name in _VERSIONED]
-    devices = [f"{device.platform} {device.device_kind} {device.id}" for device in jax.devices()]
-    flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
-    processor = [platform.machine(), platform.processor()]
+    known = [importlib.metadata.version(name) for name in ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx")]
+    known += [platform.python_version(), platform.machine(), platform.processor()]
     with contextlib.suppress(OSError), open("/proc/cpuinfo") as lines:  # instruction sets, where the system tells
-        processor += sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
-    return repr([*versions, platform.python_version(), *processor, *devices, *flags])
+        known += sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+    known += [f"{device.platform} {device.device_kind} {device.id}" for device in jax.devices()]
+    return repr([*known, *(os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS"))])
 
 
 @functools.cache
@@ -133,7 +129,7 @@ def source_digest(folder: Path) -> str:
 # --- executables
 
 _Result = TypeVar("_Result")
-Identity = Callable[..., str | None]
+Options = dict[str, str | int]  # of the compiler
 
 _PACKAGE = Path(__file__).parents[1]
 _OF_NO_EFFECT = ("cache", "log", "traceback", "profiler")  # in names of JAX's settings that change no executable
@@ -142,9 +138,9 @@ _HIT, _SECONDS = "/jax/compilation_cache/cache_hits", "/jax/core/compile/backend
 
 
 def cached_jit(
-    function: Callable[..., _Result], identity: Identity, options: dict[str, str | int]
+    function: Callable[..., _Result], identity: Callable[..., str | None], options: Options
 ) -> Callable[..., _Result]:
-    """Return `jax.jit` of a function, with executables on disk."""
+    """Return `jax.jit` of a function, with executables on disk, found by what `identity` says; None: none is kept."""
     jitted = jax.jit(function, static_argnums=0, compiler_options=options)
     executables: dict[Hashable, Callable[..., _Result]] = {}
     locks: dict[Hashable, threading.Lock] = {}  # shares of a batch come from several threads
@@ -154,12 +150,7 @@ def cached_jit(
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             traced: _Result = jitted(structure, *trees)
             return traced
-        placed = (
-            sorted(f"{d.platform}:{d.id}" for d in leaf.devices()) if hasattr(leaf, "devices") else ()
-            for leaf in leaves
-        )
-        kinds = tuple((leaf.shape, str(leaf.dtype), *devices) for leaf, devices in zip(leaves, placed, strict=True))
-        key = structure, tree, kinds, _settings()
+        key = structure, tree, tuple(map(_kind, leaves)), _settings()
         if key not in executables:
             with locks.setdefault(key, threading.Lock()):
                 if key not in executables:
@@ -175,21 +166,27 @@ def cached_jit(
     return call
 
 
+def _kind(leaf: Any) -> tuple[Hashable, ...]:
+    """Return what executables depend on of an argument: shape, type and devices."""
+    devices = sorted(f"{d.platform}:{d.id}" for d in leaf.devices()) if hasattr(leaf, "devices") else ()
+    return (leaf.shape, str(leaf.dtype), *devices)
+
+
 def _settings() -> Hashable:
     """Return the settings that JAX's traces and compilations depend on, as they hold in this thread."""
     names = (name for name in sorted(jax.config.values) if not any(word in name for word in _OF_NO_EFFECT))
     return tuple((name, str(getattr(jax.config, name, None))) for name in names)
 
 
-def executable_file(
-    function: Callable[..., Any], known: str, key: Hashable, options: dict[str, str | int]
-) -> Path | None:
+def executable_file(function: Callable[..., Any], known: str, key: Hashable, options: Options) -> Path | None:
     """Return where an executable is stored, None where none are."""
     folder = cache_folder()
     if folder is None or cache_in_use() != str(folder) or jax.process_count() > 1:
         return None
-    named = function.__module__, function.__qualname__
-    made_of = (*named, known, str(key), sorted(options.items()), source_digest(_PACKAGE), machine())
+    made_of = (
+        function.__module__, function.__qualname__, known, str(key), sorted(options.items()), source_digest(_PACKAGE),
+        machine(),
+    )  # fmt: skip
     return folder / "programs" / hashlib.sha256(repr(made_of).encode()).hexdigest()
 
 
@@ -223,7 +220,7 @@ def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
 
 
 def _stored(
-    file: Path, function: Callable[..., Any], options: dict[str, str | int], structure: Hashable, trees: tuple[Any, ...]
+    file: Path, function: Callable[..., Any], options: Options, structure: Hashable, trees: tuple[Any, ...]
 ) -> Callable[..., Any]:
     """Return an executable that is compiled now and stored."""
 

@@ -13,7 +13,7 @@ as `element_operations` writes it (`array_writer`). What it cannot write, and lo
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -40,10 +40,11 @@ MOST_OF_A_CALL = 2**18
 
 def in_regions(
     program: core.ClosedJaxpr, arguments: Sequence[Any], varies: Sequence[Has], batch: tuple[int, ...]
-) -> tuple[list[Any], list[Has]]:
-    """Return the results of a program of one robot for a batch, and which batch axes they have."""
+) -> list[Any]:
+    """Return the results of a program of one robot for a batch, whose axes are behind the arguments' own."""
     whole = flat(program)
-    return _Program(LimbAxes(whole), batch, set()).results(whole, _unseen(arguments), varies)
+    given = zip(_unseen(arguments), varies, strict=True)
+    return [value for value, _ in _Program(LimbAxes(whole), batch, set()).results(whole, list(given))]
 
 
 def _unseen(values: Sequence[Any]) -> list[Any]:
@@ -55,6 +56,9 @@ def _unseen(values: Sequence[Any]) -> list[Any]:
     return list(lax.optimization_barrier(tuple(values)))
 
 
+Array = tuple[Any, Has]  # and which batch axes it has
+
+
 class _Program(NamedTuple):
     """What all parts of a program share."""
 
@@ -62,15 +66,13 @@ class _Program(NamedTuple):
     batch: tuple[int, ...]
     refused: set[int]  # ids of equations that turned out to be none for a region
 
-    def results(
-        self, program: core.ClosedJaxpr, arguments: Sequence[Any], varies: Sequence[Has]
-    ) -> tuple[list[Any], list[Has]]:
-        """Return results of a flat program, and which batch axes they have."""
+    def results(self, program: core.ClosedJaxpr, arguments: Sequence[Array]) -> list[Array]:
+        """Return the results of a flat program."""
         same = (False,) * len(self.batch)
         known = dict(zip(program.jaxpr.constvars, ((value, same) for value in program.consts), strict=True))
-        known |= dict(zip(program.jaxpr.invars, zip(arguments, varies, strict=True), strict=True))
+        known |= zip(program.jaxpr.invars, arguments, strict=True)
 
-        def read(atom: core.Var | core.Literal) -> tuple[Any, Has]:
+        def read(atom: core.Var | core.Literal) -> Array:
             return (atom.val, same) if isinstance(atom, core.Literal) else known[atom]
 
         def fits(equation: core.JaxprEqn) -> bool:
@@ -80,107 +82,97 @@ class _Program(NamedTuple):
             if straight:
                 given = [known[variable] for variable in part.jaxpr.invars]
                 try:
-                    known |= zip(part.jaxpr.outvars, self._straight(part, given), strict=True)
+                    found = self._straight(part, given)
                 except Unsupported as error:
                     if error.equation is None:
                         raise
                     self.refused.add(id(error.equation))
-                    found = self.results(part, [value for value, _ in given], [has for _, has in given])
-                    known |= zip(part.jaxpr.outvars, zip(*found, strict=True), strict=True)
+                    found = self.results(part, given)
+                known |= zip(part.jaxpr.outvars, found, strict=True)
                 continue
             for equation in part.jaxpr.eqns:
                 carry_out = self._scan if equation.primitive.name == "scan" else self._as_it_is
                 known |= zip(equation.outvars, carry_out(equation, [*map(read, equation.invars)]), strict=True)
-        made = [read(atom) for atom in program.jaxpr.outvars]
-        return [value for value, _ in made], [has for _, has in made]
+        return [read(atom) for atom in program.jaxpr.outvars]
 
-    def _straight(self, part: core.ClosedJaxpr, given: Sequence[tuple[Any, Has]]) -> list[tuple[Any, Has]]:
+    def _straight(self, part: core.ClosedJaxpr, given: Sequence[Array]) -> list[Array]:
         """Return the results of equations that are all written as elements."""
+        jaxpr, writer = part.jaxpr, ArrayWriter(self.limbs.count, self.batch)
         traced = [isinstance(value, jax.core.Tracer) for value, _ in given]
-        varies = by_axis(
-            functools.partial(reached, part.jaxpr), [h for _, h in given], len(self.batch), len(part.jaxpr.outvars)
-        )
-        writer = ArrayWriter(self.limbs.count, self.batch)
+        depends = functools.partial(reached, jaxpr)
+        varies = by_axis(depends, [has for _, has in given], len(self.batch), len(jaxpr.outvars))
 
         def written(*arguments: Any) -> list[Any]:
             do, some = Operations(writer, self.limbs), iter(arguments)
             elements = [
                 writer.elements(do, next(some) if t else value, cast(Any, v.aval).shape, self.limbs.of(v), has)
-                for v, (value, has), t in zip(part.jaxpr.invars, given, traced, strict=True)
+                for v, (value, has), t in zip(jaxpr.invars, given, traced, strict=True)
             ]
             return [
                 writer.array(do, found, v.aval, self.limbs.of(v), has)
-                for v, found, has in zip(part.jaxpr.outvars, results(do, part, elements), varies, strict=True)
+                for v, found, has in zip(jaxpr.outvars, results(do, part, elements), varies, strict=True)
             ]
 
-        made = in_kernels(written)(*itertools.compress((value for value, _ in given), traced))
+        made = _in_kernels(written, [value for value, _ in itertools.compress(given, traced)])
         return list(zip(made, varies, strict=True))
 
-    def _scan(self, equation: core.JaxprEqn, given: Sequence[tuple[Any, Has]]) -> list[tuple[Any, Has]]:
+    def _scan(self, equation: core.JaxprEqn, given: Sequence[Array]) -> list[Array]:
         """Return the results of a loop, its steps in regions."""
-        parameters, body = equation.params, equation.params["jaxpr"]
-        constants, carry = scan_sizes(parameters)
-        has = [has for _, has in given]
-        parts = has[:constants], has[constants : constants + carry], has[constants + carry :]
-
-        def carried_along(has: list[bool]) -> list[bool]:
-            return carried_on(body.jaxpr, has[:constants], has[constants : constants + carry], has[constants + carry :])
-
-        moving = by_axis(carried_along, has, len(self.batch), carry)
-        common, read = [value for value, _ in given[:constants]], [value for value, _ in given[constants + carry :]]
+        parameters, has = equation.params, [has for _, has in given]
         written_has: list[Has] = []
+        constants, carry = scan_sizes(parameters)
+        begun, read = given[constants : constants + carry], given[constants + carry :]
+        moving = by_axis(functools.partial(carried_on, parameters), has, len(self.batch), carry)
 
         def step(carried: list[Any], now: list[Any]) -> tuple[list[Any], list[Any]]:
-            results, found = self.results(body, [*common, *carried, *now], [*parts[0], *moving, *parts[2]])
-            written_has[:] = found[carry:]
-            return [*map(self._wide, results, found, moving)], results[carry:]
+            values = zip([*carried, *now], [*moving, *has[constants + carry :]], strict=True)
+            made = self.results(parameters["jaxpr"], [*given[:constants], *values])
+            written_has[:] = [has for _, has in made[carry:]]
+            return [*map(self._wide, made[:carry], moving)], [value for value, _ in made[carry:]]
 
-        start = _unseen([*map(self._wide, (value for value, _ in given[constants:]), parts[1], moving)])
-        how = {name: parameters[name] for name in ("length", "reverse", "unroll")}
-        after, written = lax.scan(step, start, read, **how)
+        start, how = _unseen([*map(self._wide, begun, moving)]), ("length", "reverse", "unroll")
+        after, written = lax.scan(step, start, [value for value, _ in read], **{name: parameters[name] for name in how})
         return [*zip(after, moving, strict=True), *zip(written, written_has, strict=True)]
 
-    def _wide(self, value: Any, has: Has, wanted: Has) -> Any:
-        """Return a value with more of the batch axes."""
+    def _wide(self, array: Array, wanted: Has) -> Any:
+        """Return an array with more of the batch axes."""
+        value, has = array
         if has == wanted:
             return value
         value = jnp.asarray(value)
         own = value.ndim - sum(has)
-        sizes = [size for size, w in zip(self.batch, wanted, strict=True) if w]
         there = [own + sum(wanted[:axis]) for axis, h in enumerate(has) if h]
-        return lax.broadcast_in_dim(value, (*value.shape[:own], *sizes), (*range(own), *there))
+        shape = (*value.shape[:own], *itertools.compress(self.batch, wanted))
+        return lax.broadcast_in_dim(value, shape, (*range(own), *there))
 
-    def _as_it_is(self, equation: core.JaxprEqn, given: Sequence[tuple[Any, Has]]) -> list[tuple[Any, Has]]:
+    def _as_it_is(self, equation: core.JaxprEqn, given: Sequence[Array]) -> list[Array]:
         """Return the results of an equation that stands between the regions."""
-        values, has = [value for value, _ in given], [has for _, has in given]
-        varies = [tuple(any(axis) for axis in zip(*has, strict=True)) or (False,) * len(self.batch)] * len(
-            equation.outvars
-        )
+        has = [has for _, has in given]
+        together = tuple(map(any, zip(*has, strict=True))) or (False,) * len(self.batch)
+        varies = [together] * len(equation.outvars)
 
         def one(*operands: Any) -> list[Any]:
             made = equation.primitive.bind(*operands, **equation.primitive.get_bind_params(equation.params))
             return list(made) if equation.primitive.multiple_results else [made]
 
-        return list(zip(mapped(one, has, varies)(*values), varies, strict=True))
+        return list(zip(mapped(one, has, varies)(*(value for value, _ in given)), varies, strict=True))
 
 
 # --- cutting
 
 
-def in_kernels(function: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
-    """Return a function with its equations in regions, each a kernel of its own; for a CPU."""
-
-    def cut(*arguments: Any) -> list[Any]:
-        closed = jax.make_jaxpr(function)(*arguments)
-        constants = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
-        values = constants | dict(zip(closed.jaxpr.invars, arguments, strict=True))
-        for part in _regions(closed):
-            inputs = [variable for variable in part.jaxpr.invars if variable not in constants]
-            results = _one_kernel(part, inputs, constants)(*(values[variable] for variable in inputs))
-            values |= zip(part.jaxpr.outvars, results if inputs else _unseen(results), strict=True)
-        return [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in closed.jaxpr.outvars]
-
-    return cut
+def _in_kernels(function: Callable[..., list[Any]], arguments: Sequence[Any]) -> list[Any]:
+    """Return the results of a function with its equations in regions, each a kernel of its own; for a CPU."""
+    closed = jax.make_jaxpr(function)(*arguments)
+    constants = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+    values = constants | dict(zip(closed.jaxpr.invars, arguments, strict=True))
+    for part in _regions(closed):
+        inputs = [variable for variable in part.jaxpr.invars if variable not in constants]
+        own = [(variable, constants[variable]) for variable in part.jaxpr.invars if variable in constants]
+        whole = new_program(part.jaxpr, part.jaxpr.eqns, inputs, part.jaxpr.outvars, own)
+        results = _one_kernel(whole, [values[variable] for variable in inputs])
+        values |= zip(part.jaxpr.outvars, results if inputs else _unseen(results), strict=True)
+    return [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in closed.jaxpr.outvars]
 
 
 def _regions(closed: core.ClosedJaxpr) -> list[core.ClosedJaxpr]:
@@ -242,27 +234,17 @@ def _stored(equations: Sequence[core.JaxprEqn]) -> list[core.Var]:
 _FREE = {"slice", "reshape", "broadcast_in_dim", "concatenate"}  # no arithmetic
 
 
-def _one_kernel(
-    part: core.ClosedJaxpr, inputs: Sequence[core.Var], constants: Mapping[core.Var, Any]
-) -> Callable[..., list[jax.Array]]:
-    """Return a region as a call that XLA:CPU compiles as a kernel, of those inputs that are no constants."""
-    own = [(variable, constants[variable]) for variable in part.jaxpr.invars if variable in constants]
-    whole = new_program(part.jaxpr, part.jaxpr.eqns, inputs, part.jaxpr.outvars, own)
-    joined = [e.outvars[0].aval for e in part.jaxpr.eqns if e.primitive.name == "concatenate"]
+def _one_kernel(region: core.ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
+    """Return the results of a region, by a call that XLA:CPU compiles as a kernel."""
+    carry_out: Callable[..., list[Any]] = core.jaxpr_as_fun(region)
+    joined = [e.outvars[0].aval for e in region.jaxpr.eqns if e.primitive.name == "concatenate"]
     if any(made.size * made.dtype.itemsize >= MOST_OF_A_CALL for made in joined):
-        plain: Callable[..., list[jax.Array]] = core.jaxpr_as_fun(whole)
-        return plain
+        return carry_out(*arguments)
 
-    def kernel(*arguments: jax.Array) -> list[jax.Array]:
+    def kernel(*arguments: Any) -> list[Any]:
         with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
-            results: list[jax.Array] = core.jaxpr_as_fun(whole)(*arguments)
-            return results
+            return carry_out(*arguments)
 
-    jitted = jax.jit(kernel)
-
-    def call(*arguments: jax.Array) -> list[jax.Array]:
-        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            results: list[jax.Array] = jitted(*arguments)
-            return results
-
-    return call
+    with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+        results: list[Any] = jax.jit(kernel)(*arguments)
+        return results

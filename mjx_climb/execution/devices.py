@@ -103,40 +103,36 @@ def spread(
 
     `walk(rows, sharding)` gives a dict of arrays for some rows, on the device of the sharding; `progress` is told the
     number of robots that have walked in this process and will in all. `backend` is where they walk, where that is not
-    JAX's default. With `jax.distributed` every process makes the
-    same call and gets the whole result.
+    JAX's default. With `jax.distributed` every process makes the same call and gets the whole result.
     """
-    devices = jax.devices(backend)
+    devices, this = jax.devices(backend), jax.process_index()
     count = max(-(-robots // share), len(devices) if jax.process_count() > 1 else 1)  # no process goes without
     shares = np.minimum(np.arange(count * share), robots - 1).reshape(-1, share)
-    own = [number for number in range(len(shares)) if _of(devices, number).process_index == jax.process_index()]
+    places = [devices[number % len(devices)] for number in range(count)]
+    own = [number for number, device in enumerate(places) if device.process_index == this]
     total = min(len(own) * share, robots)
 
     def walk_share(number: int) -> dict[str, np.ndarray]:
-        walked = walk(shares[number], SingleDeviceSharding(_of(devices, number)))
+        walked = walk(shares[number], SingleDeviceSharding(places[number]))
         return {name: np.asarray(value) for name, value in walked.items()}
 
     # An executor for each device of this process: the host launches every step of a loop and would keep others waiting.
     # CPU devices share the cores among them.
-    mine = [number for number, device in enumerate(devices) if device.process_index == jax.process_index()]
+    mine = [device for device in devices if device.process_index == this]
     each = max(1, usable_cores() // len(mine)) if devices[0].platform == "cpu" else 1
     with contextlib.ExitStack() as stack:
-        threads = {number: ThreadPoolExecutor(each) for number in mine}
+        threads = {device: ThreadPoolExecutor(each) for device in mine}
         for executor in threads.values():
             stack.callback(executor.shutdown, cancel_futures=True)
-        walking = {threads[number % len(devices)].submit(walk_share, number): number for number in own}
+        walking = {threads[places[number]].submit(walk_share, number): number for number in own}
         for done, future in enumerate(as_completed(walking), 1):
             future.result()  # what went wrong is raised at once
             if progress is not None:
                 progress(min(done * share, total), total)
     parts = {number: future.result() for future, number in walking.items()}
     if jax.process_count() > 1:
-        parts = _gathered(parts, len(shares), devices)
-    return {name: np.concatenate([parts[n][name] for n in range(len(shares))])[:robots] for name in parts[0]}
-
-
-def _of(devices: list[jax.Device], share: int) -> jax.Device:
-    return devices[share % len(devices)]
+        parts = _gathered(parts, [device.process_index for device in places])
+    return {name: np.concatenate([parts[n][name] for n in range(count)])[:robots] for name in parts[0]}
 
 
 def usable_cores() -> int:
@@ -144,21 +140,18 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _gathered(
-    parts: dict[int, dict[str, np.ndarray]], shares: int, devices: list[jax.Device]
-) -> dict[int, dict[str, np.ndarray]]:
-    """Return the shares of all processes, from those of this one; each process has at least one."""
+def _gathered(parts: dict[int, dict[str, np.ndarray]], owners: list[int]) -> dict[int, dict[str, np.ndarray]]:
+    """Return the shares of all processes, from those of this one, each of which has at least one; `owners` of each."""
     like = next(iter(parts.values()))
-    record = np.dtype([(name, value.dtype, value.shape) for name, value in like.items()])
-    table = np.zeros(shares, record)
+    table = np.zeros(len(owners), np.dtype([(name, value.dtype, value.shape) for name, value in like.items()]))
     for number, part in parts.items():
         for name, value in part.items():
             table[name][number] = value
     try:  # as bytes: JAX would round double precision
-        everyone = np.asarray(multihost_utils.process_allgather(table.view(np.uint8).reshape(shares, -1)))
+        everyone = np.asarray(multihost_utils.process_allgather(table.view(np.uint8).reshape(len(owners), -1)))
     except (RuntimeError, ValueError) as error:  # ValueError: Gloo's, between CPUs
         reason = str(error).partition("\n")[0]
         raise LostProcess(f"another process of this computation has ended: {reason}") from error
-    for number in range(shares):
-        table[number] = everyone[_of(devices, number).process_index, number].view(record)[0]
-    return {number: {name: table[name][number] for name in like} for number in range(shares)}
+    for number, owner in enumerate(owners):
+        table[number] = everyone[owner, number].view(table.dtype)[0]
+    return {number: {name: table[name][number] for name in like} for number in range(len(owners))}

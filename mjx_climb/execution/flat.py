@@ -7,6 +7,7 @@ where JAX takes the mean; what is not a number stays, as in JAX's own.
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.extend import core
 
-from mjx_climb.execution.jax_internals import inner_program, jvp_jaxpr, new_program, new_variable, scan_sizes
+from mjx_climb.execution.jax_internals import inner_program, jvp_jaxpr, new_program, scan_sizes
 
 Atom = core.Var | core.Literal
 
@@ -28,7 +29,7 @@ def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     def written_out(program: core.ClosedJaxpr, arguments: Sequence[Atom]) -> list[Atom]:
         atoms: dict[core.Var, Atom] = dict(zip(program.jaxpr.invars, arguments, strict=True))
         for variable, value in zip(program.jaxpr.constvars, program.consts, strict=True):
-            atoms[variable] = constants.setdefault(id(value), (new_variable(variable.aval), value))[0]
+            atoms[variable] = constants.setdefault(id(value), (core.Var(variable.aval), value))[0]
 
         def read(atom: Atom) -> Atom:
             return atom if isinstance(atom, core.Literal) else atoms[atom]
@@ -41,12 +42,12 @@ def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
             parameters = equation.params
             if equation.primitive.name == "scan":
                 parameters = parameters | {"jaxpr": flat(parameters["jaxpr"])}
-            made = [new_variable(variable.aval) for variable in equation.outvars]
+            made = [core.Var(variable.aval) for variable in equation.outvars]
             atoms |= zip(equation.outvars, made, strict=True)
             equations.append(equation.replace(invars=given, outvars=made, params=parameters))
         return [read(atom) for atom in program.jaxpr.outvars]
 
-    inputs = [new_variable(variable.aval) for variable in program.jaxpr.invars]
+    inputs = [core.Var(variable.aval) for variable in program.jaxpr.invars]
     outputs = written_out(program, inputs)
     return new_program(program.jaxpr, needed(equations, outputs), inputs, outputs, list(constants.values()))
 
@@ -68,14 +69,9 @@ def variables_of(atoms: Sequence[Atom]) -> dict[core.Var, None]:
 
 def runs(jaxpr: core.Jaxpr, alike: Callable[[core.JaxprEqn], bool]) -> list[tuple[core.ClosedJaxpr, bool]]:
     """Return equations in runs of those that are alike, each as a program of what it reads to what is read later."""
-    groups: list[tuple[list[core.JaxprEqn], bool]] = []
-    for equation in jaxpr.eqns:
-        kind = alike(equation)
-        if not groups or groups[-1][1] != kind:
-            groups.append(([], kind))
-        groups[-1][0].append(equation)
+    groups = [(kind, list(group)) for kind, group in itertools.groupby(jaxpr.eqns, alike)]
     later, found = variables_of(jaxpr.outvars), []
-    for group, kind in reversed(groups):
+    for kind, group in reversed(groups):
         found.append((region(jaxpr, group, later), kind))
         later |= variables_of(found[-1][0].jaxpr.invars)
     return found[::-1]
@@ -107,13 +103,12 @@ def reached(jaxpr: core.Jaxpr, moving: Sequence[bool]) -> list[bool]:
     return [moves(atom) for atom in jaxpr.outvars]
 
 
-def carried_on(
-    body: core.Jaxpr, common: Sequence[bool], start: Sequence[bool], read: Sequence[bool] = ()
-) -> list[bool]:
-    """Return which of the values that a loop carries depend, after some steps, on what is moving."""
-    moving = list(start)
+def carried_on(parameters: dict[str, Any], given: Sequence[bool]) -> list[bool]:
+    """Return which of the values that a loop carries depend, after some steps, on what is moving of its operands."""
+    constants, carry = scan_sizes(parameters)
+    common, moving, read = given[:constants], list(given[constants : constants + carry]), given[constants + carry :]
     while True:
-        found = reached(body, [*common, *moving, *read])[: len(moving)]
+        found = reached(parameters["jaxpr"].jaxpr, [*common, *moving, *read])[:carry]
         after = [before or now for before, now in zip(moving, found, strict=True)]
         if after == moving:
             return moving
@@ -126,11 +121,10 @@ def _through(equation: core.JaxprEqn, given: Sequence[bool]) -> list[bool]:
         return reached(inner.jaxpr, given)
     if name != "scan":
         return [True] * len(equation.outvars)
-    body = equation.params["jaxpr"].jaxpr
     constants, carry = scan_sizes(equation.params)
-    common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
-    moving = carried_on(body, common, start, read)
-    return [*moving, *reached(body, [*common, *moving, *read])[carry:]]
+    moving = carried_on(equation.params, given)
+    last = reached(equation.params["jaxpr"].jaxpr, [*given[:constants], *moving, *given[constants + carry :]])
+    return [*moving, *last[carry:]]
 
 
 def by_axis(of_axis: Callable[[list[bool]], Sequence[bool]], varies: Sequence[Has], axes: int, count: int) -> list[Has]:

@@ -87,8 +87,3 @@ def new_program(
     about = like.debug_info.with_unknown_names()  # JAX warns of programs without
     jaxpr = core.Jaxpr(known, list(inputs), list(outputs), list(equations), debug_info=about)
     return core.ClosedJaxpr(jaxpr, [value for _, value in constants])
-
-
-def new_variable(aval: Any) -> core.Var:
-    """Return a variable that is in no program yet."""
-    return core.Var(aval)

@@ -33,11 +33,10 @@ def over_robots(function: Callable[..., _Result], *, regions: bool = True) -> Ca
 
     def call(*arguments: Any) -> _Result:
         traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        constants = list(zip(traced.jaxpr.constvars, traced.consts, strict=True))
         # traced values that the program closes over become its first arguments
-        known: list[tuple[core.Var, Any]] = []
-        outside: list[tuple[core.Var, Any]] = []
-        for variable, value in zip(traced.jaxpr.constvars, traced.consts, strict=True):
-            (outside if isinstance(value, jax.core.Tracer) else known).append((variable, value))
+        outside = [(variable, value) for variable, value in constants if isinstance(value, jax.core.Tracer)]
+        known = [(variable, value) for variable, value in constants if not isinstance(value, jax.core.Tracer)]
         inputs = [*(variable for variable, _ in outside), *traced.jaxpr.invars]
         program = new_program(traced.jaxpr, traced.jaxpr.eqns, inputs, traced.jaxpr.outvars, known)
         values = [*(value for _, value in outside), *jax.tree.leaves(arguments)]
@@ -60,10 +59,6 @@ def _abstract(*avals: Any, program: core.ClosedJaxpr, **how: Any) -> list[Any]:
 def _results_vary(program: core.ClosedJaxpr, varies: Sequence[Has], axes: int) -> list[Has]:
     """Return which batch axes the results have."""
     return by_axis(functools.partial(reached, program.jaxpr), varies, axes, len(program.out_avals))
-
-
-def _run_now(*values: Any, **parameters: Any) -> Any:
-    return jax.jit(functools.partial(_program.bind, **parameters))(*values)
 
 
 def _batched(
@@ -133,15 +128,14 @@ def _as_call(program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence
     return {"program": program, "batch": (), "varies": ((),) * len(program.in_avals), "regions": False}
 
 
-def _for_cpu(*values: Any, program: core.ClosedJaxpr, regions: bool, **how: Any) -> list[Array]:
+def _for_cpu(*values: Any, program: core.ClosedJaxpr, regions: bool, **how: Any) -> Any:
     if not regions:
-        found: list[Array] = _whole(*values, program=program, **how)
-        return found
-    return in_regions(program, values, how["varies"], how["batch"])[0]
+        return _whole(*values, program=program, **how)
+    return in_regions(program, values, how["varies"], how["batch"])
 
 
 _program.def_abstract_eval(_abstract)
-_program.def_impl(_run_now)
+_program.def_impl(lambda *values, **how: jax.jit(functools.partial(_program.bind, **how))(*values))
 batching.primitive_batchers[_program] = _batched
 ad.primitive_jvps[_program] = _differentiated
 register_reverse_mode(_program, _linearized, _whole, _as_call)
