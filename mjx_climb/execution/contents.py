@@ -10,6 +10,7 @@ import dis
 import functools
 import hashlib
 import importlib
+import itertools
 import sys
 import types
 from collections.abc import Iterable, Iterator
@@ -79,9 +80,8 @@ class _Digests:
         if type(value) in (set, frozenset):
             return type(value).__name__, *sorted(map(self.of, value))
         if type(value) in (dict, types.MappingProxyType):
-            return "mapping", *(
-                part for key, held in value.items() for part in (self.of(key), self.of(held, f".{key}"))
-            )
+            pairs = ((self.of(key), self.of(held, f".{key}")) for key, held in value.items())
+            return "mapping", *itertools.chain.from_iterable(pairs)
         if isinstance(value, types.FunctionType):
             return self._function(value)
         if isinstance(value, type):
@@ -96,7 +96,15 @@ class _Digests:
             return "property", *map(self.of, (value.fget, value.fset, value.fdel))
         if hasattr(value, "__wrapped__") and not isinstance(value, types.MethodType):  # jax.jit, functools.cache
             return "wrapped", type(value).__qualname__, self.of(value.__wrapped__)
-        return self._instance(value)
+        try:
+            parts = value.__reduce_ex__(4)
+        except Exception:  # whatever a class of the user's raises
+            raise self._refused(f"a {type(value).__module__}.{type(value).__qualname__}") from None
+        if isinstance(parts, str):  # an object that its module holds under this name
+            return "named", type(value).__module__, type(value).__qualname__, parts
+        constructor, arguments, state, *items = (*parts, None, None, None)[:5]
+        items = [None if part is None else list(part) for part in items]  # iterators over a list or mapping
+        return "instance", self.of(type(value)), *map(self.of, (constructor, arguments, state, *items))
 
     def _function(self, function: types.FunctionType) -> Iterator[Any]:
         yield from ("function", self.of(function.__defaults__), self.of(function.__kwdefaults__))
@@ -118,32 +126,21 @@ class _Digests:
         for constant in code.co_consts:
             yield from self._code(constant, space) if isinstance(constant, types.CodeType) else [self.of(constant)]
         for step in dis.get_instructions(code):
-            name = step.argval
-            if step.opname in ("LOAD_GLOBAL", "LOAD_NAME") and name in space:
+            name, loads = step.argval, step.opname in ("LOAD_GLOBAL", "LOAD_NAME")
+            if loads and name in space:
                 used = space[name]
-            elif step.opname == "IMPORT_NAME" and space:
+            elif loads and space and name in _UNSEEN:
+                raise self._refused(f"a call of {name} in {code.co_name}")
+            elif space and step.opname == "IMPORT_NAME":
                 try:
                     used = importlib.import_module(name)
                 except (ImportError, ValueError):  # ValueError: a relative import
                     raise self._refused(f"an import of {name or 'a neighbour'} inside {code.co_name}") from None
-            elif step.opname in ("LOAD_GLOBAL", "LOAD_NAME") and space and name in _UNSEEN:
-                raise self._refused(f"a call of {name} in {code.co_name}")
             else:
                 continue
             yield from (name, self.of(used, f" ({name})"))
             for path, member in _members(used, code.co_names):
                 yield from (path, self.of(member, f" ({path})"))
-
-    def _instance(self, value: Any) -> Iterable[Any]:
-        try:
-            parts = value.__reduce_ex__(4)
-        except Exception:  # whatever a class of the user's raises
-            raise self._refused(f"a {type(value).__module__}.{type(value).__qualname__}") from None
-        if isinstance(parts, str):  # an object that its module holds under this name
-            return "named", type(value).__module__, type(value).__qualname__, parts
-        constructor, arguments, state, *items = (*parts, None, None, None)[:5]
-        items = [None if part is None else list(part) for part in items]  # iterators over a list or mapping
-        return "instance", self.of(type(value)), *map(self.of, (constructor, arguments, state, *items))
 
     def _refused(self, what: str) -> Unidentifiable:
         return Unidentifiable(
