@@ -3,8 +3,6 @@
 import ctypes
 import dataclasses
 import functools
-import itertools
-import math
 import shutil
 import subprocess
 from pathlib import Path
@@ -31,75 +29,60 @@ pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ comp
 STEPS = 120
 
 
-def words(values):
-    return np.concatenate([np.zeros(0, np.int32), *(np.asarray(v).reshape(-1).view(np.int32) for v in values)])
+@pytest.fixture
+def carried_out(tmp_path):
+    """Give a function that builds kernels of one robot into a library, runs each, and returns its results by name.
 
+    A kernel is its text, the threads, the values of the robot's own and of all, and the results' shapes and types.
+    """
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    """Build kernels, by name, into one library; return a function of (name, own, common, rows) that runs one."""
-
-    def build(kernels):
-        folder = tmp_path_factory.mktemp("kernels")
+    def carry_out(kernels):
         parts = [f'#include "{HERE / "on_cpu.hpp"}"']
-        for number, (text, threads) in enumerate(kernels.values()):
-            inside = text.replace('extern "C" ', "")
-            parts.append(f"namespace k{number} {{\n{inside}}}")
-            parts.append(
-                f'extern "C" void run{number}(const int *own, const int *common, int *made) '
-                f"{{ run(k{number}::walk, {threads}, own, common, made); }}"
-            )
-        (folder / "kernels.cpp").write_text("\n".join(parts))
+        for name, (text, threads, *_) in kernels.items():
+            parts += [f"namespace in_{name} {{", text.replace('extern "C" ', ""), "}"]
+            parts += [f'extern "C" void run_{name}(const int *own, const int *common, int *made)']
+            parts += [f"{{ run(in_{name}::walk, {threads}, own, common, made); }}"]
+        (tmp_path / "kernels.cpp").write_text("\n".join(parts))
         command = ["c++", "-std=c++20", "-O1", "-w", "-shared", "-fPIC", "-pthread", "-o", "kernels.so", "kernels.cpp"]
-        subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-        library = ctypes.CDLL(str(folder / "kernels.so"))
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
+        library, results = ctypes.CDLL(str(tmp_path / "kernels.so")), {}
+        for name, (_, _, own, common, avals) in kernels.items():
+            ends = np.cumsum([aval.size for aval in avals])
+            made = np.zeros(ends[-1], np.int32)
+            words = ([np.asarray(value).reshape(-1).view(np.int32) for value in values] for values in (own, common))
+            given = [*map(np.concatenate, words), made]
+            getattr(library, f"run_{name}")(*(array.ctypes.data_as(ctypes.c_void_p) for array in given))
+            results[name] = [
+                (part != 0 if aval.dtype == bool else part.view(aval.dtype)).reshape(aval.shape)
+                for part, aval in zip(np.split(made, ends[:-1]), avals, strict=True)
+            ]
+        return results
 
-        def run(name, own, common, rows):
-            made = np.zeros(rows, np.int32)
-            given = [np.ascontiguousarray(array).ctypes.data_as(ctypes.c_void_p) for array in (own, common, made)]
-            getattr(library, f"run{list(kernels).index(name)}")(*given)
-            return made
-
-        return run
-
-    return build
-
-
-def of_words(made, avals):
-    ends = list(itertools.accumulate(math.prod(aval.shape) for aval in avals))
-    for part, aval in zip(np.split(made, ends[:-1]), avals, strict=True):
-        yield (part != 0 if aval.dtype == bool else part.view(aval.dtype)).reshape(aval.shape)
+    return carry_out
 
 
-def arguments():
-    rng = np.random.default_rng(5)
-    return rng.uniform(-2.5, 2.5, 3).astype("f4"), rng.uniform(-2.5, 2.5, (4, 3)).astype("f4"), np.int32(-2)
-
-
-def test_every_operation_in_cuda_c(built):
+def test_every_operation_in_cuda_c(carried_out):
     """All that kernels know, in single precision, but for what is of other types: to 1e-5, whole numbers the same."""
-    programs, kernels = {}, {}
+    rng, programs, kernels = np.random.default_rng(5), {}, {}
+    vector, matrix = rng.uniform(-2.5, 2.5, 3).astype("f4"), rng.uniform(-2.5, 2.5, (4, 3)).astype("f4")
+    number = np.int32(-2)
     with jax.enable_x64(False):
         for name, operation in primitives.KNOWN.items():
-            program = jax.make_jaxpr(lambda v, m, n, f=operation: f(v, m * v[1], n))(*arguments())
+            program = jax.make_jaxpr(lambda v, m, n, f=operation: f(v, m * v[1], n))(vector, matrix, number)
             try:
-                kernels[name] = written(body_of(program), [True, False, True]), 1
+                text = written(body_of(program), [True, False, True])
             except Unsupported as error:
                 assert "int8" in str(error)
                 continue
+            name = name.replace(" ", "_")
             programs[name] = program
+            kernels[name] = text, 1, [vector, number], [np.int32(1), matrix], program.out_avals
         assert len(kernels) >= len(primitives.KNOWN) - 1
-        run = built(kernels)
-        vector, matrix, number = arguments()
-        for name, program in programs.items():
-            rows = sum(math.prod(aval.shape) for aval in program.out_avals)
-            made = run(name, words([vector, number]), words([np.int32(1), matrix]), rows)
-            expected = jax.jit(jax.extend.core.jaxpr_as_fun(program))(vector, matrix, number)
-            for mine, xla in zip(of_words(made, program.out_avals), expected, strict=True):
-                if np.issubdtype(mine.dtype, np.floating):
-                    np.testing.assert_allclose(mine, xla, rtol=1e-5, atol=1e-6, err_msg=name)
-                else:
-                    np.testing.assert_array_equal(mine, xla, err_msg=name)
+        for name, found in carried_out(kernels).items():
+            expected = jax.jit(jax.extend.core.jaxpr_as_fun(programs[name]))(vector, matrix, number)
+            for mine, xla in zip(found, expected, strict=True):
+                relative, absolute = (1e-5, 1e-6) if np.issubdtype(mine.dtype, np.floating) else (0, 0)
+                np.testing.assert_allclose(mine, xla, rtol=relative, atol=absolute, err_msg=name)
 
 
 def short_walk(case, steps):
@@ -147,10 +130,8 @@ def test_a_sum_over_joints_and_limbs_is_first_of_each_limbs_own():
 
 
 def test_limbs_in_two_other_orders_take_an_exchange_each():
-    def step(limbs, quaternion, total):
-        return limbs[::-1] * jnp.roll(jnp.sin(limbs), 1, axis=0), quaternion, total + limbs.sum()
-
-    assert exchanges(step) == 2 + 2
+    turned = lambda limbs: limbs[::-1] * jnp.roll(jnp.sin(limbs), 1, axis=0)  # noqa: E731
+    assert exchanges(lambda limbs, q, total: (turned(limbs), q, total + limbs.sum())) == 2 + 2
 
 
 def test_a_quaternion_is_no_four_limbs():
@@ -174,45 +155,45 @@ def test_what_nothing_is_made_of_is_not_written():
 
 
 @pytest.mark.slow
-def test_a_walk_in_cuda_c(built, case):
+def test_a_walk_in_cuda_c(carried_out, case):
     """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 to 1e-4."""
     with jax.enable_x64(False):
         walk, given = short_walk(case, STEPS)
-        leaves = jax.tree.leaves(given)
-        program = jax.make_jaxpr(walk)(*given)
-        text = written(body_of(program), [False] * len(leaves))
-        rows = sum(math.prod(aval.shape) for aval in program.out_avals)
-        run = built({"walk": (text, CudaWriter(4).width)})
-        made = run("walk", words([]), words([np.int32(1), *leaves]), rows)
+        found = of_one(carried_out, walk, given)
     expected = jax.jit(walk)(*jax.tree.map(doubled, given))
     assert expected["force_variation"].dtype == np.float64
-    names = sorted(expected)
     assert expected["force_variation"] > 0.1
-    for name, mine in zip(names, of_words(made, program.out_avals), strict=True):
+    for name, mine in zip(sorted(expected), found, strict=True):
         # a pull is what is left of a foot's force along the normal, and has the rounding of that whole force
         rounding = 1e-4 * float(expected["peak_foot_force"]) if name == "peak_pull_force" else 1e-5
         np.testing.assert_allclose(mine, expected[name], rtol=1e-4, atol=rounding, err_msg=name)
 
 
+def of_one(carried_out, function, given, moving=0):
+    """Return the results of one robot's function, and their tangents along as many of its first leaves, themselves."""
+    program, leaves = jax.make_jaxpr(function)(*given), jax.tree.leaves(given)
+    if moving:
+        program, moved = tangents_of(program, [place < moving for place in range(len(leaves))])
+        leaves += leaves[:moving]
+    body = body_of(program)
+    kernel = written(body, [False] * len(leaves)), CudaWriter(4).width
+    common = [np.zeros(0, np.int32)], [np.int32(1), *leaves]
+    found = carried_out({"kernel": (*kernel, *common, program.out_avals)})["kernel"]
+    return (found, moved) if moving else found
+
+
 @pytest.mark.nightly
-def test_tangents_of_a_walk_in_cuda_c(built, case):
+def test_tangents_of_a_walk_in_cuda_c(carried_out, case):
     """Single precision tangents by the logarithm of the damping agree with central differences in float64 to 1e-3."""
     with jax.enable_x64(False):
         # two steps later the largest torques of two instants are as one to single precision
         walk, (law, numbers) = short_walk(case, STEPS - 5)
-        arguments = (law.damping, law, numbers)
-        program = jax.make_jaxpr(lambda damping, law, numbers: walk(dataclasses.replace(law, damping=damping), numbers))
-        both, moved = tangents_of(program(*arguments), [n == 0 for n in range(len(jax.tree.leaves(arguments)))])
-        body, leaves = body_of(both), jax.tree.leaves((*arguments, law.damping))
-        text = written(body, [False] * len(leaves))
-        rows = sum(math.prod(aval.shape) for aval in body.program.out_avals)
-        made = built({"walk": (text, CudaWriter(4).width)})("walk", words([]), words([np.int32(1), *leaves]), rows)
-    found = list(of_words(made, body.program.out_avals))
-
+        damped = lambda damping, law, numbers: walk(dataclasses.replace(law, damping=damping), numbers)  # noqa: E731
+        found, moved = of_one(carried_out, damped, (law.damping, law, numbers), moving=1)
     step = 1e-4
     law, numbers = jax.tree.map(np.float64, (law, numbers))
     sides = law.damping * np.array([[1 + step], [1 - step]])
-    both = jax.vmap(lambda damping: walk(dataclasses.replace(law, damping=damping), numbers))
+    both = jax.vmap(lambda damping: damped(damping, law, numbers))
     expected = jax.jit(both, compiler_options={"xla_disable_hlo_passes": "fusion"})(sides)
     tangents = iter(found[len(expected) :])
     for name, moves in zip(sorted(expected), moved, strict=True):

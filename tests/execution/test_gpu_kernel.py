@@ -5,7 +5,6 @@ import functools
 import types
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -105,23 +104,6 @@ def test_tangents_are_written_for_gpus(case, without_nvrtc):
     assert lowered.count("__gpu$xla.gpu.ptx") == 1
     assert len(without_nvrtc) == 1
     assert traced.out_info[1]["min_tsm"].shape == (ROBOTS, directions)
-
-
-def test_elements_known_beforehand_and_halves(interpreted):
-    """Zeros and ones of constants, rounding of halves to even, reductions and a loop agree with `jax.vmap`."""
-    matrix = np.array([[1.0, 0.0, -1.0], [0.0, 0.5, 1.0], [2.0, 0.0, 1.0]])
-
-    def function(vector, scale):
-        turned = (matrix * vector).sum(1) * scale
-        halves = jnp.round(jnp.concatenate([vector, turned, -vector]))
-        sums = jax.lax.fori_loop(0, 3, lambda _, total: total + halves, halves * matrix[0, 1])
-        return {"sums": sums, "largest": turned.max(), "any": (turned > 1.0).any(), "known": jnp.ones(2)}
-
-    vectors = np.random.default_rng(1).integers(-6, 7, (ROBOTS, 3)) / 2.0
-    found = jax.jit(over_robots(function, [True, False]))(vectors, 0.5)
-    expected = jax.vmap(function, (0, None))(vectors, 0.5)
-    for name, values in expected.items():
-        np.testing.assert_array_equal(found[name], values, err_msg=name)
 
 
 @pytest.mark.parametrize(
