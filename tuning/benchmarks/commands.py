@@ -82,10 +82,10 @@ def _python(arguments: Sequence[str], cache: str, **how: Any) -> str:
 
 def _time_a_walk(what: str, batch: int, steps: int, engine: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a terminal interrupts its whole family: the parent says it
-    from tuning.benchmarks import programs
+    from tuning.benchmarks import measure as benchmark
 
     begin = time.perf_counter()
-    run = programs.walk(batch, steps, engine) if what == "value" else programs.gradient(2, batch, steps, engine)
+    run = benchmark.walk(batch, steps, engine) if what == "value" else benchmark.gradient(2, batch, steps, engine)
     run()
     first, done = time.perf_counter() - begin, time.time()
     begin = time.perf_counter()

@@ -1,18 +1,25 @@
 """The measurements of `mjx-climb bench`: every ratio from runs that take turns, medians of several rounds."""
 
 import contextlib
+import importlib.metadata
 import importlib.util
 import os
+import platform
 import tempfile
 import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+import mjx_climb as mc
 from mjx_climb.execution import devices
+from mjx_climb.execution.cache import cache_in
 from tuning.benchmarks import commands, operations
 
+TIME_STEP = 0.001  # s
 Timed = tuple[int, Callable[[], object]]  # env-steps, and what does them
 
 
@@ -29,20 +36,40 @@ class Plan(NamedTuple):
     @staticmethod
     def full(batch: int) -> "Plan":
         """Return the plan whose figures are to be quoted: on a GPU the closed loop walks for 8 s."""
-        steps = 200 if _on_cpu() else 8000
+        steps = 200 if jax.default_backend() == "cpu" else 8000
         batches, lengths = (batch * k // 4 for k in (1, 2, 4, 8, 16)), (steps * k // 4 for k in (1, 2, 4, 8))
         return Plan(5, steps, 200, (2, 12), tuple(batches), tuple(lengths))
 
     @staticmethod
     def quick(batch: int) -> "Plan":
         """Return a plan for a first look, which spares what takes long to compile: those figures are None."""
-        return Plan(3, 100 if _on_cpu() else 4000, 100, (2,), (), ())
+        return Plan(3, 100 if jax.default_backend() == "cpu" else 4000, 100, (2,), (), ())
 
 
-def _on_cpu() -> bool:
-    import jax
+def scenario(steps: int) -> mc.Scenario:
+    """Return so many steps of the paper's case 1.2 (lunar gravity, base admittance), its cargo on from the start."""
+    changes = {"duration": steps * TIME_STEP, "time_step": TIME_STEP, "disturbance.cargo": {"mass": 1.0, "start": 0.0}}
+    return mc.Scenario(gravity=(0.0, 0.0, -1.635)).with_overrides(changes)
 
-    return jax.default_backend() == "cpu"
+
+def gains(batch: int) -> dict[str, np.ndarray]:
+    """Return the gains (batch, 6) of a sweep over stiffness."""
+    stiffness = np.geomspace(1e3, 1e5, batch)[:, None] * np.ones(6)
+    return {"inertia": np.ones((batch, 6)), "damping": np.full((batch, 6), 1e3), "stiffness": stiffness}
+
+
+def walk(batch: int, steps: int, engine: str) -> Callable[[], object]:
+    """Return a function that walks a batch by `mjx_climb.rollout_metrics`, as a sweep does."""
+    case, values = scenario(steps), mc.Gains(**gains(batch))
+    return lambda: mc.rollout_metrics(case, values, dtype=np.float32, engine=engine)
+
+
+def gradient(tangents: int, batch: int, steps: int, engine: str) -> Callable[[], object]:
+    """Return the same with `tangents` of every metric, by log damping and log stiffness: 2 (of all axes), or 12."""
+    simulation, values = mc.Simulation(scenario(steps), engine=engine), gains(batch)
+    shifts = np.kron(np.eye(2), np.ones((1, 6))) if tangents == 2 else np.eye(12)
+    along = {"damping": shifts[:, None, :6] * values["damping"], "stiffness": shifts[:, None, 6:] * values["stiffness"]}
+    return lambda: simulation.jvp(mc.Gains(**values), along)
 
 
 def in_turns(rounds: int, work: Mapping[str, Timed]) -> dict[str, float]:
@@ -67,8 +94,6 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
 
     Times are in s; ratios say how many times faster this program is than the peer, or what a gradient costs in values.
     """
-    from mjx_climb.execution.cache import cache_in
-
     folder = tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True)
     # new, in this process and for its children, so that every run compiles alike
     with folder as cache, cache_in(cache):
@@ -113,42 +138,40 @@ def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> t
 
     The stack ends their threads.
     """
-    from tuning.benchmarks import bare_dynamics, numpy_walk, programs
+    from tuning.benchmarks import peers
 
     steps, few = plan.steps, plan.steps // 2
     ours: dict[str, Timed] = {
-        "closed_loop": (batch * steps, programs.walk(batch, steps, engine)),
-        "mjx": (batch * few, programs.walk(batch, few, "mjx")),
-        "value": (batch * few, programs.walk(batch, few, engine)),
+        "closed_loop": (batch * steps, walk(batch, steps, engine)),
+        "mjx": (batch * few, walk(batch, few, "mjx")),
+        "value": (batch * few, walk(batch, few, engine)),
     }
     for tangents in plan.tangents:
         length = steps // 2 if tangents == 2 else steps // 4  # its cost per step does not depend on their number
-        ours[f"gradient_{tangents}"] = (batch * length, programs.gradient(tangents, batch, length, engine))
-    whole = round(8.0 / programs.TIME_STEP)  # one robot is walked for its whole walk
-    case, cores, length = programs.scenario(steps), devices.usable_cores(), plan.peer_steps
-    bare = bare_dynamics.Rollout(case, batch, length, cores)
+        ours[f"gradient_{tangents}"] = (batch * length, gradient(tangents, batch, length, engine))
+    whole = round(8.0 / TIME_STEP)  # one robot is walked for its whole walk
+    case, cores, length = scenario(steps), devices.usable_cores(), plan.peer_steps
+    bare = peers.Rollout(case, batch, length, cores)
     stack.callback(bare.pool.close)
-    steered = numpy_walk.Batch(case, programs.gains(batch), cores)
-    peers: dict[str, Timed] = {
+    steered = peers.Batch(case, gains(batch), cores)
+    others: dict[str, Timed] = {
         "mujoco_c": (batch * length, bare.run),
         "mujoco_batch": (batch * length // 2, lambda: steered.run(length // 2)),
     }
     # on a CPU it steps on one core, which nobody would take it for
-    if not _on_cpu() and importlib.util.find_spec("mujoco_warp"):
-        falling = bare_dynamics.Warp(case, batch)
-        peers["mujoco_warp"] = (batch * length, lambda: falling.run(length))
-    loop = numpy_walk.Loop(programs.scenario(length), programs.gains(1))
-    single: dict[str, Timed] = {"single": (whole, programs.walk(1, whole, engine))}
-    return ours, single, peers, {"numpy_loop": (length, lambda: loop.run(length))}
+    if jax.default_backend() != "cpu" and importlib.util.find_spec("mujoco_warp"):
+        falling = peers.Warp(case, batch)
+        others["mujoco_warp"] = (batch * length, lambda: falling.run(length))
+    loop = peers.Loop(scenario(length), gains(1))
+    single: dict[str, Timed] = {"single": (whole, walk(1, whole, engine))}
+    return ours, single, others, {"numpy_loop": (length, lambda: loop.run(length))}
 
 
 def _growth(engine: str, batch: int, plan: Plan) -> dict[str, object]:
-    from tuning.benchmarks import programs
-
     found: dict[str, object] = {}
     for name, plural, sizes in (("batch", "batch", plan.batches), ("step", "steps", plan.lengths)):
         each = {size: (size, plan.steps) if name == "batch" else (batch, size) for size in sizes}
-        work = {str(n): (robots * steps, programs.walk(robots, steps, engine)) for n, (robots, steps) in each.items()}
+        work = {str(n): (robots * steps, walk(robots, steps, engine)) for n, (robots, steps) in each.items()}
         for _, run in work.values():
             run()
         rates = in_turns(max(plan.rounds // 2, 2), work)
@@ -160,9 +183,9 @@ def _growth(engine: str, batch: int, plan: Plan) -> dict[str, object]:
 
 def _operations(engine: str, batch: int, steps: int) -> dict[str, float]:
     """Return the operations of a step by XLA's count of the compiled program, which takes a loop's body once."""
-    from tuning.benchmarks import programs
-
-    compiled = programs.compiled(batch, steps // 2, engine)
+    simulate = mc.simulator(scenario(steps // 2), engine=engine)
+    single = {name: jnp.asarray(value, jnp.float32) for name, value in gains(batch).items()}
+    compiled = jax.jit(simulate).lower(single).compile()
     cost: dict[str, float] = compiled.cost_analysis() or {}
     memory: Any = compiled.memory_analysis()
     return {
@@ -175,11 +198,6 @@ def _operations(engine: str, batch: int, steps: int) -> dict[str, float]:
 
 
 def _machine() -> dict[str, object]:
-    import importlib.metadata
-    import platform
-
-    import jax
-
     names, processor = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy"), platform.processor()
     with contextlib.suppress(OSError), open("/proc/cpuinfo") as file:
         models = (line.partition(":")[2].strip() for line in file if line.startswith("model name"))

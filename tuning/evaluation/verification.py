@@ -12,7 +12,7 @@ import mjx_climb as mc
 from mjx_climb.walk.metrics import FAILURES
 from tuning.evaluation import maps, margins, stability_limit
 from tuning.evaluation.margins import Margin
-from tuning.gains.gains_file import OPTIONAL, applied, by_name, replaced
+from tuning.gains.gains_file import OPTIONAL, applied, by_name
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal
@@ -244,8 +244,3 @@ def _cliff(goal: Goal, around: Evaluation, less: int, more: int) -> str:
         elif jump > CLIFF:
             sides.append(f"{side}: objective {jump:+.2f}")
     return ", ".join(sides)
-
-
-def tuned(found: Tuned) -> mc.Scenario:
-    """Return the scenario with the gains of a result, of another law than its own those of the joint loop."""
-    return replaced(found.scenario, found.law, found.gains)[0]

@@ -19,7 +19,7 @@ from mjx_climb.quantities.parameters import gains as scenario_gains
 from tuning.background import Callback, Stage, Work, background, ignore
 from tuning.evaluation import maps, margins, stability_limit, verification
 from tuning.evaluation.verification import Verification
-from tuning.gains.gains_file import by_name
+from tuning.gains.gains_file import by_name, replaced
 from tuning.output import comparisons
 from tuning.output.comparisons import GIVEN, OfGrid, OfSearch, beside_retuned, one_walk
 from tuning.output.folder import Contents, Folder, write_config
@@ -380,7 +380,7 @@ class TuneComparison(NamedTuple):
 def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> TuneComparison:
     """Simulate a result, what it is compared with and the map around it, and test it; draw the walks meanwhile."""
     scenario, problem, stage = found.scenario, found.problem, folder.stage
-    ours, engine = (verification.tuned(found), found.law), problem.engine
+    ours, engine = (replaced(found.scenario, found.law, found.gains)[0], found.law), problem.engine
     with background() as begin:
         tested = begin(lambda _: verification.tests(found, problem))  # the longest to compile
         others = begun or comparisons.of_search(problem, found.search, begin, out=folder.path)

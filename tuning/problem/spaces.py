@@ -112,13 +112,18 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         ConfigError: bounds or pins of a gain that is not there, a controller without gains, nothing left to search.
     """
     law = law_of(scenario) if law is None else law
-    joint_gains = searches_joint_gains(scenario, search)
+    # with a late force sensor or a servo with friction, which admittance is best depends on the joint loop
+    ideal = stages_of(scenario, own_parameters(scenario))._replace(capture=False) == IDEAL
+    joint_gains = not ideal if search.joint_gains is None else search.joint_gains
     if not law.GAINS and not joint_gains:
         raise ConfigError("control.controller: expected an admittance law, got pd, which has no gains to search")
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
     if unknown := sorted({*search.also} - set(law.GAINS)):
         raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
-    defaults, own = default_bounds(scenario, law), own_values(scenario, law)
+    defaults, own = (
+        default_bounds(scenario, law),
+        own_values(scenario, law) | dict.fromkeys(JOINT if joint_gains else (), 0.0),
+    )
     bounds: dict[str, tuple[float, float]] = {}
     known: set[str] = set()  # keys that the settings may name
 
@@ -136,52 +141,36 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
 
     entries: dict[str, list[str | float]] = {}
     for gain, value in own.items():
-        values = np.atleast_1d(value)
-        if gain in law.GAINS and (law.GAINS[gain].searched or gain in asked):
-            axes = law.GAINS[gain].length  # that the law has; further ones keep their values
+        values, field = np.atleast_1d(value), law.GAINS.get(gain)
+        if gain in JOINT or (field is not None and (field.searched or gain in asked)):
+            axes = 1 if field is None else field.length  # that the law has; further ones keep their values
             depth = 1 if axes == 1 else 1 + LAYOUTS.index(search.space)
             keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"][:depth] for axis in range(axes)]
             entries[gain] = [*map(number, keys), *values[axes:]]
         else:
             known.update({gain} & search.pins.keys())
             entries[gain] = [search.pins.get(gain, each) for each in values]
-    if joint_gains:
-        entries |= {gain: [number([gain])] for gain in JOINT}
     for section in ("bounds", "pins"):
         for key in getattr(search, section):
             if key not in known:
                 raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(known))}")
     if not bounds:
         raise ConfigError("pins: expected a gain left to search, got none")
-    return _space(entries, bounds, {gain: np.shape(own.get(gain, 0.0)) for gain in entries})
+    return _space(own, entries, bounds)
 
 
 def _space(
-    entries: Mapping[str, list[str | float]],
-    bounds: Mapping[str, tuple[float, float]],
-    shapes: Mapping[str, tuple[int, ...]],
+    own: Mapping[str, Any], entries: Mapping[str, list[str | float]], bounds: Mapping[str, tuple[float, float]]
 ) -> Space:
-    """Return the space of gains whose numbers are searched, by name, or fixed."""
-    names = list(bounds)
-    fixed = [entry for own in entries.values() for entry in own if not isinstance(entry, str)]
-    behind = itertools.count(len(names))  # fixed numbers come after the searched ones
-    index = {}
-    for gain, own in entries.items():
-        places = [names.index(entry) if isinstance(entry, str) else next(behind) for entry in own]
-        index[gain] = np.reshape(places, shapes[gain]).astype(np.int32)
+    """Return the space of gains whose entries are searched, by name, or fixed; their `own` values give their shapes."""
+    fixed = [entry for each in entries.values() for entry in each if not isinstance(entry, str)]
+    names, behind, index = list(bounds), itertools.count(len(bounds)), {}
+    for gain, each in entries.items():
+        places = [names.index(entry) if isinstance(entry, str) else next(behind) for entry in each]
+        index[gain] = np.reshape(places, np.shape(own[gain])).astype(np.int32)
     with np.errstate(divide="ignore"):  # a gain of 0 that is not searched
         lower, upper = np.log(list(bounds.values())).T
         return Space(tuple(names), lower, upper, index, np.log(np.asarray(fixed, float)))
-
-
-def searches_joint_gains(scenario: mc.Scenario, search: Search) -> bool:
-    """Return whether kp and kd are searched: as the settings say, else where hardware stands before the joints.
-
-    With a force sensor that is late or a servo with friction, which admittance is best depends on the joint loop.
-    """
-    if search.joint_gains is not None:
-        return search.joint_gains
-    return stages_of(scenario, own_parameters(scenario))._replace(capture=False) != IDEAL
 
 
 def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float, float]]:

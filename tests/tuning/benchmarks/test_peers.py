@@ -6,14 +6,10 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.robot.constants import load_model
 from tests.robot.test_robot_file import keys, urdf
-from tuning.benchmarks import bare_dynamics, numpy_walk
+from tuning.benchmarks import peers
 
 CASE = "configs/case_1_2.yaml"
-SETS = [  # damping, stiffness; inertia 1
-    (5e3, 5e4),
-    (1e2, 3e3),
-    (1e4, 4e5),
-]
+SETS = [(5e3, 5e4), (1e2, 3e3), (1e4, 4e5)]  # damping, stiffness; inertia 1
 
 
 def gains(rows):
@@ -21,53 +17,43 @@ def gains(rows):
     return {"inertia": np.ones_like(damping), "damping": damping, "stiffness": stiffness}
 
 
-class Judge:
-    """The metrics that need no stability margin, from what a peer shows of every step."""
+def check(peer, scenario, ours):
+    """Compare the metrics that need no stability margin, from what a peer shows of every step."""
+    model, rows = load_model(scenario.robot), []
 
-    def __init__(self, scenario):
-        model = load_model(scenario.robot)
-        self.scenario, self.range, self.rows = scenario, model.jnt_range[1:], []
-        self.mass = model.body_subtreemass[1]
-
-    def watch(self, step, walker, qpos, qvel):
+    def watch(step, walker, qpos, qvel):
         force = np.sqrt((walker.foot_force**2).sum(0)).T
         torque = walker.torque.transpose(2, 1, 0).reshape(len(qpos), -1)
         pull = np.where(walker.foot_force[2].T < 0, force, 0.0).max(1)
-        self.rows.append((qpos[:, :3].copy(), qpos[:, 7:].copy(), qvel[:, 6:].copy(), force.max(1), pull, torque))
+        rows.append((qpos[:, :3].copy(), qpos[:, 7:].copy(), qvel[:, 6:].copy(), force.max(1), pull, torque))
 
-    def metrics(self):
-        base, angles, rates, force, pull, torque = map(np.stack, zip(*self.rows, strict=True))
-        gait, dt = self.scenario.gait, self.scenario.time_step
-        phase = (np.arange(len(base)) * dt) % gait.cycle / gait.cycle
-        reference = base[0] + gait.stride * (3 * phase**2 - 2 * phase**3)[:, None, None] * np.array([1.0, 0, 0])
-        travel = base[-1, :, 0] - base[0, :, 0]
-        cargo = self.scenario.disturbance.cargo
-        mass = self.mass + (cargo.mass if cargo.start < self.scenario.duration else 0.0)
-        weight = mass * np.linalg.norm(self.scenario.gravity)
-        return {
-            "peak_foot_force": force.max(0),
-            "force_variation": np.abs(np.diff(force, axis=0)).sum(0),
-            "peak_pull_force": pull.max(0),
-            "peak_joint_torque": np.abs(torque).max((0, 2)),
-            "cost_of_transport": np.abs(torque * rates).sum((0, 2)) * dt / (weight * np.abs(travel)),
-            "travel": travel,
-            "base_deviation": np.linalg.norm(base - reference, axis=2).max(0),
-            "joint_limit_margin": np.minimum(angles - self.range[:, 0], self.range[:, 1] - angles).min((0, 2)),
-        }
+    peer.run(scenario.steps, watch)
+    base, angles, rates, force, pull, torque = map(np.stack, zip(*rows, strict=True))
+    gait, dt, cargo, (low, high) = scenario.gait, scenario.time_step, scenario.disturbance.cargo, model.jnt_range[1:].T
+    phase = (np.arange(len(base)) * dt) % gait.cycle / gait.cycle
+    reference = base[0] + gait.stride * (3 * phase**2 - 2 * phase**3)[:, None, None] * np.array([1.0, 0, 0])
+    travel = base[-1, :, 0] - base[0, :, 0]
+    mass = model.body_subtreemass[1] + (cargo.mass if cargo.start < scenario.duration else 0.0)
+    weight = mass * np.linalg.norm(scenario.gravity)
+    expected = {
+        "peak_foot_force": force.max(0),
+        "force_variation": np.abs(np.diff(force, axis=0)).sum(0),
+        "peak_pull_force": pull.max(0),
+        "peak_joint_torque": np.abs(torque).max((0, 2)),
+        "cost_of_transport": np.abs(torque * rates).sum((0, 2)) * dt / (weight * np.abs(travel)),
+        "travel": travel,
+        "base_deviation": np.linalg.norm(base - reference, axis=2).max(0),
+        "joint_limit_margin": np.minimum(angles - low, high - angles).min((0, 2)),
+    }
+    for name, value in expected.items():
+        np.testing.assert_allclose(value, ours[name], rtol=1e-6, err_msg=name)
 
 
 @pytest.fixture(scope="module")
 def scenario():
-    # within 1 s: cargo, a push with a moment, a swing of two limbs and their touchdown
-    return mc.load_scenario(
-        CASE,
-        [
-            "duration=1.0",
-            "gait.cycle=1.6",
-            "disturbance.cargo.start=0.3",
-            "disturbance.pushes=[{force: [-2, 1, 0.5], moment: [0.02, -0.01, 0.03], start: 0.5, stop: 0.7}]",
-        ],
-    )
+    """Within 1 s: cargo, a push with a moment, a swing of two limbs and their touchdown."""
+    push = "disturbance.pushes=[{force: [-2, 1, 0.5], moment: [0.02, -0.01, 0.03], start: 0.5, stop: 0.7}]"
+    return mc.load_scenario(CASE, ["duration=1.0", "gait.cycle=1.6", "disturbance.cargo.start=0.3", push])
 
 
 @pytest.fixture(scope="module")
@@ -75,22 +61,14 @@ def ours(scenario):
     return mc.rollout_metrics(scenario, mc.Gains(**gains(SETS)), dtype=np.float64)
 
 
-def check(judge, ours, rows):
-    for name, value in judge.metrics().items():
-        np.testing.assert_allclose(value, ours[name][rows], rtol=1e-6, err_msg=name)
-
-
 @pytest.mark.slow
 def test_mujoco_batch_walks_the_same_walk(scenario, ours):
-    judge = Judge(scenario)
-    numpy_walk.Batch(scenario, gains(SETS), threads=2).run(scenario.steps, judge.watch)
-    check(judge, ours, slice(None))
+    check(peers.Batch(scenario, gains(SETS), threads=2), scenario, ours)
 
 
 def test_loop_over_mj_step_walks_the_same_walk(scenario, ours):
-    judge = Judge(scenario)
-    numpy_walk.Loop(scenario, gains(SETS[1:2])).run(scenario.steps, judge.watch)
-    check(judge, ours, slice(1, 2))
+    second = {name: values[1:2] for name, values in ours.items()}
+    check(peers.Loop(scenario, gains(SETS[1:2])), scenario, second)
 
 
 @pytest.fixture(scope="module", params=range(2))
@@ -107,15 +85,13 @@ def of_ones_own(request, tmp_path_factory):
 @pytest.mark.slow
 def test_robots_of_ones_own_walk_the_same_walk(of_ones_own):
     walked = mc.rollout_metrics(of_ones_own, mc.Gains(**gains(SETS)), dtype=np.float64)
-    judge = Judge(of_ones_own)
-    numpy_walk.Batch(of_ones_own, gains(SETS), threads=2).run(of_ones_own.steps, judge.watch)
-    check(judge, walked, slice(None))
+    check(peers.Batch(of_ones_own, gains(SETS), threads=2), of_ones_own, walked)
 
 
 def test_robots_of_ones_own_fall_freely(of_ones_own):
     """Everything falls alike, so joints and attitude stay; n steps of semi-implicit Euler fall g dt^2 n (n + 1) / 2."""
     steps, start = 20, load_model(of_ones_own.robot).key_qpos[0]
-    peer = bare_dynamics.Rollout(of_ones_own, 2, steps, threads=1)
+    peer = peers.Rollout(of_ones_own, 2, steps, threads=1)
     peer.run()
     peer.pool.close()
     path = np.asarray(of_ones_own.gravity) * of_ones_own.time_step**2 * steps * (steps + 1) / 2
@@ -125,7 +101,7 @@ def test_robots_of_ones_own_fall_freely(of_ones_own):
 
 def test_mujoco_warp_falls_as_mujoco_does(of_ones_own):
     pytest.importorskip("mujoco_warp")
-    peer, other = bare_dynamics.Warp(of_ones_own, 2), bare_dynamics.Rollout(of_ones_own, 2, 20, threads=1)
+    peer, other = peers.Warp(of_ones_own, 2), peers.Rollout(of_ones_own, 2, 20, threads=1)
     peer.run(19)  # and one to compile
     other.run()
     other.pool.close()
@@ -136,7 +112,7 @@ def test_peers_lose_a_gripper_in_the_same_step():
     scenario = mc.load_scenario(CASE, ["duration=0.4", "contact.holding_limit=1.0", "gait.cycle=1.6"])
     ours = mc.rollout_metrics(scenario, mc.Gains(**gains(SETS)), dtype=np.float64)
     lost = []
-    peer = numpy_walk.Batch(scenario, gains(SETS), threads=1)
+    peer = peers.Batch(scenario, gains(SETS), threads=1)
     peer.run(scenario.steps, lambda step, walker, *_: lost.append(walker.lost.copy()))
     lost = np.stack(lost)
     assert lost.any(1)[-1].all(), "the test needs a limit that is passed"
@@ -146,4 +122,4 @@ def test_peers_lose_a_gripper_in_the_same_step():
 def test_peers_refuse_another_law():
     scenario = mc.load_scenario(CASE, ["control.controller=pd"])
     with pytest.raises(ValueError, match="base admittance"):
-        numpy_walk.Loop(scenario, gains(SETS[:1]))
+        peers.Loop(scenario, gains(SETS[:1]))

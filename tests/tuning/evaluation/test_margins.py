@@ -40,8 +40,12 @@ def walks(monkeypatch):
 
 
 def test_margins_lie_where_walks_begin_to_fail(walks, case):
-    """To a sixth of what the first grid leaves open; the control period to a time step."""
-    whole = margins.find(case("case_1_2", "virtual_model"), GAINS)
+    """To a sixth of what the first grid leaves open; the control period to a time step.
+
+    pd's walks of the first grid are the same whatever gains are in question: given, they are not repeated.
+    """
+    scenario = case("case_1_2", "virtual_model")
+    whole = margins.find(scenario, GAINS)
     found = whole.margins
     assert whole.holds and whole.better and margins.warnings(whole) == []
     assert found["force_delay"].holds == pytest.approx(TORN, abs=4e-4) and found["force_delay"].holds <= TORN
@@ -50,12 +54,6 @@ def test_margins_lie_where_walks_begin_to_fail(walks, case):
     assert found["command_delay"].holds == found["command_delay"].worst == 0.03
     assert found["control_period"].holds == found["control_period"].better == pytest.approx(20e-3)
     assert found["joint_gains"].holds == found["joint_gains"].better == pytest.approx(WEAK, abs=0.02)
-
-
-def test_walks_of_the_first_grid_may_be_given(walks, case):
-    """pd's walks there are the same whatever gains are in question: they are not repeated, and nothing changes."""
-    scenario = case("case_1_2", "virtual_model")
-    whole = margins.find(scenario, GAINS)
     known = {"pd": margins.on_the_grid(scenario, margins.pd_of(scenario))}
     again = margins.find(scenario, GAINS, walked=known)
     assert len(walks) == 2 * 4  # of given gains and of pd, on two grids
@@ -162,10 +160,9 @@ def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
     margin = margins.Margin(0.0, 5.96e-3, 4.25e-3, 0.03)  # of walks
     found = linear_margins.find(scenario, gains, {"force_delay": margin})["force_delay"]
     assert 0.9 * margin.holds < found.up_to < margin.holds
-    radius = stability_limit.spectral_radius(
-        scenario, gains, margins.changes(own_parameters(scenario), "force_delay",
-                                         found.up_to * np.array([1.0, 1.002]), {"kp": 50.0, "kd": 0.2})
-    )  # fmt: skip
+    delays = found.up_to * np.array([1.0, 1.002])
+    late = margins.changes(own_parameters(scenario), "force_delay", delays, {"kp": 50.0, "kd": 0.2})
+    radius = stability_limit.spectral_radius(scenario, gains, late)
     assert radius[0] < 1 < radius[1]
 
 
@@ -213,10 +210,8 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, capsy
     found = json.loads(said)
     assert found == json.loads((out / "margins.json").read_text())
     assert found["margins"]["force_delay"]["stable"]["up_to"] == pytest.approx(9e-3, rel=1e-3)
-    assert found["margins"]["force_delay"]["needed"] == 8e-3 and found["own_hardware"] == {
-        "holds": True,
-        "better": True,
-    }
+    assert found["margins"]["force_delay"]["needed"] == 8e-3
+    assert found["own_hardware"] == {"holds": True, "better": True}
     assert [line.startswith("force delay: gains stay better than pd") for line in found["warnings"]] == [True]
     assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
         "config.yaml", "margins.json", "margins.nc", "margins.png"

@@ -1,4 +1,4 @@
-"""The limit of stability: what it calls unstable diverges, what it calls stable does not."""
+"""The limit of stability: what it calls unstable diverges, what it calls stable does not; and maps that show it."""
 
 import dataclasses
 
@@ -8,9 +8,11 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb import plots
 from mjx_climb.checks.time_step import growth
 from mjx_climb.quantities.parameters import own_parameters
 from tuning.evaluation import maps, stability_limit
+from tuning.searches.sweep import sweep
 
 
 def swept(stiffness, damping):
@@ -118,3 +120,36 @@ def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypa
     assert radius[0] < 0.995 and force[0, 160:].max() < 0.5 * force[0, 40:60].max()
     assert (end[1] / early[1]) ** (1 / 400) - 1 == pytest.approx(radius[1] - 1, rel=0.1)
     assert radius[1] > 1.004
+
+
+def made(radius):
+    cells = np.arange(6.0).reshape(3, 2)
+    data = {"objective": (("stiffness", "damping"), cells), "spectral_radius": (("stiffness", "damping"), radius)}
+    data["feasible"] = (("stiffness", "damping"), cells > 1)
+    return xr.Dataset(data, {"stiffness": [1e2, 1e3, 1e4], "damping": [1e0, 1e1]})
+
+
+def test_best_cell_keeps_every_limit():
+    judged = made(np.full((3, 2), 0.9))
+    cell = maps.best_cell(judged)
+    assert (float(cell["stiffness"]), float(cell["damping"])) == (1e3, 1e0)
+    assert maps.best_cell(judged.assign(feasible=judged["feasible"] & False)) is None
+
+
+def test_a_map_shows_where_the_loop_turns_unstable():
+    legends = {}
+    for name, radius in (("some", [[1.1, 0.9], [0.9, 0.9], [np.inf, 0.9]]), ("none", np.full((3, 2), 0.9))):
+        figure = plots.plot_map(made(np.asarray(radius)), "objective")
+        legends[name] = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert legends == {"some": ["stability limit"], "none": []}
+
+
+@pytest.mark.slow
+def test_a_sweep_gets_its_objective_and_radius(case):
+    scenario = case("case_2", "virtual_model", {"duration": 0.2})
+    swept = sweep(scenario, {"stiffness": [1e3, 1e6], "damping": [1e0, 1e2, 1e4]}).data
+    judged = maps.with_stability(maps.with_objective(swept, scenario), scenario)
+    assert judged["objective"].dims == judged["spectral_radius"].dims == ("stiffness", "damping")
+    assert judged["objective"].sel(stiffness=1e6, damping=1e4) == pytest.approx(1.0, abs=0.01)  # as good as rigid
+    unstable = judged["spectral_radius"] > 1
+    assert unstable.sel(stiffness=1e6, damping=1e0) and not unstable.sel(damping=1e4).any()

@@ -10,8 +10,6 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.scenario import shipped
-from mjx_climb.scenario.messages import ConfigError
 from tests.trajectories import still
 from tuning.background import silent
 from tuning.command_line import main
@@ -219,8 +217,6 @@ def test_the_configs_are_the_papers():
         control = scenario.control
         assert (control.inertia, control.damping, control.stiffness) == gains[name]
         assert (scenario.contact.holding_limit, scenario.duration) == (15.0, 8.0)
-    with pytest.raises(ConfigError, match="case_9: expected a file, or a config that comes with the program"):
-        shipped.config_path("case_9.yaml")
 
 
 def test_a_folder_that_cannot_be_written(tmp_path, capsys):

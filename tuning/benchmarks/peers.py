@@ -1,7 +1,8 @@
-"""Peers: the walk under base admittance as a MuJoCo user would write it in NumPy, without any metrics.
+"""Peers on MuJoCo: its bare dynamics, and the walk under base admittance as its user would write it in NumPy.
 
-A second implementation: gait, grip, Eq. 3 of the paper and inverse kinematics share no code with `mjx_climb`, whose
-scenario and MuJoCo model alone they read. Arrays are components first, limbs second, robots last, all contiguous.
+The walk, without any metrics, is a second implementation: gait, grip, Eq. 3 of the paper and inverse kinematics share
+no code with `mjx_climb`, whose scenario and MuJoCo model alone they read. Arrays are components first, limbs second,
+robots last, all contiguous.
 """
 
 import math
@@ -9,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from mujoco import batch
+from mujoco import batch, rollout
 
 import mjx_climb as mc
 from mjx_climb.mujoco_import import mujoco
@@ -137,9 +138,7 @@ class _Peer:
         spec = load_spec(scenario.robot)
         for foot in FEET:
             spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot)
-        self.model = spec.compile()
-        self.model.opt.gravity[:] = scenario.gravity
-        self.model.opt.timestep = scenario.time_step
+        self.model = _compiled(spec, scenario)
         self.walker, self.step, self.cargo = Walker(self.model, scenario, gains), 0, 0.0
         self.base_mass, self.sites = self.model.body_mass[BASE], [self.model.site(foot).id for foot in FEET]
         self.tibias = self.model.site_bodyid[self.sites]
@@ -297,3 +296,67 @@ def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndar
             "bend_sign": tibia_sign * np.sign(bend), "zero": zero,
         })  # fmt: skip
     return {name: np.stack([row[name] for row in rows], axis=-1)[..., None] for name in rows[0]}
+
+
+def _compiled(spec: mujoco.MjSpec, scenario: mc.Scenario) -> mujoco.MjModel:
+    model = spec.compile()
+    model.opt.gravity[:], model.opt.timestep = scenario.gravity, scenario.time_step
+    return model
+
+
+def _at_rest(scenario: mc.Scenario) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return the scenario's robot without contacts and constraints, and its rest stance."""
+    model = _compiled(load_spec(scenario.robot), scenario)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    return model, data
+
+
+class Rollout:
+    """Robots that fall from the rest stance, by `mujoco.rollout` on threads."""
+
+    def __init__(self, scenario: mc.Scenario, count: int, steps: int, threads: int):
+        self.model, rest = _at_rest(scenario)
+        self.data = [mujoco.MjData(self.model) for _ in range(threads)]
+        every = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        start = np.empty(mujoco.mj_stateSize(self.model, every))
+        mujoco.mj_getState(self.model, rest, start, every)
+        self.start = np.tile(start, (count, 1))
+        self.states = np.empty((count, steps, len(start)))  # allocated once, so that the pages are warm
+        self.sensed = np.empty((count, steps, 0))
+        self.pool = rollout.Rollout(nthread=threads)
+
+    def run(self) -> None:
+        """Run all of the steps once."""
+        self.pool.rollout(
+            self.model, self.data, self.start, nstep=self.states.shape[1], state=self.states, sensordata=self.sensed
+        )
+
+
+class Warp:
+    """The same by `mujoco_warp` (extra `compare`); on a GPU a step is a CUDA graph, on a CPU a sequence of kernels."""
+
+    def __init__(self, scenario: mc.Scenario, count: int):
+        import mujoco_warp as mjwarp
+        import warp
+
+        warp.config.quiet = True
+        model, start = _at_rest(scenario)
+        mujoco.mj_forward(model, start)
+        self.model = mjwarp.put_model(model)
+        # contacts and constraints are switched off; without room for one constraint the release does not accelerate
+        self.data = mjwarp.put_data(model, start, nworld=count, nconmax=0, njmax=1)
+        self.synchronize: Callable[[], object] = warp.synchronize
+        self.step: Callable[[], object] = lambda: mjwarp.step(self.model, self.data)
+        self.step()  # compiles the kernels, which a capture cannot
+        if warp.get_device().is_cuda:
+            with warp.ScopedCapture() as capture:
+                self.step()
+            self.step = lambda: warp.capture_launch(capture.graph)
+
+    def run(self, steps: int) -> None:
+        """Fall on for some steps, and wait for the last one."""
+        for _ in range(steps):
+            self.step()
+        self.synchronize()
