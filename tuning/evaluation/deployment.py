@@ -10,27 +10,18 @@ def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = 
 
     A robot stands on all its feet before it walks, also where its gait has no such stance: gains hold there too.
 
-    Arguments:
-        scenario: what walks where, on which hardware.
-        gains: those in question.
-        source: names them in an error.
-        engine: the dynamics.
-
     Raises:
-        ConfigError: in one line, gains with which the loop is unstable in some stance, or a walk fails, on the very
-            hardware of the scenario.
+        ConfigError: in one line that begins with `source`, gains with which the loop is unstable in some stance, or a
+            walk fails, on the very hardware of the scenario.
     """
     standing = scenario.with_overrides({"gait.duty": 1 - 2 * scenario.time_step / scenario.gait.cycle})
     for where, walked in (("about a stance of the gait", scenario), ("of a robot that stands on all feet", standing)):
         radius = float(stability_limit.spectral_radius(walked, gains, engine=engine).max())
         if radius > 1 + stability_limit.ROUNDING:
-            raise mc.ConfigError(
-                f"{source}: expected gains that are stable on the config's hardware, got a disturbance {where} that "
-                f"grows by {radius:.6f} a time step"
-            )
+            got = f"a disturbance {where} that grows by {radius:.6f} a time step"
+            raise mc.ConfigError(f"{source}: expected gains that are stable on the config's hardware, got {got}")
     found = margins.find(scenario, gains, engine=engine)
     if not found.holds:
-        raise mc.ConfigError(
-            f"{source}: expected gains that hold on the config's hardware, got a walk that loses a gripper or diverges"
-        )
+        got = "a walk that loses a gripper or diverges"
+        raise mc.ConfigError(f"{source}: expected gains that hold on the config's hardware, got {got}")
     return margins.warnings(found)

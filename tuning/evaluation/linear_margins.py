@@ -50,11 +50,9 @@ def find(
     """Return up to where the loop is stable, by quantity.
 
     Arguments:
-        scenario: what walks where, on which hardware.
         gains: those in question; kp and kd replace the scenario's where given.
         margins: of walks with these gains: they say how far to look.
         law: whose gains they are, the scenario's where None.
-        engine: the dynamics.
         progress: called with the number of quantities done and of all.
     """
     own, joint, found = own_parameters(scenario), joint_gains(scenario, gains), {}

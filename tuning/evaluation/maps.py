@@ -29,12 +29,8 @@ def with_objective(
     """Add what a search would make of each cell: `objective`, 1 for pd, and `feasible`, keeps every limit.
 
     Arguments:
-        walks: metrics over two gains, as `tuning.sweep` gives them.
-        scenario: the one that was walked.
+        walks: metrics over two gains, as `tuning.sweep` gives them, of that scenario, law and engine.
         search: weights and limits; the default ones where None.
-        law: the control law, the scenario's where None.
-        engine: the dynamics, for the walk of pd.
-        metrics: of the walks.
     """
     return judged_by(walks, problem_of(scenario, search or Search(), engine=engine, metrics=metrics, law=law))
 

@@ -86,12 +86,11 @@ def find(
     """Return the margins of one set of gains.
 
     Arguments:
-        scenario: what walks where, on which hardware; pd has its joint gains.
+        scenario: its joint gains are pd's too.
         gains: those in question; kp and kd replace the scenario's where given.
         law: whose gains they are, the scenario's where None.
         others: further ones to walk on the same hardware, by name, for the picture.
         walked: what `on_the_grid` gave of pd and others, by name, where it has walked already.
-        engine: the dynamics.
         progress: called with the number of walks done and of all.
     """
     walkers = {"given": Walker(law, gains), "pd": pd_of(scenario), **others}

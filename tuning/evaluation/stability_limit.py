@@ -15,9 +15,10 @@ motions, which slip.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -74,15 +75,10 @@ def spectral_radius(
     numbers, or in yes and no, stays as it is: it cannot be off by a little.
 
     Arguments:
-        scenario: what walks where.
-        gains: with any leading batch axes.
-        parameters: in place of the scenario's, delays, period and filter among them, with batch axes that broadcast
-            with the gains'.
+        gains: with any leading batch axes, which the radii have too.
+        parameters: in place of the scenario's, delays, period and filter among them, with axes that broadcast with
+            the gains'.
         law: whose gains they are, the scenario's where None.
-        engine: the dynamics.
-
-    Returns:
-        Radii with the batch axes of gains and parameters.
     """
     return np.asarray(by_stance(scenario, gains, parameters, law=law, engine=engine).max(-1))
 
@@ -139,8 +135,9 @@ def _radii_of(walk: Structure, robots: _Robots, axes: Any, periods: np.ndarray, 
         return jax.ShapeDtypeStruct(value.shape[value.ndim - own :], value.dtype)
 
     with jax.enable_x64(True):
-        single = *jax.tree.map(one, robots, axes), jax.ShapeDtypeStruct((), np.int32)
-        states = int(jax.eval_shape(lambda *given: _stepped(walk, *given)[0], *single).size)
+        off, step = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((), np.int32)
+        single = jax.tree.map(one, robots, axes)
+        states = int(jax.eval_shape(functools.partial(_moved, walk), off, *single, step)["after"].size)
     # held: all steps after the first of a period are alike; on a line to the next target each is another
     kinds = int(periods.max() if walk.stages.linear else min(periods.max(), 2))
     count, matrices = len(periods), max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
@@ -249,15 +246,7 @@ def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
 
 
 def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, step: Array) -> dict[str, Array]:
-    """Return the values (s,) of a robot after a step before which they were `off` (s,) from those of its stance."""
-    values, after = _stepped(shape, law, parameters, step)
-    return {"after": after(values + off)}
-
-
-def _stepped(
-    shape: Structure, law: Law, parameters: mc.Parameters, step: Array
-) -> tuple[Array, Callable[[Array], Array]]:
-    """Return what of a robot can be off by a little, (s,), and the function that gives its values after the step.
+    """Return the values (s,) of a robot after a step before which they were `off` (s,) from those of its stance.
 
     Whole numbers and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised
     gains, is no state.
@@ -277,13 +266,9 @@ def _stepped(
         for leaf, before, after in zip(leaves, program.invars, program.outvars, strict=True)
     ]
     values, unravel = ravel_pytree(list(itertools.compress(leaves, varied)))
-
-    def after(values: Array) -> Array:
-        own = iter(unravel(values))
-        moved = advanced([next(own) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)])
-        return ravel_pytree(list(itertools.compress(moved, varied)))[0]
-
-    return values, after
+    own = iter(unravel(values + off))
+    after = advanced([next(own) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)])
+    return {"after": ravel_pytree(list(itertools.compress(after, varied)))[0]}
 
 
 def _stance(walk: Walk, step: Array) -> Carry:

@@ -38,15 +38,11 @@ def check(gains: mc.Gains, period: float, source: str) -> None:
         for kind, three, axes in zip(_KINDS, np.split(values, 2), np.split(np.array(SIX), 2), strict=True):
             if np.ptp(three):
                 each = ", ".join(f"{axis} {value:.4g}" for axis, value in zip(axes, three, strict=True))
-                raise ConfigError(
-                    f"{source}: {name}: expected one value for the axes of a {kind}, which is all that "
-                    f"admittance_control knows, got {each}: search them with --space split"
-                )
+                expected = f"one value for the axes of a {kind}, which is all that admittance_control knows"
+                raise ConfigError(f"{source}: {name}: expected {expected}, got {each}: search them with --space split")
     if period > LONGEST_PERIOD * (1 + 1e-9):
-        raise ConfigError(
-            f"{source}: expected a period of at most {LONGEST_PERIOD:g} s, to which admittance_control cuts longer "
-            f"ones, got {period:g}"
-        )
+        expected = f"a period of at most {LONGEST_PERIOD:g} s, to which admittance_control cuts longer ones"
+        raise ConfigError(f"{source}: expected {expected}, got {period:g}")
     substep = substep_of(period)
     if not ros2_control.stable(gains, 1 / substep).all():
         inertia = 1.05 * ros2_control.smallest_inertia(gains, 1 / substep).max()
@@ -65,8 +61,7 @@ def write(gains: mc.Gains, period: float, motion: Motion | None = None, *, force
     """Return the library's parameters as YAML.
 
     Arguments:
-        gains: that `check` lets through.
-        period: s, at which the law was walked.
+        gains: that `check` lets through at this period, s.
         motion: deadband and bounds that were walked; none where None.
         forces_only: for a law of each foot's force (Eq. 2): no moment.
     """

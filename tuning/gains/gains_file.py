@@ -33,11 +33,7 @@ def load(path: str | os.PathLike[str], law: mc.Law) -> dict[str, Any]: ...
 
 
 def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> mc.Gains | dict[str, Any]:
-    """Read a gains file.
-
-    Arguments:
-        path: the file.
-        law: whose gains are wanted, where it is not one of the program's.
+    """Read a gains file; `law` is the one whose gains are wanted, where it is not one of the program's.
 
     Raises:
         ConfigError: in one line, what is wrong with the file or a value, or the gains are those of another law.

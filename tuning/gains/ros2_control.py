@@ -104,9 +104,7 @@ def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutof
     """Return the parameter file of a controller called `name`.
 
     Arguments:
-        gains: that `check` lets through.
-        rate: of its updates, Hz.
-        name: of the controller.
+        gains: that `check` lets through at this update rate, Hz.
         cutoff: of the first-order low pass on the forces with which the gains were walked, Hz; None: none.
     """
     inertia, damping, stiffness = six(gains)

@@ -173,11 +173,10 @@ def objective(
 
     Arguments:
         scenario: gives the holding limit.
-        search: weights and limits.
+        search: weights and limits of `metrics`.
         baseline: metrics of pd with their smooth companions, see `tuning.problem.evaluation.baseline`; over an ensemble
             those of its members, (members,) each.
         function: the user's own in place of the weighted terms.
-        metrics: what may be weighed and limited.
         worst: how the worst members of an ensemble count, where there is one.
 
     Raises:

@@ -19,12 +19,9 @@ class Shell(NamedTuple):
 
 
 def setting(default: Any, text: str, **how: Any) -> Any:
-    """Return a field of a model, all that is said of it.
+    """Return a field of a model, all that is said of it: the default (`...` for none), and the help with the unit.
 
-    Arguments:
-        default: `...` for none.
-        text: the help, with the unit. "; null: ..." at its end says what None stands for.
-        how: the fields of `Shell`, and bounds as of `pydantic.Field`.
+    "; null: ..." at the end of the text says what None stands for; `how`: fields of `Shell`, or of `pydantic.Field`.
     """
     shell = Shell(**{name: how.pop(name) for name in Shell._fields if name in how})
     field = Field(default=default, description=text, validate_default=isinstance(default, str), **how)

@@ -154,8 +154,6 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         for key in getattr(search, section):
             if key not in known:
                 raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(known))}")
-    if not bounds:
-        raise ConfigError("pins: expected a gain left to search, got none")
     return _space(own, entries, bounds)
 
 
@@ -163,6 +161,8 @@ def _space(
     own: Mapping[str, Any], entries: Mapping[str, list[str | float]], bounds: Mapping[str, tuple[float, float]]
 ) -> Space:
     """Return the space of gains whose entries are searched, by name, or fixed; their `own` values give their shapes."""
+    if not bounds:
+        raise ConfigError("pins: expected a gain left to search, got none")
     fixed = [entry for each in entries.values() for entry in each if not isinstance(entry, str)]
     names, behind, index = list(bounds), itertools.count(len(bounds)), {}
     for gain, each in entries.items():
