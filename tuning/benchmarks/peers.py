@@ -46,17 +46,12 @@ class Walker:
             raise ValueError("the NumPy peers know base admittance with its virtual model alone")
         if gait.base_reference != "nominal" or gait.heading or gait.swing != "cubic":
             raise ValueError("the NumPy peers walk along x from the nominal base position, by cubic swings, alone")
-        self.stiffness, self.damping = contact.stiffness, contact.damping
-        self.limit = math.inf if contact.holding_limit is None else contact.holding_limit
-        self.kp, self.kd = control.kp, control.kd
+        self.control, self.gait, self.contact = control, gait, contact
         self.transition = _zero_order_hold(gains, scenario.time_step)
-
         limbs = [foot.split("_")[0] for foot in FEET]
         self.cycle = round(gait.cycle / scenario.time_step)
         self.swing = self.cycle - math.ceil(gait.duty * self.cycle - 1e-6)
         self.lift_off = np.array([int(gait.sequence.index(limb) / len(limbs) * self.cycle + 0.5) for limb in limbs])
-        self.stride, self.step_height = gait.stride, gait.step_height
-
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
         mujoco.mj_kinematics(model, data)
@@ -68,8 +63,6 @@ class Walker:
         self.touching = np.ones((len(limbs), count), bool)
         self.lost = np.zeros_like(self.touching)
         self.shift, self.rate = np.zeros((6, count)), np.zeros((6, count))
-        self.foot_force = np.zeros_like(self.anchor)
-        self.torque = np.zeros_like(self.anchor)
 
     def __call__(self, step: int, base: np.ndarray, foot: np.ndarray, foot_velocity: np.ndarray,
                  angles: np.ndarray, rates: np.ndarray) -> None:  # fmt: skip
@@ -78,7 +71,7 @@ class Walker:
         Takes base position (3, N) m, feet (3, 4, N) m and their velocities, joint angles (3, 4, N) rad and rates.
         """
         cycle, in_cycle = divmod(step, self.cycle)
-        since = (in_cycle - self.lift_off) % self.cycle
+        contact, gait, since = self.contact, self.gait, (in_cycle - self.lift_off) % self.cycle
         swinging = since < self.swing
 
         # grip: a spring and a damper to where the foot met the ground
@@ -89,11 +82,11 @@ class Walker:
             self.anchor[:2, landed] = foot[:2, landed]
             self.anchor[2, landed] = 0.0
         self.touching = touching
-        force = (-self.stiffness * (foot - self.anchor) - self.damping * foot_velocity) * touching
-        if self.limit < math.inf:
+        force = (-contact.stiffness * (foot - self.anchor) - contact.damping * foot_velocity) * touching
+        if contact.holding_limit is not None:
             pulled = holds & (force[2] < 0)
             if pulled.any():
-                self.lost |= pulled & ((force * force).sum(0) > self.limit**2)
+                self.lost |= pulled & ((force * force).sum(0) > contact.holding_limit**2)
 
         # Eq. 3, driven by -w so that the base yields
         wrench, was = np.concatenate([force.sum(1), cross(foot - base[:, None], force).sum(1)]), self.shift
@@ -104,14 +97,14 @@ class Walker:
         for limb in np.flatnonzero(swinging):
             phase = since[limb] / self.swing
             curve = self.footholds[:, limb].copy()
-            curve[0] += self.stride * (cycle + _cubic(phase))
-            curve[2] += self.step_height * _cubic(2 * phase if phase < 0.5 else 2 - 2 * phase)
+            curve[0] += gait.stride * (cycle + _cubic(phase))
+            curve[2] += gait.step_height * _cubic(2 * phase if phase < 0.5 else 2 - 2 * phase)
             target[:, limb] = curve[:, None]
         reference = self.base.copy()
-        reference[0] += self.stride * (cycle + _cubic(in_cycle / self.cycle))
+        reference[0] += gait.stride * (cycle + _cubic(in_cycle / self.cycle))
         relative = target - (reference[:, None] + self.shift[:3])[:, None]
         joints = self.inverse_kinematics(_turned_back(self.shift[3:], relative))
-        self.foot_force, self.torque = force, self.kp * (joints - angles) - self.kd * rates
+        self.foot_force, self.torque = force, self.control.kp * (joints - angles) - self.control.kd * rates
 
     def inverse_kinematics(self, foot: np.ndarray) -> np.ndarray:
         """Return the joint angles (3, 4, N) rad for feet in the base frame; nearest reach where there is none."""

@@ -133,7 +133,7 @@ def test_config_yaml_names_law_and_metrics(written):
     assert type(again).__name__ == "Scaled" and again.motion == law.motion
     for name in law.GAINS:
         np.testing.assert_array_equal(getattr(again, name), np.broadcast_to(getattr(law, name), (6,) * law.AXES[name]))
-    assert table.names == metrics.names and scenario.own is None
+    assert table.names == metrics.names == (*mc.METRICS.names, "way") and scenario.own is None
 
 
 def test_in_python_the_law_of_a_config_is_not_forgotten(written):
@@ -177,11 +177,6 @@ def test_an_objective_is_named_and_wanted_again(file, tmp_path):
     assert law is None and scenario.own.objective.name == "judge"
     with pytest.raises(ConfigError, match=r"own\.objective: expected judge again"):
         tune.problem_of(scenario, Search())
-
-
-def test_metrics_stand_behind_the_shipped_ones(file):
-    assert own_section.load_metrics([f"{file}:way"]).names == (*mc.METRICS.names, "way")
-    assert own_section.load_metrics([]) == mc.METRICS
 
 
 @pytest.mark.parametrize(
