@@ -20,15 +20,12 @@ from mjx_climb.hardware.stages import given
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
-from tuning.problem.settings import Settings, setting
+from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _Share = Annotated[float, Field(gt=0, le=1)]
-Range = tuple[_NonNegative, _NonNegative]
-PositiveRange = tuple[_Positive, _Positive]
-AnyRange = tuple[_Finite, _Finite]
+Range = tuple[NonNegative, NonNegative]
+PositiveRange = tuple[Positive, Positive]
+AnyRange = tuple[Finite, Finite]
 
 
 class _Section(Settings):

@@ -7,10 +7,10 @@ imported here, so that the command line starts at once.
 import itertools
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, model_validator
 
 from mjx_climb.scenario.messages import ConfigError
-from tuning.problem.settings import Settings, setting
+from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
 if TYPE_CHECKING:
     from mjx_climb.walk.metrics import MetricTable
@@ -23,10 +23,6 @@ LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}  # of a search over an ensemble
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
 
 def _numbers(text: Any) -> Any:
     """Return the numbers of a text, as 0,1/6,1."""
@@ -36,9 +32,6 @@ def _numbers(text: Any) -> Any:
         return [float(Fraction(part.strip())) for part in text.split(",")] if isinstance(text, str) else text
     except (ValueError, ZeroDivisionError, OverflowError):
         raise ValueError(f"expected numbers with commas between them, got {text!r}") from None
-
-
-_FromText = BeforeValidator(_numbers)
 
 
 class Search(Settings):
@@ -55,29 +48,29 @@ class Search(Settings):
         "search kp and kd of the joint loop as well; null: where there is hardware",
         flag="--with-joint-gains/--without-joint-gains",
     )
-    bounds: dict[str, tuple[_Positive, _Positive]] = setting(
+    bounds: dict[str, tuple[Positive, Positive]] = setting(
         {},
         "lowest and highest value of a gain, SI units, as stiffness, stiffness.rotation or stiffness.rx",
         flag="--bound",
         metavar="GAIN=LOW:HIGH",
     )
-    pins: dict[str, _Positive] = setting(
+    pins: dict[str, Positive] = setting(
         {}, "gain that keeps a value, SI units, named likewise", flag="--pin", metavar="GAIN=VALUE"
     )
-    weights: dict[str, _NonNegative] = setting(
+    weights: dict[str, NonNegative] = setting(
         WEIGHTS,
         "metric to better and its weight, relative to its value under pd; those named take the place of the default",
         flag="--weight",
         metavar="METRIC=W",
         default_in_words=", ".join(WEIGHTS),
     )
-    limits: dict[str, _Finite] = setting(
+    limits: dict[str, Finite] = setting(
         {},
         "highest value of a metric (lowest, where larger is better), in its unit, as base_deviation=5e-3",
         flag="--limit",
         metavar="METRIC=VALUE",
     )
-    deviation_factor: _Positive = setting(3.0, "limit of base_deviation relative to pd's, where limits name none")
+    deviation_factor: Positive = setting(3.0, "limit of base_deviation relative to pd's, where limits name none")
     no_worse_than_pd: bool = setting(
         True, "no metric with a weight may be worse than under pd", flag="--no-worse-than-pd/--may-be-worse-than-pd"
     )
@@ -115,14 +108,14 @@ class Pareto(Settings):
 class Schedule(Settings):
     """The operating points that a schedule has gains for: every pair."""
 
-    gravity: Annotated[tuple[_Positive, ...], _FromText] = setting(
+    gravity: Annotated[tuple[Positive, ...], BeforeValidator(_numbers)] = setting(
         (1e-6, 1e-2, 1 / 6, 0.38, 1.0),
         "gravities, ascending, 1 G = 9.81 m/s^2",
         metavar="G,G,...",
         default_in_words="1e-6,1e-2,1/6,0.38,1",
         min_length=1,
     )
-    cargo: Annotated[tuple[_NonNegative, ...], _FromText] = setting(
+    cargo: Annotated[tuple[NonNegative, ...], BeforeValidator(_numbers)] = setting(
         (0.0, 0.5, 1.0),
         "masses of the cargo, ascending, kg",
         metavar="KG,KG,...",

@@ -1,11 +1,15 @@
 """What every model of settings is: read from YAML, written to it, refused in one line, and typed in a shell."""
 
 import os
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mjx_climb.scenario.messages import ConfigError
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Shell(NamedTuple):
