@@ -36,7 +36,6 @@ from mjx_climb.rollouts.resolve import (
     AnyGains,
     check_robots,
     checked,
-    floating_dtype,
     is_traced,
     recorded,
     resolve,
@@ -278,8 +277,9 @@ class Simulation:
         Raises:
             ValueError: gains that the law does not have, or cannot have, or a metric that does not keep its shapes.
         """
-        dtype = floating_dtype(self.law if gains is None else gains)
-        resolved = resolve(self.scenario, self.law, gains, parameters, dtype)
+        leaves = jax.tree.leaves(self.law if gains is None else gains)
+        dtypes = [leaf.dtype for leaf in leaves if hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)]
+        resolved = resolve(self.scenario, self.law, gains, parameters, jnp.result_type(*(dtypes or [float])))
         walk = _carried_out(metrics_of, self.structure)
         found: Metrics = over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
         return found

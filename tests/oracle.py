@@ -126,13 +126,11 @@ class Law:
         self.control, self.reference = scenario.control, reference
         self.period = scenario.hardware.control_period or scenario.time_step
         axes = 3 if self.control.controller == "end_effector_admittance" else 6
-        self.gains = [
-            np.broadcast_to(getattr(self.control, name), 6)[:axes] for name in ("inertia", "damping", "stiffness")
-        ]
+        names = ("inertia", "damping", "stiffness")
+        self.gains = [np.broadcast_to(getattr(self.control, name), 6)[:axes] for name in names]
         self.state = np.zeros((axes, 2)) if axes == 6 else np.zeros((limbs, axes, 2))
-        self.exact = []
-        for m, d, k in zip(*self.gains, strict=True):
-            self.exact.append(expm(np.array([[0, 1, 0], [-k / m, -d / m, 1 / m], [0, 0, 0]]) * self.period)[:2])
+        systems = [[[0, 1, 0], [-k / m, -d / m, 1 / m], [0, 0, 0]] for m, d, k in zip(*self.gains, strict=True)]
+        self.exact = expm(np.array(systems) * self.period)[:, :2]
 
     def say(self, position, base, force, wrench, support, feet):
         """Return where base, its attitude and the feet shall be, and the shift of the base."""
@@ -140,7 +138,7 @@ class Law:
         own = np.concatenate([into.apply(wrench[:3]), into.apply(wrench[3:])])
         kind = self.control.controller, self.control.reading
         if kind == ("base_admittance", "virtual_model"):
-            self.state = np.array([e @ [*z, -f] for e, z, f in zip(self.exact, self.state, own, strict=True)])
+            self.state = np.matvec(self.exact, np.column_stack([self.state, -own]))
             shift = self.state[:, 0]
             turn = Rotation.from_rotvec(shift[3:])
         elif kind == ("base_admittance", "measured_pose"):
@@ -153,10 +151,7 @@ class Law:
             half = shift[3:] / 2
             turn = Rotation.from_quat([*half, np.sqrt(1 - half @ half)])
         elif kind[0] == "end_effector_admittance":
-            moved = [
-                [e @ [*z, f] for e, z, f in zip(self.exact, foot, into.apply(pull), strict=True)]
-                for foot, pull in zip(self.state, force, strict=True)
-            ]
+            moved = np.matvec(self.exact, np.concatenate([self.state, into.apply(force)[..., None]], axis=-1))
             self.state = np.where(support[:, None, None], moved, 0)
             feet = feet + self.reference.apply(self.state[..., 0])
         return position + self.reference.apply(shift[:3]), self.reference * turn, feet, shift
@@ -207,10 +202,8 @@ def margins(feet, support, com, force, moment, mass, gravity, hold):
         tumbling.append(hold * arm - (moment @ (a - b) + force @ np.cross(b, a)) / length)
         normal = np.cross(com - a, com - b)
         inside.append((hold * sum(n[2] for n in others) + force @ normal) / (mass * np.linalg.norm(normal)))
-    smallest = max(0.0, min(tumbling))
-    if not gravity:
-        return np.inf if smallest else 0.0, max(0.0, min(inside))
-    return smallest / (mass * gravity), max(0.0, min(inside))
+    smallest, without_gravity = max(0.0, min(tumbling)), np.inf if min(tumbling) > 0 else 0.0
+    return smallest / (mass * gravity) if gravity else without_gravity, max(0.0, min(inside))
 
 
 class Body:
@@ -265,9 +258,9 @@ def windows(scenario, step):
         h = scenario.time_step
         return round(window.start / h) <= step < number(window.stop) / h - 0.5 + 1e-9
 
-    pushes = [np.array([*push.force, *push.moment]) for push in scenario.disturbance.pushes if on(push)]
-    cargo = scenario.disturbance.cargo
-    return on(cargo) * cargo.mass, sum(pushes, np.zeros(6))
+    pushes, cargo = scenario.disturbance.pushes, scenario.disturbance.cargo
+    push = sum((np.array([*push.force, *push.moment]) for push in pushes if on(push)), np.zeros(6))
+    return on(cargo) * cargo.mass, push
 
 
 def again(walk):
@@ -299,9 +292,8 @@ def again(walk):
     names += ["joint_angles", "joint_rates"]
     for step in range(len(walk.time)):
         row = dict(zip(names, after, strict=True), time=step * h)
-        position, quaternion, linear, angular, angles, rates = state = [
-            getattr(walk, name)[step].copy() for name in names
-        ]
+        state = [getattr(walk, name)[step].copy() for name in names]
+        position, quaternion, linear, angular, angles, rates = state
         rotation = attitude(quaternion)
         body.data.qvel[:] = np.concatenate([linear, rotation.inv().apply(angular), rates.ravel()])
         body.place(body.data, position, quaternion, angles)
@@ -351,10 +343,8 @@ def again(walk):
         wrench = wrench_of(held["foot_force"])
         net = wrench + push
         limit = number(scenario.contact.holding_limit, 0.0)
-        pull = np.linalg.norm(scenario.gravity)
-        tsm, gia = margins(
-            feet, held["support"], com, net[:3], net[3:] + np.cross(position, net[:3]), mass, pull, limit
-        )
+        pull, moment = np.linalg.norm(scenario.gravity), net[3:] + np.cross(position, net[:3])
+        tsm, gia = margins(feet, held["support"], com, net[:3], moment, mass, pull, limit)
         found = body.accelerations(rotation, turning, held, push, cargo, armature)
         linear, angular, rates = (v + h * a for v, a in zip((linear, angular, rates), found, strict=True))
         quaternion = (Rotation.from_rotvec(h * angular) * rotation).as_quat(scalar_first=True)

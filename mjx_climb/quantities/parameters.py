@@ -175,28 +175,24 @@ def check_ranges(parameters: Parameters) -> None:
         values = np.asarray(value)
         if values.dtype.kind in "cOSU":
             raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
-        for end in (values.min(), values.max()) if values.size else ():  # of NaN among them both are
-            _check(name, float(end))
+        kind, validator = _type(name)
+        for end in map(float, (values.min(), values.max()) if values.size else ()):  # of NaN among them both are
+            given: Any = end
+            if end == math.inf and type(None) in get_args(kind):
+                given = None
+            elif get_origin(kind) is tuple:
+                given = (end,) * len(get_args(kind))
+            elif kind is int and end.is_integer():
+                given = int(end)
+            try:
+                validator.validate_python(given)
+            except ValidationError as invalid:
+                expected = invalid.errors()[0]["ctx"]["expected"].replace("or null", "or infinite")
+                raise ValueError(f"parameters.{name}: expected {expected}, got {end:g}") from None
     pushes = {name: np.shape(getattr(parameters, name))[axis] for name, axis in _PUSHES.items()}
     if len(set(pushes.values())) > 1:
         counts = ", ".join(f"{count} of {name}" for name, count in pushes.items())
         raise ValueError(f"parameters.push_start: expected as many of each for the pushes, got {counts}")
-
-
-def _check(name: str, value: float) -> None:
-    kind, validator = _type(name)
-    given: Any = value
-    if value == math.inf and type(None) in get_args(kind):
-        given = None
-    elif get_origin(kind) is tuple:
-        given = (value,) * len(get_args(kind))
-    elif kind is int and value.is_integer():
-        given = int(value)
-    try:
-        validator.validate_python(given)
-    except ValidationError as invalid:
-        expected = invalid.errors()[0]["ctx"]["expected"].replace("or null", "or infinite")
-        raise ValueError(f"parameters.{name}: expected {expected}, got {value:g}") from None
 
 
 @functools.cache

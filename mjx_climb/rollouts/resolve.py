@@ -93,13 +93,6 @@ def checked_dtype(dtype: DTypeLike) -> np.dtype:
     return np.dtype(dtype)
 
 
-def floating_dtype(tree: Any) -> Any:
-    """Return the precision of a tree's arrays, or the one in force where it holds plain numbers alone."""
-    dtypes = [leaf.dtype for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
-    floats = [dtype for dtype in dtypes if jnp.issubdtype(dtype, jnp.floating)]
-    return jnp.result_type(*(floats or [float]))
-
-
 def is_traced(tree: Any) -> bool:
     """Return whether JAX traces any value of a tree, so that it is not known."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
