@@ -35,13 +35,6 @@ class Note(NamedTuple):
     why: str
 
 
-class Notes(list[Note]):
-    """Notes in the order in which they are made."""
-
-    def add(self, kind: str, what: str, why: str) -> None:
-        self.append(Note(kind, what, why))
-
-
 class Chain(NamedTuple):
     """A row of joints from the base outwards that may be a limb."""
 
@@ -53,25 +46,8 @@ class Chain(NamedTuple):
     guessed: bool = False  # there are none
 
 
-class Found(NamedTuple):
-    """A robot found in a file."""
-
-    path: str
-    described: mujoco.MjSpec  # all that the file holds
-    model: mujoco.MjModel  # its masses and joints, with `root` as the root
-    root: str | None  # None: the file's own
-    base: int  # body, the root of those between which and the limbs all joints are held
-    limbs: dict[str, Chain]  # those that it stands on, in the order of the file
-    notes: Notes
-
-    @property
-    def joints(self) -> list[int]:
-        """The joints of all limbs."""
-        return [joint for chain in self.limbs.values() for joint in chain.joints]
-
-
-def found(file: str | os.PathLike[str], base: str | None = None, stand_on: Sequence[str] = ()) -> Found:
-    """Return the robot in a file, whose limbs begin at the body `base`, and which stands on those in `stand_on`.
+class Found:
+    """The robot in a file, whose limbs begin at the body `base`, and which stands on those in `stand_on`.
 
     Where these are not given: on all limbs, which begin at the floating body, or the first one from the root outwards
     that they can begin at, or in the middle of a robot that is one row of joints.
@@ -80,22 +56,87 @@ def found(file: str | os.PathLike[str], base: str | None = None, stand_on: Seque
         RobotError: a file that MuJoCo does not load, one without a base and two limbs, or no such base or limbs; none
             is chosen and some start and end so much higher than others, in the file's stance, as arms do above legs.
     """
-    path, notes = os.path.abspath(os.fspath(file)), Notes()
-    model, full = robot_in(path, base), described(path)
-    why = "as told" if base else "the link that floats, or that all limbs meet in"
-    if base is None and (base := _middle_of(model)):
-        model = robot_in(path, base)
-        why = "the middle of the one row of joints, from foot to foot; --base takes another"
-    hub = _base_of(path, model) if base is None else model.body(base).id
-    trunk = int(model.body_rootid[hub])
-    notes.add("taken", f"base {model.body(trunk).name!r}", why)
-    every = _limbs_of(path, full, model, hub, notes)
-    if unknown := [name for name in stand_on if name not in every] or (len(stand_on) == 1 and list(stand_on)):
-        raise RobotError(f"{path}: --limbs: expected two or more of {', '.join(every)}, got {', '.join(unknown)}")
-    if not stand_on:
-        _check_level(path, model, every, trunk)
-    limbs = {name: every[name] for name in every if not stand_on or name in stand_on}
-    return Found(path, full, model, base, trunk, limbs, notes)
+
+    def __init__(self, file: str | os.PathLike[str], base: str | None = None, stand_on: Sequence[str] = ()) -> None:
+        self.path, self.notes = os.path.abspath(os.fspath(file)), list[Note]()
+        self.model, self.described = robot_in(self.path, base), described(self.path)  # masses and joints; all it holds
+        why = "as told" if base else "the link that floats, or that all limbs meet in"
+        if base is None and (base := _middle_of(self.model)):
+            self.model = robot_in(self.path, base)
+            why = "the middle of the one row of joints, from foot to foot; --base takes another"
+        hub = _base_of(self.path, self.model) if base is None else self.model.body(base).id
+        self.root = base  # the body that was made the model's root; None: it is the file's
+        self.base = int(self.model.body_rootid[hub])  # joints from there to the hub are of no limb
+        self.note("taken", f"base {self.model.body(self.base).name!r}", why)
+        every = _named(self.model, self._limbs(hub))
+        if unknown := [name for name in stand_on if name not in every] or (len(stand_on) == 1 and list(stand_on)):
+            expected = f"two or more of {', '.join(every)}"
+            raise RobotError(f"{self.path}: --limbs: expected {expected}, got {', '.join(unknown)}")
+        if not stand_on:
+            self._check_level(every)
+        self.limbs = {name: every[name] for name in every if not stand_on or name in stand_on}  # in the file's order
+        self.joints = [joint for chain in self.limbs.values() for joint in chain.joints]
+
+    def note(self, kind: str, what: str, why: str) -> None:
+        """Note what became of something in the file."""
+        self.notes.append(Note(kind, what, why))
+
+    def _limbs(self, hub: int) -> list[Chain]:
+        """Return the rows that end in feet, of about the commonest number of joints."""
+        model = self.model
+        rows, part = _rows(model, hub), rigid_parts(model)
+        last = {body: [b for b in range(model.nbody) if part[b] == body] for body in (row[-1] for row in rows)}
+        names = {model.body(b).name for bodies in last.values() for b in bodies}
+        try:
+            shaped = compiled(self.path, bare(self.path, names))
+        except RobotError as error:  # a mesh that cannot be read
+            shaped = model
+            self.note("ignored", "meshes of the last links", str(error))
+        chains = [_footed(model, row, last[row[-1]], shaped) for row in rows]
+        if driven := driven_joints(self.described):
+            chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
+        for number, chain in enumerate(chains):
+            if len(chain.joints) > MOST_JOINTS:
+                self.note("changed", f"{len(chain.joints)} joints in a row", f"the last beyond {MOST_JOINTS} are held")
+                chains[number] = chain._replace(joints=chain.joints[:MOST_JOINTS])
+        able = [chain for chain in chains if len(chain.joints) >= FEWEST_JOINTS]
+        feet = [chain for chain in able if chain.named]
+        limbs = feet if len(feet) >= MIN_LIMBS else able
+        counts = collections.Counter(len(chain.joints) for chain in limbs)
+        if len(counts) > 1 and (common := counts.most_common(1)[0])[1] >= 3:
+            limbs = [chain for chain in limbs if abs(len(chain.joints) - common[0]) <= _ALIKE]
+        if len(limbs) < MIN_LIMBS:
+            expected = f"{MIN_LIMBS} limbs or more, rows of {FEWEST_JOINTS} joints or more from the base"
+            raise RobotError(f"{self.path}: expected {expected}, got {len(limbs)}")
+        if len(limbs) > MAX_LIMBS:
+            self.note("ignored", f"{len(limbs) - MAX_LIMBS} limbs", f"more than {MAX_LIMBS}: held")
+            limbs = limbs[:MAX_LIMBS]
+        if guessed := [repr(chain.foot) for chain in limbs if chain.guessed]:
+            why = f"not in the file ({', '.join(guessed)}), nor shapes: guessed from weights; correct robot.limbs' `at`"
+            self.note("changed", "ends of last links", why)
+        if ends := sorted({chain.end for chain in limbs if chain.end}):
+            which = ", ".join(ends[:MAX_LIMBS]) + (", ..." if len(ends) > MAX_LIMBS else "")
+            self.note("taken", "feet", f"where the shapes of the last links reach farthest: {which}")
+        return limbs
+
+    def _check_level(self, limbs: dict[str, Chain]) -> None:
+        data = at_zero(self.model)
+        if self.model.nkey:
+            data.qpos[:] = self.model.key_qpos[0]
+            mujoco.mj_kinematics(self.model, data)
+        # of the first and the last joint of each limb, (limb, 2) m
+        anchors = data.xanchor[[[chain.joints[0], chain.joints[-1]] for chain in limbs.values()]]
+        heights = anchors @ data.xmat[self.base].reshape(3, 3)[:, 2]
+        above = heights - heights.min(0)
+        quarter = (heights[:, 0].max() - heights[:, 1].min()) / 4
+        low, high = (
+            [name for name, is_so in zip(limbs, so.all(1), strict=True) if is_so]
+            for so in (above < quarter, above > quarter)
+        )
+        if len(low) >= MIN_LIMBS and high:
+            got = f"{', '.join(high)} above {', '.join(low)}"
+            choose = f"choose with --limbs {','.join(low)}, or --limbs {','.join(limbs)}"
+            raise RobotError(f"{self.path}: expected limbs that stand on the ground, got {got}: {choose}")
 
 
 def _base_of(path: str, model: mujoco.MjModel) -> int:
@@ -178,51 +219,14 @@ def _rows(model: mujoco.MjModel, base: int) -> list[list[int]]:
     return [longest(body, 0) for body in _beyond(model, rigid_parts(model)[base])]
 
 
-def _limbs_of(path: str, full: mujoco.MjSpec, model: mujoco.MjModel, base: int, notes: Notes) -> dict[str, Chain]:
-    """Return the limbs by name: the rows that end in feet, of about the commonest number of joints."""
-    rows, part = _rows(model, base), rigid_parts(model)
-    last = {body: [b for b in range(model.nbody) if part[b] == body] for body in (row[-1] for row in rows)}
-    try:
-        shaped = compiled(path, bare(path, {model.body(b).name for bodies in last.values() for b in bodies}))
-    except RobotError as error:  # a mesh that cannot be read
-        shaped = model
-        notes.add("ignored", "meshes of the last links", str(error))
-    chains = [_footed(model, row, last[row[-1]], shaped) for row in rows]
-    if driven := driven_joints(full):
-        chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
-    for number, chain in enumerate(chains):
-        if len(chain.joints) > MOST_JOINTS:
-            notes.add("changed", f"{len(chain.joints)} joints in a row", f"the last beyond {MOST_JOINTS} are held")
-            chains[number] = chain._replace(joints=chain.joints[:MOST_JOINTS])
-    able = [chain for chain in chains if len(chain.joints) >= FEWEST_JOINTS]
-    feet = [chain for chain in able if chain.named]
-    limbs = feet if len(feet) >= MIN_LIMBS else able
-    counts = collections.Counter(len(chain.joints) for chain in limbs)
-    if len(counts) > 1 and (common := counts.most_common(1)[0])[1] >= 3:
-        limbs = [chain for chain in limbs if abs(len(chain.joints) - common[0]) <= _ALIKE]
-    if len(limbs) < MIN_LIMBS:
-        expected = f"{MIN_LIMBS} limbs or more, rows of {FEWEST_JOINTS} joints or more from the base"
-        raise RobotError(f"{path}: expected {expected}, got {len(limbs)}")
-    if len(limbs) > MAX_LIMBS:
-        notes.add("ignored", f"{len(limbs) - MAX_LIMBS} limbs", f"more than {MAX_LIMBS}: held")
-        limbs = limbs[:MAX_LIMBS]
-    if guessed := [repr(chain.foot) for chain in limbs if chain.guessed]:
-        why = f"not in the file ({', '.join(guessed)}), nor shapes: guessed from weights; correct robot.limbs' `at`"
-        notes.add("changed", "ends of last links", why)
-    if ends := sorted({chain.end for chain in limbs if chain.end}):
-        which = ", ".join(ends[:MAX_LIMBS]) + (", ..." if len(ends) > MAX_LIMBS else "")
-        notes.add("taken", "feet", f"where the shapes of the last links reach farthest: {which}")
-    return dict(zip(_names(model, limbs), limbs, strict=True))
-
-
 def beginning(names: Sequence[list[str]]) -> list[str]:
     """Return the words with which all names begin."""
     alike = itertools.takewhile(lambda words: len(set(words)) == 1, zip(*names, strict=False))
     return [words[0] for words in alike]
 
 
-def _names(model: mujoco.MjModel, limbs: list[Chain]) -> list[str]:
-    """Return what the names of a limb's joints have in common, at the beginning or at the end, or other names."""
+def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
+    """Return the limbs by what the names of their joints have in common, at the beginning or at the end."""
     names = [[model.joint(joint).name for joint in chain.joints] for chain in limbs]
     words = [[[word for word in re.split(r"[_\-. /]+", name) if word] for name in row] for row in names]
     beginnings = ["_".join(beginning(rows)) for rows in words]
@@ -230,8 +234,8 @@ def _names(model: mujoco.MjModel, limbs: list[Chain]) -> list[str]:
     bodies = [model.body(model.jnt_bodyid[chain.joints[0]]).name for chain in limbs]
     for found in (beginnings, ends, bodies):
         if all(found) and len(set(found)) == len(found) and "." not in "".join(found):
-            return found
-    return [f"limb{n + 1}" for n in range(len(limbs))]
+            return dict(zip(found, limbs, strict=True))
+    return {f"limb{n + 1}": chain for n, chain in enumerate(limbs)}
 
 
 # ------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, driven_joints, impossible, one_limit
-from mjx_climb.robot.limbs import Found, Note, Notes, at_zero, foot_of, found
+from mjx_climb.robot.limbs import Found, Note, at_zero, foot_of
 from mjx_climb.robot.robot_file import REACH
 from mjx_climb.robot.stance import STANDING, Stance, Standing, checked, searched
 
@@ -49,8 +49,8 @@ def propose(
         RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more; limbs
             of which some start and end higher than others, where nobody says which it stands on.
     """
-    robot = found(file, base, stand_on)
-    model, notes, limbs = robot.model, robot.notes, robot.limbs
+    robot = Found(file, base, stand_on)
+    model, limbs = robot.model, robot.limbs
     data = at_zero(model)
     points = [np.array([*data.xanchor[list(chain.joints)], foot_of(model, data, chain)]) for chain in limbs.values()]
     hips = (np.array([row[0] for row in points]) - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
@@ -68,20 +68,20 @@ def propose(
     _note_the_rest(robot)
     stance = None if key is None else _of_keyframe(robot, key, section)
     if stance is None:
-        notes.add("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
+        robot.note("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
         stance = searched(section, hips, float(lengths.min()))
     section["height"] = stance.height
     for limb, foothold in zip(section["limbs"].values(), stance.footholds, strict=True):
         limb["foothold"] = foothold.tolist()
-    gait = _gait(section, stance, reach, notes)
+    gait = _gait(robot, section, stance, reach)
     stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
-    notes.add("changed", "contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
+    robot.note("changed", "contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
     if len(limbs) <= STANDING:
-        _hold_turns(section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2, notes)
+        _hold_turns(robot, section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2)
     _note_drives(robot)
-    notes.add("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another")
+    robot.note("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another")
     walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"], **proportions}
-    return Proposal({"robot": section, **walk}, tuple(notes))
+    return Proposal({"robot": section, **walk}, tuple(robot.notes))
 
 
 def _keyframe(model: mujoco.MjModel) -> int | None:
@@ -99,10 +99,10 @@ def _of_keyframe(robot: Found, key: int, section: dict[str, Any]) -> Stance | No
     feet = (feet - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
     height = -float(feet[:, 2].mean())
     if height > 0 and (stance := checked(section, Stance(height, feet[:, :2]))):
-        robot.notes.add("taken", f"stance of {what}", "the feet stand where it puts them")
+        robot.note("taken", f"stance of {what}", "the feet stand where it puts them")
         return stance
     why = "no stance: feet above the base, or with them level limbs singular or joints at their limits"
-    robot.notes.add("ignored", what, why)
+    robot.note("ignored", what, why)
     return None
 
 
@@ -124,7 +124,7 @@ def _held(robot: Found, key: int | None) -> dict[str, float]:
             value = 0.0 if key is None else float(model.key_qpos[key][model.jnt_qposadr[joint]])
             name = model.joint(joint).name
             held[name] = _resting(model, int(joint), value)
-            robot.notes.add("changed", f"joint {name!r}", f"of no limb: held at {held[name]:.3g}")
+            robot.note("changed", f"joint {name!r}", f"of no limb: held at {held[name]:.3g}")
     return held
 
 
@@ -141,48 +141,46 @@ def _springs(robot: Found, control: dict[str, float]) -> dict[str, dict[str, flo
             own = {"stiffness": stiffness} if stiffness else {"stiffness": control["kp"], "damping": control["kd"]}
             springs[name] = own | {"rest": _resting(model, joint, rest)}
             why = "the file's" if stiffness else "as stiff as the joint loop, for the file has none"
-            robot.notes.add("changed", f"joint {name!r}", f"nothing drives it: on a spring, {why}")
+            robot.note("changed", f"joint {name!r}", f"nothing drives it: on a spring, {why}")
     return springs
 
 
 def _note_the_rest(robot: Found) -> None:
     """Note what the file holds and the dynamics do not need, and what was mended."""
-    full, model, notes = robot.described, robot.model, robot.notes
+    full, model = robot.described, robot.model
     others = set(model.body_rootid[1:]) - {model.body_rootid[robot.base]}
-    for number, what, why in (
-        (len(full.meshes) - model.nmesh, "meshes", "looks: masses and inertias are written down"),
-        (len(full.sensors), "sensors", "not simulated"),
-        (len(full.tendons), "tendons", "not simulated"),
-        (len(full.equalities), "equality constraints", "not simulated"),
-        (len(others), "other bodies", "not the robot"),
-    ):
-        if number:
-            notes.add("ignored", f"{number} {what}", why)
-    if len(full.actuators):
-        notes.add("changed", f"{len(full.actuators)} actuators", "the joint loop's torques take their place")
-    for body in np.flatnonzero(model.body_jntnum > 0):
-        if model.body_mass[body] <= SPECK:
-            notes.add("changed", f"link {model.body(body).name!r}", "has no mass: it gets a speck of one")
-        elif model.body_inertia[body].max() <= SPECK_MOMENT:
-            notes.add("taken", f"link {model.body(body).name!r}", "as a point: the file gives it a mass alone")
-    if model.body_gravcomp.any():
-        notes.add("ignored", "gravity compensation", "all links weigh what they weigh")
-    if names := [repr(body.name) for body in full.bodies if impossible(body)]:
-        which = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
-        notes.add("changed", "moments of inertia", f"no body can have those of {which}: made equal")
+    mended = [repr(body.name) for body in full.bodies if impossible(body)]
+    named = ", ".join(mended[:_NAMED]) + (f" and {len(mended) - _NAMED} more" if len(mended) > _NAMED else "")
     up = np.empty(3)
     mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.body_quat[robot.base])
-    if up[2] < _UPRIGHT:
-        what = f"z axis of {model.body(robot.base).name!r}"
-        notes.add("changed", what, "is taken as up, although the file stands it otherwise")
-    if written := len(full.keys) - model.nkey:
-        why = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
-        notes.add("ignored", f"{written} keyframes", "they begin at the file's own root" if robot.root else why)
+    lost = f"not of the {model.nq} positions that the robot has here, a ball joint being three hinges"
+    for number, kind, what, why in (
+        (len(full.meshes) - model.nmesh, "ignored", "{} meshes", "looks: masses and inertias are written down"),
+        (len(full.sensors), "ignored", "{} sensors", "not simulated"),
+        (len(full.tendons), "ignored", "{} tendons", "not simulated"),
+        (len(full.equalities), "ignored", "{} equality constraints", "not simulated"),
+        (len(others), "ignored", "{} other bodies", "not the robot"),
+        (len(full.actuators), "changed", "{} actuators", "the joint loop's torques take their place"),
+        (model.body_gravcomp.any(), "ignored", "gravity compensation", "all links weigh what they weigh"),
+        (len(mended), "changed", "moments of inertia", f"no body can have those of {named}: made equal"),
+        (up[2] < _UPRIGHT, "changed", f"z axis of {model.body(robot.base).name!r}",
+         "is taken as up, although the file stands it otherwise"),
+        (len(full.keys) - model.nkey, "ignored", "{} keyframes",
+         "they begin at the file's own root" if robot.root else lost),
+    ):  # fmt: skip
+        if number:
+            robot.note(kind, what.format(number), why)
+    for body in np.flatnonzero(model.body_jntnum > 0):
+        what = f"link {model.body(body).name!r}"
+        if model.body_mass[body] <= SPECK:
+            robot.note("changed", what, "has no mass: it gets a speck of one")
+        elif model.body_inertia[body].max() <= SPECK_MOMENT:
+            robot.note("taken", what, "as a point: the file gives it a mass alone")
 
 
 def _note_drives(robot: Found) -> None:
     """Note what is taken with the joints, and what they lack."""
-    model, joints, notes = robot.model, robot.joints, robot.notes
+    model, joints = robot.model, robot.joints
     dofs = model.jnt_dofadr[joints]
     limits = np.array([one_limit(*model.jnt_actfrcrange[joint]) for joint in joints if model.jnt_actfrclimited[joint]])
     some = "" if len(limits) == len(joints) else f", of {len(limits)} joints"
@@ -193,19 +191,19 @@ def _note_drives(robot: Found) -> None:
         (limits, "torque limits", some),
     ):
         if values.any():
-            notes.add("taken", what, f"{values.min():.3g} to {values.max():.3g}{of}")
+            robot.note("taken", what, f"{values.min():.3g} to {values.max():.3g}{of}")
     if model.dof_dampingpoly[dofs].any() or model.jnt_stiffnesspoly[joints].any():
-        notes.add("ignored", "damping and stiffness", "beyond the part that is linear")
+        robot.note("ignored", "damping and stiffness", "beyond the part that is linear")
     if free := int((model.jnt_limited[joints] == 0).sum()):
-        how = f"half a turn either way, or {REACH:g} m where they slide"
-        notes.add("changed", f"limits of {free} joints", f"the file has none: {how}")
+        why = f"the file has none: half a turn either way, or {REACH:g} m where they slide"
+        robot.note("changed", f"limits of {free} joints", why)
 
 
 # ------------------------------------------------------------------------------------------------------------
 # Gait, grip and gains
 
 
-def _gait(section: dict[str, Any], stance: Stance, reach: float, notes: Notes) -> dict[str, Any]:
+def _gait(robot: Found, section: dict[str, Any], stance: Stance, reach: float) -> dict[str, Any]:
     """Return a crawl: up one side from behind, then up the other, strides and steps that all limbs can reach."""
     (height, footholds), names = stance, list(section["limbs"])
     order = sorted(range(len(names)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
@@ -217,9 +215,9 @@ def _gait(section: dict[str, Any], stance: Stance, reach: float, notes: Notes) -
             break
     else:
         why = "limbs do not reach footholds even so near to those where they stand: look at the stance"
-        notes.add("changed", f"stride {_two_digits(stride):g} m", why)
+        robot.note("changed", f"stride {_two_digits(stride):g} m", why)
     within = f", the stride 1/{shorter} of that for joint limits" if shorter > 1 else ""
-    notes.add("changed", "gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}")
+    robot.note("changed", "gait", f"a crawl in proportion to limbs of {reach:.3g} m{within}")
     share = 1 - 1 / len(names)
     load = max(1.0, (_CRAWLING - 1) / (len(names) - 1))  # of each foot on the ground, in that of a robot of four
     return {
@@ -232,7 +230,7 @@ def _gait(section: dict[str, Any], stance: Stance, reach: float, notes: Notes) -
 
 
 def _hold_turns(
-    section: dict[str, Any], proportions: dict[str, Any], gait: dict[str, Any], size: float, notes: Notes
+    robot: Found, section: dict[str, Any], proportions: dict[str, Any], gait: dict[str, Any], size: float
 ) -> None:
     """Give a robot that stands on one or two feet grips that transmit moments; `size` is its mass times reach squared.
 
@@ -250,7 +248,7 @@ def _hold_turns(
         gait["stride"] = _two_digits(gait["stride"] / _SHORT_STRIDE)
         turn = f"it resists limbs of under {_ATTITUDE} joints, which turn their feet"
         why = f"{turn}: short strides, and it may let go"
-    notes.add("changed", "grip", f"transmits moments: on one or two feet held as points the robot swings; {why}")
+    robot.note("changed", "grip", f"transmits moments: on one or two feet held as points the robot swings; {why}")
     for part in (contact, control):
         part |= {key: _two_digits(part[key]) for key in (*_HOLDS_TURNS, "kp", "kd") if key in part}
 

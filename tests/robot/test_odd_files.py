@@ -10,7 +10,7 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import growth
 from mjx_climb.robot.constants import load_model
 from mjx_climb.robot.description import bare, compiled, described, driven_joints
-from mjx_climb.robot.limbs import found, rerooted
+from mjx_climb.robot.limbs import Found, rerooted
 from mjx_climb.robot.proposal import propose
 from tests.robot import climbers
 from tests.robot.test_robot_file import robot_of, urdf
@@ -25,7 +25,7 @@ def model_of(file):
 
 def limbs_in(file):
     """Return the limbs of a file by name, and what was noted."""
-    robot = found(file)
+    robot = Found(file)
     return robot.limbs, " ".join(map(" ".join, robot.notes))
 
 
@@ -157,7 +157,7 @@ def test_a_hand_ends_a_limb(saved):
 def test_a_base_that_slides_beside_a_pebble_that_floats(saved):
     slides = PLAIN.replace("<freejoint/>", '<joint name="rx" type="slide" axis="1 0 0"/>')
     pebble = '<worldbody><body name="pebble"><freejoint/><geom size="0.1"/></body>'
-    robot = found(saved(slides.replace("<worldbody>", pebble)))
+    robot = Found(saved(slides.replace("<worldbody>", pebble)))
     assert robot.model.body(robot.base).name == "trunk"
 
 
@@ -208,7 +208,7 @@ def test_arms_above_legs_are_asked_for(saved, ended):
     file = saved(trunk + "".join(legs + arms) + "</body></worldbody></mujoco>")
     with pytest.raises(mc.RobotError, match="got arm_L0, arm_L1 above L0, L1: choose with --limbs L0,L1, or"):
         propose(file)
-    assert list(found(file, stand_on=["L1", "L0"]).limbs) == ["L0", "L1"]
+    assert list(Found(file, stand_on=["L1", "L0"]).limbs) == ["L0", "L1"]
     code, _, error = ended(file, "--limbs", "L0,leg")
     assert code == 2 and "--limbs: expected two or more of L0, L1, arm_L0" in error
 
