@@ -150,7 +150,10 @@ def run(
         ceiling = Limit(asked.against, values, scales, _MARGIN, "the row's own", about.larger_is_better)
         rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*others, ceiling)))
         for number in range(STAGES):
-            theta = _best_within(_walked(problem, asked, rounds), _sign(about) * limits)
+            walked = _walked(problem, asked, rounds)  # from the best within each limit, else what comes closest to it
+            inside = walked.x <= _sign(about) * limits[:, None]
+            best = np.where(inside, walked.y, np.inf).argmin(1)
+            theta = walked.theta[np.where(inside.any(1), best, walked.x.argmin())]
             moves = again(Task(rows, settings, start), theta, ITERATIONS, number, STAGES, rng)
             follow(moves, lambda request: rounds.evaluate(rows, request))
     data = _dataset(problem, asked, _walked(problem, asked, rounds), _sign(about) * limits[-1])
@@ -160,7 +163,10 @@ def run(
 
 
 def nondominated(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the indices of the points that no other beats in both, smaller is better, in the order of x."""
+    """Return the indices of the points that no other beats in both, smaller is better, in the order of x.
+
+    Points whose y is infinite are none of them.
+    """
     order = np.lexsort((y, x))
     best = np.minimum.accumulate(np.concatenate([[np.inf], y[order][:-1]]))
     return order[y[order] < best]
@@ -233,17 +239,10 @@ def _limits(problem: Problem, asked: Pareto, walked: Walked) -> np.ndarray:
     return np.asarray(sign * spaced(low, high, asked.points))
 
 
-def _best_within(walked: Walked, ceilings: np.ndarray) -> np.ndarray:
-    """Return for each ceiling on x the best point within it (points, n), else the one that comes closest to it."""
-    inside = walked.x <= ceilings[:, None]
-    best = np.where(inside, walked.y, np.inf).argmin(1)
-    return np.asarray(walked.theta[np.where(inside.any(1), best, walked.x.argmin())])
-
-
 def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> xr.Dataset:
     """Return the front among all that was walked, within the widest ceiling where there are such points."""
     scenario, table, law = problem.scenario, problem.metrics, problem.law
-    candidates = _on_front(walked.x, walked.y)
+    candidates = nondominated(walked.x, walked.y)
     within = walked.x[candidates] <= widest * (1 + 1e-6 * np.sign(widest))
     gains = to_gains64(problem.space, walked.theta[candidates[within] if within.any() else candidates])
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
@@ -268,15 +267,9 @@ def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> 
     return xr.Dataset(data, coordinates | axes_of(gains_on), attrs)
 
 
-def _on_front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the indices of the points on the front that hold, which is where their costs are finite."""
-    on = nondominated(x, y)
-    return np.asarray(on[np.isfinite(y[on])])
-
-
 def _front(table: mc.MetricTable, asked: Pareto, walks: Mapping[str, np.ndarray], held: np.ndarray) -> np.ndarray:
     """Return the indices of the walks on the front of those that held."""
-    return _on_front(*(np.where(held, _sign(table[n]) * walks[n], np.inf) for n in (asked.against, asked.better)))
+    return nondominated(*(np.where(held, _sign(table[n]) * walks[n], np.inf) for n in (asked.against, asked.better)))
 
 
 def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:

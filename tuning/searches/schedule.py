@@ -120,7 +120,7 @@ def operating_points(scenario: mc.Scenario, search: Search, asked: Schedule, **w
     parameters = dataclasses.replace(own_parameters(scenario), gravity=G * level[:, None] * down, cargo_mass=load)
     pd = pd_of(scenario, parameters, engine=problem.engine, metrics=problem.metrics)
     at_each = [{name: float(values[place]) for name, values in pd.items()} for place in range(load.size)]
-    goals = [objective_at(scenario, search, there, problem.metrics) for there in at_each]
+    goals = [_objective_at(problem, search, there) for there in at_each]
     problem = dataclasses.replace(problem, parameters=parameters, objective=_rows(goals))
     return OperatingPoints(problem, search, asked, goals)
 
@@ -158,20 +158,15 @@ def run(
     return Scheduled(_dataset(points, best, merit, transfer).assign_attrs(env_steps=rounds.env_steps), problem, search)
 
 
-def objective_at(
-    scenario: mc.Scenario, settings: Search, baseline: dict[str, float], metrics: mc.MetricTable = mc.METRICS
-) -> Objective:
-    """Return the objective of one operating point relative to pd there.
-
-    A limit on the base's deviation that follows from pd's is at least a millimetre: without cargo or weight pd hardly
-    sags.
-    """
-    plain, limits = objectives.objective(scenario, settings, baseline, metrics=metrics), []
-    for limit in plain.limits:
-        if limit.metric == "base_deviation" and "base_deviation" not in settings.limits:
-            limit = limit._replace(value=max(limit.value, 1e-3), scale=max(limit.scale, 1e-3))
-        limits.append(limit)
-    return dataclasses.replace(plain, limits=tuple(limits))
+def _objective_at(problem: Problem, search: Search, baseline: dict[str, float]) -> Objective:
+    """Return the objective of one operating point relative to pd there."""
+    goal = objectives.objective(problem.scenario, search, baseline, metrics=problem.metrics)
+    limits = list(goal.limits)
+    for place, own in enumerate(limits):
+        if own.metric == "base_deviation" and own.metric not in search.limits:
+            # at least a millimetre: without cargo or weight pd hardly sags
+            limits[place] = own._replace(value=max(own.value, 1e-3), scale=max(own.scale, 1e-3))
+    return dataclasses.replace(goal, limits=tuple(limits))
 
 
 def _rows(rows: Sequence[Objective]) -> Objective:
@@ -252,21 +247,14 @@ def worth(table: xr.Dataset) -> str:
 def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:
     """Return the gains between the operating points: logarithms, linear in log gravity and in cargo, held at the ends.
 
-    Arguments:
-        table: what `schedule` gave.
-        gravity: G.
-        cargo: kg.
+    `table` is what `schedule` gave, gravity is in G, cargo in kg.
     """
-
-    def between(name: str) -> np.ndarray:
-        values = table[name].values
-        logs = np.log(values.reshape(table.sizes["gravity"], table.sizes["cargo"], -1))
-        loads, levels = table["cargo"].values, np.log(table["gravity"].values)
-        at_cargo = [[np.interp(cargo, loads, logs[g, :, i]) for i in range(logs.shape[2])] for g in range(len(logs))]
-        found = np.exp([np.interp(math.log(gravity), levels, column) for column in np.transpose(at_cargo)])
-        return found if values.ndim > 2 else found[0]
-
-    return spaces.as_gains({name: between(name) for name in table.attrs["gains"].split()})
+    loads, levels, level = table["cargo"].values, np.log(table["gravity"].values), math.log(gravity)
+    found = {}
+    for name in table.attrs["gains"].split():
+        at_cargo = np.apply_along_axis(lambda logs: np.interp(cargo, loads, logs), 1, np.log(table[name].values))
+        found[name] = np.exp(np.apply_along_axis(lambda logs: np.interp(level, levels, logs), 0, at_cargo))
+    return spaces.as_gains(found)
 
 
 def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:

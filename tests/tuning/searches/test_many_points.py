@@ -1,5 +1,6 @@
 """Searches where a GPU's kernel walks thousands: which method, how many points, and when they are done."""
 
+import functools
 import subprocess
 import sys
 import types
@@ -98,26 +99,16 @@ def test_the_method_that_suits_the_machine(kernel, case):
 def test_a_chosen_method_stays(kernel, monkeypatch, robust):
     """By the one rule that the command has too: settings or a method that are given, and nothing else, choose."""
 
-    def search(scenario, **settings):
-        return tuning.robust(scenario, Ensemble(members=2), **settings) if robust else tuning.tune(scenario, **settings)
-
-    class Asked(Exception):
-        pass
-
     def run(problem, search, *_, **__):
-        raise Asked(search.method)
+        pytest.fail(f"asked for {search.method}")
 
     monkeypatch.setattr(tune, "run", run)
     monkeypatch.setattr(tune, "problem_of", lambda *_, **__: None)
-    scenario = mc.load_scenario("case_1_2")
-    for settings, expected in (
-        ({}, "cmaes"),
-        ({"space": "split"}, "cmaes"),
-        ({"method": "gradient"}, "gradient"),
-        ({"search": Search()}, "gradient"),
-    ):
-        with pytest.raises(Asked, match=expected):
-            search(scenario, **settings)
+    search = functools.partial(tuning.robust, ensemble=Ensemble(members=2)) if robust else tuning.tune
+    given = {"method": "gradient"}, {"search": Search()}
+    for settings, expected in (({}, "cmaes"), ({"space": "split"}, "cmaes"), *((each, "gradient") for each in given)):
+        with pytest.raises(pytest.fail.Exception, match=expected):
+            search(mc.load_scenario("case_1_2"), **settings)
 
 
 def test_the_search_is_a_call_of_the_package_and_of_its_module():

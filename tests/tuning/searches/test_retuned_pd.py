@@ -40,6 +40,15 @@ def _valley(walked, kp, kd):
     return {"force_variation": values, "detached_limb": np.where(across > 0.5, 0, -1), "diverged": across < -3}
 
 
+def walking(monkeypatch, **other):
+    """Have walks go down the valley, with other metrics as functions of the gains."""
+
+    def walk(scenario, gains, **_):
+        return _valley(scenario, **gains) | {name: values(gains) for name, values in other.items()}
+
+    monkeypatch.setattr(mc, "rollout_metrics", walk)
+
+
 def test_pd_is_searched_over_all_its_bounds_and_refined(monkeypatch):
     """Two grids of as many walks as a sweep of 12 by 12, at a time step that every one of them can follow."""
     calls = []
@@ -54,16 +63,13 @@ def test_pd_is_searched_over_all_its_bounds_and_refined(monkeypatch):
     assert [call[:2] for call in calls] == [(2.5e-4, 145)] * 2
     assert _valley(None, **found.joint)["force_variation"] < 40.05  # 40.4 with the first grid alone
     assert 0 < found.spread < 1e-3 and not found.lacks
-    monkeypatch.setattr(
-        mc, "rollout_metrics", lambda s, gains, **_: {**_valley(s, **gains), "diverged": gains["kp"] > 0}
-    )
+    walking(monkeypatch, diverged=lambda gains: gains["kp"] > 0)
     assert retuned_pd.least(CASE) is None
 
 
 def test_kp_and_kd_that_no_time_step_follows_are_not_found(monkeypatch):
     """Where a quarter of the step is too long for the bounds it is said, and nobody is told to walk so."""
-    walk = lambda scenario, gains, **_: {**_valley(scenario, **gains), "force_variation": 1 / gains["kd"]}  # noqa: E731
-    monkeypatch.setattr(mc, "rollout_metrics", walk)
+    walking(monkeypatch, force_variation=lambda gains: 1 / gains["kd"])
     scenario = CASE.with_overrides({"control.kd": 1.0, "control.kp": 200.0})  # kd up to 10
     found = retuned_pd.least(scenario)
     assert short_enough(retuned_pd.walker(scenario, found.joint))
@@ -103,9 +109,8 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     for pair in ((OURS, THEIRS), (THEIRS, OURS)):
         same = worth(*pair, RIVAL._replace(spread=0.34)).in_words
         assert same.startswith("the force sensor changes nothing beyond the search's own spread of 34.0 %: ")
-    told = worth(
-        OURS, THEIRS, RIVAL._replace(step=5e-4), others=(["peak pull force +71.0 %"], ["travel +3.0 %"])
-    ).in_words
+    others = ["peak pull force +71.0 %"], ["travel +3.0 %"]
+    told = worth(OURS, THEIRS, RIVAL._replace(step=5e-4), others=others).in_words
     assert told.endswith(", both at a time step of 0.0005 s; worse: peak pull force +71.0 %; better: travel +3.0 %")
     assert worth({"min_tsm": 3.0}, {"min_tsm": 2.0}, RIVAL, larger=True).in_words.startswith("the force sensor pays")
     lost = worth({"force_variation": np.nan}, THEIRS, RIVAL).in_words

@@ -11,9 +11,8 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
-from tuning.problem import ensemble as ensembles
 from tuning.problem import search, spaces
-from tuning.problem.ensemble import Ensemble
+from tuning.problem.ensemble import Ensemble, Worst, draw, worst_mean
 from tuning.problem.evaluation import Problem, pd_of
 from tuning.problem.objectives import Objective, Term, objective
 from tuning.searches import judge, tune
@@ -30,37 +29,44 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def ensemble():
-    return ensembles.Ensemble.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}})
+    return Ensemble.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}})
 
 
-def test_the_shipped_ensemble_is_the_default_one():
-    assert ensembles.Ensemble.load(config_path("ensemble.yaml")) == Ensemble()
+@pytest.fixture(scope="module")
+def pd(scenario, ensemble):
+    return {name: value.reshape(-1) for name, value in pd_of(scenario, draw(scenario, ensemble)).items()}
 
 
 def test_yaml_round_trip(tmp_path, ensemble):
     (tmp_path / "e.yaml").write_text(ensemble.to_yaml())
-    assert ensembles.Ensemble.load(tmp_path / "e.yaml") == ensemble
+    assert Ensemble.load(tmp_path / "e.yaml") == ensemble
+    assert Ensemble.load(config_path("ensemble.yaml")) == Ensemble()  # the shipped one is the default
 
 
 def test_a_seed_gives_one_draw_and_another_seed_another(scenario):
-    first, again, other = (ensembles.draw(scenario, Ensemble(members=5, seed=s)) for s in (1, 1, 2))
+    first, again, other = (draw(scenario, Ensemble(members=5, seed=s)) for s in (1, 1, 2))
     assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (first, again)), strict=True))
     assert not np.array_equal(first.cargo_mass, other.cargo_mass)
 
 
+def check_filled(values, low, high, share):
+    """Values are within a range, and as near to both of its ends as a share of its width."""
+    reach = share * (high - low)
+    assert low - 1e-9 <= values.min() < low + reach and high - reach < values.max() <= high + 1e-9
+
+
 def test_draws_fill_their_ranges(scenario):
-    drawn = ensembles.draw(mc.load_scenario(config_path("case_1_1.yaml")), Ensemble(members=200))
+    drawn = draw(mc.load_scenario(config_path("case_1_1.yaml")), Ensemble(members=200))
     assert drawn.gravity.shape == (200, 1, 3) and drawn.push_force.shape == (200, 1, 2, 3)
     size = np.linalg.norm(drawn.gravity, axis=-1) / 9.81
     slope = np.degrees(np.arccos(-drawn.gravity[..., 2] / (9.81 * size)))
     force = np.linalg.norm(drawn.push_force, axis=-1)
-    for values, low, high in (
+    for values, *span in (
         (drawn.cargo_mass, 0.0, 1.5), (size, 0.9, 1.1), (slope, 0.0, 10.0), (force, 1.0, 5.0),
         (drawn.contact_stiffness / 1e4, 0.5, 2.0), (drawn.mass_scale, 0.9, 1.1), (drawn.push_start, 0.5, 7.0),
         (drawn.push_stop - drawn.push_start, 0.2, 1.0),
     ):  # fmt: skip
-        reach = high - low
-        assert low - 1e-9 <= values.min() < low + 0.02 * reach and high - 0.02 * reach < values.max() <= high + 1e-9
+        check_filled(values, *span, 0.02)
     directions = (drawn.push_force / force[..., None]).reshape(-1, 3)
     assert np.abs(directions.mean(0)).max() < 0.1 and np.abs((directions**2).mean(0) - 1 / 3).max() < 0.1
 
@@ -69,8 +75,6 @@ HARDWARE = {
     "force_delay": (0.002, 0.015), "control_rate": (100.0, 500.0), "force_noise": (0.05, 0.3), "friction": (0.5, 2.0),
     "armature": (0.5, 2.0), "force_filter": (10.0, 50.0), "force_bias": (-0.2, 0.2), "capture_distance": (0.001, 0.01),
 }  # fmt: skip
-
-
 SCALED = ("coulomb_friction", "load_friction", "viscous_friction", "armature")
 
 
@@ -78,8 +82,8 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     scenario = with_hardware(mc.load_scenario(config_path("case_2.yaml")), load_hardware("dynamixel_x"))
     scenario = scenario.with_overrides({"hardware.servo": {"load_friction": 0.1, "viscous_friction": 0.02}})
     own = jax.tree.map(np.asarray, mc.parameters(scenario))
-    before = ensembles.draw(scenario, Ensemble(members=50))
-    drawn = ensembles.draw(scenario, ensembles.Ensemble.make({"members": 50, "hardware": HARDWARE}))
+    before = draw(scenario, Ensemble(members=50))
+    drawn = draw(scenario, Ensemble.make({"members": 50, "hardware": HARDWARE}))
     for name in ("push_force", "cargo_mass", "gravity", "mass_scale", "contact_stiffness", "backlash"):
         np.testing.assert_array_equal(getattr(before, name), getattr(drawn, name))
     assert len(np.unique(drawn.seed)) == 50 and before.seed.ndim == 0
@@ -90,9 +94,8 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
         *((getattr(drawn, name) / getattr(own, name), 0.5, 2.0) for name in SCALED),
         (drawn.force_filter, 10.0, 50.0), (drawn.force_bias, -0.2, 0.2), (drawn.capture_distance, 0.001, 0.01),
     ):  # fmt: skip
-        reach = high - low
         assert values.shape == (50, 1)
-        assert low - 1e-9 <= values.min() < low + 0.1 * reach and high - 0.1 * reach < values.max() <= high + 1e-9
+        check_filled(values, low, high, 0.1)
     assert np.median(rate) == pytest.approx(np.sqrt(100.0 * 500.0), rel=0.15)
 
 
@@ -101,14 +104,14 @@ def test_joint_gains_are_searched_where_there_is_hardware(scenario):
     names = [spaces.space(s, search.Search()).names for s in (scenario, late)]
     assert names == [("damping", "stiffness"), ("damping", "stiffness", "kp", "kd")]
     assert spaces.space(late, search.Search.make({"joint_gains": False})).size == 2
-    drawn = ensembles.Ensemble.make({"hardware": {"force_delay": (0.0, 0.01)}})
+    drawn = Ensemble.make({"hardware": {"force_delay": (0.0, 0.01)}})
     assert tune.over_ensemble(search.Search(), {}, drawn).joint_gains
     assert not tune.over_ensemble(None, {"joint_gains": False}, drawn).joint_gains
     assert tune.over_ensemble(search.Search(), {}, Ensemble()).joint_gains is None
 
 
 def test_sections_that_are_null_leave_the_scenario(scenario):
-    drawn = ensembles.draw(scenario, Ensemble(members=3, pushes=None, cargo=None, gravity=None))
+    drawn = draw(scenario, Ensemble(members=3, pushes=None, cargo=None, gravity=None))
     own = mc.parameters(scenario)
     for name in ("push_force", "push_start", "cargo_mass", "gravity"):
         np.testing.assert_allclose(getattr(drawn, name), getattr(own, name), rtol=1e-6)
@@ -132,30 +135,26 @@ def test_mass_scale_is_a_robot_of_other_mass(scenario):
 
 def test_worst_mean():
     values = np.arange(20.0)[::-1]
-    assert ensembles.worst_mean(values, 0.05) == 19.0
-    assert ensembles.worst_mean(values, 0.2) == 17.5
-    assert ensembles.worst_mean(values, 0.22) == 17.0  # five of them: no smaller share than asked for
-    assert ensembles.worst_mean(values, 0.1, larger_is_better=True) == 0.5
-    assert ensembles.worst_mean(values, 1.0) == values.mean()
+    assert worst_mean(values, 0.05) == 19.0
+    assert worst_mean(values, 0.2) == 17.5
+    assert worst_mean(values, 0.22) == 17.0  # five of them: no smaller share than asked for
+    assert worst_mean(values, 0.1, larger_is_better=True) == 0.5
+    assert worst_mean(values, 1.0) == values.mean()
 
 
 @pytest.mark.slow
-def test_pd_scores_one(scenario, ensemble):
-    numbers = ensembles.draw(scenario, ensemble)
-    pd = {name: value.reshape(-1) for name, value in pd_of(scenario, numbers).items()}
+def test_pd_scores_one(scenario, ensemble, pd):
     settings = search.Search.make({"weights": search.ROBUST_WEIGHTS})
     goal = objective(scenario, settings, pd, worst=ensemble.worst)
     score = goal.score({name: value[:, None] for name, value in pd.items()})
     assert float(score.value[0]) == pytest.approx(1.0, rel=1e-5)
-    smooth = float(score.descent[0] - score.penalty[0])
-    assert smooth == pytest.approx(1.0, rel=1e-5)
+    assert float(score.descent[0] - score.penalty[0]) == pytest.approx(1.0, rel=1e-5)
     # halved in one of four members: the mean falls, the worst fifth (one member) does not
     better = {name: value.copy() for name, value in pd.items()}
     least = int(np.argmin(pd["force_variation"]))
     better["force_variation"][least] *= 0.5
     one = dataclasses.replace(goal, terms=tuple(t for t in goal.terms if t.metric == "force_variation"))
-    value = one.score({name: v[:, None] for name, v in better.items()}).value[0]
-    variation = pd["force_variation"]
+    value, variation = one.score({name: v[:, None] for name, v in better.items()}).value[0], pd["force_variation"]
     assert float(value) == pytest.approx(1 - 0.5 * 0.5 * variation[least] / variation.sum(), rel=1e-5)
 
 
@@ -165,15 +164,13 @@ def test_mean_and_worst_count_by_their_weights():
         Term("force_variation", 3.0, 2.0, 2.0, worst=4.0),
         Term("travel", 1.0, 2.0, 2.0, larger_is_better=True, worst=1.0),
     )
-    goal = Objective(terms, (), worst=ensembles.Worst(share=0.5, weight=0.25))
+    goal = Objective(terms, (), worst=Worst(share=0.5, weight=0.25))
     metrics = {"force_variation": [[1.0], [3.0]], "travel": [[1.5], [3.5]], "diverged": [[False], [False]]}
     value = goal.score({name: np.array(values) for name, values in metrics.items()}).value[0]
     assert value == pytest.approx((3 * (0.75 + 0.25 * 3 / 4) + (0.75 * (2 - 2.5 / 2) + 0.25 * (2 - 1.5))) / 4)
 
 
-def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
-    numbers = ensembles.draw(scenario, ensemble)
-    pd = {name: value.reshape(-1) for name, value in pd_of(scenario, numbers).items()}
+def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble, pd):
     goal = objective(scenario, search.Search.make({"no_worse_than_pd": False}), pd, worst=ensemble.worst)
     rows = {name: np.stack([value, value], axis=1) for name, value in pd.items()}
     rows["peak_pull_force"][2, 1] = 16.0
@@ -186,23 +183,20 @@ def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble):
 def test_search_and_judgement(scenario):
     """Forces are late in every walk: the joint loop is searched and judged with the admittance."""
     late = {"force_delay": (0.002, 0.005)}
-    ensemble = ensembles.Ensemble.make(
-        {"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late}
-    )
+    ensemble = Ensemble.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late})
     found = tuning.robust(scenario, ensemble, method="cmaes", starts=4, iterations=2)
     assert found.data.sizes["point"] == 8
     assert found.env_steps == 8 * ensemble.members * scenario.steps
     assert found.gains.kp is not None
-    paper = mc.Gains(1.0, 5e3, 2e4)
-    calm = {"kp": 30.0, "kd": 0.5}
+    paper, calm = mc.Gains(1.0, 5e3, 2e4), {"kp": 30.0, "kd": 0.5}
     rivals = {"robust": found.gains, "config": paper}
-    draw = judge.through(
+    walked = judge.through(
         Problem(scenario), rivals, judge.fresh(Ensemble(**vars(ensemble) | {"members": 6})), {"retuned_pd": calm}
     )
-    judged = draw.dataset(Rows(draw).walk())
+    judged = walked.dataset(Rows(walked).walk())
     assert judged["force_variation"].dims == ("gains", "member")
     assert judged["gains"].values.tolist() == ["robust", "config", "retuned_pd", "pd"]
-    unseen = ensembles.draw(scenario, ensemble.model_copy(update={"members": 6, "seed": judge.FRESH_SEED}))
+    unseen = draw(scenario, ensemble.model_copy(update={"members": 6, "seed": judge.FRESH_SEED}))
     own = jax.tree.map(np.asarray, mc.parameters(scenario))
     alone = jax.tree.map(lambda v, own: v[3, 0] if v.ndim > own.ndim else v, unseen, own)
     pd = scenario.with_overrides({"control.controller": "pd"})
@@ -232,7 +226,7 @@ def test_limits_are_judged_on_the_unseen_draw(scenario):
     base = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 6e-3], [1e-3, 1e-3]])
     pd = {name: base[name].sel(gains="pd").values for name in base.data_vars}
     settings = search.Search.make({"weights": {"force_variation": 1.0}, "limits": {"base_deviation": 5e-3}})
-    goal = objective(scenario, settings, pd, worst=ensembles.Worst())
+    goal = objective(scenario, settings, pd, worst=Worst())
     shares = judge.broken(base, goal)
     asked = "base deviation at most 0.005 (set by the user)"
     assert shares.sel(limit=asked).values.tolist() == [0.5, 0.0]
@@ -287,7 +281,7 @@ def test_walks_that_fail_are_counted():
 @pytest.mark.nightly
 def test_robust_gains_beat_the_papers_on_a_draw_that_was_not_seen():
     scenario = mc.load_scenario(config_path("case_1_2.yaml"))
-    ensemble = ensembles.Ensemble.load(config_path("ensemble.yaml"))
+    ensemble = Ensemble.load(config_path("ensemble.yaml"))
     found = tuning.robust(scenario, ensemble, method="gradient", starts=3, iterations=10)
     paper = mc.Gains(1.0, 5e3, 5e4)
     summed = judge.summary(judge.judge(scenario, {"robust": found.gains, "paper": paper}, ensemble).data)
