@@ -27,10 +27,9 @@ class _Panel(NamedTuple):
     """What one panel shows of a walk over time."""
 
     label: str
-    lines: np.ndarray  # (T, N)
+    lines: np.ndarray  # (T, N), or (T,) of a length or a margin: then the axis begins at zero
     colors: Sequence[str] = (BLACK,)
     height: float = 1.0
-    from_zero: bool = False  # as lengths and margins do
     width: float = 0.8  # of lines, points
     reference: np.ndarray | None = None  # (T, N), dashed
 
@@ -45,22 +44,17 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     joints, limbs = load_robot(trajectory.scenario.robot).joint_names, limb_colors(trajectory)
     position, reference = trajectory.base_position, trajectory.base_reference
     base, wanted = (1e3 * (path - reference[0]) for path in (position, reference))
-    shift = 1e3 * trajectory.base_displacement
+    torque, shift = trajectory.joint_torque, 1e3 * trajectory.base_displacement
+    moved = {"shift $\\Delta x$\n[mm]": shift[:, :3], "turn $\\Delta x$\n[mrad]": shift[:, 3:]} if shift.any() else {}
     panels = [
-        _Panel("largest foot\nforce [N]", events.largest_foot_force(trajectory)[:, None], height=1.4, from_zero=True),
-        *(
-            _Panel(f"{joint} $\\tau$\n[N m]", trajectory.joint_torque[:, :, number], limbs, width=0.6)
-            for number, joint in enumerate(joints)
-        ),
+        _Panel("largest foot\nforce [N]", events.largest_foot_force(trajectory), height=1.4),
+        *(_Panel(f"{joint} $\\tau$\n[N m]", torque[:, :, i], limbs, width=0.6) for i, joint in enumerate(joints)),
         _Panel("base\n[mm]", base, AXIS_COLORS, height=1.2, reference=wanted),
         _Panel("base off\nref. [mm]", 1e3 * (position - reference), AXIS_COLORS),
-        _Panel("shift $\\Delta x$\n[mm]", shift[:, :3], AXIS_COLORS),
-        _Panel("turn $\\Delta x$\n[mrad]", shift[:, 3:], AXIS_COLORS),
-        _Panel("TSM [m]", trajectory.tsm[:, None], from_zero=True),
-        _Panel("GIA margin\n[m/s$^2$]", trajectory.gia_margin[:, None], from_zero=True),
+        *(_Panel(label, values, AXIS_COLORS) for label, values in moved.items()),
+        _Panel("TSM [m]", trajectory.tsm),
+        _Panel("GIA margin\n[m/s$^2$]", trajectory.gia_margin),
     ]
-    if not shift.any():
-        panels = [panel for panel in panels if "Delta" not in panel.label]
     heights = [*(panel.height for panel in panels), 0.9]
     figure, axes = _over_time(heights, events.end_of(trajectory), 0.5 + 0.77 * len(heights))
     _draw_lines(axes, trajectory, panels)
@@ -92,42 +86,31 @@ def plot_comparison(
     if not trajectories:
         raise ValueError("expected at least one walk to compare")
     first, *_ = trajectories.values()
-    walks = {name: _compared(trajectory, per_limb=per_limb) for name, trajectory in trajectories.items()}
-    heights = [panel.height for panel in next(iter(walks.values()))]
-    end = max(map(events.end_of, trajectories.values()))
-    figure, axes = _over_time(heights, end, 0.7 + 0.95 * len(heights))
+    heights = [1.2] + [1.0] * (4 + per_limb * len(first.limbs))
+    figure, axes = _over_time(heights, max(map(events.end_of, trajectories.values())), 0.7 + 0.95 * len(heights))
     level, handles = 0, []
-    for number, (name, panels) in enumerate(walks.items()):
-        color, width = SERIES[number % len(SERIES)]
-        _draw_lines(axes, trajectories[name], panels, color=color, linewidth=width, zorder=2 + 0.1 * number)
-        level += _mark_failure(axes, trajectories[name], panels, color if number else "0.3", level)
+    for number, (name, walk) in enumerate(trajectories.items()):
+        torque, (color, width) = np.abs(walk.joint_torque).max(2), SERIES[number % len(SERIES)]
+        lines = {
+            "largest foot\nforce [N]": events.largest_foot_force(walk),
+            "largest joint\ntorque [N m]": torque.max(1),
+            **{f"{limb} largest\ntorque [N m]": torque[:, i] for i, limb in enumerate(walk.limbs) if per_limb},
+            "TSM [m]": walk.tsm,
+            "GIA margin\n[m/s$^2$]": walk.gia_margin,
+            "base off its\nreference [mm]": 1e3 * events.lengths(walk.base_position - walk.base_reference),
+        }
+        panels = list(itertools.starmap(_Panel, lines.items()))
+        _draw_lines(axes, walk, panels, color=color, linewidth=width, zorder=2 + 0.1 * number)
+        level += _mark_failure(axes, walk, panels, color if number else "0.3", level)
         handles.append(key(name, color=color, linewidth=max(1.2, width)))
     _mark_events(axes, first)
     legend(figure, handles, title)
     return figure
 
 
-def _compared(trajectory: Trajectory, *, per_limb: bool) -> list[_Panel]:
-    torque = np.abs(trajectory.joint_torque).max(2)
-    lines = {
-        "largest foot\nforce [N]": events.largest_foot_force(trajectory),
-        "largest joint\ntorque [N m]": torque.max(1),
-        **{f"{limb} largest\ntorque [N m]": torque[:, i] for i, limb in enumerate(trajectory.limbs) if per_limb},
-        "TSM [m]": trajectory.tsm,
-        "GIA margin\n[m/s$^2$]": trajectory.gia_margin,
-        "base off its\nreference [mm]": 1e3 * events.lengths(trajectory.base_position - trajectory.base_reference),
-    }
-    first, *others = (_Panel(label, values[:, None], from_zero=True) for label, values in lines.items())
-    return [first._replace(height=1.2), *others]
-
-
 def limb_colors(trajectory: Trajectory) -> list[str]:
     """Return a colour for each limb."""
     return [LIMB_COLORS[number % len(LIMB_COLORS)] for number in range(len(trajectory.limbs))]
-
-
-# ------------------------------------------------------------------------------------------------------------
-# Panels over time
 
 
 def _over_time(heights: Sequence[float], end: float, height: float) -> tuple[Figure, list[Axes]]:
@@ -161,7 +144,7 @@ def _draw_lines(axes: Sequence[Axes], trajectory: Trajectory, panels: Sequence[_
         if panel.reference is not None:
             lines.append((panel.reference, {"linestyle": _DASHED}))
         for group, own in lines:
-            for values, color in zip(group.T, panel.colors, strict=True):
+            for values, color in zip(np.atleast_2d(group.T), panel.colors, strict=True):
                 time, drawn = events.thin(trajectory.time[:rows], values[:rows])
                 before = drawn[(time <= failed) & np.isfinite(drawn)]
                 if not before.size:  # a margin that is not defined, as the TSM without gravity
@@ -172,7 +155,7 @@ def _draw_lines(axes: Sequence[Axes], trajectory: Trajectory, panels: Sequence[_
                 place.add_artist(Line2D(time, drawn, solid_joinstyle="round", **{"color": color, **own}))
                 place.update_datalim([(time[0], low), (time[-1], high)])
                 place.autoscale_view(scalex=False)
-        if panel.from_zero:
+        if panel.lines.ndim == 1:
             place.set_ylim(bottom=0)
 
 
@@ -258,7 +241,7 @@ def _mark_failure(
         row = int(np.searchsorted(trajectory.time, instant))
         for place, panel in zip(axes, panels, strict=False):
             place.axvline(instant, color=RED, linewidth=0.5, zorder=1.5)
-            values = panel.lines[row]
+            values = np.atleast_1d(panel.lines[row])
             _draw_cross(place, instant, values[np.abs(np.nan_to_num(values)).argmax()])
     if (rows := events.finite_rows(trajectory)) < trajectory.time.size:
         instant = float(trajectory.time[rows])
@@ -277,10 +260,6 @@ def _mark_failure(
 def _draw_cross(panel: Axes, x: float, y: float) -> None:
     """Mark a torn gripper."""
     panel.plot([x], [y], "x", color=RED, markersize=5, markeredgewidth=1.3, zorder=5, clip_on=False, gid="detachment")
-
-
-# ------------------------------------------------------------------------------------------------------------
-# The way of the feet over the ground
 
 
 @style()
