@@ -16,7 +16,7 @@ from tuning.report.numbers import failed, gain, plain, plain_unit
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 BASELINE = "pd"  # the walk that all others are compared with; disturbances and grip changes are its own
-SCALES = {"m": (1e3, "mm")}  # how people read a line
+SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}  # how people read a line or a metric
 # of the maps from worst to best, six hexadecimal digits each
 COLORS = "".join(mpl.colors.to_hex(color)[1:] for color in mpl.colormaps["viridis"](np.linspace(0, 1, 64)))
 _FAILED = ("detached_limb", "detached_at", "diverged")

@@ -103,18 +103,15 @@ def weightless(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def ahead_of(scenario: "Scenario") -> list[str]:
     """Return what speaks against a scenario before any walk."""
-    control, step, found = scenario.control, scenario.time_step, []
+    control, step = scenario.control, scenario.time_step
     heavy = sum(value**2 for value in scenario.gravity) > WEIGHT**2
-    if scenario.gait.swing == "low_reaction" and scenario.contact.capture_distance is None and heavy:
-        found.append(
-            "gait.swing: low_reaction under weight without contact.capture_distance: grippers that shut off the "
-            "ground are pulled there, and forces may vary more than with cubic swings"
-        )
+    low_reaction = scenario.gait.swing == "low_reaction" and scenario.contact.capture_distance is None
     measured = control.controller == "base_admittance" and control.reading == "measured_pose"
     usual = scenario.hardware.control_period or step == type(scenario).model_fields["time_step"].default
-    if measured and not usual:
-        found.append(
-            f"control.reading: measured_pose looks one period ahead, which is the time step, {step:g} s, without a "
-            "hardware.control_period: what its gains do depends on it"
-        )
-    return found
+    found = {
+        "gait.swing: low_reaction under weight without contact.capture_distance: grippers that shut off the ground are "
+        "pulled there, and forces may vary more than with cubic swings": low_reaction and heavy,
+        f"control.reading: measured_pose looks one period ahead, which is the time step, {step:g} s, without a "
+        "hardware.control_period: what its gains do depends on it": measured and not usual,
+    }
+    return [text for text, holds in found.items() if holds]

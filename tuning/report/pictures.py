@@ -18,14 +18,13 @@ from mjx_climb.plots import key
 from tuning.evaluation import margins
 from tuning.gains.gains_file import by_name
 from tuning.problem import ensemble
-from tuning.report.explorer import axes_of
+from tuning.report.explorer import SCALES, axes_of
 from tuning.report.numbers import axis_values
 from tuning.searches.judge import WORST_SHARE
 from tuning.searches.pareto import knee
 from tuning.searches.result import Tuned
 
 CROWD = 100  # points of a round; more would hide the map
-_SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 _COLORS = {"config": plots.VERMILLION, "paper": plots.VERMILLION, "pd": "0.6", "retuned pd": plots.BLACK}
 _LOADS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.SKY, plots.VERMILLION)
 _UNITS = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inertia": "M [kg, kg m$^2$]"}
@@ -37,7 +36,7 @@ _TORN, _DIVERGED = "X", "^"
 
 def _scaled(variable: xr.DataArray) -> tuple[float, str]:
     """Return the factor by which people read a metric, and the label of its axis."""
-    factor, unit = _SCALES.get(variable.attrs["units"], (1.0, variable.attrs["units"]))
+    factor, unit = SCALES.get(variable.attrs["units"], (1.0, variable.attrs["units"]))
     return factor, variable.attrs["long_name"] + ("" if unit == "1" else f" [{unit}]")
 
 

@@ -82,8 +82,7 @@ def point_at(driver, selector):
 
     element = find(driver, selector)
     driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
-    chain = ActionChains(driver).move_to_element(element)
-    return chain
+    return ActionChains(driver).move_to_element(element)
 
 
 def unpacked(text):
@@ -405,19 +404,16 @@ def test_the_page_of_a_front(swept, named):
     assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == bend
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
+def test_folders_of_a_machine_are_left_out():
+    for text, expected in (
         ("/home/me/configs/c.yaml", "c.yaml"),
         ("robot: /a b/c d/r.xml", "robot: r.xml"),
         ("robot: /a/b/r.xml\nspeed: 1 m/s", "robot: r.xml\nspeed: 1 m/s"),
         ("~/runs/a.yaml", "a.yaml"),
         ("configs/case_2.yaml", "configs/case_2.yaml"),
         ("1e2:1e6:12", "1e2:1e6:12"),
-    ],
-)
-def test_folders_of_a_machine_are_left_out(text, expected):
-    assert without_folders(text) == expected
+    ):
+        assert without_folders(text) == expected
 
 
 def test_cells_of_a_grid_that_is_not_square():
