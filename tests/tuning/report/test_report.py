@@ -293,9 +293,7 @@ CHECKED = verification.Verification(
 def tuned_page(named):
     """Return what makes the page of a search whose result walks as the config does, beside a map or none."""
     scenario, walks = named
-    walks = {"tuned": walks["config"], **walks}
-    gains = {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
-
+    walks, gains = {"tuned": walks["config"], **walks}, {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
     rows = {name: (None if name == "pd" else gains, mc.metrics(walk)) for name, walk in walks.items()}
     point = {"value": 0.9, "penalty": 0.0, "feasible": True, "env_steps": 1000}
     data = xr.Dataset({name: ("point", [value]) for name, value in point.items()})
@@ -319,16 +317,15 @@ def over(swept):
 
 @pytest.mark.slow
 def test_the_page_of_a_search(tuned_page, over):
-    for grid in (over, None):
+    for grid in (None, over):
         made = tuned_page(grid)
         text = page.render(made)
-        assert "Tuned gains score 0.9000 of pd" in text and "every limit is kept" in text
-        assert "breaks a limit" in text and "mjx-climb again" in text
+        for words in ("Tuned gains score 0.9000 of pd", "every limit is kept", "breaks a limit", "mjx-climb again"):
+            assert words in text
         assert made.notes[0] == "A line" and list(made.more) == ["A test"]
-        (data,) = made.explorers.values()
-        assert [walk["name"] for walk in data["walks"]] == ["pd", "config", "tuned"]
-        assert (data["points"] is None) == (grid is None)
-    (cells,) = tuned_page(over).explorers.values()
+        (cells,) = made.explorers.values()
+        assert [walk["name"] for walk in cells["walks"]] == ["pd", "config", "tuned"]
+        assert (cells["points"] is None) == (grid is None)
     points = cells["points"]
     assert points["begin"] == int(np.argmin(over["objective"].values))
     assert {"objective", "feasible"} < set(points["values"])
@@ -393,13 +390,12 @@ def test_the_page_of_a_front(swept, named):
     without |= {"without_kp": [30.0, 10.0], "without_kd": [0.5, 0.25]}
     front = front.assign({name: ("without", np.array(values)) for name, values in without.items()})
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
-    found = Front(front, Problem(named[0]))
-    made = pages.pareto_page(found, kept, named[1], ORIGIN)
+    made = pages.pareto_page(Front(front, Problem(named[0])), kept, named[1], ORIGIN)
     assert "The front of 9 points bends at" in page.render(made)
     assert made.notes[0].endswith(", at no more base deviation.")
-    rows = made.tables[0].sections[0][1]
-    assert [row[0] for row in rows] == ["knee" if i == bend else "" for i in range(9)] and len(rows[0]) == 5
-    assert [row[0] for row in made.tables[0].sections[1][1]] == ["config", "pd", "pd, kp 30, kd 0.5"]
+    (_, on), (_, below) = made.tables[0].sections
+    assert [row[0] for row in on] == ["knee" if i == bend else "" for i in range(9)] and len(on[0]) == 5
+    assert [row[0] for row in below] == ["config", "pd", "pd, kp 30, kd 0.5"]
     points = made.explorers["The front"]["points"]
     assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == bend
 
