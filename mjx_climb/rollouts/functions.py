@@ -141,16 +141,13 @@ class Environment:
     def reset(
         self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, batch: tuple[int, ...] = ()
     ) -> SimulationState:
-        """Return robots in the rest stance with all grippers shut.
+        """Return robots in the rest stance with all grippers shut, as `Simulation.reset` does one.
 
-        Arguments:
-            gains: in place of the law's own, by name, with any leading batch axes.
-            parameters: in place of the scenario's, with leading batch axes that broadcast with the gains'.
-            batch: further axes, where neither has them: `batch=(64,)` for 64 equal robots.
+        Gains and parameters have any leading batch axes that broadcast; `batch` has further ones, where neither has
+        them: `batch=(64,)` for 64 equal robots.
 
         Raises:
-            ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, or parameters
-                with hardware that the scenario does not have.
+            ValueError: as `Simulation.reset`, but for batch axes, and shapes that do not broadcast, or no robots.
         """
         return self.simulation.start(gains, parameters, self.dtype, tuple(batch))
 
@@ -159,12 +156,8 @@ class Environment:
     ) -> tuple[SimulationState, Sample]:
         """Return what `Simulation.step` does, of all robots: a sample has their batch axes in place of time.
 
-        Arguments:
-            state: what `reset` or the last `step` returned.
-            action: for this step, for all robots or with the batch axes of the state; None: what the law commands. The
-                law stays as it is while actions take its place.
-            gains: from this step on, as `Simulation.with_gains` takes them, `kp` and `kd` too, for all robots or with
-                the batch axes of the state.
+        An action, and gains from this step on as `Simulation.with_gains` takes them, `kp` and `kd` too, are for all
+        robots or have the batch axes of the state.
 
         Raises:
             ValueError: gains as of `reset`, or for more robots than there are.

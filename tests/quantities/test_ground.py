@@ -1,9 +1,7 @@
 """Uneven ground: where the feet grip, what the maps say, and flat ground as it was."""
 
-import dataclasses
 import json
 
-import jax
 import matplotlib.image
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from tests.robot import climbers
 
 STEPS = {"LF": [0.0, 0.02], "LH": [0.01, -0.01], "RH": [0.0, 0.015, 0.03], "RF": [-0.01]}
 CALM = {"duration": 3.2, "gait.cycle": 1.6, "gait.stride": 0.02, "time_step": 0.001}
-SHORT = {"duration": 0.8, "gait.cycle": 0.4, "gait.stride": 0.02, "time_step": 0.001}
 
 
 @pytest.fixture(scope="module")
@@ -48,21 +45,6 @@ def test_engines_agree_on_uneven_ground(scenario, walked):
     other = mc.rollout(scenario, engine="mjx")
     for name in ("base_position", "foot_force", "tsm", "gia_margin"):
         np.testing.assert_allclose(getattr(other, name), getattr(walked, name), rtol=1e-8, atol=1e-8)
-
-
-@pytest.mark.nightly
-@pytest.mark.slow
-def test_heights_can_be_a_batch():
-    """Terrain is a parameter like others: a batch of it walks at once, each as if alone."""
-    base = mc.Scenario().with_overrides({**SHORT, "duration": 0.2, "ground.footholds": STEPS})
-    numbers = jax.tree.map(np.asarray, mc.parameters(base))
-    table = numbers.foothold_height * np.array([1.0, 0.5])[:, None, None]
-    both, alone = (
-        mc.rollout_metrics(base, None, dataclasses.replace(numbers, foothold_height=heights), dtype=np.float64)
-        for heights in (table, table[1:])
-    )
-    np.testing.assert_allclose(both["peak_foot_force"][1], alone["peak_foot_force"][0], rtol=1e-9)
-    assert both["peak_foot_force"][0] != both["peak_foot_force"][1]
 
 
 # --- maps

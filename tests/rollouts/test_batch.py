@@ -82,13 +82,16 @@ def test_parts_of_a_batch_have_its_shape(scenario, batch, together):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("varies", ["push_force", "push_moment"])
+@pytest.mark.parametrize("varies", ["push_force", "push_moment", "foothold_height"])
 def test_what_varies_may_stand_beside_what_does_not(case, varies):
-    """Forces with a batch axis beside moments without one, and the reverse: each walk is the one that it is alone."""
-    push = {"force": [1.0, 0.0, 0.0], "moment": [0.1, 0.1, 0.1], "start": 0.01, "stop": 0.05}
-    scenario = case("case_1_2", "pd", (("duration", 0.1), ("gait.cycle", 0.5), ("disturbance.pushes", [push])))
-    some, own = {varies: np.arange(24.0).reshape(8, 1, 3) / 10}, own_parameters(scenario)
-    whole = {name: np.broadcast_to(getattr(own, name), (8, 1, 3)) for name in ("push_force", "push_moment")} | some
+    """Forces with a batch axis beside moments without one, and so on: each walk is the one that it is alone."""
+    push = {"force": [1.0, 0.3, 0.0], "moment": [0.1, 0.1, 0.1], "start": 0.01, "stop": 0.05}
+    rough = {"disturbance.pushes": [push], "ground.footholds": {"LF": [0.0, 0.004], "RH": [0.006]}}
+    scenario = case("case_1_2", "pd", {"duration": 0.1, "gait.cycle": 0.5, **rough})
+    own, times = own_parameters(scenario), np.arange(8.0)[:, None, None]
+    some = {varies: times * getattr(own, varies)}
+    names = ("push_force", "push_moment", "foothold_height")
+    whole = {name: np.broadcast_to(getattr(own, name), (8, *getattr(own, name).shape)) for name in names} | some
     found, expected = (
         mc.rollout_metrics(scenario, None, dataclasses.replace(own, **changes), dtype=np.float64)["peak_foot_force"]
         for changes in (some, whole)

@@ -65,15 +65,6 @@ def test_robots_have_the_precision_that_is_asked_for(scenario):
 
 
 @pytest.mark.slow
-def test_a_batch_walks_as_its_robots_do(scenario, env, walked):
-    stiffness = np.array([1e3, 5e4, 1e5])
-    _, together = walked(env.reset({"stiffness": stiffness[:, None]}))
-    for row, value in enumerate(stiffness):
-        trajectory = mc.rollout(scenario, {"stiffness": value})
-        np.testing.assert_allclose(together.foot_force[:, row], trajectory.foot_force, rtol=0, atol=1e-9)
-
-
-@pytest.mark.slow
 def test_the_law_by_hand_is_the_law(env, walked, alone):
     """Joint targets as the law gave them, and the base shifted as the law shifted it, make the same walk."""
     samples = alone[1]
