@@ -47,6 +47,8 @@ def files(tmp_path_factory):
     for name, text in {**texts, "held": "inertia: 1\ndamping: 1\nstiffness: 1"}.items():
         (folder / f"{name}.yaml").write_text(text)
     (folder / "file").write_text("")
+    law = "from mjx_climb.control import VirtualModelAdmittance\nclass Mine(VirtualModelAdmittance): pass"
+    (folder / "law.py").write_text(law)
     for name in ("trajectory.nc", "sweep.nc", "search.nc", "parts"):  # of other commands, the last one's unfinished
         (folder / f"with_{name}").mkdir()
         (folder / f"with_{name}" / name).write_text("")

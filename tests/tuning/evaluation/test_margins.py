@@ -216,10 +216,3 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, capsy
     assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
         "config.yaml", "margins.json", "margins.nc", "margins.png"
     }  # fmt: skip
-
-
-def test_retuned_pd_needs_joint_gains(tmp_path, capsys):
-    gains = gains_file.save(mc.Gains(1.0, 2.0, 3.0), tmp_path / "gains.yaml")
-    with pytest.raises(SystemExit) as ended:
-        main(["margins", "case_1_2", "--retuned-pd", str(gains)])
-    assert ended.value.code == 2 and "has no kp and no kd" in capsys.readouterr().err

@@ -155,18 +155,8 @@ def test_the_papers_pole_is_the_known_one():
     [
         (mc.Gains(1e7, 1.0, 1.0), (), "inertia: expected 0.0001 to 1e+06"),
         (mc.Gains(1.0, 1.0, 1e9), (), "stiffness: expected 0 to 1e+08"),
-        (GAINS, ("--format", "xml"), "'xml'"),
-        (GAINS, ("--update-rate", "0"), "--update-rate"),
-        (GAINS, ("--name", "a b"), "--name"),
-        (GAINS, ("--hardware", "ideal"), "--hardware: expected --config with it"),
-        (mc.Gains(1.0, 50.0, 1e3), ("--config", "case_1_2", "--update-rate", 300), "whole number of the config's time"),
         (GAINS, ("--format", "admittance_control"), "inertia: expected one value for the axes of a force"),
         (PAPER, ("--format", "admittance_control"), "a virtual inertia of 5.35 would do"),
-        (
-            mc.Gains(1.0, 50.0, 1e3),
-            ("--format", "admittance_control", "--update-rate", 40),
-            "at most 0.02 s, to which admittance_control cuts longer ones, got 0.025",
-        ),
     ],
 )
 def test_bad_input_ends_with_2_and_one_line(export, gains, arguments, expected):

@@ -88,21 +88,6 @@ def test_what_a_law_of_ones_own_cannot_take_is_refused(file, change, said):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "command", ["run", "sweep --stiffness 1:2:2 --damping 1:2:2", "tune", "pareto", "schedule", "margins", "judge"]
-)
-def test_every_command_with_a_law_refuses_it(file, command, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    name, *rest = command.split()
-    rest += ["--gains", "none.yaml"] if name == "judge" else []
-    with pytest.raises(SystemExit) as ended:
-        main([name, "case_1_2", *rest, "--law", f"{file}:Scaled", "--set", "control.max_offset=1"])
-    assert ended.value.code == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert "--set control.max_offset: expected one of" in line
-    assert not (tmp_path / "results").exists()
-
-
 def test_a_controller_beside_a_law_is_refused_and_takes_the_place_of_a_configs(file, tmp_path):
     with pytest.raises(InputError, match=r"--controller: expected none with --law"):
         asked("case_1_2", law=f"{file}:Scaled", controller="pd")

@@ -219,14 +219,6 @@ def test_the_configs_are_the_papers():
         assert (scenario.contact.holding_limit, scenario.duration) == (15.0, 8.0)
 
 
-def test_a_folder_that_cannot_be_written(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(SystemExit) as end:
-        main(["reproduce", "--out", str(tmp_path / "file" / "out")])
-    assert end.value.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.slow
 def test_the_whole_command(tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
