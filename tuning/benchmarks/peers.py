@@ -5,9 +5,10 @@ no code with `mjx_climb`, whose scenario and MuJoCo model alone they read. Array
 robots last, all contiguous.
 """
 
+import abc
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from mujoco import batch, rollout
@@ -19,6 +20,7 @@ from mjx_climb.scenario.model import Cargo, Push
 
 FEET = ("LF_foot", "LH_foot", "RH_foot", "RF_foot")
 BASE = 1  # body
+_ARRAYS = ("qpos", "qvel", "site_xpos", "xipos", "sensordata", "qfrc_applied", "xfrc_applied")
 # after this step, with the walk's forces and the state (qpos, qvel) at its start
 Watch = Callable[[int, "Walker", np.ndarray, np.ndarray], None]
 
@@ -123,8 +125,10 @@ class Walker:
         return np.asarray(np.stack([coxa, femur, g["bend_sign"] * bend]) + g["zero"])
 
 
-class _Peer:
+class _Peer(abc.ABC):
     """Robots on their way."""
+
+    arrays: Sequence[np.ndarray]  # of MuJoCo's state, by the names of `_ARRAYS`, (N, ...) each
 
     def __init__(self, scenario: mc.Scenario, gains: Mapping[str, np.ndarray]):
         """Load the scenario's robot, with a sensor for the velocity of each foot, and begin its walk."""
@@ -144,11 +148,40 @@ class _Peer:
         self._cargo = cargo.mass, steps(cargo)
         self._pushes = [(np.concatenate([push.force, push.moment]), steps(push)) for push in pushes]
 
-    def disturbance(self, step: int) -> tuple[float, np.ndarray]:
-        """Return the cargo in kg, and force and moment on the base (6,), N and N m, the same for all robots."""
-        mass, loaded = self._cargo
-        push = sum((wrench for wrench, pushed in self._pushes if step in pushed), np.zeros(6))
-        return mass if step in loaded else 0.0, push
+    def run(self, steps: int, watch: Watch | None = None) -> None:
+        """Walk on for some steps."""
+        qpos, qvel, site, xipos, sensed, joint_force, body_wrench = self.arrays
+        walker, count, (mass, loaded) = self.walker, len(qpos), self._cargo
+
+        def joints(values: np.ndarray) -> np.ndarray:
+            return np.ascontiguousarray(values.reshape(count, -1, 3).transpose(2, 1, 0))
+
+        for step in range(self.step, self.step + steps):
+            cargo = mass if step in loaded else 0.0
+            if cargo != self.cargo:
+                self.cargo = cargo
+                self._load(self.base_mass + cargo)
+            foot = np.ascontiguousarray(site[:, self.sites].transpose(2, 1, 0))
+            base = np.ascontiguousarray(qpos[:, :3].T)
+            walker(step, base, foot, joints(sensed), joints(qpos[:, 7:]), joints(qvel[:, 6:]))
+            # MuJoCo takes a body's force at its centre of mass
+            arm = foot - xipos[:, self.tibias].transpose(2, 1, 0)
+            body_wrench[:, self.tibias, :3] = walker.foot_force.transpose(2, 1, 0)
+            body_wrench[:, self.tibias, 3:] = cross(arm, walker.foot_force).transpose(2, 1, 0)
+            body_wrench[:, BASE] = sum((push for push, pushed in self._pushes if step in pushed), np.zeros(6))
+            joint_force[:, 6:] = walker.torque.transpose(2, 1, 0).reshape(count, -1)
+            if watch is not None:
+                watch(step, walker, qpos, qvel)
+            self._advance()
+        self.step += steps
+
+    @abc.abstractmethod
+    def _load(self, base_mass: float) -> None:
+        """Change the mass of the base, kg."""
+
+    @abc.abstractmethod
+    def _advance(self) -> None:
+        """Finish a step, and do what the next one does before the controller."""
 
 
 class Batch(_Peer):
@@ -161,37 +194,15 @@ class Batch(_Peer):
         for field in ("site_xpos", "xipos", "sensordata"):
             self.batch.bind(field)
         self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self.arrays = [getattr(self.batch, name) for name in _ARRAYS]
 
-    def run(self, steps: int, watch: Watch | None = None) -> None:
-        """Walk on for some steps."""
-        b, walker = self.batch, self.walker
-        qpos, qvel, site, xipos, sensed = b.qpos, b.qvel, b.site_xpos, b.xipos, b.sensordata
-        joint_force, body_wrench = b.qfrc_applied, b.xfrc_applied
-        count = len(qpos)
+    def _load(self, base_mass: float) -> None:
+        self.batch.expand("body_mass")[:, BASE] = base_mass
+        self.batch.set_const()
+        self.batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
 
-        def joints(values: np.ndarray) -> np.ndarray:
-            return np.ascontiguousarray(values.reshape(count, -1, 3).transpose(2, 1, 0))
-
-        for step in range(self.step, self.step + steps):
-            cargo, push = self.disturbance(step)
-            if cargo != self.cargo:
-                self.cargo = cargo
-                b.expand("body_mass")[:, BASE] = self.base_mass + cargo
-                b.set_const()
-                b.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
-            foot = np.ascontiguousarray(site[:, self.sites].transpose(2, 1, 0))
-            base = np.ascontiguousarray(qpos[:, :3].T)
-            walker(step, base, foot, joints(sensed), joints(qpos[:, 7:]), joints(qvel[:, 6:]))
-            # MuJoCo takes a body's force at its centre of mass
-            arm = foot - xipos[:, self.tibias].transpose(2, 1, 0)
-            body_wrench[:, self.tibias, :3] = walker.foot_force.transpose(2, 1, 0)
-            body_wrench[:, self.tibias, 3:] = cross(arm, walker.foot_force).transpose(2, 1, 0)
-            body_wrench[:, BASE] = push
-            joint_force[:, 6:] = walker.torque.transpose(2, 1, 0).reshape(count, -1)
-            if watch is not None:
-                watch(step, walker, qpos, qvel)
-            b.step(stage=mujoco.mjtStage.mjSTAGE_VEL)
-        self.step += steps
+    def _advance(self) -> None:
+        self.batch.step(stage=mujoco.mjtStage.mjSTAGE_VEL)
 
 
 class Loop(_Peer):
@@ -201,29 +212,17 @@ class Loop(_Peer):
         super().__init__(scenario, gains)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        mujoco.mj_step1(self.model, self.data)
+        self.arrays = [getattr(self.data, name)[None] for name in _ARRAYS]
 
-    def run(self, steps: int, watch: Watch | None = None) -> None:
-        """Walk on for some steps."""
-        m, d, walker = self.model, self.data, self.walker
-        for step in range(self.step, self.step + steps):
-            cargo, push = self.disturbance(step)
-            if cargo != self.cargo:
-                self.cargo = cargo
-                m.body_mass[BASE] = self.base_mass + cargo
-                mujoco.mj_setConst(m, mujoco.MjData(m))
-            mujoco.mj_step1(m, d)
-            foot = d.site_xpos[self.sites].T
-            sensed, angles, rates = (v.reshape(-1, 3).T[..., None] for v in (d.sensordata, d.qpos[7:], d.qvel[6:]))
-            walker(step, d.qpos[:3, None], foot[..., None], sensed, angles, rates)
-            force = walker.foot_force[..., 0]
-            d.xfrc_applied[self.tibias, :3] = force.T
-            d.xfrc_applied[self.tibias, 3:] = cross(foot - d.xipos[self.tibias].T, force).T
-            d.xfrc_applied[BASE] = push
-            d.qfrc_applied[6:] = walker.torque[..., 0].T.ravel()
-            if watch is not None:
-                watch(step, walker, d.qpos[None], d.qvel[None])
-            mujoco.mj_step2(m, d)
-        self.step += steps
+    def _load(self, base_mass: float) -> None:
+        self.model.body_mass[BASE] = base_mass
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+        mujoco.mj_step1(self.model, self.data)
+
+    def _advance(self) -> None:
+        mujoco.mj_step2(self.model, self.data)
+        mujoco.mj_step1(self.model, self.data)
 
 
 def _cubic(s: float) -> float:
