@@ -35,11 +35,7 @@ class Waited(NamedTuple):
 
 
 def measure(names: Sequence[str], say: Callable[[str], object]) -> dict[str, Waited]:
-    """Return how long commands of `COMMANDS` take, each with a cache of its own; `say` is told what goes on.
-
-    Raises:
-        subprocess.CalledProcessError: a command fails.
-    """
+    """Return how long commands of `COMMANDS` take, each with a cache of its own; `say` is told what goes on."""
     found = {}
     for name in names:
         clock, processors = [], []
@@ -49,9 +45,8 @@ def measure(names: Sequence[str], say: Callable[[str], object]) -> dict[str, Wai
                 before, begin = os.times(), time.perf_counter()
                 _python(COMMANDS[name], f"{folder}/cache", cwd=folder, stderr=subprocess.DEVNULL)
                 clock.append(time.perf_counter() - begin)
-                after = os.times()
-                used = after.children_user + after.children_system - before.children_user - before.children_system
-                processors.append(used)
+                _, _, user, system, _ = (now - then for now, then in zip(os.times(), before, strict=True))
+                processors.append(user + system)
         found[name] = Waited(*clock, *processors)
     return found
 

@@ -58,11 +58,7 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
 
 
 def load_law(text: str) -> mc.Law:
-    """Return the law that FILE.py:NAME names, an instance or a class whose gains have defaults; the file is run.
-
-    Raises:
-        ConfigError: in one line, no such file or name, a file that fails, or something else than a law.
-    """
+    """Return the law that FILE.py:NAME names, an instance or a class whose gains have defaults; errors as of `load`."""
     found, file, name = load(text, "law")
     if isinstance(found, type) and issubclass(found, mc.Law):
         try:
@@ -75,11 +71,7 @@ def load_law(text: str) -> mc.Law:
 
 
 def load_metrics(texts: Iterable[str]) -> mc.MetricTable:
-    """Return the shipped metrics with some of the user's own behind them, each FILE.py:NAME.
-
-    Raises:
-        ConfigError: in one line, no such metric, or one whose name is taken.
-    """
+    """Return the shipped metrics with some of the user's own behind them, each FILE.py:NAME; errors as of `load`."""
     table = mc.METRICS
     for text in texts:
         found, file, name = load(text, "metric")

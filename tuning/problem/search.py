@@ -138,11 +138,7 @@ class Judge(Settings):
 
 
 def check_metrics(search: Search, metrics: "MetricTable", source: str = "search") -> None:
-    """Refuse settings that weigh or limit what is no metric.
-
-    Raises:
-        ConfigError: in one line, the source and the name.
-    """
+    """Refuse settings that weigh or limit what is no metric, by a ConfigError with the source and the name."""
     from difflib import get_close_matches
 
     from mjx_climb.walk.metrics import FAILURES
@@ -152,6 +148,5 @@ def check_metrics(search: Search, metrics: "MetricTable", source: str = "search"
         if name not in known:
             near = get_close_matches(name, known)
             hint = f" (did you mean {' or '.join(near)}?)" if near else ""
-            raise ConfigError(
-                f"{source}: {name!r} is no metric to weigh or limit{hint}, expected one of {', '.join(known)}"
-            )
+            expected = f"expected one of {', '.join(known)}"
+            raise ConfigError(f"{source}: {name!r} is no metric to weigh or limit{hint}, {expected}")

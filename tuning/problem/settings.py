@@ -79,11 +79,7 @@ class Settings(Options):
 
     @classmethod
     def parse(cls, text: str, source: str | None = None, **changes: Any) -> Self:
-        """Return the settings that a YAML text holds; keys that it leaves out take their defaults.
-
-        Raises:
-            ConfigError: no YAML, no mapping, or as `make`.
-        """
+        """Return the settings of a YAML text; keys that it leaves out take their defaults; errors as of `make`."""
         from mjx_climb.scenario import yaml_text
 
         source = cls.__name__.lower() if source is None else source
@@ -94,11 +90,7 @@ class Settings(Options):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], **changes: Any) -> Self:
-        """Read settings from a YAML file, with some of its top keys changed.
-
-        Raises:
-            ConfigError: the file cannot be read, or as `parse`.
-        """
+        """Read settings from a YAML file, with some of its top keys changed; errors as of `make`."""
         from mjx_climb.scenario import yaml_text
 
         return cls.parse(yaml_text.read(os.fsdecode(path)), os.fsdecode(path), **changes)

@@ -42,11 +42,7 @@ def stem(case: str) -> str:
 
 
 def reproduced(folder: Path, stage: Stage) -> Iterator[tuple[str, Reproduction]]:
-    """Walk case after case and write its scenario, walks and picture into a folder.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Walk case after case and write its scenario, walks and picture into a folder."""
     for name, scenario in scenarios().items():
         case, walks = CASES[name], {}
         dataset.write_text_atomically(folder / f"{stem(name)}.yaml", scenario.to_yaml())
