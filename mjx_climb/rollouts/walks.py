@@ -45,10 +45,9 @@ def metrics_of(structure: Structure, law: Law, parameters: Parameters) -> Metric
 
 def metrics_of_moved(structure: Structure, gains: Mapping[str, Array], law: Law, parameters: Parameters) -> Metrics:
     """Return the metrics of a walk with some gains, by name, in place of those of the law and of the joint loop."""
-    of_law = {name: value for name, value in gains.items() if name in law.GAINS}
+    moved = dataclasses.replace(law, **{n: v for n, v in gains.items() if n in law.GAINS})  # type: ignore[type-var]
     of_joints = {name: value for name, value in gains.items() if name not in law.GAINS}
-    law = dataclasses.replace(law, **of_law)  # type: ignore[type-var]
-    return metrics_of(structure, law, dataclasses.replace(parameters, **of_joints))
+    return metrics_of(structure, moved, dataclasses.replace(parameters, **of_joints))
 
 
 def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
@@ -97,8 +96,8 @@ def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Cont
     """Return what metrics may know of a walk: the robot as heavy as it is in this walk."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     scaled = {name: getattr(robot, name) * parameters.mass_scale for name in names}
-    robot = dataclasses.replace(robot, **scaled)
-    return Context(robot, parameters.gravity, parameters.heading, structure.time_step)
+    heavy = dataclasses.replace(robot, **scaled)
+    return Context(heavy, parameters.gravity, parameters.heading, structure.time_step)
 
 
 # --- histories

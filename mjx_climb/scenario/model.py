@@ -386,7 +386,7 @@ class Scenario(v.Section):
         return self
 
     @model_validator(mode="after")
-    def _limbs_are_the_robots(self) -> Scenario:
+    def _limbs_are_the_robots_and_one_stands(self) -> Scenario:
         gait, limbs = self.gait, SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(dict(self.robot.limbs.items()))
         known = f"the {NUMBERS[len(limbs)]} limbs {', '.join(limbs)}"
         swings = list(gait.lift_off) if gait.phases is not None else [limb for place in gait.places for limb in place]
@@ -397,12 +397,8 @@ class Scenario(v.Section):
         for name in dict(self.ground.footholds.items()) if self.ground.footholds is not None else ():
             if name not in limbs:
                 raise failure(f"one of the limbs {', '.join(limbs)}", key=f"ground.footholds.{name}", got=name)
-        return self
-
-    @model_validator(mode="after")
-    def _stands_on_a_limb(self) -> Scenario:
-        gait, swing = self.gait, 1 - self.gait.duty
-        least = 1 - 1 / len(gait.sequence)
+        # one limb stands at any time
+        least, swing = 1 - 1 / len(gait.sequence), 1 - gait.duty
         if gait.phases is None and gait.duty < least - _ROUNDING:
             expected = f"a number from {least:g} to below 1, so that one swing ends as the next begins"
             raise failure(expected, key="gait.duty", got=gait.duty)
