@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib
-import math
 import shlex
 from json import dumps
 from pathlib import Path
@@ -111,8 +110,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
                 found.write_found(out, origin(name, again))
                 best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
                 raise Interrupted(f"the best of {shell.done} rounds is in {out}: {best}")
-            written = shell.write(found, again, compared)
-        shell.result(problem, written, gains=True)
+            shell.result(found, again, compared)
 
 
 @command("results/<config>-pareto")
@@ -153,9 +151,7 @@ def pareto(
             with shell.rounds("front") as show:
                 found = fronts.run(problem, wanted, asked, out=out, progress=show)
             again = repeated(["pareto", "--search", "search.yaml"], "--better", "--against", "--points", "--engine")
-            written = shell.write(found, again)
-        shell.show(from_page(front_table(found.data, found.knee, loaded.metrics)), *written.outcome)
-        shell.written(written.files, written.summary)
+            shell.result(found, again, table=from_page(front_table(found.data, found.knee, loaded.metrics)))
 
 
 @command("results/<config>-schedule")
@@ -183,7 +179,7 @@ def schedule(
 
         devices.begin()
         from tuning.command_line.session import plain_table
-        from tuning.report import numbers
+        from tuning.report.numbers import change, gain, number
         from tuning.searches import schedule as schedules
         from tuning.searches.retuned_pd import NAME
 
@@ -196,24 +192,16 @@ def schedule(
         with shell.keeping("rounds"):
             with shell.rounds("schedule") as show:
                 found = schedules.run(points, out=out, progress=show)
-            written = shell.write(found, "")
-        rows = schedules.rows(found.data)
-        level, load, loss = schedules.one_for_all(found.data)
-        one = "one for all: every set of gains breaks a limit at some other operating point"
-        if loss < math.inf:
-            one = f"one for all: the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
-        gains, beside = found.data.attrs["searched"].split(), ("vs\nconfig %", "vs\nretuned %", "vs\npd %")
-        table = plain_table("gravity\nG", "cargo\nkg", *gains, "variation\nN", *beside, "")
-        table.columns[-1].no_wrap = False  # words give way to numbers
-        for row in rows:
-            tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
-            cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(numbers.gain(row, name) for name in gains)]
-            verdict = "" if row["feasible"] else "breaks limits"
-            verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
-            changes = (numbers.change(tuned, other) for other in others)
-            table.add_row(*cells, numbers.number(tuned), *changes, verdict.strip())
-        shell.show(table, *written.outcome, one)
-        shell.written(written.files, numbers.to_json(rows))
+            gains, beside = found.data.attrs["searched"].split(), ("vs\nconfig %", "vs\nretuned %", "vs\npd %")
+            table = plain_table("gravity\nG", "cargo\nkg", *gains, "variation\nN", *beside, "")
+            table.columns[-1].no_wrap = False  # words give way to numbers
+            for row in schedules.rows(found.data):
+                tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
+                cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
+                verdict = "" if row["feasible"] else "breaks limits"
+                verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
+                table.add_row(*cells, number(tuned), *(change(tuned, other) for other in others), verdict.strip())
+            shell.result(found, "", table=table)
 
 
 RANGE = "LOW:HIGH:COUNT"
@@ -359,8 +347,7 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
                 shell.say(f"{folder} is whole; once all {rows.shard.count} are: {merge}")
                 shell.print_json(dumps({"shard": rows.shard.number, "of": rows.shard.count, unit: here}))
                 return
-            written = shell.write(work.result(arrays), again, compared)
-        shell.result(work.problem, written)
+            shell.result(work.result(arrays), again, compared)
 
 
 @command("results/<config>-sweep")
@@ -447,5 +434,4 @@ def merge(asked: Merge, output: Output) -> None:
         kind = "judge" if kept[0].identity["kind"] == judging.Judged.KIND else "sweep"
         shell.claim(ROWS[kind][0], about.get("name", "the scenario"), at=target)
         found = shards.merged(kept, law, table)
-        written = shell.write(found, about.get("repeat") or "the same command")
-        shell.result(found.problem, written, before=f"{len(kept)} shards, ")
+        shell.result(found, about.get("repeat") or "the same command", before=f"{len(kept)} shards, ")

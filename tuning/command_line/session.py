@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     import mjx_climb as mc
     from tuning.command_line.options import Output
     from tuning.command_line.processes import Team
-    from tuning.problem.evaluation import Problem
     from tuning.report import page
     from tuning.report.comparison import Compared
-    from tuning.searches.result import Result, Written
+    from tuning.searches.result import Result
     from tuning.searches.rounds import Progress as Rounds
 
 WIDTH = 100  # of tables in a file
@@ -135,26 +134,27 @@ class Session:
         warnings = numbers.ahead_of(scenario) if scenario else ()
         self.say(f"compilation cache: {cache.text}", *(f"warning: {line}" for line in warnings))
 
-    def write(self, found: "Result", again: str, compared: Any = None) -> "Written":
-        """Write a result with its report, in which `again` is the command that repeats it."""
-        made = origin(self.name, again)
-        return found.write(self.out, origin=made, figures=self.output.figures, stage=self.stage, compared=compared)
-
     def written(self, files: str, json: str, before: str = "") -> None:
         """Say what was written in which time, and print the JSON where it was asked for."""
         self.say(f"{before}written to {self.out} in {duration(time.perf_counter() - self.begin)}: {files}")
         self.print_json(json)
 
-    def result(self, problem: "Problem", written: "Written", *, gains: bool = False, before: str = "") -> None:
-        """Print what a result says, `gains` axis by axis with it, and what was written."""
+    def result(
+        self, found: "Result", again: str, compared: Any = None, *, table: Table | None = None, before: str = ""
+    ) -> None:
+        """Write a result with its report, in which `again` repeats it, and print it: a table, or that of its walks."""
         from tuning.report import comparison
         from tuning.report.pages import judged_table
 
-        if written.summed is not None:
+        how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "compared": compared}
+        written, problem = found.write(self.out, origin=origin(self.name, again), **how), found.problem
+        if table is not None:
+            self.show(table)
+        elif written.summed is not None:
             self.show(from_page(judged_table(written.summed, problem.metrics)))
         else:
             self.show(comparison_table(written.compared, "pd", self.tables.width, problem.metrics, problem.law))
-            if gains:
+            if found.search is not None:
                 self.show(from_page(comparison.gains_table(written.compared, problem.law)))
         self.show(*written.outcome)
         self.written(written.files, written.summary, before)

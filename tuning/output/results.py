@@ -79,8 +79,13 @@ def judge(found: Judged, folder: Folder, _: None = None) -> Contents:
 def schedule(found: Scheduled, folder: Folder, _: None = None) -> Contents:
     """The table, all metrics, and a picture; no report."""
     data = folder.found(found).data
+    level, load, loss = schedules.one_for_all(data)
+    one = "every set of gains breaks a limit at some other operating point"
+    if loss < np.inf:
+        one = f"the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
+    outcome = [schedules.worth(data), f"one for all: {one}"]
     return Contents(
-        Written(data=data, outcome=[schedules.worth(data)]),
+        Written(data=data, outcome=outcome, summary=to_json(schedules.rows(data))),
         {"schedule.csv": schedules.to_csv(data), "schedule.yaml": schedules.to_yaml(data)},
         {"schedule": (SCHEDULE, lambda: pictures.plot_schedule(data))},
     )

@@ -79,23 +79,26 @@ def test_a_signal_before_the_program_watches(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
 
 
-_BUSY = """
-import hashlib
+_WATCHING = """
 from tuning.command_line import interruption
 interruption.watch()
 print("busy", flush=True)
-hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # as in a compiler: no Python runs in this thread for minutes
 """
 
 
-def test_the_second_signal_ends_what_never_looks():
-    process = subprocess.Popen(
-        [sys.executable, "-c", _BUSY], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+def busy(work, **streams):
+    """Start a process that watches signals and then works in one call for minutes."""
+    command = [sys.executable, "-c", _WATCHING + work]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, **streams)
     assert process.stdout.readline() == "busy\n"
+    return process
+
+
+def test_the_second_signal_ends_what_never_looks():
+    """As in a compiler: no Python runs in the main thread."""
+    process = busy("import hashlib; hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)", stderr=subprocess.PIPE)
     process.send_signal(signal.SIGINT)
-    first = process.stderr.readline()
-    assert "a second signal ends it at once" in first
+    assert "a second signal ends it at once" in process.stderr.readline()
     assert process.poll() is None
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=60)
@@ -103,20 +106,11 @@ def test_the_second_signal_ends_what_never_looks():
     assert err == "mjx-climb: interrupted at once: what was finished is kept; the same command goes on from there\n"
 
 
-_HUNG = """
-import itertools
-from tuning.command_line import interruption
-interruption.watch()
-print("busy", flush=True)
-sum(itertools.repeat(0))  # as in a library that hangs: no Python runs in any thread
-"""
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="asks glibc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_second_signal_ends_what_lets_no_python_run(number):
-    process = subprocess.Popen([sys.executable, "-c", _HUNG], cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    assert process.stdout.readline() == "busy\n"
+    """As in a library that hangs: no Python runs in any thread."""
+    process = busy("import itertools; sum(itertools.repeat(0))")
     time.sleep(0.5)  # until it is within the call that lets no Python run
     process.send_signal(number)
     status = Path(f"/proc/{process.pid}/status")

@@ -6,11 +6,13 @@ import re
 import signal
 import socket
 import time
+from functools import partial
 
 import pytest
 
 from tests.shell import ends, finish, killed, same_files, start, wait_for_parts
 from tuning.command_line import processes
+from tuning.command_line.processes import shard_from
 from tuning.command_line.program import InputError
 
 SHORT = ["case_1_2", "--set", "duration=0.2"]
@@ -84,29 +86,27 @@ def test_a_launcher_is_recognised(variables, expected, launched):
 )
 def test_which_shard_a_process_walks(text, variables, shard, launched):
     launched(variables)
-    found, words = processes.shard_from(text)
+    found, words = shard_from(text)
     assert found == shard
     assert bool(words) == (text is not None or bool(variables))
     assert ("Slurm" in words) == (text is None and bool(variables))
 
 
-NOT_ADDRESSED = "JAX_COORDINATOR_ADDRESS: expected host:port of process 0"
-NO_SHARD = "--shard: expected I/N"
 GAPS = "expected several tasks without gaps"
 
 
 @pytest.mark.parametrize(
     ("asked", "variables", "expected"),
     [
-        (processes.process, MPI, NOT_ADDRESSED),
+        (processes.process, MPI, "JAX_COORDINATOR_ADDRESS: expected host:port of process 0"),
         (processes.process, JAX | {"JAX_PROCESS_ID": "4"}, "JAX_PROCESS_ID: expected a number below the 4 of JAX_NUM"),
         (processes.process, JAX | {"JAX_PROCESS_ID": ""}, "JAX_PROCESS_ID: expected a whole number, got ''"),
         (processes.process, JAX | {"JAX_NUM_PROCESSES": "two"}, "JAX_NUM_PROCESSES: expected a whole number, got 'tw"),
-        *((lambda text=text: processes.shard_from(text), {}, NO_SHARD) for text in ("0/4", "5/4", "1", "1/4/2")),
-        (lambda: processes.shard_from(None), array(MIN="1", MAX="9"), GAPS),
-        (lambda: processes.shard_from(None), array(ID="9"), GAPS),
-        (lambda: processes.shard_from(None), array(ID="3", MIN="3", MAX="3", COUNT="1"), f"{GAPS}, got 1 from 3 to 3"),
-        (lambda: processes.shard_from(None), array(COUNT=""), "SLURM_ARRAY_TASK_COUNT: expected a whole number"),
+        *((partial(shard_from, text), {}, "--shard: expected I/N") for text in ("0/4", "5/4", "1", "1/4/2")),
+        (partial(shard_from, None), array(MIN="1", MAX="9"), GAPS),
+        (partial(shard_from, None), array(ID="9"), GAPS),
+        (partial(shard_from, None), array(ID="3", MIN="3", MAX="3", COUNT="1"), f"{GAPS}, got 1 from 3 to 3"),
+        (partial(shard_from, None), array(COUNT=""), "SLURM_ARRAY_TASK_COUNT: expected a whole number"),
     ],
 )
 def test_a_launcher_or_a_shard_that_makes_no_sense(asked, variables, expected, launched):
@@ -126,25 +126,19 @@ def together(*commands):
 
 @pytest.mark.slow
 @pytest.mark.nightly
-def test_two_processes_write_what_one_writes(tmp_path):
+@pytest.mark.parametrize(
+    ("command", "files"), [(SWEEP, WRITTEN), (TUNE, ("gains.yaml", "search.nc", "map.nc"))], ids=["sweep", "tune"]
+)
+def test_two_processes_write_what_one_writes(command, files, tmp_path):
     """A sweep that was killed goes on in two processes: they have the parts of the first one."""
     alone, two = tmp_path / "alone", tmp_path / "two"
-    printed, _ = finish(*SWEEP, "--out", alone, "--json", JAX_PLATFORMS="cpu")
-    killed(*SWEEP, "--out", two, once=two)
-    first, second = ends(*together(*[[*SWEEP, "--out", two, "--json"]] * 2))
+    printed, _ = finish(*command, "--out", alone, "--json", JAX_PLATFORMS="cpu")
+    if command is SWEEP:
+        killed(*command, "--out", two, once=two)
+    first, second = ends(*together(*[[*command, "--out", two, "--json"]] * 2))
     assert (first[:2], second) == ((0, printed), (0, "", "")), first
-    assert "2 processes" in first[2] and "; 4 are there already" in first[2]
-    same_files(two, alone, *WRITTEN)
-
-
-@pytest.mark.slow
-@pytest.mark.nightly
-def test_two_processes_find_the_same_gains(tmp_path):
-    one, two = tmp_path / "one", tmp_path / "two"
-    printed, _ = finish(*TUNE, "--out", one, "--json", JAX_PLATFORMS="cpu")
-    first, second = ends(*together(*[[*TUNE, "--out", two, "--json"]] * 2))
-    assert (first[:2], second) == ((0, printed), (0, "", "")), first
-    same_files(two, one, "gains.yaml", "search.nc", "map.nc")
+    assert "2 processes" in first[2] and ("; 4 are there already" in first[2]) == (command is SWEEP)
+    same_files(two, alone, *files)
 
 
 @pytest.mark.slow
