@@ -54,9 +54,8 @@ def process() -> Process | None:
         address = os.environ.get("JAX_COORDINATOR_ADDRESS")
         found_by_jax = "OMPI_MCA_orte_hnp_uri" in os.environ or all(name in os.environ for name in _OF_SLURM)
         if address is None and not found_by_jax:
-            raise InputError(
-                f"JAX_COORDINATOR_ADDRESS: expected host:port of process 0 beside {size}={count}, got none"
-            )
+            expected = f"expected host:port of process 0 beside {size}={count}"
+            raise InputError(f"JAX_COORDINATOR_ADDRESS: {expected}, got none")
         return Process(number, count, address, said)
     return None
 
@@ -124,8 +123,7 @@ class Team:
         size = int(multihost_utils.broadcast_one_to_all(np.array(len(content), np.int32)))
         if not size:
             return
-        whole: np.ndarray = np.zeros(size, np.uint8)
-        whole[: len(content)] = np.frombuffer(content, np.uint8)
+        whole = np.frombuffer(content.ljust(size, b"\0"), np.uint8)
         archive = np.asarray(multihost_utils.broadcast_one_to_all(whole)).tobytes()
         if self._process.number:
             with tarfile.open(fileobj=io.BytesIO(archive)) as files:
@@ -137,9 +135,7 @@ class Team:
         from jax.experimental import multihost_utils
 
         assert self._process is not None
-        told = np.zeros(len(digest) + _LONGEST, np.uint8)
-        text = digest + problem.encode()[:_LONGEST]
-        told[: len(text)] = np.frombuffer(text, np.uint8)
+        told = np.frombuffer((digest + problem.encode()[:_LONGEST]).ljust(len(digest) + _LONGEST, b"\0"), np.uint8)
         for number, row in enumerate(np.asarray(multihost_utils.process_allgather(told))):
             message = row[len(digest) :].tobytes().rstrip(b"\0").decode(errors="replace")
             if message and number != self._process.number:
@@ -174,11 +170,8 @@ def joined(apart: bool = False) -> Iterator[Team]:
             jax.distributed.initialize(own.address, own.of, own.number, initialization_timeout=PATIENCE)
             jax.devices()
         except (RuntimeError, ValueError) as error:
-            reason = str(error).partition("\n")[0]
-            raise InputError(
-                f"'{own.said}': expected {own.of} processes that meet, got {reason} "
-                f"(JAX_NUM_PROCESSES=1 lets each walk alone)"
-            ) from None
+            reason, expected = str(error).partition("\n")[0], f"'{own.said}': expected {own.of} processes that meet"
+            raise InputError(f"{expected}, got {reason} (JAX_NUM_PROCESSES=1 lets each walk alone)") from None
         team = Team(own, temporary)
         if own.number:
             sys.stderr.flush()

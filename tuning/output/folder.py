@@ -42,21 +42,18 @@ class Contents(NamedTuple):
     again: str = ""  # the command or call that repeats it in the folder
 
 
+@dataclasses.dataclass
 class Folder:
     """A folder that a result is written to, and what has been written there; OutputError where it cannot be."""
 
-    def __init__(
-        self,
-        path: Path,
-        result: str,
-        origin: Origin | None = None,
-        figures: Collection[str] = ("png",),
-        stage: Stage = silent,
-    ):
-        """Make the folder; `result` is the file by which it is known, the rest is as of `Result.write`."""
-        check_own(path, result)
-        self.path, self.stage, self._result = path, stage, result
-        self._origin, self._figures = origin, {"png", *figures}
+    path: Path
+    result: str  # the file by which it is known
+    origin: Origin | None = None  # this and the rest are as of `Result.write`
+    figures: Collection[str] = ("png",)
+    stage: Stage = silent
+
+    def __post_init__(self) -> None:
+        check_own(self.path, self.result)
         self._pictures: dict[str, Path] = {}  # PNG by caption
         self._files: list[str] = []
 
@@ -71,7 +68,7 @@ class Folder:
         if made.page is not None:
             with self.stage("report", compiles=False):
                 call = f"tuning.{found.KIND}(...)"
-                origin = self._origin or Origin("the scenario", call, made.again or call)
+                origin = self.origin or Origin("the scenario", call, made.again or call)
                 config = without_folders((self.path / "config.yaml").read_text(encoding="utf-8"))
                 named = page.write(made.page(origin._replace(config=config, pictures=self._pictures)), self.path).name
                 self._files.insert(0, named)
@@ -83,11 +80,11 @@ class Folder:
         problem = found.problem
         scenario = write_config(problem.scenario, self.path, problem.law, problem.metrics, problem.own_objective)
         if found.gains is not None and found.search is not None:
-            name = "from Python" if self._origin is None else self._origin.name
+            name = "from Python" if self.origin is None else self.origin.name
             gains_file.save(found.gains, self.path / "gains.yaml", found.comment(name), problem.law)
             self._files.append("gains.yaml")
         data = found.data.assign_attrs(scenario=scenario.to_yaml())
-        self.add(self._result, data)
+        self.add(self.result, data)
         for name, settings in (("search.yaml", found.search), ("ensemble.yaml", found.ensemble)):
             if settings is not None:
                 self.add(name, settings.to_yaml())
@@ -109,7 +106,7 @@ class Folder:
 
         with self.stage("drawing", compiles=False):
             for name, (caption, picture) in pictures.items():
-                plots.save_figure(picture(), self.path / name, self._figures)
+                plots.save_figure(picture(), self.path / name, {"png", *self.figures})
                 self._pictures[caption] = self.path / f"{name}.png"
                 self._files.append(f"{name}.png")
 

@@ -164,18 +164,22 @@ def test_run_writes_and_prints(call, tmp_path):
     assert np.linalg.norm(walk["foot_force"], axis=-1).max() == pytest.approx(metrics["peak_foot_force"])
 
 
-def test_run_takes_metrics_of_ones_own(call, tmp_path):
-    (tmp_path / "mine.py").write_text(
+def test_run_takes_metrics_of_ones_own_and_a_gains_file_in_place_of_the_configs_gains(call, tmp_path):
+    mine, gains, out = tmp_path / "mine.py", tmp_path / "gains.yaml", tmp_path / "out"
+    mine.write_text(
         "from mjx_climb.walk.metrics import largest\n"
         'highest = largest("highest_base", "m", "highest base", lambda s, _: s.base_position[2])\n'
     )
-    metric = f"{tmp_path / 'mine.py'}:highest"
-    code, out, _ = call("run", CONFIG, *SHORT, "--controller", "pd", "--metric", metric, "--out", tmp_path / "out")
+    gains_file.save(mc.Gains(2.0, 30.0, 500.0, kp=45.0), gains)
+    own = ["--metric", f"{mine}:highest", "--gains", gains]
+    code, printed, _ = call("run", CONFIG, *SHORT, "--controller", "pd", *own, "--out", out)
     assert code == 0
-    value = strict_json((tmp_path / "out" / "metrics.json").read_text())["highest_base"]
-    walk = xr.load_dataset(tmp_path / "out" / "trajectory.nc", engine="h5netcdf")
+    value = strict_json((out / "metrics.json").read_text())["highest_base"]
+    walk = xr.load_dataset(out / "trajectory.nc", engine="h5netcdf")
     assert value == pytest.approx(walk["base_position"].values[:, 2].max())
-    assert re.search(rf"highest base +{value:.4g} +m\b", out)
+    assert re.search(rf"highest base +{value:.4g} +m\b", printed)
+    control = options.Walk(config=out / "config.yaml").load().scenario.control
+    assert (control.inertia, control.damping, control.stiffness, control.kp) == (2.0, 30.0, 500.0, 45.0)
 
 
 def test_run_says_who_let_go(call, tmp_path):
@@ -206,14 +210,6 @@ def test_run_survives_divergence(call, tmp_path):
     until = np.argmin(finite)  # the metrics are those of the walk until then
     assert 0 < until < 200 and not finite.all()
     assert metrics["peak_foot_force"] == pytest.approx(force[:until].max())
-
-
-def test_gains_file_takes_the_place_of_the_configs(call, tmp_path):
-    file, out = tmp_path / "gains.yaml", tmp_path / "out"
-    gains_file.save(mc.Gains(2.0, 30.0, 500.0, kp=45.0), file)
-    assert call("run", CONFIG, *SHORT, "--controller", "pd", "--gains", file, "--out", out)[0] == 0
-    control = mc.load_scenario(out / "config.yaml").control
-    assert (control.inertia, control.damping, control.stiffness, control.kp) == (2.0, 30.0, 500.0, 45.0)
 
 
 class _Called(Exception):

@@ -10,7 +10,6 @@ import pytest
 
 from mjx_climb.rendering import backend
 from tests.fuzz import COMMANDS, Case, case
-from tests.shell import ends, start
 from tuning.command_line import main, program
 
 CASES, CHUNK, QUICK = 1000, 50, 150
@@ -121,14 +120,3 @@ def test_malformed_input_is_refused(start, patience, tmp_path, capsys, call, mon
             error.add_note(f"case {number}: {malformed}")
             raise
     assert refused > CHUNK // 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [20, 617])
-def test_malformed_input_to_a_process_of_its_own(number, tmp_path):
-    """What a shell sees is what the other tests see."""
-    arguments = prepare(case(number), tmp_path)
-    before = tree(tmp_path)
-    ((code, out, err),) = ends(start(*arguments, folder=tmp_path))
-    check_refusal(code, out, err, arguments)
-    assert tree(tmp_path) == before
