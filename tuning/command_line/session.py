@@ -1,6 +1,7 @@
 """One command's tables and JSON, and its stages on standard error: a live bar on a terminal, plain lines in a file."""
 
 import contextlib
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -69,13 +70,13 @@ class Compilation:
             self._finished()
 
 
+@dataclasses.dataclass
 class Estimate:
     """How long the rest takes, from the work done since the compiler finished; None before that is known."""
 
-    def __init__(self, now: float):
-        self.since = now  # s
-        self.base: int | None = None  # what was there then
-        self.done: int | None = None
+    since: float  # s
+    base: int | None = None  # what was there then
+    done: int | None = None
 
     def update(self, done: int, total: int, now: float) -> float | None:
         """Return the seconds left once `done` of `total` are done."""
@@ -83,8 +84,7 @@ class Estimate:
         self.done = done
         if done == total:
             return 0.0
-        worked = done - self.base
-        return None if worked <= 0 else (now - self.since) / worked * (total - done)
+        return None if done <= self.base else (now - self.since) / (done - self.base) * (total - done)
 
     def compiled(self, now: float) -> None:
         """Count from `now` on: the time before went to the compiler."""

@@ -18,7 +18,6 @@ from mjx_climb.files import scenario_files
 from mjx_climb.quantities.parameters import gains as scenario_gains
 from tuning.background import Callback, Stage, Work, background, ignore
 from tuning.evaluation import maps, margins, stability_limit, verification
-from tuning.evaluation.verification import Verification
 from tuning.gains.gains_file import by_name, replaced
 from tuning.output import comparisons
 from tuning.output.comparisons import GIVEN, OfGrid, OfSearch, beside_retuned, one_walk
@@ -32,11 +31,8 @@ from tuning.report.numbers import failed, remarks, to_json
 from tuning.searches import judge as judging
 from tuning.searches import retuned_pd
 from tuning.searches import schedule as schedules
-from tuning.searches.judge import Judged
 from tuning.searches.pareto import Front
 from tuning.searches.result import Robust, Tuned, Written
-from tuning.searches.retuned_pd import Rival, Worth
-from tuning.searches.schedule import Scheduled
 from tuning.searches.shards import Rows
 from tuning.searches.sweep import HISTORIES, Swept, best_cell, holding
 
@@ -57,7 +53,7 @@ _VARIATION = "force_variation"
 # Fresh draws, schedules and fronts
 
 
-def judge(found: Judged, folder: Folder, _: None = None) -> Contents:
+def judge(found: judging.Judged, folder: Folder, _: None = None) -> Contents:
     """Every walk, means and worst, the picture, the page."""
     ensemble = found.ensemble
     assert ensemble is not None
@@ -76,7 +72,7 @@ def judge(found: Judged, folder: Folder, _: None = None) -> Contents:
     )  # fmt: skip
 
 
-def schedule(found: Scheduled, folder: Folder, _: None = None) -> Contents:
+def schedule(found: schedules.Scheduled, folder: Folder, _: None = None) -> Contents:
     """The table, all metrics, and a picture; no report."""
     data = folder.found(found).data
     level, load, loss = schedules.one_for_all(data)
@@ -153,7 +149,7 @@ def robust(found: Robust, folder: Folder, _: None = None) -> Contents:
     )
 
 
-def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Dataset, Worth | None, list[str]]:
+def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Dataset, retuned_pd.Worth | None, list[str]]:
     """Simulate a result, the scenario's own gains, pd and pd retuned on walks that the search never saw.
 
     Returns: the walks, their mean and worst (see `tuning.searches.judge`), what a force sensor is worth, and all in
@@ -257,7 +253,7 @@ class SweepComparison(NamedTuple):
     rows: Compared  # gains and metrics of these
     failed: int  # walks of the grid
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
-    worth: Worth | None  # of a force sensor: the best against pd retuned
+    worth: retuned_pd.Worth | None  # of a force sensor: the best against pd retuned
 
 
 def compare_sweep(found: Swept, stage: Stage, begun: OfGrid | None = None) -> SweepComparison:
@@ -323,8 +319,8 @@ def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]
 
 
 def _worth(
-    metrics: Iterable[Metrics], scored: Iterable[Metrics], rival: Rival, problem: Problem, place: str = ""
-) -> Worth:
+    metrics: Iterable[Metrics], scored: Iterable[Metrics], rival: retuned_pd.Rival, problem: Problem, place: str = ""
+) -> retuned_pd.Worth:
     """Return what a force sensor is worth, from the metrics of ours and of pd retuned, and what both are scored by."""
     (ours, theirs), (values, without) = metrics, scored
     others = differences(ours, theirs, problem.metrics, but=(_VARIATION,))
@@ -378,8 +374,8 @@ class TuneComparison(NamedTuple):
     rows: Compared  # tuned, retuned_pd, config, pd
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
-    checked: Verification
-    worth: Worth | None  # of a force sensor: the result against pd retuned
+    checked: verification.Verification
+    worth: retuned_pd.Worth | None  # of a force sensor: the result against pd retuned
 
 
 def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> TuneComparison:
@@ -461,7 +457,7 @@ def _scored(target: Goal, metrics: Metrics) -> dict[str, float]:
     return {"objective": float(maps.score_of(target, metrics).value), _VARIATION: float(variation)}
 
 
-def _outcome_of(checked: Verification, found: Tuned) -> list[str]:
+def _outcome_of(checked: verification.Verification, found: Tuned) -> list[str]:
     """Return the outcome of the tests in a few lines, without their warnings."""
     limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
     lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]

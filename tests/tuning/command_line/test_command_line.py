@@ -367,7 +367,7 @@ def test_a_long_sweep_says_before_how_long_it_takes(count, said, monkeypatch, ca
 
 
 def test_time_left_counts_only_what_is_done_since_the_last_compilation():
-    estimate = session.Estimate(now=0.0)
+    estimate = session.Estimate(since=0.0)
     assert estimate.update(40, 100, now=1.0) is None  # found on disk
     assert estimate.update(50, 100, now=5.0) == pytest.approx(25.0)
     estimate.compiled(now=11.0)

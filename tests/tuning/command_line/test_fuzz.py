@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mjx_climb.rendering import backend
-from tests.fuzz import COMMANDS, Case, case
+from tests.fuzz import COMMANDS, case
 from tuning.command_line import main, program
 
 CASES, CHUNK, QUICK = 1000, 50, 150
@@ -37,16 +37,6 @@ def valid_input_stops_here(monkeypatch):
 
 def test_every_command_is_tried():
     assert set(COMMANDS) == set(program.COMMANDS)
-
-
-def prepare(malformed: Case, folder: Path) -> list[str]:
-    """Write the files of a case and return its arguments."""
-    for name, content in malformed.files.items():
-        if content is None:
-            (folder / name).mkdir()
-        else:
-            (folder / name).write_bytes(content)
-    return [argument.replace("{folder}", str(folder)) for argument in malformed.arguments]
 
 
 def tree(folder: Path) -> dict[str, bytes | None]:
@@ -105,7 +95,9 @@ def test_malformed_input_is_refused(start, patience, tmp_path, capsys, call, mon
         folder.mkdir()
         monkeypatch.chdir(folder)
         malformed = case(number)
-        arguments = prepare(malformed, folder)
+        for name, content in malformed.files.items():
+            (folder / name).mkdir() if content is None else (folder / name).write_bytes(content)
+        arguments = [argument.replace("{folder}", str(folder)) for argument in malformed.arguments]
         before = tree(folder)
         try:
             with patience():
