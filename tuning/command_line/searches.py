@@ -19,7 +19,6 @@ from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Searc
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    from tuning.background import Begin
     from tuning.problem.ensemble import Ensemble
     from tuning.searches.judge import Draw
     from tuning.searches.sweep import Grid as Work
@@ -283,13 +282,6 @@ class Grid(Options):
             said.append(f"expect some {duration(seconds)}, or spread them over machines with --shard")
         return said
 
-    def compared(self, work: "Work", begin: "Begin") -> Any:
-        """Begin what the grid is compared with."""
-        from tuning.output import comparisons
-
-        begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
-        return comparisons.of_grid(work.problem, work.gains, work.axes, begin)
-
 
 class Rivals(Judge):
     """Which gains are judged, on what."""
@@ -318,9 +310,6 @@ class Rivals(Judge):
         """Return how many walks there are."""
         return [f"{here} members, {len(work.gains) + 1} walks of {work.problem.scenario.steps} steps each"]
 
-    def compared(self, work: "Draw", begin: "Begin") -> None:
-        """Return nothing: all that is compared is drawn."""
-
 
 def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> None:
     """Walk the rows of a grid or a draw, all or a shard's, and write the result of all."""
@@ -339,7 +328,12 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
         shell.opening(work.problem.scenario)
         team.begin(folder, work.identity())
         with shell.keeping(f"of {here} {unit}", folder, there), background() as begin:
-            compared = asked.compared(work, begin) if rows.shard is None else None
+            compared = None
+            if kind == "sweep" and rows.shard is None:
+                from tuning.output import comparisons
+
+                begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
+                compared = comparisons.of_grid(work.problem, work.gains, work.axes, begin)
             with shell.stage(stage, unit=unit, keeps=True) as show:
                 arrays = rows.walk(show)
             if rows.shard is not None:
