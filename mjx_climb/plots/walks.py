@@ -235,7 +235,7 @@ def _mark_failure(
 
     What failed when stands in the first panel, `level` lines below its top. False where nothing failed.
     """
-    failures = []  # instants, s, and words
+    failures, first = [], axes[0]  # instants, s, and words
     for instant, limb in events.detachments(trajectory)[:1]:
         failures.append((instant, f"{limb} torn off, {instant:.2f} s"))
         row = int(np.searchsorted(trajectory.time, instant))
@@ -247,7 +247,7 @@ def _mark_failure(
         instant = float(trajectory.time[rows])
         failures.append((instant, f"diverged, {instant:.2f} s"))
     if failures:
-        at, first = failures[0][0], axes[0]
+        at = failures[0][0]
         late = at > 0.5 * first.get_xlim()[1]
         first.annotate(
             "\n".join(words for _, words in failures), (at, 1), xycoords=first.get_xaxis_transform(),
@@ -270,9 +270,8 @@ def plot_feet(trajectory: Trajectory) -> Figure:
     that the picture ends.
     """
     scenario, along = trajectory.scenario, _along(trajectory)
-    rows = min(
-        events.finite_rows(trajectory), int(np.searchsorted(trajectory.time, events.failure_time(trajectory) + 0.1))
-    )
+    end = np.searchsorted(trajectory.time, events.failure_time(trajectory) + 0.1)
+    rows = min(events.finite_rows(trajectory), int(end))
     planned = along(_planned(trajectory))
     feet, base = along(trajectory.foot_position[:rows]), along(trajectory.base_position[:rows])
     low, high = planned.min((0, 1)) - 50, planned.max((0, 1)) + 50

@@ -1,7 +1,7 @@
 """What the robot walks on, for the eye: rock under gravity, the panels of a station without."""
 
-import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,7 @@ PANEL = 0.35  # m, a panel of the station
 SINK = 0.003  # m, the ground lies this far below the grip points, which look like holds on it
 
 
-@dataclasses.dataclass(frozen=True)
-class Style:
+class Style(NamedTuple):
     """Colours in [0, 1]; the relief is zero on the station."""
 
     name: str
@@ -74,7 +73,11 @@ def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
 
 def _add_ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.ndarray) -> None:
     random, station, side = np.random.default_rng(7), looks.name == "station", 2 * REACH
-    paint = _panels(random) if station else _rock(random)
+    if station:
+        paint = _panels(random)
+    else:  # rock: grain, stains and pits
+        paint = 1 + 0.09 * _noise(random, TEXTURE, 1.1) + 0.05 * _noise(random, TEXTURE, 0.3)
+        paint = np.where(_noise(random, TEXTURE, 0.8) > 2.2, 0.72 * paint, paint)
     pixels = np.clip(255 * paint[..., None] * np.asarray(looks.ground), 0, 255).astype(np.uint8)
     texture = spec.add_texture(name="paint", type=mujoco.mjtTexture.mjTEXTURE_2D, width=TEXTURE, height=TEXTURE)
     texture.nchannel, texture.data = 3, pixels.tobytes()
@@ -100,18 +103,11 @@ def _add_ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np
 
 def _noise(random: np.random.Generator, size: int, power: float, shortest: int = 2) -> np.ndarray:
     """Return periodic noise (size, size) whose spectrum falls with `power`, standard deviation 1."""
-    waves = np.hypot(*np.meshgrid(np.fft.fftfreq(size, 1 / size), np.fft.rfftfreq(size, 1 / size), indexing="ij"))
+    waves = np.hypot(np.fft.fftfreq(size, 1 / size)[:, None], np.fft.rfftfreq(size, 1 / size))
     waves[0, 0] = np.inf
     spectrum = np.fft.rfft2(random.standard_normal((size, size))) / waves**power * (waves < size / shortest)
     noise = np.fft.irfft2(spectrum, (size, size))
     return np.asarray(noise / noise.std())
-
-
-def _rock(random: np.random.Generator) -> np.ndarray:
-    """Return the lightness of rock, (TEXTURE, TEXTURE): grain, stains and pits."""
-    paint = 1 + 0.09 * _noise(random, TEXTURE, 1.1) + 0.05 * _noise(random, TEXTURE, 0.3)
-    pits = _noise(random, TEXTURE, 0.8) > 2.2
-    return np.where(pits, 0.72 * paint, paint)
 
 
 def _panels(random: np.random.Generator) -> np.ndarray:
@@ -133,9 +129,8 @@ def relief_of(random: np.random.Generator, boulders: float, grips: np.ndarray) -
 
     Close to the grips (N, 3) m it follows their heights; away from them rock rises up to `boulders`.
     """
-    axis = np.linspace(-REACH, REACH, CELLS)
-    x, y = np.meshgrid(axis, axis)
-    squares = (x[..., None] - grips[:, 0]) ** 2 + (y[..., None] - grips[:, 1]) ** 2
+    axis = np.linspace(-REACH, REACH, CELLS)[:, None]
+    squares = (axis - grips[:, 0]) ** 2 + (axis[:, None] - grips[:, 1]) ** 2
     weights = 1 / (squares + 1e-3) ** 2
     ground = (weights * grips[:, 2]).sum(-1) / weights.sum(-1) - SINK
     if not boulders:
@@ -146,4 +141,4 @@ def relief_of(random: np.random.Generator, boulders: float, grips: np.ndarray) -
     fine = np.abs(_noise(random, CELLS, 1.0))
     # close by only downwards: the feet stand on the grips
     near = -0.004 * fine * np.clip(distance / 0.03, 0, 1)
-    return np.asarray(ground + np.where(away > 0, 0, near) + away * boulders * 0.5 * lumps + near * (away > 0))
+    return np.asarray(ground + near + away * boulders * 0.5 * lumps)

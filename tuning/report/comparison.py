@@ -98,19 +98,17 @@ def held(metrics: Values) -> str:
 
 
 def differences(
-    metrics: Values, baseline: Values, about: MetricTable = METRICS, but: Container[str] = (), least: float = 2.0
+    metrics: Values, baseline: Values, about: MetricTable = METRICS, but: Container[str] = ()
 ) -> tuple[list[str], list[str]]:
     """Return which metrics are worse than under the baseline, as "base deviation +414 %", and which are better.
 
-    All but some, where they differ by more than so many per cent.
+    All but some, where they differ by more than 2 %.
     """
-    worse: list[str] = []
-    better: list[str] = []
+    found: tuple[list[str], list[str]] = [], []  # worse, better
     for name, value in metrics.items():
         base = baseline[name]
-        if name in but or not (is_number(value) and is_number(base)) or not abs(value - base) > least / 100 * abs(base):
-            continue
-        text = f"{change(value, base)} %" if base > 0 else f"{number(base)} to {number(value)}"
-        kind = better if (value > base) == about[name].larger_is_better else worse
-        kind.append(f"{about.in_words(name)} {text}")
-    return worse, better
+        if name not in but and is_number(value) and is_number(base) and abs(value - base) > 0.02 * abs(base):
+            text = f"{change(value, base)} %" if base > 0 else f"{number(base)} to {number(value)}"
+            better = (value > base) == about[name].larger_is_better
+            found[better].append(f"{about.in_words(name)} {text}")
+    return found
