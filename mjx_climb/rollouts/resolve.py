@@ -174,7 +174,7 @@ def by_name(gains: AnyGains) -> dict[str, Any]:
 
 def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
     """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
-    values = {} if gains is None else by_name(gains)
+    values = dict(gains or {}) if isinstance(gains, Mapping | None) else by_name(gains)
     if isinstance(gains, Gains):
         for name, field in law.GAINS.items():
             if field.length == 3 and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
