@@ -46,7 +46,7 @@ def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Har
     if stages.force_resolution:
         force = signals.rounded(force, jnp.asarray(parameters.force_resolution))
     if stages.force_filter:
-        force = filtered = signals.low_passed(filtered, force, hardware.pace.filter_share)
+        force = filtered = filtered + hardware.pace.filter_share * (force - filtered)
     return ForceSensor(buffer, filtered), force
 
 

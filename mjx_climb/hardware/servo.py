@@ -56,15 +56,6 @@ def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tup
     return Servo(buffer, bristle), Drive(torque, joint_torque, armature)
 
 
-def across_play(error: Array, backlash: Array) -> Array:
-    """Return the part of a position error in rad that gears with a play of `backlash` rad pass on.
-
-    The motor rests at its target; the link is free to move by half the play to either side.
-    """
-    play = backlash / 2
-    return error - jnp.clip(error, -play, play)
-
-
 def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Array) -> Array:
     """Return the torque that the motor gives, N m, for the one that it is asked for.
 

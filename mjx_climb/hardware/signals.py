@@ -54,7 +54,7 @@ def delayed(buffer: Buffer, value: Array, weights: Buffer) -> tuple[Buffer, Arra
     return buffer, sum((weight * sample for weight, sample in zip(weights, buffer, strict=True)), jnp.zeros_like(value))
 
 
-# Sensors: resolution and a first-order filter.
+# Sensors: resolution.
 
 
 def rounded(value: Array, resolution: Array) -> Array:
@@ -66,17 +66,7 @@ def rounded(value: Array, resolution: Array) -> Array:
     return value + jnp.where(resolution > 0, jax.lax.stop_gradient(unit * jnp.round(value / unit) - value), 0.0)
 
 
-def filter_share(cutoff: Array, period: float | Array) -> Array:
-    """Return the share of an input held over a period in s that a first-order filter takes in: `1 - exp(-2 pi f h)`."""
-    return -jnp.expm1(-2 * jnp.pi * period * cutoff)
-
-
-def low_passed(before: Array, value: Array, share: Array) -> Array:
-    """Return a first-order filter's output after a step, `y += share (u - y)`."""
-    return before + share * (value - before)
-
-
-# A control law that is evaluated once in a control period: its output is held, joint targets perhaps interpolated.
+# A control law that is evaluated once in a control period: its output is held.
 
 
 def period_steps(period: Array, time_step: float) -> Array:
@@ -100,11 +90,3 @@ def held(now: Array, new: Tree, before: Tree) -> Tree:
 
     result: Tree = jax.tree.map(choose, new, before)
     return result
-
-
-def interpolated(begin: Array, end: Array, into: Array, steps: Array) -> Array:
-    """Return targets on the line from `begin` to `end`, which is reached in the last step of a control period.
-
-    Nobody knows the next target a period ahead: the line lags by up to a period.
-    """
-    return end - (end - begin) * (1 - (into + 1) / steps)

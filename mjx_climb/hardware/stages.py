@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from mjx_climb.hardware.signals import Buffer, buffer_length, filter_share, period_steps, weights
+from mjx_climb.hardware.signals import Buffer, buffer_length, period_steps, weights
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
@@ -128,7 +128,8 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     share: Any = ()
     if stages.force_filter or stages.sampled_filter:
         sampled = time_step * period if stages.sampled_filter and stages.control_period else time_step
-        share = filter_share(jnp.asarray(parameters.force_filter), sampled)
+        # what a first-order filter takes in of an input held over a period: 1 - exp(-2 pi f h)
+        share = -jnp.expm1(-2 * jnp.pi * sampled * parameters.force_filter)
     late: dict[str, Buffer] = {}
     for part in _DELAYED:
         length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")

@@ -129,17 +129,18 @@ def control(
         before: Any = signals.held(now, held.joints.joint_angles, held.before) if stages.linear else ()
         command, joints = signals.held(now, (command, joints), (held.command, held.joints))
         held = Held(command, joints, before)
-        if stages.linear:
-            line = signals.interpolated(before, joints.joint_angles, into, pace.period)
-            joints = joints._replace(joint_angles=line)
+        if stages.linear:  # the next target is not known a period ahead: the line reaches this one in the last step
+            end = joints.joint_angles
+            joints = joints._replace(joint_angles=end - (end - before) * (1 - (into + 1) / pace.period))
     if stages.command_delay:
         targets, late = signals.delayed(targets, joints.joint_angles, pace.command)
         joints = joints._replace(joint_angles=late)
 
     # joint loop: tau = kp (phi_des - phi) - kd phidot, the desired rate is zero
     error = joints.joint_angles - state.joint_angles
-    if stages.backlash:
-        error = servo.across_play(error, jnp.asarray(gains.backlash))
+    if stages.backlash:  # the motor rests at its target; the link is free to move by half the play to either side
+        play = gains.backlash / 2
+        error = error - jnp.clip(error, -play, play)
     torque = jnp.asarray(gains.kp * error - gains.kd * state.joint_rates)
     servos, drive = servo.driven(memory.servo, torque, state.joint_rates, hardware)
     memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture)
@@ -157,7 +158,7 @@ def _measure(
         wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
     filtered = memory.filtered
     if stages.sampled_filter:
-        force, wrench = (signals.low_passed(y, u, share) for y, u in zip(filtered, (force, wrench), strict=True))
+        force, wrench = (y + share * (u - y) for y, u in zip(filtered, (force, wrench), strict=True))
         if stages.control_period:
             force, wrench = signals.held(into == 0, (force, wrench), filtered)
         filtered = force, wrench

@@ -78,17 +78,12 @@ def schedule(plan: Plan, step: Array) -> Schedule:
     )
 
 
-def is_flat(plan: Plan) -> bool:
-    """Return whether all footholds are at height zero; known when the walk is compiled."""
-    return plan.heights.shape[1] == 0
-
-
 def foothold_height(plan: Plan, number: Array) -> Array:
     """Return the heights (limb,) m of footholds by their number, (limb,) or (); the last one goes on for ever.
 
     The ground below a foot is as high as its foothold, as a terrace.
     """
-    if is_flat(plan):
+    if not plan.heights.size:
         return jnp.zeros_like(plan.swing_offset)
     height = plan.heights[:, 0]
     for n in range(1, plan.heights.shape[1]):
@@ -106,14 +101,9 @@ def first_footholds(plan: Plan) -> Array:
     return _raised(plan.footholds, foothold_height(plan, jnp.zeros_like(plan.cycle_steps)))
 
 
-def rise(plan: Plan, cycle: Array) -> Array:
-    """Return by how much a cycle's footholds lie higher than flat ground on average, () m: so does the base."""
-    return foothold_height(plan, cycle).mean()
-
-
 def planned_start(plan: Plan, cycle: Array) -> Array:
     """Return where the gait plans the base at the start of a cycle, (3,) m in world axes."""
-    return _raised(plan.base_start + cycle * plan.advance, rise(plan, cycle))
+    return _raised(plan.base_start + cycle * plan.advance, foothold_height(plan, cycle).mean())
 
 
 def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:
@@ -121,7 +111,8 @@ def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:
 
     On uneven ground the base rises and sinks with the mean height of the footholds.
     """
-    way = _raised(plan.advance, rise(plan, now.cycle + 1) - rise(plan, now.cycle))
+    old, new = (foothold_height(plan, cycle).mean() for cycle in (now.cycle, now.cycle + 1))
+    way = _raised(plan.advance, new - old)
     return start + rest_to_rest(now.cycle_phase) * way
 
 

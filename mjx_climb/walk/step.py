@@ -108,7 +108,7 @@ def begin(walk: Walk) -> Carry:
     start = gait.planned_start(plan, jnp.zeros_like(plan.cycle_steps))
     reference = Reference(start, plan.base_orientation, gait.first_footholds(plan))
     rotation, joints = quaternion_to_matrix(reference.base_orientation), jnp.asarray(robot.stance_joints)
-    if not gait.is_flat(plan):
+    if plan.heights.size:  # uneven ground: the rest stance is none
         target = (reference.foot_position - reference.base_position) @ rotation
         joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     still = jnp.zeros_like(reference.base_position)
