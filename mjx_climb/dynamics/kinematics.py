@@ -36,12 +36,11 @@ class JointAxes(NamedTuple):
 
 
 class Feet(NamedTuple):
-    """Position, velocity and Jacobian of the feet, in world axes."""
+    """Position and velocity of the feet, in world axes."""
 
     position: Array  # (limb, 3) m
     velocity: Array  # (limb, 3) m/s, of the foot point itself
     lever: Array  # (limb, 3) m, from the base's centre of mass to the foot
-    jacobian: Array  # (limb, 3, joint) m: foot velocity per joint rate
 
 
 class Turning(NamedTuple):
@@ -111,12 +110,12 @@ def foot_jacobian(robot: Robot, frames: LimbFrames) -> AnyArray:
 
 
 def foot_kinematics(robot: Robot, frames: LimbFrames, state: State) -> Feet:
-    """Return positions, velocities and Jacobians of the feet, from frames in the base's axes."""
-    rotation, jacobian = quaternion_to_matrix(state.base_orientation), foot_jacobian(robot, frames)
+    """Return positions and velocities of the feet, from frames in the base's axes."""
+    rotation = quaternion_to_matrix(state.base_orientation)
     lever = frames.foot @ rotation.T  # each row times R^T is R p
     velocity = state.base_linear_velocity + jnp.cross(state.base_angular_velocity, lever)
-    velocity = velocity + jnp.matvec(jacobian, state.joint_rates) @ rotation.T
-    return Feet(state.base_position + lever, velocity, lever, rotation @ jacobian)
+    velocity = velocity + jnp.matvec(foot_jacobian(robot, frames), state.joint_rates) @ rotation.T
+    return Feet(state.base_position + lever, velocity, lever)
 
 
 def foot_turning(robot: Robot, frames: LimbFrames, state: State) -> Turning:

@@ -30,10 +30,9 @@ def by_the_engine(robot, *given):
 
 
 def read(name):
-    shape = ROBOTS[name]
-    if shape is None:
+    if name == "hubrobo":
         return jax.tree.map(jnp.asarray, load_robot("hubrobo_v3_2"))
-    robot = robot_from_model(mujoco.MjModel.from_xml_string(mjcf(*shape)), "random")
+    robot = robot_from_model(mujoco.MjModel.from_xml_string(mjcf(*ROBOTS[name])), "random")
     armature = np.random.default_rng(2).uniform(0.01, 0.05, robot.joint_lower.shape)
     return jax.tree.map(jnp.asarray, dataclasses.replace(robot, armature=armature))
 

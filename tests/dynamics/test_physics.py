@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.dynamics.kinematics import center_of_mass, foot_kinematics, limb_frames
+from mjx_climb.dynamics.kinematics import center_of_mass, foot_jacobian, foot_kinematics, limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot.constants import load_model, load_robot
 from tests.dynamics.mujoco_dynamics import set_state
@@ -74,6 +75,7 @@ def static_shift(gravity, stiffness=None):
     )
     frames = limb_frames(robot, None, state.joint_angles)
     feet = jax.tree.map(np.asarray, foot_kinematics(robot, frames, state))
+    jacobians = quaternion_to_matrix(robot.stance_orientation) @ foot_jacobian(robot, frames)
     mass = robot.total_mass
     lever = np.asarray(center_of_mass(robot, frames, state, 0.0)) - state.base_position
     weight = np.concatenate([mass * gravity, np.cross(lever, mass * gravity)])
@@ -86,7 +88,7 @@ def static_shift(gravity, stiffness=None):
     joint_weight = -data.qfrc_bias[6:].reshape(4, 3)
     matrix, load = np.zeros((6, 6)), weight.copy()
     for limb in range(4):
-        jacobian, r = feet.jacobian[limb], feet.lever[limb]
+        jacobian, r = jacobians[limb], feet.lever[limb]
         grip_stiffness = np.linalg.inv(jacobian @ jacobian.T / kp + np.eye(3) / k_s)
         rigid = np.hstack([np.eye(3), np.cross(r, np.eye(3))])
         matrix += rigid.T @ grip_stiffness @ rigid

@@ -142,7 +142,7 @@ levels = arrays(float, 4, elements=st.floats(-0.05, 0.05, allow_subnormal=False)
 @given(contacts, place, place, flags, levels, st.floats(0, 1e3))
 def test_contact(contact, position, velocity, closed, ground, limit):
     """Who is held, who is pushed, and that the damper takes energy out, whatever a foot does."""
-    feet = Feet(position, velocity, position, np.zeros((4, 3, 3)))
+    feet = Feet(position, velocity, position)
     parameters = dataclasses.replace(PARAMETERS, holding_limit=np.asarray(limit))
     after, held = jax.tree.map(np.asarray, gripped(contact, feet, closed, ground, parameters))
     at_ground = position[:, 2] <= ground

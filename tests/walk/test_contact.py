@@ -24,7 +24,7 @@ AWAY = Contact(jnp.zeros((4, 3)), OPEN, OPEN, Reach(OPEN, OPEN))
 
 def feet(*heights, slide=(0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
     position = jnp.array([[*slide, height] for height in heights])
-    return Feet(position, jnp.broadcast_to(jnp.array(velocity), (4, 3)), position, jnp.zeros((4, 3, 3)))
+    return Feet(position, jnp.broadcast_to(jnp.array(velocity), (4, 3)), position)
 
 
 def gripped(contact, foot, *closed, ground=(0.0,) * 4, turning=None, **changes):

@@ -14,11 +14,8 @@ from mjx_climb.dynamics.kinematics import base_wrench_of_foot_force
 from mjx_climb.walk.stability import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
 
 REFERENCE = Path(__file__).parents[1] / "reference"
-WALKS = {"climblab_1G_no_load": 9.81, "climblab_microgravity_impacts": 9.81e-6}  # gravity, m/s^2
-PUSHES = {  # s, N
-    "climblab_1G_no_load": [],
-    "climblab_microgravity_impacts": [(1.0, 1.5, (-5, 0, 0)), (4.5, 5.0, (0, 5, 0)), (7.0, 7.5, (0, -10, 0))],
-}
+PUSHES = [(1.0, 1.5, (-5, 0, 0)), (4.5, 5.0, (0, 5, 0)), (7.0, 7.5, (0, -10, 0))]  # s, N
+WALKS = {"climblab_1G_no_load": (9.81, []), "climblab_microgravity_impacts": (9.81e-6, PUSHES)}  # gravity, m/s^2
 HOLDING_FORCE = 15.0
 MASS = json.loads((REFERENCE / "dynamics_vectors.json").read_text())["model"]["total_mass"]
 
@@ -62,9 +59,9 @@ def grips_unchanged(walk):
 def test_margins_of_foot_forces_and_push_are_those_of_climblab(name):
     with np.load(REFERENCE / f"{name}.npz") as file:
         walk = {key: a.astype(float) if a.dtype == np.float32 else a for key, a in file.items()}
-    gravity = WALKS[name]
+    gravity, pushes = WALKS[name]
     push = np.zeros((len(walk["time"]), 6))
-    for start, stop, pushed in PUSHES[name]:
+    for start, stop, pushed in pushes:
         push[(walk["time"] > start - 1e-6) & (walk["time"] < stop + 1e-6), :3] = pushed
     lever = walk["foot_pos"] - walk["base_pos"][:, None]
     wrench = jax.vmap(base_wrench_of_foot_force)(lever, walk["foot_force"]) + push
