@@ -172,8 +172,7 @@ def begin(law: Law, start: Start) -> Any:
     """Return the state of a law at the start of a walk, as arrays, real ones in the precision of the reference.
 
     Raises:
-        ValueError: `step` returns a state of another structure, shape or type than `init`, or no `Command` of one
-            robot. This is found by tracing one step.
+        ValueError: `step`, traced once, returns another structure, shape or type than `init`, or no `Command`.
     """
     position, _, feet = start.reference
 

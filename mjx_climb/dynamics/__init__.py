@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -74,8 +75,7 @@ def forward_dynamics(
     checked_engine(engine)
     robot = load_robot(robot) if isinstance(robot, str) else robot
     loads = Loads(*(jnp.asarray(load) for load in (tau, foot_force, base_wrench, cargo_mass, gravity)))
-    result: Acceleration = _forward_dynamics(state, loads, robot, engine)
-    return result
+    return cast(Acceleration, _forward_dynamics(state, loads, robot, engine))
 
 
 @functools.partial(jax.jit, static_argnames="engine")
@@ -99,5 +99,4 @@ def _forward_dynamics(state: State, loads: Loads, robot: Robot, engine: str) -> 
     # XLA's default for float32 on a GPU is TF32, of ten bits
     with jax.default_matmul_precision("highest"):
         result = jax.vmap(alone)(batch, acting)
-    in_shape: Acceleration = jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), result)
-    return in_shape
+    return cast(Acceleration, jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), result))

@@ -58,9 +58,7 @@ class JointSolution(NamedTuple):
 def limb_geometry(robot: Robot, turned: bool = False) -> LimbGeometry | Chain:
     """Return the geometry of a robot's limbs for `inverse_kinematics`.
 
-    Limbs that rest in a posture that is not the closed form's, with the foot on the far side of the first joint's axis
-    for example, have none. With `turned` the last links of limbs with six driven joints or more keep the attitudes of
-    the rest stance.
+    With `turned` the last links of limbs with six driven joints or more keep the attitudes of the rest stance.
     """
     driven = robot.joints if robot.driven is None else int(robot.driven.sum(1).min())
     if turned and driven >= POSE:
@@ -82,10 +80,10 @@ def _limb_geometry(
     if abs(femur_axis[2]) > _PARALLEL or np.linalg.norm(np.cross(femur_axis, tibia_axis)) > _PARALLEL:
         return None
     knee = position[1] + rotation[1] @ position[2]
-    foot = knee + rotation[1] @ rotation[2] @ foot
-    outward = np.cross([0.0, 0.0, 1.0], femur_axis)
+    foot, up = knee + rotation[1] @ rotation[2] @ foot, np.array([0.0, 0.0, 1.0])
+    outward = np.cross(up, femur_axis)
     outward *= np.sign(outward @ foot)
-    plane = np.stack([outward, np.cross([0.0, 0.0, 1.0], outward), [0.0, 0.0, 1.0]], axis=1)
+    plane = np.stack([outward, np.cross(up, outward), up], axis=1)
     femur_origin, knee, foot = (plane.T @ point for point in (position[1], knee, foot))
     # a rotation about the plane's own -y raises
     femur_sign, tibia_sign = (-np.sign((plane.T @ axis)[1]) for axis in (femur_axis, tibia_axis))
@@ -150,11 +148,9 @@ def settled(
 
 
 def _toward_rest(chain: Chain, angles: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Return the ways of the joints to the rest posture, (limb, joint), after weights, more near a joint's limits.
-
-    After Liegeois, IEEE Trans. Systems, Man and Cybernetics 7, 1977.
-    """
+    """Return weights, more near a joint's limits, and the ways of the joints to the rest posture, (limb, joint)."""
     robot, xp = chain.robot, namespace(angles)
+    # after Liegeois, IEEE Trans. Systems, Man and Cybernetics 7, 1977
     middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2
     way = robot.stance_joints - angles
     weight = 1 + xp.clip(((angles - middle) / half) ** 8, 0.0, 8.0)
@@ -164,8 +160,8 @@ def _toward_rest(chain: Chain, angles: AnyArray) -> tuple[AnyArray, AnyArray]:
 def _error_and_jacobian(chain: Chain, target: AnyArray, angles: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Return what is left to do (..., limb, rows), and how joints change it (..., limb, rows, joint).
 
-    Rows are the foot's place and, where an attitude is kept, its turn times the limb's mean length: a turn counts as a
-    way by that. Joints that nothing drives change nothing.
+    Rows are the foot's place and, where an attitude is kept, its turn times the limb's mean length. Joints that nothing
+    drives change nothing.
     """
     robot, xp = chain.robot, namespace(target, angles)
     frames = limb_frames(robot, None, angles)

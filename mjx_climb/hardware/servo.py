@@ -1,11 +1,9 @@
 """The joints' servos: from the torque that the joint loop asks for to the one that turns the joint.
 
 Dry friction is a bristle, a spring with a damper, that slips once it bears as much as the friction can (an elastic,
-perfectly plastic element, also called Jenkin's, damped as LuGre's bristles are). A joint at rest is held by the spring,
-not by a viscosity: it does not creep, and what holds it has derivatives.
-
-A bristle that is not to ring is damped more than light links can bear in a step of explicit Euler. So what it bears in
-a step is taken at the rates after the step: `(H + A) qdd = f - borne(rates before)` with `A = h dborne/drate` on the
+perfectly plastic element, also called Jenkin's, damped as LuGre's bristles are): a joint at rest does not creep. A
+bristle that is not to ring is damped more than light links can bear in a step of explicit Euler. So what it bears in a
+step is taken at the rates after the step: `(H + A) qdd = f - borne(rates before)` with `A = h dborne/drate` on the
 joints' diagonal of H, where an armature is too. It then holds at any time step.
 """
 

@@ -19,9 +19,6 @@ Tree = TypeVar("Tree")
 Buffer = tuple[Array, ...]  # samples, newest first
 
 
-# Delays: a buffer of fixed length, read between its samples.
-
-
 def buffer_length(delay: ArrayLike, time_step: float) -> int:
     """Return how long a buffer the longest of some delays in s needs, 0 where there is none.
 
@@ -54,9 +51,6 @@ def delayed(buffer: Buffer, value: Array, weights: Buffer) -> tuple[Buffer, Arra
     return buffer, sum((weight * sample for weight, sample in zip(weights, buffer, strict=True)), jnp.zeros_like(value))
 
 
-# Sensors: resolution.
-
-
 def rounded(value: Array, resolution: Array) -> Array:
     """Return the nearest multiples of the resolution, the value itself where that is 0; the derivative is that of none.
 
@@ -64,9 +58,6 @@ def rounded(value: Array, resolution: Array) -> Array:
     """
     unit = jnp.where(resolution > 0, resolution, 1.0)
     return value + jnp.where(resolution > 0, jax.lax.stop_gradient(unit * jnp.round(value / unit) - value), 0.0)
-
-
-# A control law that is evaluated once in a control period: its output is held.
 
 
 def period_steps(period: Array, time_step: float) -> Array:

@@ -41,7 +41,7 @@ def plan(
 ) -> Plan:
     """Return the walk of a robot whose feet stand at `stance_feet` (limb, 3) m in world axes at heading zero.
 
-    `lift_off` are the names of the limbs, each with the share of the cycle at which it lifts off.
+    `lift_off` has the limbs' names, each with the share of the cycle at which it lifts off.
     """
     zero = jnp.zeros_like(parameters.heading)
     heading = quaternion_from_rotation_vector(jnp.stack([zero, zero, parameters.heading]))

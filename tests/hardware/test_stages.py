@@ -190,35 +190,22 @@ def test_what_a_robots_file_says_of_its_joints_comes_beside_the_scenario():
         passive=((False, False, True),) * 4,
     )  # fmt: skip
     servos = {"coulomb_friction": 0.1, "viscous_friction": 0.2, "torque_limit": 3.0}
-    scenario = mc.Scenario().with_overrides({"hardware.servo": servos})
-    parameters = mc.parameters(scenario)
+    parameters = mc.parameters(mc.Scenario().with_overrides({"hardware.servo": servos}))
     own = hardware_of(parameters, IDEAL, STEP, robot).parameters
     np.testing.assert_allclose(own.coulomb_friction, 0.1 + 0.01 * each)
     np.testing.assert_allclose(own.viscous_friction, 0.2 + 0.02 * each)
     np.testing.assert_allclose(own.torque_limit, np.minimum(3.0, 1 + each))
     np.testing.assert_allclose(own.kp, 50.0 * np.array([1, 1, 0]) * np.ones((4, 1)))
-    bare = mc.parameters(mc.Scenario())
     wanted = IDEAL._replace(torque_limit=True, dry_friction=True, viscous_friction=True)
-    assert stages_of(mc.Scenario(), bare, robot) == wanted and stages_of(mc.Scenario(), bare) == IDEAL
+    assert stages_of(mc.Scenario(), mc.parameters(mc.Scenario()), robot) == wanted
 
 
 # --- Which stages a walk has
 
 
-def test_stages_are_those_with_a_number():
-    changed = mc.Scenario().with_overrides(
-        {
-            "hardware.force_sensor": {"delay": 3e-3, "filter": 30.0},
-            "hardware.servo": {"torque_limit": 4.0, "no_load_speed": 4.8, "coulomb_friction": 0.1},
-            "hardware.interpolation": "linear",
-            "contact.capture_distance": 0.005,
-        }
-    )
-    wanted = IDEAL._replace(force_delay=8, force_filter=True, torque_limit=True, dry_friction=True, capture=True)
-    assert stages_of(changed, mc.parameters(changed)) == wanted
-    by_law = changed.with_overrides({"hardware.force_sensor.filtered_by": "law"})
-    wanted = wanted._replace(force_filter=False, sampled_filter=True)
-    assert stages_of(by_law, mc.parameters(by_law)) == wanted
+def test_a_filter_is_the_sensors_or_the_laws():
+    by_law = mc.Scenario().with_overrides({"hardware.force_sensor": {"filter": 30.0, "filtered_by": "law"}})
+    assert stages_of(by_law, mc.parameters(by_law)) == IDEAL._replace(sampled_filter=True)
 
 
 STAGE_OF = {name: name for name in IDEAL._fields if name in vars(mc.parameters(mc.Scenario()))} | {
