@@ -9,7 +9,6 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import PD
 from mjx_climb.quantities.parameters import own_parameters
-from tuning.command_line import main
 from tuning.evaluation import linear_margins, margins, stability_limit
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
@@ -192,7 +191,7 @@ def test_margins_are_those_of_the_independent_program(case, name):
             assert (value <= found[quantity].better) == better, entry
 
 
-def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, capsys):
+def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call):
     """JSON alone on standard output; the linearised loop's margins stand beside those of walks."""
     gains = gains_file.save(GAINS, tmp_path / "soft.yaml")
 
@@ -202,13 +201,12 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, capsy
 
     monkeypatch.setattr(stability_limit, "by_stance", radii)
     out = tmp_path / "out"
-    with pytest.raises(SystemExit) as ended:
-        main(["margins", "case_1_2", "--gains", str(gains), "--retuned-pd", str(gains), "--json", "--out", str(out),
-              "--set", "hardware.force_sensor.delay=4e-3"])  # fmt: skip
-    said, told = capsys.readouterr()
-    assert ended.value.code == 0
+    late = ("--set", "hardware.force_sensor.delay=4e-3")
+    code, said, told = call(
+        "margins", "case_1_2", "--gains", gains, "--retuned-pd", gains, "--json", "--out", out, *late
+    )
     found = json.loads(said)
-    assert found == json.loads((out / "margins.json").read_text())
+    assert code == 0 and found == json.loads((out / "margins.json").read_text())
     assert found["margins"]["force_delay"]["stable"]["up_to"] == pytest.approx(9e-3, rel=1e-3)
     assert found["margins"]["force_delay"]["needed"] == 8e-3
     assert found["own_hardware"] == {"holds": True, "better": True}

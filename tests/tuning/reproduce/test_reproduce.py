@@ -12,7 +12,6 @@ import xarray as xr
 import mjx_climb as mc
 from tests.trajectories import still
 from tuning.background import silent
-from tuning.command_line import main
 from tuning.reproduce import claims, results
 from tuning.reproduce.claims import CASES, Pair, Verdict, Walk
 
@@ -220,13 +219,10 @@ def test_the_configs_are_the_papers():
 
 
 @pytest.mark.slow
-def test_the_whole_command(tmp_path, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["reproduce", "--out", str(tmp_path), "--json"])
-    assert end.value.code == 0
-    printed = capsys.readouterr()
-    found = json.loads(printed.out)
-    assert found == json.loads((tmp_path / "reproduce.json").read_text())
+def test_the_whole_command(tmp_path, call):
+    code, out, _ = call("reproduce", "--out", tmp_path, "--json")
+    found = json.loads(out)
+    assert code == 0 and found == json.loads((tmp_path / "reproduce.json").read_text())
     assert list(found["cases"]) == ["1.1", "1.2", "2"]
     for name, case in found["cases"].items():
         assert set(case["runs"]) == set(claims.METHODS)
