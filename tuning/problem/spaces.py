@@ -120,10 +120,8 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
     if unknown := sorted({*search.also} - set(law.GAINS)):
         raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
-    defaults, own = (
-        default_bounds(scenario, law),
-        own_values(scenario, law) | dict.fromkeys(JOINT if joint_gains else (), 0.0),
-    )
+    defaults, joint = default_bounds(scenario, law), dict.fromkeys(JOINT, 0.0) if joint_gains else {}
+    own = own_values(scenario, law) | joint
     bounds: dict[str, tuple[float, float]] = {}
     known: set[str] = set()  # keys that the settings may name
 
