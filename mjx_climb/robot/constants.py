@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, PASSIVE, RobotError
+from mjx_climb.robot.description import PASSIVE, RobotError
 from mjx_climb.scenario.model import RobotFile
 
 __all__ = ["Robot", "RobotError", "load_model", "load_robot", "load_spec", "model_path", "robot_from_model"]
@@ -125,27 +125,6 @@ def load_robot(name: str | RobotFile) -> Robot:
     return robot_from_model(load_model(name), name if isinstance(name, str) else Path(name.file).stem)
 
 
-def _limb_bodies(model: mujoco.MjModel, name: str) -> list[list[int]]:
-    """Return the body ids of each limb, from the base outwards, in the order of the model."""
-    if model.nq < 7 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
-        raise RobotError(f"{name}: expected a base on a free joint as the first body")
-    limbs = []
-    for first in np.flatnonzero(model.body_parentid == 1):
-        chain = [int(first)]
-        while len(children := np.flatnonzero(model.body_parentid == chain[-1])) == 1:
-            chain.append(int(children[0]))
-        one = all(model.body_jntnum[b] == 1 and int(model.jnt_type[model.body_jntadr[b]]) in JOINTS for b in chain)
-        if len(children) or not one:
-            expected, got = "limbs that are chains of one hinge or slide a body", f"body {model.body(first).name!r}"
-            raise RobotError(f"{name}: expected {expected}, got {got}")
-        limbs.append(chain)
-    lengths = {len(chain) for chain in limbs}
-    if len(lengths) != 1 or model.nbody != 2 + sum(map(len, limbs)):
-        got = f"{len(limbs)} limbs of {', '.join(map(str, sorted(lengths))) or 'no'} joints, {model.nbody - 1} bodies"
-        raise RobotError(f"{name}: expected a base with limbs of as many joints each and no other bodies, got {got}")
-    return limbs
-
-
 def frame_along(axis: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return a rotation matrix with z along the unit vector `axis`, and x as near to a direction as that allows."""
     x = x - axis * (axis @ x)
@@ -171,69 +150,65 @@ def robot_from_model(model: mujoco.MjModel, name: str, stance: np.ndarray | None
 
     `stance` (nq,) is the rest stance; None: the model's first keyframe.
     """
-    chains = _limb_bodies(model, name)
-    if np.abs(model.body_ipos[1]).max() > 1e-12:
-        got = f"an offset {model.body_ipos[1]}"
-        raise RobotError(f"{name}: expected the base frame at the base's centre of mass, got {got}")
-    if stance is None and model.nkey < 1:
-        raise RobotError(f"{name}: expected a keyframe with the rest stance")
+    limbs, links = model.nsite, model.nbody - 2
+    centred = links > 0 and np.abs(model.body_ipos[1]).max() < 1e-12
+    if not (centred and model.nq == 7 + links and limbs and links % limbs == 0 and (stance is not None or model.nkey)):
+        raise RobotError(
+            f"{name}: expected a floating base with its frame at its centre of mass, limbs of as many links each, one "
+            "hinge or slide a link, a foot site at the end of each limb, and a keyframe with the rest stance"
+        )
+    bodies, joints = (np.arange(n, n + links).reshape(limbs, -1) for n in (2, 1))  # (limb, joint), as all that follows
     stance = np.array(model.key_qpos[0] if stance is None else stance)
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0
-    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
-    mujoco.mj_kinematics(model, data)
-    links = _links(model, data, chains, name)
-    joints = model.body_jntadr[np.array(chains)]  # (limb, joint), as all that follows
-    limited, dofs = model.jnt_limited[joints] != 0, model.jnt_dofadr[joints]
+    limited, dofs, places = model.jnt_limited[joints] != 0, model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     drives: dict[str, Any] = {key: getattr(model, field)[dofs] for key, field in _DRIVES.items()}
     spring, limit = model.jnt_stiffness[joints], model.jnt_actfrcrange[joints, 1]
     limit = np.where(model.jnt_actfrclimited[joints] != 0, limit, np.inf)
     return Robot(
         name=name,
-        limbs=tuple(model.body(chain[0]).name.rsplit("_", 1)[0] for chain in chains),
+        limbs=tuple(model.body(body).name.rsplit("_", 1)[0] for body in bodies[:, 0]),
         model=model,
         base_mass=np.array(model.body_mass[1]),
-        base_inertia=_inertia(model, data, 1, np.eye(3)),
-        link_mass=model.body_mass[np.array(chains)],
-        **links,
+        link_mass=model.body_mass[bodies],
+        **_frames(model, bodies),
         joint_lower=np.where(limited, model.jnt_range[joints, 0], -np.pi),
         joint_upper=np.where(limited, model.jnt_range[joints, 1], np.pi),
         stance_position=stance[:3],
         stance_orientation=stance[3:7],
-        stance_joints=stance[model.jnt_qposadr[joints]],
+        stance_joints=stance[places],
         **{key: value for key, value in drives.items() if value.any()},
-        joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in chains[0]),
+        joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in bodies[0]),
         spring=spring if spring.any() else None,
-        spring_rest=model.qpos_spring[model.jnt_qposadr[joints]] if spring.any() else None,
+        spring_rest=model.qpos_spring[places] if spring.any() else None,
         torque_limit=limit if np.isfinite(limit).any() else None,
         slides=_flags(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE),
         passive=_flags(model.jnt_group[joints] == PASSIVE),
     )
 
 
-def _links(model: mujoco.MjModel, data: mujoco.MjData, chains: list[list[int]], name: str) -> dict[str, np.ndarray]:
-    """Return frames, centres and inertias of the links, and the feet, as fields of a `Robot`; joints at zero."""
+def _frames(model: mujoco.MjModel, bodies: np.ndarray) -> dict[str, np.ndarray]:
+    """Return frames, centres and inertias of links (limb, joint), and the feet, as fields of a `Robot`."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0
+    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+    mujoco.mj_kinematics(model, data)
+
+    def inertia(body: int, axes: np.ndarray) -> np.ndarray:
+        """Return the moments of inertia about the centre of mass in the axes of a frame."""
+        principal_axes = axes.T @ data.ximat[body].reshape(3, 3)
+        return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
+
     links, feet = [], []
-    for chain in chains:
+    for limb, chain in enumerate(bodies):
         at, axes = np.zeros(3), np.eye(3)  # of the parent
         for body in chain:
-            joint = model.body_jntadr[body]
-            parent, anchor = axes, data.xanchor[joint]
-            axis, own = data.xaxis[joint], data.xmat[body].reshape(3, 3)
+            parent, anchor, axis = axes, data.xanchor[body - 1], data.xaxis[body - 1]
+            own = data.xmat[body].reshape(3, 3)
             axes = frame_along(axis, own[:, np.argmin(np.abs(own.T @ axis).round(6))])
             placed = (parent.T @ (anchor - at), parent.T @ axes, axes.T @ (data.xipos[body] - anchor))
-            links.append((*map(_exact, placed), _inertia(model, data, body, axes)))
+            links.append((*map(_exact, placed), inertia(body, axes)))
             at = anchor
-        sites = np.flatnonzero(model.site_bodyid == chain[-1])
-        if len(sites) != 1:
-            raise RobotError(f"{name}: expected one foot site on {model.body(chain[-1]).name!r}, got {len(sites)}")
-        feet.append(axes.T @ (data.site_xpos[sites[0]] - at))
+        feet.append(axes.T @ (data.site_xpos[limb] - at))
     fields = ("frame_position", "frame_rotation", "link_center", "link_inertia")
-    values = (np.reshape(each, (len(chains), -1, *each[0].shape)) for each in zip(*links, strict=True))
-    return dict(zip(fields, values, strict=True)) | {"foot_center": np.array(feet)}
-
-
-def _inertia(model: mujoco.MjModel, data: mujoco.MjData, body: int, rotation: np.ndarray) -> np.ndarray:
-    """Return a body's moments of inertia (3, 3) kg m^2 about its centre of mass, in the axes of a frame."""
-    principal_axes = rotation.T @ data.ximat[body].reshape(3, 3)
-    return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
+    values = (np.reshape(each, (*bodies.shape, *each[0].shape)) for each in zip(*links, strict=True))
+    base = {"foot_center": np.array(feet), "base_inertia": inertia(1, np.eye(3))}
+    return base | dict(zip(fields, values, strict=True))

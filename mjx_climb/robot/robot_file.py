@@ -83,11 +83,7 @@ _PAD = _Link(1e-9, np.zeros(3), 1e-12 * np.eye(3))  # of a joint that only fills
 
 
 class _File:
-    """What a robot's section of a scenario names in the robot's file, with the joints at zero.
-
-    Raises:
-        RobotError: in one line, what is not in the file, or not where it should be.
-    """
+    """What a robot's section of a scenario names in the robot's file, with the joints at zero."""
 
     def __init__(self, source: RobotFile) -> None:
         self.source, self.model = source, robot_in(source.file, source.base)
@@ -125,10 +121,7 @@ class _File:
         return max((j for j in moving if model.jnt_bodyid[j] == parent), default=-1), parent
 
     def _wrong(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield what is not a base, its limbs from it outwards, joints that are held, and springs of some joints.
-
-        By the key, what was expected, what was got, and the element that it is about.
-        """
+        """Yield what cannot be simulated: the key, what was expected, what was got, and the element in the file."""
         model, names = self.model, [self.model.joint(joint).name for joint in range(self.model.njnt)]
         base, ours = model.body(self.base).name, [joint for chain in self.chains.values() for joint in chain]
         for limb, chain in self.chains.items():
@@ -205,10 +198,7 @@ class _File:
         return foot_of(model, self.data, self.limbs[limb])
 
     def axes(self, limb: str) -> list[np.ndarray]:
-        """Return the axes of a limb's joints; those of a yaw and two pitches that nearly are, exactly so.
-
-        For them the inverse kinematics has a closed form.
-        """
+        """Return the axes of a limb's joints; of a yaw and two pitches, nearly, what has a closed form, exactly."""
         chain = self.chains[limb]
         axes = list(self.data.xaxis[chain])
         if len(axes) != 3 or (self.model.jnt_type[chain] != mujoco.mjtJoint.mjJNT_HINGE).any():
@@ -220,19 +210,14 @@ class _File:
         femur = femur / np.linalg.norm(femur)
         return [coxa, femur, np.sign(femur @ tibia) * femur]
 
-    def limits(self, limb: str, joint: int) -> tuple[float, float]:
-        """Return the lower and upper limit of a joint, rad or m."""
+    def limits(self, joint: int) -> tuple[float, float]:
+        """Return the lower and upper limit of a joint, rad or m; those of a turn or more are as good as none."""
         slides = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
         lower, upper = map(float, self.model.jnt_range[joint])
-        limited = self.model.jnt_limited[joint]
-        if limited and not lower < upper:
-            name = self.model.joint(joint).name
-            expected, got = f"limits of {name!r} in ascending order", f"{lower:g} to {upper:g}"
-            raise refusal(self.source, f"limbs.{limb}.joints", expected, got, name)
-        if slides:
-            return (lower, upper) if limited else (-REACH, REACH)
-        # a whole turn and more is as free as a joint without limits
-        return (lower, upper) if limited and (lower > -np.pi or upper < np.pi) else (-np.pi, np.pi)
+        whole_turn = not slides and lower <= -np.pi and upper >= np.pi
+        if self.model.jnt_limited[joint] and not whole_turn:
+            return lower, upper
+        return (-REACH, REACH) if slides else (-np.pi, np.pi)
 
 
 def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
@@ -269,7 +254,7 @@ def _add_limb(file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody
         body = body.add_body(name=f"{limb}_{names[n]}", pos=place, quat=quaternion(inner.T @ axes))
         dof, name = file.model.jnt_dofadr[joint], file.model.joint(joint).name
         moved = add_joint(body, file.model, joint, f"{limb}_{names[n]}")
-        moved.axis, moved.range, moved.limited = [0, 0, 1], file.limits(limb, joint), _LIMITED
+        moved.axis, moved.range, moved.limited = [0, 0, 1], file.limits(joint), _LIMITED
         if spring := file.springs.get(name):
             moved.damping = [moved.damping[0] + spring.damping, 0, 0]  # beside the file's
             moved.stiffness, moved.springref, moved.group = [spring.stiffness, 0, 0], spring.rest, PASSIVE

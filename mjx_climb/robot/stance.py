@@ -33,10 +33,6 @@ _LEVELLING, _LEVEL = 20, 1e-12  # steps, and m, in which a foot is put at a heig
 _IN_SPACE = 3  # driven joints of a limb that can put its foot anywhere
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Postures
-
-
 class LimbJoints(NamedTuple):
     """Joint angles of every limb, and by how much its foot misses the target."""
 
@@ -105,10 +101,9 @@ def _keeps_attitude(robot: Robot) -> bool:
 
 
 def _least_singular_values(robot: Robot, angles: np.ndarray, turned: bool) -> np.ndarray:
-    """Return of each limb the smallest singular value of its Jacobian at joint angles (..., limb, joint), (..., limb).
+    """Return each limb's smallest singular value of the Jacobian of its driven joints at angles (..., limb, joint).
 
-    Lengths are shares of the limb's. Of what a foot does in space, with `turned` in place and attitude; of limbs with
-    fewer driven joints than that, of what these can do.
+    Lengths are shares of the limb's. It is of the foot's place, with `turned` of its attitude, too.
     """
     frames = limb_frames(robot, None, angles)
     points = np.concatenate([frames.position, frames.foot[..., None, :]], axis=-2)
@@ -125,9 +120,7 @@ def _least_singular_values(robot: Robot, angles: np.ndarray, turned: bool) -> np
 
 
 def spec_of(source: RobotFile) -> mujoco.MjSpec:
-    """Return a robot file as simulated: floating base, limbs of as many joints each, foot sites, rest stance.
-
-    See `unposed` for what is taken of the file.
+    """Return a robot file as simulated, see `unposed`, in its rest stance.
 
     Raises:
         RobotError: in one line, the key of the config, what was expected and what the file has.
@@ -246,10 +239,7 @@ class Standing:
         return best
 
     def _levelled(self, angles: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return postures (..., limb, joint) changed as little as puts the feet at height `z` m, and the feet.
-
-        Height and feet (..., limb, 3) m are in the frame of the base link.
-        """
+        """Return postures (..., limb, joint) changed little, with feet (..., limb, 3) at height `z` m under the base."""
         for _ in range(_LEVELLING):
             frames = limb_frames(self.robot, None, angles)
             feet = frames.foot + self.offset
