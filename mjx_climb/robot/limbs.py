@@ -60,11 +60,13 @@ class Found:
     def __init__(self, file: str | os.PathLike[str], base: str | None = None, stand_on: Sequence[str] = ()) -> None:
         self.path, self.notes = os.path.abspath(os.fspath(file)), list[Note]()
         self.model, self.described = robot_in(self.path, base), described(self.path)  # masses and joints; all it holds
+        if self.model.nbody < 2:
+            raise RobotError(f"{self.path}: expected a robot, got a file without bodies")
         why = "as told" if base else "the link that floats, or that all limbs meet in"
         if base is None and (base := _middle_of(self.model)):
             self.model = robot_in(self.path, base)
             why = "the middle of the one row of joints, from foot to foot; --base takes another"
-        hub = _base_of(self.path, self.model) if base is None else self.model.body(base).id
+        hub = self.model.body(base).id if base else _hub_of(self.model)
         self.root = base  # the body that was made the model's root; None: it is the file's
         self.base = int(self.model.body_rootid[hub])  # joints from there to the hub are of no limb
         self.note("taken", f"base {self.model.body(self.base).name!r}", why)
@@ -139,9 +141,8 @@ class Found:
             raise RobotError(f"{self.path}: expected limbs that stand on the ground, got {got}: {choose}")
 
 
-def _base_of(path: str, model: mujoco.MjModel) -> int:
-    if model.nbody < 2:
-        raise RobotError(f"{path}: expected a robot, got a file without bodies")
+def _hub_of(model: mujoco.MjModel) -> int:
+    """Return the body that limbs begin at: the floating one, or the first one from the root outwards."""
     part = rigid_parts(model)
     rows = {body: len(_beyond(model, body)) for body in range(1, model.nbody) if part[body] == body}
     floating = [int(model.jnt_bodyid[joint]) for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)]
@@ -153,7 +154,7 @@ def _base_of(path: str, model: mujoco.MjModel) -> int:
 
 def _middle_of(model: mujoco.MjModel) -> str | None:
     """Return the body in the middle of a robot that is one row of joints, from foot to foot; None of any other."""
-    rows = _rows(model, 1) if model.nbody > 1 else []
+    rows = _rows(model, 1)
     joints = [body for body in rows[0] for _ in _joints(model, body)] if len(rows) == 1 else []
     floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
     if floats or len(joints) < 2 * FEWEST_JOINTS or any(len(_beyond(model, body)) > 1 for body in joints):
@@ -280,34 +281,32 @@ def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tup
     data = at_zero(model)
     geoms = [geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name in bodies]
     colliding = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
-    ends = [(point, geom) for geom in colliding or geoms for point in _ends(model, data, geom)]
-    if not ends:
+    kinds, points, owners = mujoco.mjtGeom, [np.empty((0, 3))], []
+    for geom in colliding or geoms:
+        size, local = model.geom_size[geom], np.empty((0, 3))
+        match kinds(model.geom_type[geom]):
+            case kinds.mjGEOM_SPHERE:
+                local = np.zeros((1, 3))
+            case kinds.mjGEOM_CAPSULE | kinds.mjGEOM_CYLINDER:
+                local = np.array([[0, 0, -size[1]], [0, 0, size[1]]])
+            case kinds.mjGEOM_BOX | kinds.mjGEOM_ELLIPSOID:
+                local = np.vstack([-np.diag(size), np.diag(size)])
+            case kinds.mjGEOM_MESH:
+                mesh = model.mesh(model.geom_dataid[geom])
+                local = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
+        points.append(data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T)
+        owners += [geom] * len(local)
+    if not owners:
         return None, ""
-    points = np.array([point for point, _ in ends])
-    away = np.linalg.norm(points - anchor, axis=1)
+    ends = np.concatenate(points)
+    away = np.linalg.norm(ends - anchor, axis=1)
     # in words: "collision mesh 'tip' of 'calf'"
-    geom = ends[int(np.argmax(away))][1]
-    kind, body = mujoco.mjtGeom(model.geom_type[geom]), model.body(model.geom_bodyid[geom]).name
-    name = f" {model.mesh(model.geom_dataid[geom]).name!r}" if kind == mujoco.mjtGeom.mjGEOM_MESH else ""
+    geom = owners[int(np.argmax(away))]
+    kind, body = kinds(model.geom_type[geom]), model.body(model.geom_bodyid[geom]).name
+    name = f" {model.mesh(model.geom_dataid[geom]).name!r}" if kind == kinds.mjGEOM_MESH else ""
     shape = kind.name.removeprefix("mjGEOM_").lower()
     what = f"{'collision' if colliding else 'visual'} {shape}{name} of {body!r}"
-    return points[away >= _AS_FAR * away.max()].mean(0), what
-
-
-def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Return the points (N, 3) m of a shape that may be the tip of a limb, in world axes."""
-    size, local = model.geom_size[geom], np.empty((0, 3))
-    match mujoco.mjtGeom(model.geom_type[geom]):
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            local = np.zeros((1, 3))
-        case mujoco.mjtGeom.mjGEOM_CAPSULE | mujoco.mjtGeom.mjGEOM_CYLINDER:
-            local = np.array([[0, 0, -size[1]], [0, 0, size[1]]])
-        case mujoco.mjtGeom.mjGEOM_BOX | mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            local = np.vstack([-np.diag(size), np.diag(size)])
-        case mujoco.mjtGeom.mjGEOM_MESH:
-            first, count = model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]]
-            local = model.mesh_vert[first : first + count]
-    return np.asarray(data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T)
+    return ends[away >= _AS_FAR * away.max()].mean(0), what
 
 
 def at_zero(model: mujoco.MjModel, held: Mapping[int, float] = MappingProxyType({})) -> mujoco.MjData:

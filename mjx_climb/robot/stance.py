@@ -239,7 +239,7 @@ class Standing:
         return best
 
     def _levelled(self, angles: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return postures (..., limb, joint) changed little, with feet (..., limb, 3) at height `z` m under the base."""
+        """Return postures (..., limb, joint) changed little, and their feet, at `z` m in the link's frame."""
         for _ in range(_LEVELLING):
             frames = limb_frames(self.robot, None, angles)
             feet = frames.foot + self.offset
