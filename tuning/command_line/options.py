@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
+import mjx_climb as mc
 from mjx_climb.scenario import shipped
 from tuning.command_line.from_models import in_options
 from tuning.command_line.program import InputError
@@ -16,7 +17,6 @@ from tuning.problem.search import Search, check_metrics
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    import mjx_climb as mc
     from mjx_climb.rollouts.resolve import AnyGains
     from tuning.command_line.session import Session
     from tuning.problem.evaluation import Problem
@@ -70,7 +70,6 @@ class Walk(Options):
 
         A change of `control.NAME`, a gain of a law of one's own, is the law's.
         """
-        import mjx_climb as mc
         from mjx_climb.scenario.yaml_text import pairs
         from tuning.gains.own_section import of_one, taken, without
         from tuning.problem.evaluation import Problem
@@ -178,7 +177,6 @@ def scenario_from(
     config: Path, changes: Mapping[str, Any], hardware: str | None = None, controller: str | None = None
 ) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
-    import mjx_climb as mc
     from mjx_climb.checks.time_step import check_time_step
     from mjx_climb.execution import paths
     from mjx_climb.quantities.ground import check_reach

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from pydantic import AfterValidator, BeforeValidator
 
+import mjx_climb as mc
 from tuning.command_line.from_models import command
 from tuning.command_line.interruption import Interrupted
 from tuning.command_line.options import (
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    import mjx_climb as mc
     from tuning.evaluation.linear_margins import Stable
     from tuning.evaluation.margins import Found as Margins
     from tuning.reproduce.results import Found
@@ -89,7 +89,7 @@ def plot(asked: Plot) -> None:
       mjx-climb plot results/case_1_2-tune --figures svg,pdf --out paper
       mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
     """
-    from mjx_climb import ConfigError, plots
+    from mjx_climb import plots
     from tuning.output import redrawn
 
     folder, out = asked.folder, asked.out or asked.folder
@@ -106,7 +106,7 @@ def plot(asked: Plot) -> None:
             # a file of another program, or one with gaps
             got = f"one that cannot be drawn ({type(error).__name__}: {error})"
             expected = "expected a result as a command wrote it, with all its files"
-            raise ConfigError(f"{folder}: {expected}, got {got}") from None
+            raise mc.ConfigError(f"{folder}: {expected}, got {got}") from None
 
 
 class Rival(Options):

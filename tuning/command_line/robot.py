@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from pydantic import BeforeValidator
 
+import mjx_climb as mc
 from tuning.command_line.from_models import command
 from tuning.command_line.options import Output
 from tuning.problem.settings import Options, setting
@@ -44,7 +45,6 @@ def robot(asked: Robot) -> None:
       mjx-climb robot humanoid.xml --limbs left_leg,right_leg
       mjx-climb robot limbero.urdf --gravity 1.62
     """
-    import mjx_climb as mc
     from mjx_climb import rendering
     from mjx_climb.checks.time_step import largest_time_step
     from mjx_climb.files import dataset
@@ -103,7 +103,6 @@ def schema(asked: Schema) -> None:
     """
     import json
 
-    import mjx_climb as mc
     from mjx_climb.files import dataset
 
     tree = {"$schema": "https://json-schema.org/draft/2020-12/schema", **mc.Scenario.model_json_schema()}

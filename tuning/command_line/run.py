@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from pydantic import BeforeValidator
 
+import mjx_climb as mc
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
 from tuning.command_line.options import ControllerName, Output, Walk
@@ -15,7 +16,6 @@ from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    import mjx_climb as mc
     from tuning.background import Stage
     from tuning.command_line.session import Session
     from tuning.problem.evaluation import Problem
@@ -142,7 +142,6 @@ def run(walk: Walk, output: Output, pictures: Pictures) -> None:
 
 def _walked(loaded: "Problem", name: str, shell: "Session", pictures: Pictures) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
-    import mjx_climb as mc
     from mjx_climb.files import dataset, scenario_files
     from tuning.output.folder import write_config
     from tuning.report.numbers import to_json

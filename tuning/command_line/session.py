@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+import mjx_climb as mc
 from tuning.command_line import interruption
 from tuning.command_line.interruption import Interrupted
 from tuning.command_line.program import origin
 
 if TYPE_CHECKING:
-    import mjx_climb as mc
     from tuning.command_line.options import Output
     from tuning.command_line.processes import Team
     from tuning.report import page
