@@ -216,38 +216,30 @@ class _Called(Exception):
     """All rollouts that a test waits for were asked for."""
 
 
-WITH_ENGINE = {
-    "run": ("run", CONFIG),
-    "compare": ("run", CONFIG, "--compare", "pd"),
-    "sweep": ("sweep", CONFIG, *GRID),
-    "tune": ("tune", CONFIG),
-    "ensemble": ("tune", CONFIG, "--ensemble", "ensemble", "--members", "2"),
-    "judge": ("judge", CONFIG, "--gains", "{files}/held.yaml", "--members", "2"),
-    "pareto": ("pareto", CONFIG),
-    "schedule": ("schedule", CONFIG),
-    "margins": ("margins", CONFIG),
-}
+WITH_ENGINE = (
+    "run", "run --compare pd", "sweep " + " ".join(GRID), "tune", "tune --ensemble ensemble --members 2",
+    "judge --gains {files}/held.yaml --members 2", "pareto", "schedule", "margins",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("engine", mc.ENGINES)
 @pytest.mark.parametrize("command", WITH_ENGINE)
 def test_engine_and_batch_size_reach_the_rollouts(command, engine, files, monkeypatch, tmp_path):
-    asked = []
+    asked, batch, beside = [], 4 if "sweep" in command else None, "--compare" in command
 
     def rollout(_, gains=None, *__, engine="the default", **___):
-        asked.append((engine, None if command != "sweep" else len(gains["stiffness"])))
-        if command == "compare" and len(asked) == 1:  # the walk; the next one is what it is compared with
+        asked.append((engine, None if batch is None else len(gains["stiffness"])))
+        if beside and len(asked) == 1:  # the walk; the next one is what it is compared with
             return None
         raise _Called
 
     for name in ("rollout", "rollout_metrics", "rollout_histories"):
         monkeypatch.setattr(mc, name, rollout)
     monkeypatch.setattr(comparisons, "of_grid", lambda *_: None)
-    arguments = [word.format(files=files) for word in WITH_ENGINE[command]]
+    name, *options = command.format(files=files).split()
     with pytest.raises(_Called):
-        main([*arguments, "--engine", engine, "--out", str(tmp_path / "out")])
-    batch = 4 if command == "sweep" else None
-    assert asked == [(engine, batch)] * (2 if command == "compare" else 1)
+        main([name, CONFIG, *options, "--engine", engine, "--out", str(tmp_path / "out")])
+    assert asked == [(engine, batch)] * (2 if beside else 1)
 
 
 @pytest.fixture(scope="module")

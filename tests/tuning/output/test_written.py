@@ -1,4 +1,4 @@
-"""What a search writes from Python is what the command writes."""
+"""The folder of a result: what it holds is said, another command's result stays; from Python as at the shell."""
 
 import contextlib
 import json
@@ -6,14 +6,19 @@ import types
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.files.dataset import OutputError
 from tuning import background
 from tuning.evaluation import margins
 from tuning.gains import gains_file
 from tuning.output import comparisons, results
+from tuning.output.folder import Contents, Folder
+from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.searches import result, retuned_pd
+from tuning.searches.parts import Parts
 from tuning.tune import tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
@@ -86,7 +91,7 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
     nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
     scenario = mc.load_scenario("case_1_2")
     for module, name, value in (
-        (results.verification, "tests", nothing), (results.verification, "tuned", lambda _: scenario),
+        (results.verification, "tests", nothing), (results, "replaced", lambda *_: (scenario, None)),
         (results.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
         (results.margins, "find", nothing), (results, "_with_joint_gains", nothing), (results, "differences", nothing),
         (results, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
@@ -102,3 +107,40 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
     with pytest.raises(Given) as given:
         results.compare_tuned(found, types.SimpleNamespace(stage=background.silent, path=None, draw=nothing), begun)
     assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)
+
+
+def found_in(scenario):
+    """Return a result of two points, the second of which is the better one."""
+    columns = {"value": [0.9, 0.8], "penalty": [0.0, 0.0], "feasible": [True, True], "env_steps": [10, 20]}
+    data = xr.Dataset({name: ("point", values) for name, values in columns.items()})
+    data["theta"] = (("point", "coordinate"), np.log([[1e2, 1e3], [2e2, 2e3]]))
+    attrs = {"search": Search(seed=3).to_yaml(), "interrupted": 0, "scenario": scenario.to_yaml()}
+    attrs["gains"] = '{"inertia": 1.0, "damping": 200.0, "stiffness": 2000.0}'
+    return result.Tuned(data.assign_attrs(attrs), Problem(scenario), Search(seed=3), gains=mc.Gains(1.0, 2e2, 2e3))
+
+
+def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_path):
+    def tune(found, place, begun):
+        place.found(found)
+        return Contents(result.Written(), {"more.txt": "more"})
+
+    monkeypatch.setattr(results, "tune", tune)
+    found = found_in(mc.load_scenario("case_1_2"))
+    Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
+    written = Folder(tmp_path, found.FILE).write(found)
+    assert set(written.files.split(", ")) == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
+    read = result.load(tmp_path / "search.nc")
+    for name in ("scenario", "search", "value", "best_at", "env_steps", "feasible", "interrupted"):
+        assert getattr(read, name) == getattr(found, name), name
+    assert (read.value, read.best_at, read.env_steps) == (0.8, 20, 20)
+    np.testing.assert_array_equal(read.theta, np.log([2e2, 2e3]))
+    assert read.gains.stiffness == gains_file.load(tmp_path / "gains.yaml").stiffness == 2e3
+    assert "objective 0.8000 (pd: 1)" in (tmp_path / "gains.yaml").read_text()
+    with pytest.raises(OutputError, match=r"expected a folder without another command's result, got search\.nc in it"):
+        Folder(tmp_path, "sweep.nc")
+
+
+def test_an_interrupted_result_keeps_its_parts(tmp_path):
+    Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
+    found_in(mc.load_scenario("case_1_2")).write_found(tmp_path)
+    assert Parts(tmp_path, {"a": 1}).load(0) is not None and (tmp_path / "gains.yaml").is_file()
