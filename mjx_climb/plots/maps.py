@@ -68,7 +68,16 @@ def plot_maps(
     if not metrics:
         raise ValueError("expected at least one metric to draw")
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
-    figure, axes = _sheet(rows, columns)
+    # room for labels by measure: no layout is worked out
+    width, height = COLUMN * columns, 0.5 + 2.3 * rows
+    (left, right, beside), (bottom, top, between) = (0.62, 0.5, 0.55), (0.75, 0.45, 0.35)
+    room = {
+        "left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height,
+        "wspace": beside / ((width - left - right - (columns - 1) * beside) / columns),
+        "hspace": between / ((height - bottom - top - (rows - 1) * between) / rows),
+    }  # fmt: skip
+    figure = Figure(figsize=(width, height))
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True, gridspec_kw=room)
     grid, handles = _Grid(dataset, metrics[0], marks), {}
     for metric, panel in zip(metrics, axes.flat, strict=False):
         found, _ = grid.draw(panel, metric, (baselines or {}).get(metric))
@@ -91,29 +100,20 @@ def plot_maps(
     return figure
 
 
-def _sheet(rows: int, columns: int) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its panels (rows, columns), with room for labels by measure: no layout is worked out."""
-    width, height = COLUMN * columns, 0.5 + 2.3 * rows
-    (left, right, beside), (bottom, top, between) = (0.62, 0.5, 0.55), (0.75, 0.45, 0.35)
-    room = {
-        "left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height,
-        "wspace": beside / ((width - left - right - (columns - 1) * beside) / columns),
-        "hspace": between / ((height - bottom - top - (rows - 1) * between) / rows),
-    }  # fmt: skip
-    figure = Figure(figsize=(width, height))
-    figure.subplots_adjust(**room)
-    return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-
-
 class _Grid:
     """Walks over two gains, and what all maps of them show."""
 
     def __init__(self, dataset: xr.Dataset, metric: str, marks: Marks | None):
         self.dataset, self.marks = dataset, marks or {}
         self.axes = axes = _axes(dataset, metric)  # horizontal, vertical
-        self.edges = [_log_edges(dataset[name].values) for name in axes]
-        self.limit = stability_lines(dataset, *axes)
+        self.limit, self.edges = stability_lines(dataset, *axes), []
         self.torn, self.failed = _torn_off(dataset, *axes), failed_walks(dataset, *axes)
+        for gains in (dataset[name].values.astype(float) for name in axes):
+            if not (np.isfinite(gains).all() and (gains > 0).all()):
+                raise ValueError("a map needs gains above 0: its axes are logarithmic")
+            logs = np.log(gains)  # the edges of the cells are half-way between their gains
+            half = np.diff(logs) / 2 if logs.size > 1 else np.array([0.5])
+            self.edges.append(np.exp([logs[0] - half[0], *(logs[:-1] + half), logs[-1] + half[-1]]))
 
     def draw(self, panel: Axes, metric: str, baseline: float | None) -> tuple[list[Artist], Colorbar]:
         """Draw the map of a metric with its colour bar; return the handles of its legend, and the bar."""
@@ -273,15 +273,6 @@ def failed_walks(dataset: xr.Dataset, x: str, y: str) -> np.ndarray:
     if "diverged" in dataset:
         failed |= dataset["diverged"].transpose(y, x).values.astype(bool)
     return failed
-
-
-def _log_edges(centers: np.ndarray) -> np.ndarray:
-    """Return the edges of cells around positive, ordered `centers`, half-way on a logarithmic scale."""
-    if not (np.isfinite(centers).all() and (centers > 0).all()):
-        raise ValueError("a map needs gains above 0: its axes are logarithmic")
-    logs = np.log(np.asarray(centers, float))
-    half = np.diff(logs) / 2 if logs.size > 1 else np.array([0.5])
-    return np.asarray(np.exp([logs[0] - half[0], *(logs[:-1] + half), logs[-1] + half[-1]]))
 
 
 def color_scale(

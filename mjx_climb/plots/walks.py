@@ -58,7 +58,14 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     heights = [*(panel.height for panel in panels), 0.9]
     figure, axes = _over_time(heights, events.end_of(trajectory), 0.5 + 0.77 * len(heights))
     _draw_lines(axes, trajectory, panels)
-    _name_the_axes(axes[1 + len(joints)])
+    of_base = axes[1 + len(joints)]
+    handles = [key(name, color=color) for name, color in zip(AXES, AXIS_COLORS, strict=True)]
+    of_base.legend(
+        handles=[*handles, key("reference", color="0.3", linestyle=_DASHED)], loc="upper left",
+        ncols=4, handlelength=1.0, columnspacing=0.7, handletextpad=0.3, borderaxespad=0.1, fontsize=6.5,
+    )  # fmt: skip
+    low, high = of_base.get_ylim()
+    of_base.set_ylim(low, high + 0.3 * (high - low))
     _mark_holding_limit(axes[0], trajectory.scenario.contact.holding_limit)
     _draw_gait(axes[-1], trajectory)
     _mark_events(axes, trajectory)
@@ -157,17 +164,6 @@ def _draw_lines(axes: Sequence[Axes], trajectory: Trajectory, panels: Sequence[_
                 place.autoscale_view(scalex=False)
         if panel.lines.ndim == 1:
             place.set_ylim(bottom=0)
-
-
-def _name_the_axes(panel: Axes) -> None:
-    """Name the three axes and the reference in a panel, above what it shows."""
-    handles = [key(name, color=color) for name, color in zip(AXES, AXIS_COLORS, strict=True)]
-    panel.legend(
-        handles=[*handles, key("reference", color="0.3", linestyle=_DASHED)], loc="upper left",
-        ncols=4, handlelength=1.0, columnspacing=0.7, handletextpad=0.3, borderaxespad=0.1, fontsize=6.5,
-    )  # fmt: skip
-    low, high = panel.get_ylim()
-    panel.set_ylim(low, high + 0.3 * (high - low))
 
 
 def _mark_holding_limit(panel: Axes, limit: float | None) -> None:

@@ -87,8 +87,17 @@ class Caption:
         self._state(draw, row)
         if pixels_per_meter is not None:
             self._legend(draw, self._scale * pixels_per_meter)
-        if np.linalg.norm(view.gravity) >= MICROGRAVITY:
-            self._down(draw, view)
+        if np.linalg.norm(view.gravity) >= MICROGRAVITY:  # an arrow: gravity's direction in the picture's plane
+            right, up, _ = view.axes()
+            way = np.array([view.gravity @ right, -(view.gravity @ up)])
+            way /= max(np.linalg.norm(way), 1e-9)
+            center, side = np.array([self._size[0] - 2.2 * unit, 2.9 * unit]), np.array([-way[1], way[0]])
+            self._box(draw, center[0] - 1.5 * unit, center[1] - 2.2 * unit, 3.0 * unit, 4.4 * unit)
+            end = center + 1.6 * unit * way
+            draw.line((*(center - 1.6 * unit * way), *(end - 0.6 * unit * way)), WHITE, max(round(0.2 * unit), 2))
+            tip = [end, *(end - 0.9 * unit * way + across * unit * side for across in (0.45, -0.45))]
+            draw.polygon([tuple(corner) for corner in tip], WHITE)
+            draw.text(tuple(center + 0.75 * unit * side), "g", WHITE, font(unit, bold=True), anchor="mm")
         return np.array(image)
 
     def _box(self, draw: ImageDraw.ImageDraw, left: float, top: float, width: float, height: float) -> None:
@@ -148,19 +157,6 @@ class Caption:
         for line in ((x, middle, end, middle), (x, middle - 4, x, middle + 4), (end, middle - 4, end, middle + 4)):
             draw.line(line, WHITE, max(round(0.12 * unit), 1))
         draw.text((end + 0.6 * unit, y + 0.1 * unit), f"{force:g} N", WHITE, text)
-
-    def _down(self, draw: ImageDraw.ImageDraw, view: View) -> None:
-        """Draw which way is down: gravity's direction in the picture's plane."""
-        right, up, _ = view.axes()
-        unit, way = self._unit, np.array([view.gravity @ right, -(view.gravity @ up)])
-        way /= max(np.linalg.norm(way), 1e-9)
-        center = np.array([self._size[0] - 2.2 * unit, 2.9 * unit])
-        self._box(draw, center[0] - 1.5 * unit, center[1] - 2.2 * unit, 3.0 * unit, 4.4 * unit)
-        start, end, side = center - 1.6 * unit * way, center + 1.6 * unit * way, np.array([-way[1], way[0]])
-        draw.line((*start, *(end - 0.6 * unit * way)), WHITE, max(round(0.2 * unit), 2))
-        tip = [end, *(end - 0.9 * unit * way + across * unit * side for across in (0.45, -0.45))]
-        draw.polygon([tuple(corner) for corner in tip], WHITE)
-        draw.text(tuple(center + 0.75 * unit * side), "g", WHITE, font(unit, bold=True), anchor="mm")
 
 
 class ForceTrace:

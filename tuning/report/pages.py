@@ -8,7 +8,6 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.rollouts.walks import LINES
-from tuning.evaluation.verification import Verification
 from tuning.gains.gains_file import by_name
 from tuning.problem.evaluation import Problem
 from tuning.report import comparison
@@ -95,14 +94,22 @@ def tune_page(
     values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
     open_notes, folded = ([line[0].upper() + line[1:] for line in lines] for lines in (outcome, tests))
     side_by_side = comparison.table(rows, "Walks in double precision", about, found.law)
+    caption = "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more"
+    around = []
+    for name, shape in checked.shape.items():
+        changes = (checked.less[name], checked.more[name])
+        cells = ("breaks a limit" if value is None else f"{100 * value:+.2f}" for value in changes)
+        around.append([name, *cells, shape, number(checked.slopes[name])])
+    near = Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", around)], 1)
     return Page(
         title=f"Tuned gains for {origin.name}: {search.method}, {search.space}", origin=origin,
         verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
         scenario=found.scenario, more=folded,
         notes=[*open_notes, *sentences(_worse_than_pd(metrics["tuned"], metrics["pd"], about))],
         explorers={title: explorer(shown, values, opens_on="tuned", points=points, about=about)},
-        tables=[side_by_side, comparison.gains_table(rows, found.law), _around_table(checked)],
-        facts={"precision": "float32 (search, map), float64 (named walks, verification)", **_spent(found)},
+        tables=[side_by_side, comparison.gains_table(rows, found.law), near],
+        facts={"precision": "float32 (search, map), float64 (named walks, verification)", "seed": search.seed,
+               "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
     )  # fmt: skip
 
 
@@ -128,23 +135,9 @@ def _points_of_map(found: Tuned, over: xr.Dataset, baseline: comparison.Values) 
     return grid_points(over, over, {**baseline, "objective": 1.0}, marks, best)
 
 
-def _around_table(checked: Verification) -> Table:
-    caption = "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more"
-    rows = []
-    for name, shape in checked.shape.items():
-        changes = (checked.less[name], checked.more[name])
-        cells = ("breaks a limit" if value is None else f"{100 * value:+.2f}" for value in changes)
-        rows.append([name, *cells, shape, number(checked.slopes[name])])
-    return Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", rows)], 1)
-
-
 def _worse_than_pd(metrics: comparison.Values, baseline: comparison.Values, about: mc.MetricTable) -> list[str]:
     worse, _ = comparison.differences(metrics, baseline, about)
     return [f"worse than pd: {', '.join(worse)}"] if worse else []
-
-
-def _spent(found: Tuned) -> dict[str, Any]:
-    return {"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"}
 
 
 def robust_page(found: Tuned, summed: xr.Dataset, outcome: Sequence[str], origin: Origin) -> Page:
@@ -160,7 +153,8 @@ def robust_page(found: Tuned, summed: xr.Dataset, outcome: Sequence[str], origin
     verdict, *notes = sentences(outcome)
     return Page(
         title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}", origin=origin,
-        verdict=verdict, scenario=found.scenario, notes=notes, facts=_spent(found),
+        verdict=verdict, scenario=found.scenario, notes=notes,
+        facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
         tables=[judged_table(summed, found.problem.metrics), comparison.gains_table(rivals, found.law)],
     )  # fmt: skip
 

@@ -95,6 +95,8 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
     title = "map and limit: the same gains on all axes" if apart else None
     marks = {} if apart else {name: (x, y) for name, (x, y) in means.items()}
     figure = plots.plot_map(walks, "objective", marks, baseline=1.0, title=title)
+    descending = np.isin(found.data["phase"].values.astype(str), ["descent", "axes tied", "axes free"])
+    starts, leading, others = found.data["row"].values, best_of_crowds(found.data), ~descending & ~crowded(found.data)
     panel = figure.axes[0]
     handles: list[Artist] = []
     for legend in figure.legends:
@@ -105,28 +107,19 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
         for gain, values in zip(axes, result, strict=True):
             searched = theta[:, np.isin(coordinates, [gain, *(f"{gain}.{name}" for name in names)])]
             ways.append(np.exp(searched.mean(1)) if searched.size else np.full(len(theta), _mean(values)))
-        handles += _draw_ways(panel, found.data, ways, color, part)
-        if apart:
-            handles.append(_mark(panel, result, marker, color, f"tuned, {part}"))
+        line: dict[str, Any] = {"color": color, "linewidth": 0.7}
+        dots: dict[str, Any] = {"color": color, "marker": ".", "markersize": 2, "linestyle": "none"}
+        for points in [*(descending & (starts == row) for row in np.unique(starts[descending])), leading]:
+            panel.plot(ways[0][points], ways[1][points], "-", **line, zorder=3)
+        panel.plot(ways[0][others], ways[1][others], **dots, zorder=3)
+        for text, drawn in (("descents", descending.any()), ("best of each round", leading.size)):
+            handles += [key(f"{text}, {part}" if part else text, **line)] if drawn else []
+        last = _mark(panel, result, marker, color, f"tuned, {part}") if apart else key("other points", **dots)
+        handles.append(last)
     if apart and "config" in means:
         handles.append(_mark(panel, means["config"], "o", "0.1", "config"))
     plots.legend_below(figure, handles, 3)
     return figure
-
-
-def _draw_ways(panel: Axes, history: xr.Dataset, ways: Sequence[np.ndarray], color: str, part: str) -> list[Artist]:
-    """Draw descents, the best of crowded rounds and, unless a result is marked, other points; return the handles."""
-    line: dict[str, Any] = {"color": color, "linewidth": 0.7}
-    dots: dict[str, Any] = {"color": color, "marker": ".", "markersize": 2, "linestyle": "none"}
-    descending = np.isin(history["phase"].values.astype(str), ["descent", "axes tied", "axes free"])
-    starts, leading = history["row"].values, best_of_crowds(history)
-    for points in [*(descending & (starts == row) for row in np.unique(starts[descending])), leading]:
-        panel.plot(ways[0][points], ways[1][points], "-", **line, zorder=3)
-    others = ~descending & ~crowded(history)
-    panel.plot(ways[0][others], ways[1][others], **dots, zorder=3)
-    drawn = {"descents": descending.any(), "best of each round": leading.size}
-    handles: list[Artist] = [key(f"{text}, {part}" if part else text, **line) for text, any_ in drawn.items() if any_]
-    return handles if part else [*handles, key("other points", **dots)]
 
 
 def crowded(history: xr.Dataset) -> np.ndarray:
