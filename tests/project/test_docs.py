@@ -1,4 +1,4 @@
-"""What the documentation shows is so: links, paths, commands, code, dependencies."""
+"""What the documentation and the notebooks show is so: links, paths, commands, code, names, dependencies."""
 
 import ast
 import importlib
@@ -11,8 +11,11 @@ import tomllib
 from pathlib import Path
 from typing import get_args
 
+import nbformat
 import pytest
 import typer
+from nbclient import NotebookClient
+from nbformat.v4 import new_code_cell
 
 import mjx_climb as mc
 from mjx_climb.control import LAWS
@@ -215,3 +218,56 @@ def test_the_readme_names_every_command():
 
 def test_what_an_index_shows_needs_no_other_file():
     assert all(re.match(r"https?:", link) for link in LINK.findall((ROOT / PROJECT["readme"]).read_text("utf-8")))
+
+
+# --- notebooks
+
+MACHINE = re.compile(r"/(home|root|tmp|work|Users|usr|var)/|\.venv|site-packages")
+every_notebook = pytest.mark.parametrize("path", sorted(ROOT.glob("notebooks/*.ipynb")), ids=lambda path: path.stem)
+
+
+def read(path):
+    return nbformat.read(path, as_version=4)
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+@every_notebook
+def test_the_code_uses_public_names_that_exist(path):
+    source = "\n".join(cell.source for cell in code_cells(read(path)))
+    plain = "\n".join(line for line in source.splitlines() if not line.startswith("%"))  # magic
+    kinds = ast.Attribute | ast.alias | ast.ImportFrom
+    nodes = [node for node in ast.walk(ast.parse(plain)) if isinstance(node, kinds)]
+    names = [getattr(node, field, None) for node in nodes for field in ("attr", "name", "module")]
+    assert not [name for name in names if name and re.search(r"(^|\.)_", name)]
+    check_names(plain)
+
+
+@every_notebook
+def test_kept_as_run_with_pictures_and_nothing_of_the_machine(path):
+    """One title; text that an editor of scripts has kept as comments would be a title in every line."""
+    notebook = read(path)
+    lines = [line for cell in notebook.cells if cell.cell_type == "markdown" for line in cell.source.splitlines()]
+    assert [line for line in lines if line.startswith("# ") or line == "#"] == lines[:1]
+    cells = code_cells(notebook)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    outputs = [output for cell in cells for output in cell.outputs]
+    assert not [output for output in outputs if output.output_type == "error" or output.get("name") == "stderr"]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 3
+    assert path.stat().st_size < 600_000
+    assert notebook.metadata.kernelspec.name == "python3"
+    assert not any(cell.metadata for cell in notebook.cells)
+    text = [output.get("text", "") + output.get("data", {}).get("text/plain", "") for output in outputs]
+    assert not MACHINE.search("\n".join([*text, *(cell.source for cell in notebook.cells)]))
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+@every_notebook
+def test_runs_in_a_clean_kernel(path):
+    """All cells in a kernel of their own, in the root of the checkout, where a warning is an error."""
+    notebook = read(path)
+    notebook.cells.insert(0, new_code_cell("import warnings\nwarnings.simplefilter('error')"))
+    NotebookClient(notebook, kernel_name="python3", timeout=600, resources={"metadata": {"path": str(ROOT)}}).execute()
