@@ -134,12 +134,6 @@ def frame_along(axis: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
-def _exact(value: np.ndarray) -> np.ndarray:
-    """Return an array with 0, 1 and -1 where rounding has missed them: a kernel leaves out what these multiply."""
-    whole = value.round()
-    return np.where((np.abs(value - whole) < 1e-14) & (np.abs(whole) < 2), whole + 0.0, value)  # no -0.0
-
-
 def _flags(mask: np.ndarray) -> tuple[tuple[bool, ...], ...]:
     """Return a mask (limb, joint) as tuples, empty where it is false throughout."""
     return tuple(map(tuple, mask.tolist())) if mask.any() else ()
@@ -197,6 +191,11 @@ def _frames(model: mujoco.MjModel, bodies: np.ndarray) -> dict[str, np.ndarray]:
         principal_axes = axes.T @ data.ximat[body].reshape(3, 3)
         return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
 
+    def exact(value: np.ndarray) -> np.ndarray:
+        """Return 0, 1 and -1 where rounding has missed them: a kernel leaves out what these multiply."""
+        whole = value.round()
+        return np.where((np.abs(value - whole) < 1e-14) & (np.abs(whole) < 2), whole + 0.0, value)  # no -0.0
+
     links, feet = [], []
     for limb, chain in enumerate(bodies):
         at, axes = np.zeros(3), np.eye(3)  # of the parent
@@ -205,7 +204,7 @@ def _frames(model: mujoco.MjModel, bodies: np.ndarray) -> dict[str, np.ndarray]:
             own = data.xmat[body].reshape(3, 3)
             axes = frame_along(axis, own[:, np.argmin(np.abs(own.T @ axis).round(6))])
             placed = (parent.T @ (anchor - at), parent.T @ axes, axes.T @ (data.xipos[body] - anchor))
-            links.append((*map(_exact, placed), inertia(body, axes)))
+            links.append((*map(exact, placed), inertia(body, axes)))
             at = anchor
         feet.append(axes.T @ (data.site_xpos[limb] - at))
     fields = ("frame_position", "frame_rotation", "link_center", "link_inertia")

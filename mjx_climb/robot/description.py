@@ -190,7 +190,7 @@ def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
 
 
 def _drop_shapes(file: str, spec: mujoco.MjSpec, shaped: Collection[str]) -> None:
-    meshes = {mesh.name: found_mesh(file, spec, mesh.file) for mesh in spec.meshes} if shaped else {}
+    meshes = {mesh.name: _found_mesh(file, spec, mesh.file) for mesh in spec.meshes} if shaped else {}
     urdf, (lowest, highest) = is_urdf(file), spec.compiler.inertiagrouprange
     from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     for geom in spec.geoms:
@@ -219,11 +219,8 @@ def _drop_shapes(file: str, spec: mujoco.MjSpec, shaped: Collection[str]) -> Non
         spec.delete(part)
 
 
-def found_mesh(file: str, spec: mujoco.MjSpec, mesh: str) -> str | None:
-    """Return the path of a mesh that a robot's file names, None where it is not there, or of a kind not read here.
-
-    Looked for beside the file, in its folder of meshes, and, of a ROS package, in the folders around the file.
-    """
+def _found_mesh(file: str, spec: mujoco.MjSpec, mesh: str) -> str | None:
+    """Return the path of a mesh: beside the file, in its folder of meshes, or around it in a ROS package; or None."""
     folder, name = Path(file).absolute().parent, re.sub(r"^(package|file|model)://", "", mesh)
     inside = name.partition("/")[2]  # the package
     places = [folder / name, folder / spec.meshdir / name, folder / spec.meshdir / Path(name).name]

@@ -58,7 +58,8 @@ def propose(
     reach, mass = float(lengths.mean()), float(model.body_subtreemass[robot.base])
     slides = bool((model.jnt_type[robot.joints] == mujoco.mjtJoint.mjJNT_SLIDE).any())
     proportions = _proportions(mass, reach, slides)
-    key = _keyframe(model)
+    keys = [model.key(k).name for k in range(model.nkey)]
+    key = next((keys.index(name) for name in ("stance", "stand", "home") if name in keys), 0 if keys else None)
     section: dict[str, Any] = {"file": robot.path, "height": 1.0, "limbs": {}}
     for name, chain in limbs.items():
         section["limbs"][name] = {"joints": [model.joint(j).name for j in chain.joints], "foot": chain.foot}
@@ -71,8 +72,8 @@ def propose(
         robot.note("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
         stance = searched(section, hips, float(lengths.min()))
     section["height"] = stance.height
-    for limb, foothold in zip(section["limbs"].values(), stance.footholds, strict=True):
-        limb["foothold"] = foothold.tolist()
+    for limb, foothold in zip(section["limbs"].values(), stance.footholds.tolist(), strict=True):
+        limb["foothold"] = foothold
     gait = _gait(robot, section, stance, reach)
     stiffer = ", the joint loop stiff enough for joints that slide" if slides else ""
     robot.note("changed", "contact and control", f"HubRobo's in proportion to {mass:.3g} kg and {reach:.3g} m{stiffer}")
@@ -82,12 +83,6 @@ def propose(
     robot.note("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity takes another")
     walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"], **proportions}
     return Proposal({"robot": section, **walk}, tuple(robot.notes))
-
-
-def _keyframe(model: mujoco.MjModel) -> int | None:
-    """Return the keyframe that a robot stands in: by its name, or the first."""
-    names = [model.key(k).name for k in range(model.nkey)]
-    return next((names.index(n) for n in ("stance", "stand", "home") if n in names), 0 if names else None)
 
 
 def _of_keyframe(robot: Found, key: int, section: dict[str, Any]) -> Stance | None:

@@ -136,17 +136,18 @@ class _File:
             inner, body = self._inner(chain[0])
             if body != self.base or body == 0 or inner >= 0:
                 yield f"limbs.{limb}.joints", begins, repr(model.body(body).name), names[chain[0]]
+        own = model.body_rootid == model.body_rootid[self.base]  # bodies of the robot
         for joint in ours:
             if ours.count(joint) > 1:
                 yield "limbs", "different joints", f"{names[joint]!r} twice", names[joint]
         for joint in set(range(model.njnt)) - set(ours) - self.held.keys():
             floats = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and model.jnt_bodyid[joint] == self.base
-            if not floats and self._of_robot(model.jnt_bodyid[joint]):
+            if not floats and own[model.jnt_bodyid[joint]]:
                 hold = f"robot.locked.{names[joint]}: 0 would hold it"
                 expected = f"no joints but those named and the base's own ({hold})"
                 yield "limbs", expected, repr(names[joint]), names[joint]
         for constraint in np.flatnonzero(model.eq_active0):
-            if (name := self._bound(int(constraint))) is not None:
+            if (name := self._bound(int(constraint), own)) is not None:
                 yield "file", "no equality constraints between moving parts", f"one at {name!r}", name
         for name in self.springs.keys() - {names[joint] for joint in ours}:
             yield f"springs.{name}", "a joint of a limb", "one of none", name
@@ -156,19 +157,16 @@ class _File:
         if not self.trunk.mass:
             yield "file", f"a mass of the base link {base!r}", "none", base
 
-    def _of_robot(self, body: int) -> bool:
-        return bool(self.model.body_rootid[body] == self.model.body_rootid[self.base])
-
-    def _bound(self, constraint: int) -> str | None:
+    def _bound(self, constraint: int, own: np.ndarray) -> str | None:
         """Return what an equality constraint is at that could move a part of the robot; None of one that cannot."""
         model, names = self.model, [self.model.equality(constraint).name]
         ends = [int(end[constraint]) for end in (model.eq_obj1id, model.eq_obj2id) if end[constraint] >= 0]
         idle = False
         if model.eq_type[constraint] == mujoco.mjtEq.mjEQ_JOINT:
-            idle = all(end in self.held or not self._of_robot(model.jnt_bodyid[end]) for end in ends)
+            idle = all(end in self.held or not own[model.jnt_bodyid[end]] for end in ends)
             names.append(model.joint(ends[0]).name)
         elif model.eq_objtype[constraint] == mujoco.mjtObj.mjOBJ_BODY:
-            idle = len({self.part[end] for end in ends}) == 1 or not any(map(self._of_robot, ends))
+            idle = len({self.part[end] for end in ends}) == 1 or not own[ends].any()
             names.append(model.body(ends[0]).name)
         return None if idle else next(filter(None, names), "")
 
@@ -210,15 +208,6 @@ class _File:
         femur = femur / np.linalg.norm(femur)
         return [coxa, femur, np.sign(femur @ tibia) * femur]
 
-    def limits(self, joint: int) -> tuple[float, float]:
-        """Return the lower and upper limit of a joint, rad or m; those of a turn or more are as good as none."""
-        slides = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-        lower, upper = map(float, self.model.jnt_range[joint])
-        whole_turn = not slides and lower <= -np.pi and upper >= np.pi
-        if self.model.jnt_limited[joint] and not whole_turn:
-            return lower, upper
-        return (-REACH, REACH) if slides else (-np.pi, np.pi)
-
 
 def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
     """Return names of the joints from the base outwards: the file's, without what tells its limbs apart.
@@ -254,7 +243,11 @@ def _add_limb(file: _File, limb: str, names: Sequence[str], body: mujoco.MjsBody
         body = body.add_body(name=f"{limb}_{names[n]}", pos=place, quat=quaternion(inner.T @ axes))
         dof, name = file.model.jnt_dofadr[joint], file.model.joint(joint).name
         moved = add_joint(body, file.model, joint, f"{limb}_{names[n]}")
-        moved.axis, moved.range, moved.limited = [0, 0, 1], file.limits(joint), _LIMITED
+        lower, upper = file.model.jnt_range[joint]
+        most = REACH if moved.type == mujoco.mjtJoint.mjJNT_SLIDE else np.pi
+        if not file.model.jnt_limited[joint] or (most == np.pi and lower <= -np.pi and upper >= np.pi):
+            lower, upper = -most, most  # a turn or more is as free as no limits
+        moved.axis, moved.range, moved.limited = [0, 0, 1], [lower, upper], _LIMITED
         if spring := file.springs.get(name):
             moved.damping = [moved.damping[0] + spring.damping, 0, 0]  # beside the file's
             moved.stiffness, moved.springref, moved.group = [spring.stiffness, 0, 0], spring.rest, PASSIVE
