@@ -131,16 +131,11 @@ def turn_between(one: AnyArray, other: AnyArray) -> AnyArray:
     return 0.5 * namespace(one, other).cross(one.mT, other.mT).sum(-2)
 
 
-def center_of_mass(robot: Robot, frames: LimbFrames, state: State, cargo_mass: Array) -> Array:
-    """Return the centre of mass (3,) m, world, of the robot with `cargo_mass` () kg at the base's own.
-
-    Frames are in the base's axes.
-    """
+def center_of_mass(robot: Robot, frames: LimbFrames, state: State, cargo_mass: Array) -> AnyArray:
+    """Return the centre of mass (3,) m, world, of robot and cargo, () kg, from frames in the base's axes."""
     center = frames.position + jnp.matvec(frames.rotation, robot.link_center)
     moment = (robot.link_mass[..., None] * center).sum((0, 1))
-    rotation: Array = quaternion_to_matrix(state.base_orientation)
-    center_of_mass: Array = state.base_position + rotation @ moment / (cargo_mass + robot.total_mass)
-    return center_of_mass
+    return state.base_position + quaternion_to_matrix(state.base_orientation) @ moment / (cargo_mass + robot.total_mass)
 
 
 def base_wrench_of_foot_force(lever: Array, foot_force: Array, foot_moment: Array | float = 0.0) -> Array:

@@ -225,10 +225,9 @@ _SOFT_MAXIMUM: _Reduction = (
 # --- the shipped metrics
 
 
-def foot_forces(sample: Sample, _: Context) -> Array:
+def foot_forces(sample: Sample, _: Context) -> Any:
     """Return the sizes of the foot forces, (limb,) N."""
-    sizes: Array = norm(sample.foot_force)
-    return sizes
+    return norm(sample.foot_force)
 
 
 def _pull_forces(sample: Sample, context: Context) -> Array:
