@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colorbar import Colorbar
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
+from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
@@ -121,7 +121,13 @@ class _Grid:
             raise ValueError(f"{metric}: expected dimensions {' and '.join(self.axes)}")
         variable, failed, edges = self.dataset[metric], self.failed, self.edges
         values = comparable(self.dataset, metric).transpose(*self.axes[::-1]).values.astype(float)
-        colormap, norm, extend = _colors(variable, values, failed, baseline)
+        known, larger = np.unique(values[np.isfinite(values)]), larger_is_better(variable)
+        norm, extend = color_scale(values, failed, baseline, larger)
+        colormap = ListedColormap([SAME]) if known.size == 1 else mpl.colormaps["viridis" if larger else "viridis_r"]
+        if flags := variable.attrs.get("flag_meanings", "").split():
+            codes = np.asarray(variable.attrs["flag_values"], float)
+            norm, extend = BoundaryNorm([*(codes - 0.5), codes[-1] + 0.5], len(codes)), "neither"
+            colormap = ListedColormap(["0.9", *LIMB_COLORS][: len(flags)])
         panel.set_facecolor(GREY)
         mesh = panel.pcolormesh(
             *edges, np.ma.masked_invalid(values), cmap=colormap, norm=norm, linewidth=0,
@@ -192,20 +198,6 @@ def _name_values(bar: Colorbar, variable: xr.DataArray, panel: Axes, baseline: f
             textcoords="offset points", ha="right", va="center", fontsize=6.5, color=RED,
             bbox={"facecolor": "white", "linewidth": 0, "pad": 0.6}, zorder=6,
         )  # fmt: skip
-
-
-def _colors(
-    variable: xr.DataArray, values: np.ndarray, failed: np.ndarray, baseline: float | None
-) -> tuple[Colormap, Any, str]:
-    """Return the colours of a map, the scale (of matplotlib's) on which they lie, and which ends of it are passed."""
-    if flags := variable.attrs.get("flag_meanings", "").split():
-        codes = np.asarray(variable.attrs["flag_values"], float)
-        norm = BoundaryNorm([*(codes - 0.5), codes[-1] + 0.5], len(codes))
-        return ListedColormap(["0.9", *LIMB_COLORS][: len(flags)]), norm, "neither"
-    larger = larger_is_better(variable)
-    constant = np.unique(values[np.isfinite(values)]).size == 1
-    colormap = ListedColormap([SAME]) if constant else mpl.colormaps["viridis" if larger else "viridis_r"]
-    return colormap, *color_scale(values, failed, baseline, larger)
 
 
 def _hatch(panel: Axes, edges: Sequence[np.ndarray], cells: np.ndarray, dark: np.ndarray, name: str) -> list[Artist]:
