@@ -129,9 +129,8 @@ def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Pa
     choices = get_args(kind) if get_origin(kind) is Literal else ()
     repeated = get_origin(kind) in (dict, list, tuple)
     plain = kind if kind in (bool, Path) else Path if repeated and get_args(kind)[0] is Path else str
-    ends: dict[str, Any] = {}  # the range is shown where it has two, or begins above 1
-    for extra in field.metadata:
-        ends |= {name: getattr(extra, name) for name in ("ge", "le") if hasattr(extra, name)}
+    # the range is shown where it has two ends, or begins above 1
+    ends = {name: getattr(extra, name) for extra in field.metadata for name in ("ge", "le") if hasattr(extra, name)}
     bounds = f", {ends['ge']} or more" if ends.get("ge", 0) > 1 else ""
     if len(ends) == 2:
         bounds = f", {ends['ge']} to {ends['le']}"
