@@ -131,11 +131,11 @@ class MetricTable(tuple[Metric, ...]):
 
 def total(name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = False) -> Metric:
     """Return the metric that integrates a value () of each sample over time: `unit` is the value's times s."""
-
-    def update(running: Array, sample: Sample, context: Context) -> Array:
-        return running + value(sample, context) * context.time_step
-
-    return Metric(name, unit, long_name, larger_is_better, lambda zero: zero, update)
+    return Metric(
+        name, unit, long_name, larger_is_better,
+        init=lambda zero: zero,
+        update=lambda running, sample, context: running + value(sample, context) * context.time_step,
+    )  # fmt: skip
 
 
 def peak(name: str, unit: str, long_name: str, value: Value) -> Metric:

@@ -1,17 +1,20 @@
 """What a trial of a fast path makes of this machine: a verdict that lasts, and the plain path where it is bad."""
 
+import warnings
+
 import pytest
 
 from mjx_climb.execution import one_robot, paths
 
 
 def forget():
-    for known in (paths.works, paths.verdict, paths._trial):
-        known.cache_clear()
+    with warnings.catch_warnings(action="ignore", category=ResourceWarning):  # a trial that nobody asked for goes on
+        for known in (paths.works, paths.verdict, paths._trial):
+            known.cache_clear()
 
 
 @pytest.fixture
-def fresh(monkeypatch, tmp_path):
+def fresh(monkeypatch, tmp_path, cpu_alone):
     """Forget all verdicts, before and after, and keep those of the test in a folder of its own."""
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
     forget()

@@ -81,6 +81,12 @@ def no_opengl():
     raise RenderingError("expected OpenGL, install libegl1")
 
 
+def without_plugins(name, version=importlib.metadata.version):
+    if name.endswith("-plugin"):
+        raise importlib.metadata.PackageNotFoundError
+    return version(name)
+
+
 def another_mujoco(name, version=importlib.metadata.version):
     return "4.0.0" if name == "mujoco" else version(name)
 
@@ -89,7 +95,10 @@ def another_mujoco(name, version=importlib.metadata.version):
     ("damage", "setting", "part", "said", "cured"),
     [
         (
-            {(machine, "NVIDIA"): ROOT, (jax, "default_backend"): lambda: "cpu"},
+            {
+                (machine, "NVIDIA"): ROOT, (jax, "default_backend"): lambda: "cpu",
+                (importlib.metadata, "version"): without_plugins,
+            },
             ("JAX_PLATFORMS", ""), "devices", "mjx-climb[cuda13]", "cpu",
         ),
         ({}, ("MJX_CLIMB_CACHE", f"{__file__}/cache"), "cache", "MJX_CLIMB_CACHE", "off"),
