@@ -42,9 +42,6 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     if "about" in field.metadata
 }
 
-# ------------------------------------------------------------------------------------------------------------
-# Labelled arrays
-
 
 def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     """Return a walk as labelled arrays: every variable has units and a long name.
@@ -165,10 +162,6 @@ def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
 
 def _from_json(text: str, dtype: np.dtype) -> dict[str, Any]:
     return {n: None if v is None else np.asarray(v, dtype) for n, v in json.loads(text).items()}
-
-
-# ------------------------------------------------------------------------------------------------------------
-# Files
 
 
 def save(dataset: xr.Dataset, path: str | os.PathLike[str]) -> Path:

@@ -76,8 +76,8 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
     mujoco.set_mju_user_warning(lambda message: None)  # what is wrong is said once, by what is raised
     try:
         if looks and is_urdf(file) and "<mujoco" not in text:
-            kept = '><mujoco><compiler discardvisual="false"/></mujoco>'
-            spec = mujoco.MjSpec.from_string(re.sub(r"(<robot\b[^>]*)>", lambda robot: robot[1] + kept, text, count=1))
+            kept = r'\1><mujoco><compiler discardvisual="false"/></mujoco>'
+            spec = mujoco.MjSpec.from_string(re.sub(r"(<robot\b[^>]*)>", kept, text, count=1))
         else:
             spec = mujoco.MjSpec.from_file(file)
         for part in (*spec.bodies, *spec.joints, *spec.sites, *spec.keys, *spec.actuators):
@@ -87,7 +87,7 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
         place = line_of(file, error.object.decode("utf-8", "replace"))
         raise RobotError(f"{place}: expected names in UTF-8, got {error.object!r}") from None
     except (ValueError, OSError, mujoco.FatalError) as error:
-        raise unreadable(file, error) from None
+        raise _unreadable(file, error) from None
     finally:
         mujoco.set_mju_user_warning(None)
 
@@ -307,7 +307,7 @@ def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
             warnings.simplefilter("ignore")  # of what is old-fashioned in somebody's file
             return spec.compile()
     except (ValueError, OSError, mujoco.FatalError) as error:
-        raise unreadable(file, error) from None
+        raise _unreadable(file, error) from None
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -348,30 +348,20 @@ def line_of(file: str, name: str) -> str:
     return _first_line(file, element, rf"(name\s*=\s*{quoted}", "(" + quoted) or file
 
 
-def _line_in(file: str, reason: str) -> str | None:
-    """Return the line that MuJoCo's reason is about; None where it tells none.
-
-    It tells 0 of what stands in an included file: the reason is then asked for again with all in one file.
-    """
-    if not (found := _NUMBER.search(reason)):
-        return None
-    if int(found[1]):
-        return f"{file}:{found[1]}"
-    lines = _lines(Path(file))
-    try:
-        mujoco.MjSpec.from_string("\n".join(text for _, text in lines)).compile()
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        again = " ".join(str(error).split())
-        found = _NUMBER.search(again)
-        if found and again.split("Element")[0] == reason.split("Element")[0] and 0 < int(found[1]) <= len(lines):
-            return lines[int(found[1]) - 1][0]
-    return None
-
-
-def unreadable(file: str, error: Exception) -> RobotError:
+def _unreadable(file: str, error: Exception) -> RobotError:
     """Return what MuJoCo says of a file in one line, beginning with the line of the file that it is about."""
-    reason = " ".join((str(error) or "an empty one").split())
-    place = _line_in(file, reason)
+    reason, place = " ".join((str(error) or "an empty one").split()), None
+    lines, number = _lines(Path(file)), _NUMBER.search(reason)
+    if number and int(number[1]):
+        place = f"{file}:{number[1]}"
+    elif number:  # 0 of what stands in an included file: asked for again with all in one file
+        try:
+            mujoco.MjSpec.from_string("\n".join(text for _, text in lines)).compile()
+        except (ValueError, OSError, mujoco.FatalError) as other:
+            again = " ".join(str(other).split())
+            number = _NUMBER.search(again)
+            if number and again.split("Element")[0] == reason.split("Element")[0] and 0 < int(number[1]) <= len(lines):
+                place = lines[int(number[1]) - 1][0]
     if place is None and (found := re.search(r"(?:[Ee]lement name|opening file) '([^']+)'", reason)):
         place = line_of(file, found[1])
     if place is None and "repeated URDF name" in reason:

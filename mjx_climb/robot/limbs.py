@@ -181,10 +181,6 @@ def _check_level(path: str, model: mujoco.MjModel, limbs: dict[str, Chain], base
         )
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Rows of joints
-
-
 def rigid_parts(model: mujoco.MjModel, held: Set[int] = frozenset()) -> np.ndarray:
     """Return for each body the first body of the rigid part that it belongs to, where some joints are held."""
     part = np.arange(model.nbody)
@@ -237,10 +233,6 @@ def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
         if all(found) and len(set(found)) == len(found) and "." not in "".join(found):
             return dict(zip(found, limbs, strict=True))
     return {f"limb{n + 1}": chain for n, chain in enumerate(limbs)}
-
-
-# ------------------------------------------------------------------------------------------------------------
-# Feet
 
 
 def _footed(model: mujoco.MjModel, row: list[int], last: list[int], shaped: mujoco.MjModel) -> Chain:

@@ -101,10 +101,6 @@ def _of_keyframe(robot: Found, key: int, section: dict[str, Any]) -> Stance | No
     return None
 
 
-# ------------------------------------------------------------------------------------------------------------
-# What became of the rest of the file
-
-
 def _resting(model: mujoco.MjModel, joint: int, value: float) -> float:
     """Return a value of a joint, or the limit that is nearest to it, to six digits."""
     return round(float(np.clip(value, *model.jnt_range[joint])) if model.jnt_limited[joint] else value, 6)

@@ -77,17 +77,14 @@ def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) 
 
 def _reached(robot: Robot, feet: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return postures from some starts (start, limb, joint), and what the feet miss, infinite beyond the limits."""
-    starts = starts if robot.driven is None else np.where(robot.driven, starts, _slack(robot))
+    if robot.driven is not None:
+        slack = robot.model.qpos_spring[7:].reshape(robot.driven.shape)
+        starts = np.where(robot.driven, starts, slack)
     angles, missed = settled(Chain(robot), feet, starts, _ITERATIONS, pull=False, longest=_LONGEST_STEP)
     wrapped = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
     angles = wrapped if robot.sliding is None else np.where(robot.sliding, angles, wrapped)
     within = ((angles >= robot.joint_lower - MET) & (angles <= robot.joint_upper + MET)).all(-1)
     return angles, np.where(within, missed, np.inf)
-
-
-def _slack(robot: Robot) -> np.ndarray:
-    """Return where the springs of all joints are slack, (limb, joint) rad."""
-    return np.asarray(robot.model.qpos_spring[7:].reshape(len(robot.limbs), -1))
 
 
 def _driven(robot: Robot) -> np.ndarray:
@@ -217,7 +214,7 @@ class Standing:
         """
         robot, driven, lower, upper = self.robot, self.driven, self.robot.joint_lower, self.robot.joint_upper
         shares = np.random.default_rng(0).uniform(0.08, 0.92, (_SAMPLES, *lower.shape))
-        postures = np.where(driven, lower + (upper - lower) * shares, np.clip(_slack(robot), lower, upper))
+        postures = np.where(driven, lower + (upper - lower) * shares, np.clip(robot.stance_joints, lower, upper))
         feet = limb_frames(robot, None, postures).foot + self.offset
         room = np.where(driven, np.minimum(shares, 1 - shares), 1.0).min(2)
         worth = room + _OUTWARD * (feet[..., :2] * away[self.rows]).sum(2) / reach
