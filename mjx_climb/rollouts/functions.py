@@ -38,33 +38,52 @@ def rollout(
 
 
 def rollout_metrics(
-    scenario: Scenario, gains: AnyGains | None = None, parameters: Parameters | None = None, **options: Any
+    scenario: Scenario,
+    gains: AnyGains | None = None,
+    parameters: Parameters | None = None,
+    *,
+    law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
+    **options: Any,
 ) -> dict[str, np.ndarray]:
     """Return `Simulation.metrics`: a batch of robots, metrics alone.
 
-    Options are `law`, `metrics`, `engine` and `smooth` of a `Simulation`, and those of its method.
+    Options are `engine` and `smooth` of a `Simulation`, and those of its method.
     """
-    return _simulation(scenario, options).metrics(gains, parameters, **options)
+    return _simulation(scenario, law, metrics, options).metrics(gains, parameters, **options)
 
 
 def rollout_histories(
-    scenario: Scenario, gains: AnyGains | None = None, parameters: Parameters | None = None, **options: Any
+    scenario: Scenario,
+    gains: AnyGains | None = None,
+    parameters: Parameters | None = None,
+    *,
+    law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
+    **options: Any,
 ) -> dict[str, np.ndarray]:
     """Return `Simulation.histories`: metrics and some histories of a batch; options as of `rollout_metrics`."""
-    return _simulation(scenario, options).histories(gains, parameters, **options)
+    return _simulation(scenario, law, metrics, options).histories(gains, parameters, **options)
 
 
 def rollout_jvp(
-    scenario: Scenario, gains: AnyGains, directions: AnyGains, parameters: Parameters | None = None, **options: Any
+    scenario: Scenario,
+    gains: AnyGains,
+    directions: AnyGains,
+    parameters: Parameters | None = None,
+    *,
+    law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
+    **options: Any,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return `Simulation.jvp`: metrics of a batch, and their tangents; options as of `rollout_metrics`."""
-    return _simulation(scenario, options).jvp(gains, directions, parameters, **options)
+    return _simulation(scenario, law, metrics, options).jvp(gains, directions, parameters, **options)
 
 
-def _simulation(scenario: Scenario, options: dict[str, Any]) -> Simulation:
-    """Return a simulation with its options, which leave the dictionary."""
-    names = ("law", "metrics", "engine", "smooth")
-    return Simulation(scenario, **{name: options.pop(name) for name in names if name in options})
+def _simulation(scenario: Scenario, law: Law | None, metrics: Iterable[Metric], options: dict[str, Any]) -> Simulation:
+    """Return a simulation with its own options, which leave the dictionary."""
+    own = {name: options.pop(name) for name in ("engine", "smooth") if name in options}
+    return Simulation(scenario, law, metrics, **own)
 
 
 def simulator(
