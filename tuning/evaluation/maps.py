@@ -1,6 +1,6 @@
 """Maps: what walks over a grid of two gains are worth, and where the closed loop is unstable."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -17,22 +17,15 @@ from tuning.problem.search import Search
 from tuning.searches.tune import problem_of
 
 
-def with_objective(
-    walks: xr.Dataset,
-    scenario: mc.Scenario,
-    search: Search | None = None,
-    *,
-    law: mc.Law | None = None,
-    engine: str = DEFAULT_ENGINE,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-) -> xr.Dataset:
+def with_objective(walks: xr.Dataset, scenario: mc.Scenario, search: Search | None = None, **how: Any) -> xr.Dataset:
     """Add what a search would make of each cell: `objective`, 1 for pd, and `feasible`, keeps every limit.
 
     Arguments:
-        walks: metrics over two gains, as `tuning.sweep` gives them, of that scenario, law and engine.
+        walks: metrics over two gains, as `tuning.sweep` gives them.
         search: weights and limits; the default ones where None.
+        how: law, engine and metrics of the walks, as of `tuning.tune`.
     """
-    return judged_by(walks, problem_of(scenario, search or Search(), engine=engine, metrics=metrics, law=law))
+    return judged_by(walks, problem_of(scenario, search or Search(), **how))
 
 
 def judged_by(walks: xr.Dataset, problem: Problem) -> xr.Dataset:

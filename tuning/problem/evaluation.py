@@ -77,15 +77,13 @@ class Problem:
         """Simulate with the gains of B points and score them, with tangents along some directions."""
         theta, how = np.asarray(theta, float), {**self.walks, "dtype": self.dtype, "smooth": True}
         double = np.dtype(self.dtype) == np.float64
-        gradient: Any
-        sharp: Any
+        derivatives: Any = np.zeros((2, 0, len(theta)), self.dtype)  # along no direction
         with devices.on_host():
             gains = to_gains64(self.space, theta)
             if directions is None:
                 metrics = mc.rollout_metrics(self.scenario, gains, self.parameters, **how)
                 with jax.enable_x64(double):
                     reported = _scored(self.objective, metrics)[1]
-                gradient = sharp = np.zeros((len(theta), 0), self.dtype)
             else:
                 with jax.enable_x64(True):  # tangents (k, B, 6)
                     along = jnp.broadcast_to(np.asarray(directions, float)[:, None], (len(directions), *theta.shape))
@@ -94,7 +92,7 @@ class Problem:
                 metrics, tangents = mc.rollout_jvp(self.scenario, gains, tangents, self.parameters, **how)
                 with jax.enable_x64(double):
                     derivatives, reported = _scored_tangents(self.objective, metrics, tangents)
-                gradient, sharp = (np.asarray(each).T for each in derivatives)
+            gradient, sharp = (np.asarray(each).T for each in derivatives)
         found: Evaluation = jax.tree.map(np.asarray, Evaluation(gradient=gradient, sharp=sharp, **reported))
         return found
 
