@@ -75,7 +75,14 @@ class MeasuredPoseAdmittance(SixAxes):
 
         acceleration = (wrench - self.damping * rate - self.stiffness * offset) / self.inertia
         target = offset + horizon * rate + horizon**2 * acceleration
-        return horizon, shifted(reference, target, _of_doubled_vector_part(target[3:]))
+        # half of its last three values is the vector part of a unit quaternion; a demand beyond half a turn keeps its
+        # axis and saturates there
+        half = target[3:] / 2
+        square = jnp.sum(half * half)
+        less = square < 1
+        real = jnp.where(less, jnp.sqrt(jnp.where(less, 1 - square, 1.0)), 0.0)
+        turn = jnp.concatenate([real[None], half / jnp.sqrt(jnp.maximum(square, 1.0))])
+        return horizon, shifted(reference, target, turn)
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches look, which is what the length of a step makes of the gains.
@@ -122,15 +129,3 @@ class EndEffectorAdmittance(Law):
 def _turned(rotation: Array, vectors: Array) -> Array:
     """Return a wrench or a velocity (6,) with both of its vectors turned."""
     return jnp.concatenate([rotation @ vectors[:3], rotation @ vectors[3:]])
-
-
-def _of_doubled_vector_part(vector: Array) -> Array:
-    """Return the unit quaternion (4,) with half of `vector` (3,) as its vector part.
-
-    A demand beyond half a turn keeps its axis and saturates there.
-    """
-    half = vector / 2
-    square = jnp.sum(half * half)
-    less = square < 1
-    real = jnp.where(less, jnp.sqrt(jnp.where(less, 1 - square, 1.0)), 0.0)
-    return jnp.concatenate([real[None], half / jnp.sqrt(jnp.maximum(square, 1.0))])

@@ -121,9 +121,8 @@ SOFT = mc.Gains(2.0, 30.0, 400.0)
 
 def pushed(motion, force, period=STEP, steps=1, gains=SOFT, displacement=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)):
     force = jnp.asarray(force, float)
-    mass = at_rest(gains, period, force, motion)._replace(
-        displacement=jnp.asarray(displacement), rate=jnp.asarray(rate)
-    )
+    start = {"displacement": jnp.asarray(displacement), "rate": jnp.asarray(rate)}
+    mass = at_rest(gains, period, force, motion)._replace(**start)
     for _ in range(steps):
         mass = advance(mass, force, motion)
     return mass
@@ -215,9 +214,8 @@ def test_derivative_of_bounded_motion(gain, force):
 
 
 def test_a_config_names_limits_for_forces_and_moments():
-    scenario = mc.Scenario().with_overrides(
-        {"control": {"integration": "semi_implicit", "deadband": [0.5, 0.02], "max_offset": 0.03}}
-    )
+    control = {"integration": "semi_implicit", "deadband": [0.5, 0.02], "max_offset": 0.03}
+    scenario = mc.Scenario().with_overrides({"control": control})
     assert law_of(scenario).motion == Motion(True, (0.5, 0.02), (0.03, 0.03), (math.inf, math.inf))
 
 

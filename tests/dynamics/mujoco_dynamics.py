@@ -3,6 +3,7 @@
 import jax
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 def relative_error(ours, theirs):
@@ -13,12 +14,6 @@ def relative_error(ours, theirs):
 
 def stacked(acceleration):
     return np.concatenate([acceleration.base_linear, acceleration.base_angular, acceleration.joints], axis=-1)
-
-
-def base_rotation(orientation):
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, orientation)
-    return rotation.reshape(3, 3)
 
 
 def mujoco_acceleration(model, states, forces):
@@ -35,7 +30,8 @@ def mujoco_acceleration(model, states, forces):
 
 def set_state(data, position, orientation, linear, angular, angles, rates):
     data.qpos[:] = np.concatenate([position, orientation, np.ravel(angles)])
-    data.qvel[:] = np.concatenate([linear, base_rotation(orientation).T @ angular, np.ravel(rates)])
+    to_base = Rotation.from_quat(orientation, scalar_first=True).inv()
+    data.qvel[:] = np.concatenate([linear, to_base.apply(angular), np.ravel(rates)])
 
 
 def apply(model, data, torque, foot_force, push):

@@ -58,11 +58,10 @@ def directions(given):
 
 def tangents(function, robot, given, ways, by_masses=1.0):
     """Return the derivatives of accelerations where the robot's constants move too, `by_masses` times theirs."""
-    ways_of_robot = jax.tree.map(lambda value: jnp.zeros_like(value), robot)
     names = ["base_mass", "base_inertia", "link_mass", "link_center", "link_inertia", "frame_position", "foot_center"]
     names += ["armature"] if robot.armature is not None else []
     moved = {name: by_masses * n * getattr(robot, name) for n, name in enumerate(names, 1)}
-    ways_of_robot = dataclasses.replace(ways_of_robot, **moved)
+    ways_of_robot = dataclasses.replace(jax.tree.map(jnp.zeros_like, robot), **moved)
     one = lambda given, ways: jax.jvp(function, (robot, *given), (ways_of_robot, *ways))[1]  # noqa: E731
     return jax.jit(jax.vmap(one))(given, ways)
 

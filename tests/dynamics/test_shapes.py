@@ -66,15 +66,6 @@ def mjcf(limbs, joints, slides=(), armature=0.0, seed=0):
     )
 
 
-def random_states(rng, limbs, joints):
-    """Return states, joint torques, foot forces and base wrenches."""
-    batch = lambda *shape: rng.normal(size=(STATES, *shape))  # noqa: E731
-    orientation = batch(4)
-    orientation /= np.linalg.norm(orientation, axis=-1, keepdims=True)
-    state = mc.State(batch(3), orientation, batch(3), batch(3), batch(limbs * joints), batch(limbs * joints))
-    return state, batch(limbs * joints), batch(limbs, 3), batch(6)
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in SHAPES]
 )
@@ -86,7 +77,12 @@ def test_accelerations_are_those_of_mujoco(engine, name):
     robot = robot_from_model(model, "random")
     assert (len(robot.limbs), robot.joints) == (limbs, joints)
     assert (robot.armature is not None) == (armature > 0) and bool(robot.slides) == bool(slides)
-    given = random_states(np.random.default_rng(1), limbs, joints)
+    rng = np.random.default_rng(1)
+    batch = lambda *shape: rng.normal(size=(STATES, *shape))  # noqa: E731
+    orientation = batch(4)
+    orientation /= np.linalg.norm(orientation, axis=-1, keepdims=True)
+    state = mc.State(batch(3), orientation, batch(3), batch(3), batch(limbs * joints), batch(limbs * joints))
+    given = state, batch(limbs * joints), batch(limbs, 3), batch(6)
     ours = mc.forward_dynamics(*given, 0.0, robot=robot, engine=engine, gravity=GRAVITY)
     model.opt.gravity[:] = GRAVITY
     assert relative_error(stacked(ours), mujoco_acceleration(model, given[0], given[1:])) < 1e-9
