@@ -100,13 +100,6 @@ def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
             _add(scene, _BOX, half * np.array(size), position, rgb, rotation)
 
 
-def grip_points(trajectory: Trajectory) -> np.ndarray:
-    """Return all points that were gripped, (N, 3) m, each once."""
-    rows = whole(trajectory)
-    gripped = trajectory.grip_point[:rows][trajectory.contact[:rows] | trajectory.support[:rows]]
-    return np.unique(gripped.round(3), axis=0) if gripped.size else trajectory.grip_point[0]
-
-
 def limb(scene: mujoco.MjvScene, points: np.ndarray, radius: float, color: str) -> None:
     """Add lines between the joints of a limb and its foot, (N, 3) m from the base outwards, and a ball at the foot."""
     for ends in itertools.pairwise(points):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.rendering.marks import grip_points
+from mjx_climb.plots.events import whole
 from mjx_climb.robot.constants import load_spec
 from mjx_climb.rollouts.trajectory import Trajectory
 
@@ -43,9 +43,11 @@ def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
 
     The strength of gravity chooses the looks.
     """
-    scenario, reference = trajectories[0].scenario, trajectories[0].base_reference
-    grips = np.concatenate([grip_points(trajectory) for trajectory in trajectories])
-    center = reference[[0, -1], :2].mean(0)
+    scenario, center, grips = trajectories[0].scenario, trajectories[0].base_reference[[0, -1], :2].mean(0), []
+    for walk in trajectories:
+        rows = whole(walk)
+        gripped = walk.grip_point[:rows][walk.contact[:rows] | walk.support[:rows]]
+        grips.append(np.unique(gripped.round(3), axis=0) if gripped.size else walk.grip_point[0])
     looks = next(style for style in STYLES if np.linalg.norm(scenario.gravity) < style.below)
     spec = load_spec(scenario.robot)
     skybox, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
@@ -55,7 +57,7 @@ def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
     dark, bright = looks.sky
     stars = {"mark": mujoco.mjtMark.mjMARK_RANDOM, "markrgb": [0.9] * 3, "random": 0.0008} if dark[2] < 0.1 else {}
     spec.add_texture(name="sky", type=skybox, builtin=gradient, rgb1=dark, rgb2=bright, width=512, height=3072, **stars)
-    _add_ground(spec, looks, grips, center)
+    _add_ground(spec, looks, np.concatenate(grips), center)
     towards = np.array([0.28, 0.42, -1.0])  # low enough for the robot's shadow to lie beside it
     spec.worldbody.add_light(
         name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True, dir=towards,

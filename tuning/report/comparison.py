@@ -9,7 +9,7 @@ from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
 from mjx_climb.files.dataset import SIX
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import JOINT_UNITS, labels
-from tuning.report.numbers import axis_values, change, failed, gain, is_number, number, plain_unit, unit
+from tuning.report.numbers import axis_values, change, gain, is_number, number, plain_unit, unit
 from tuning.report.page import Table
 
 Values = Mapping[str, Any]
@@ -89,12 +89,6 @@ def against(metric: str, value: float | None, others: Values, about: MetricTable
         if percent := change(value, other):
             text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {whose.get(name, name)}"
     return text
-
-
-def held(metrics: Values) -> str:
-    """Return in words whether the grippers held."""
-    missed = metrics.get("missed_grips")
-    return failed(metrics) or (f"every grip holds, but {missed} missed the ground" if missed else "every gripper holds")
 
 
 def differences(

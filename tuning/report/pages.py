@@ -12,7 +12,7 @@ from tuning.gains.gains_file import by_name
 from tuning.problem.evaluation import Problem
 from tuning.report import comparison
 from tuning.report.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, grid_points, listed_points
-from tuning.report.numbers import axis_values, change, gain, number, remarks, unit
+from tuning.report.numbers import axis_values, change, failed, gain, number, remarks, unit
 from tuning.report.page import Origin, Page, Table
 from tuning.searches import sweep as sweeps
 from tuning.searches.pareto import Front, without_sensor
@@ -54,8 +54,9 @@ def sweep_page(
         name, won = "force_variation", metrics["best"]
         gains = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in axes)
         others = {walk: numbers[name] for walk, numbers in metrics.items() if walk != "best"}
-        text = comparison.against(name, won[name], others, about)
-        verdict = f"Of {count} walks, {gains} are best: force variation {text}; {comparison.held(won)}."
+        text, missed = comparison.against(name, won[name], others, about), won.get("missed_grips")
+        grips = f"every grip holds, but {missed} missed the ground" if missed else "every gripper holds"
+        verdict = f"Of {count} walks, {gains} are best: force variation {text}; {failed(won) or grips}."
         found.append(f"{compared.failed} of the {count} walks lost a gripper or diverged")
         found += _worse_than_pd(won, metrics["pd"], about)
     found += remarks(metrics)
