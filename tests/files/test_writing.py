@@ -46,10 +46,13 @@ def test_a_pipe_is_written_to_and_stays(tmp_path):
     assert read == [b"new"] and os.listdir(tmp_path) == ["pipe"]
 
 
-def test_links_in_a_circle_and_folders_are_refused(write, tmp_path):
+def test_impossible_places_are_refused_in_one_line(write, tmp_path):
     (tmp_path / "circle").symlink_to("circle")
     (tmp_path / "folder").mkdir()
-    for name in ("circle", "folder"):
-        with pytest.raises(OutputError, match=f"{name}: expected a file that can be written, got "):
+    (tmp_path / "file").write_text("")
+    for name in ("circle", "folder", "file/inside.txt", "nul\0"):
+        shown = name.replace("\0", r"\\x00")
+        with pytest.raises(OutputError, match=f"^.+{shown}: expected a file that can be written, got .+$") as caught:
             write(tmp_path / name)
-    assert (tmp_path / "circle").is_symlink() and sorted(os.listdir(tmp_path)) == ["circle", "folder"]
+        assert "\n" not in str(caught.value)
+    assert (tmp_path / "circle").is_symlink() and sorted(os.listdir(tmp_path)) == ["circle", "file", "folder"]
