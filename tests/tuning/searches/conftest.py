@@ -1,4 +1,9 @@
-"""What the tests of the searches share."""
+"""What the tests of the searches share: an interrupt, and a kill."""
+
+import os
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -15,3 +20,19 @@ def stop():
         return progress
 
     return after
+
+
+@pytest.fixture
+def killed():
+    """Return a function that starts a program, and kills it some time after it has printed so many lines."""
+
+    def run(program, *arguments, lines, delay):
+        command = [sys.executable, "-c", program, *map(str, arguments)]
+        environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
+            for _ in range(lines):
+                process.stdout.readline()
+            time.sleep(delay)
+            process.kill()
+
+    return run

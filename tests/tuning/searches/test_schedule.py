@@ -60,12 +60,9 @@ def test_metrics_are_those_of_the_operating_point(scenario, table):
     point = table.isel(gravity=1, cargo=1)
     there = scenario.with_overrides({"gravity": [0, 0, -9.81], "disturbance.cargo.mass": 1.0})
     gains = mc.Gains(*(point[name].values for name in ("inertia", "damping", "stiffness")))
-    for walk, alone in (
-        ("tuned", mc.rollout(there, gains)),
-        ("config", mc.rollout(there)),
-        ("pd", mc.rollout(there.with_overrides({"control.controller": "pd"}))),
-    ):
-        metrics = mc.metrics(alone)
+    pd = there.with_overrides({"control.controller": "pd"})
+    for walk, *alone in (("tuned", there, gains), ("config", there), ("pd", pd)):
+        metrics = mc.metrics(mc.rollout(*alone))
         for name in ("force_variation", "peak_foot_force", "base_deviation"):
             assert point[name].sel(walk=walk).item() == pytest.approx(metrics[name], rel=1e-6), (walk, name)
 
@@ -100,10 +97,8 @@ def test_rounds_of_other_operating_points_are_refused(scenario, tmp_path, monkey
 
 @pytest.mark.slow
 def test_no_operating_point_would_rather_have_the_gains_of_another(table):
-    own = table["value"].values
     others = np.nanmin(table["transfer"].values, axis=(2, 3))
-    assert table["feasible"].values.all()
-    assert (own <= others + 1e-6).all()
+    assert table["feasible"].values.all() and (table["value"].values <= others + 1e-6).all()
 
 
 def test_one_for_all():
@@ -111,10 +106,8 @@ def test_one_for_all():
     value = np.array([[0.5, 0.6]])
     transfer = np.array([[[[0.5, 0.7]], [[0.9, 0.6]]]])  # [gravity, cargo, gravity of, cargo of]: loses 0.3, 0.2
     dims = ("gravity", "cargo")
-    table = xr.Dataset(
-        {"value": (dims, value), "transfer": ((*dims, "gravity_of", "cargo_of"), transfer)},
-        {"gravity": [1.0], "cargo": [0.0, 2.0]},
-    )
+    data = {"value": (dims, value), "transfer": ((*dims, "gravity_of", "cargo_of"), transfer)}
+    table = xr.Dataset(data, {"gravity": [1.0], "cargo": [0.0, 2.0]})
     assert schedule.one_for_all(table) == (1.0, 2.0, pytest.approx(0.2))
     table["transfer"][0, 0, 0, 1] = np.nan
     assert schedule.one_for_all(table) == (1.0, 0.0, pytest.approx(0.3))
@@ -122,19 +115,13 @@ def test_one_for_all():
 
 
 @pytest.mark.slow
-def test_value_is_relative_to_pd_there(table):
+def test_values_are_relative_to_pd_there(table):
+    """Pd's own joint gains are of the grid what is worth most there: never less than pd, whose kp and kd are on it."""
     terms = ("force_variation", "peak_foot_force", "cost_of_transport")
-    tuned, pd = (np.mean([table[t].sel(walk="tuned") / table[t].sel(walk="pd") for t in terms], axis=0), 1.0)
-    np.testing.assert_allclose(table["value"].values, tuned / pd, rtol=2e-3)
-
-
-@pytest.mark.slow
-def test_pd_has_joint_gains_of_its_own_at_each_point(table):
-    """Of the grid it takes what is worth most there: never less than pd, whose kp and kd are on it."""
-    terms = ("force_variation", "peak_foot_force", "cost_of_transport")
-    retuned = np.mean([table[t].sel(walk="retuned_pd") / table[t].sel(walk="pd") for t in terms], axis=0)
-    np.testing.assert_allclose(table["retuned_value"].values, retuned, rtol=2e-3)
-    assert (retuned <= 1 + 1e-6).all() and (retuned < 0.99).any()
+    for walk, value in (("tuned", "value"), ("retuned_pd", "retuned_value")):
+        of_pd = np.mean([table[t].sel(walk=walk) / table[t].sel(walk="pd") for t in terms], axis=0)
+        np.testing.assert_allclose(table[value].values, of_pd, rtol=2e-3)
+    assert (of_pd <= 1 + 1e-6).all() and (of_pd < 0.99).any()
     kp = table["retuned_kp"].values
     assert len(np.unique(kp)) > 1 and (kp >= 10 - 1e-9).all() and (kp <= 200 + 1e-9).all()
 
@@ -177,9 +164,8 @@ def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, t
 @pytest.mark.slow
 def test_tables(table, tmp_path):
     lines = list(csv.DictReader(io.StringIO(schedule.to_csv(table))))
-    assert [(float(row["gravity_G"]), float(row["cargo_kg"])) for row in lines] == [
-        (0.01, 0.0), (0.01, 1.0), (1.0, 0.0), (1.0, 1.0),
-    ]  # fmt: skip
+    there = [(float(row["gravity_G"]), float(row["cargo_kg"])) for row in lines]
+    assert there == [(0.01, 0.0), (0.01, 1.0), (1.0, 0.0), (1.0, 1.0)]
     assert float(lines[3]["stiffness_rz"]) == pytest.approx(table["stiffness"].values[1, 1, 5], rel=1e-5)
     read = yaml.safe_load(schedule.to_yaml(table))["operating_points"]
     assert read[0]["force_variation"].keys() == {"tuned", "config", "retuned_pd", "pd"}

@@ -1,10 +1,8 @@
 """The grid search: its numbers, its choice, and what an interrupt leaves behind."""
 
-import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -138,20 +136,11 @@ print("whole", flush=True)
 
 
 @pytest.mark.slow
-def test_sweep_killed_at_random_instants_resumes_bit_by_bit(scenario, tmp_path):
+def test_sweep_killed_at_random_instants_resumes_bit_by_bit(scenario, tmp_path, killed):
     """SIGKILL at any instant, while it compiles, walks or writes; as often as it takes to see it whole."""
-    environment = dict(os.environ, PYTHONPATH=str(ROOT))
     rng, there = np.random.default_rng(), []
-    for _ in range(4):
-        process = subprocess.Popen(
-            [sys.executable, "-c", _LONG_SWEEP, str(tmp_path)], cwd=ROOT, env=environment, text=True,
-            stdout=subprocess.PIPE,
-        )  # fmt: skip
-        for _ in range(rng.integers(1, 4)):  # begun, what is there, the first new part
-            process.stdout.readline()
-        time.sleep(rng.exponential(0.05))
-        process.kill()
-        process.communicate()
+    for _ in range(4):  # lines: begun, what is there, the first new part
+        killed(_LONG_SWEEP, tmp_path, lines=rng.integers(1, 4), delay=rng.exponential(0.05))
         there.append(kept(scenario, tmp_path, batch_size=1))
     assert there == sorted(there)
     resumed = sweep(scenario, AXES, batch_size=1, out=tmp_path).data
