@@ -127,14 +127,8 @@ class Draw:
     gains: Mapping[str, AnyGains]  # by name
     pd: Mapping[str, AnyGains]  # joint gains of pd, by name; the scenario's walk as "pd"
     ensemble: Ensemble | None  # as its user gave it
-
-    @property
-    def rows(self) -> int:
-        return self.problem.members
-
-    @property
-    def size(self) -> int:
-        return default_batch_size(self.rows, self.problem.scenario.steps)
+    rows: int  # members
+    size: int  # members that walk at a time
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Return the metrics of some members, (rows, gains)."""
@@ -158,8 +152,8 @@ class Draw:
 
     def dataset(self, arrays: Mapping[str, np.ndarray]) -> xr.Dataset:
         """Return what all rows gave, labelled, with what was drawn."""
-        problem, scenario, members = self.problem, self.problem.scenario, self.problem.members
-        drawn, ensemble = problem.parameters, problem.ensemble
+        problem, scenario, drawn = self.problem, self.problem.scenario, self.problem.parameters
+        ensemble, members = problem.ensemble, self.rows
         assert drawn is not None and ensemble is not None
         data: dict[str, Any] = {}
         for metric in problem.metrics:
@@ -227,20 +221,20 @@ def through(
     Raises:
         ConfigError: an ensemble that the scenario does not allow.
     """
-    drawn = ensembles.draw(problem.scenario, ensemble)
-    walked = dataclasses.replace(problem, parameters=drawn, members=ensemble.members, ensemble=ensemble)
-    return Draw(walked, gains, pd, asked)
+    drawn, members = ensembles.draw(problem.scenario, ensemble), ensemble.members
+    walked = dataclasses.replace(problem, parameters=drawn, members=members, ensemble=ensemble)
+    return Draw(walked, gains, pd, asked, members, default_batch_size(members, problem.scenario.steps))
 
 
 def plain(summed: xr.Dataset, metrics: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return the share of walks that failed, mean and worst of some metrics by the names of the gains."""
-    return {
-        name: {
-            "failed": float(summed["failed"].sel(gains=name)),
-            **{s: {m: float(summed[m].sel(gains=name, statistic=s)) for m in metrics} for s in ("mean", "worst")},
-        }
-        for name in summed["gains"].values.tolist()
-    }
+    found: dict[str, dict[str, Any]] = {}
+    for name in summed["gains"].values.tolist():
+        own = summed.sel(gains=name)
+        found[name] = {"failed": float(own["failed"])}
+        for statistic in ("mean", "worst"):
+            found[name][statistic] = {metric: float(own[metric].sel(statistic=statistic)) for metric in metrics}
+    return found
 
 
 def failed_in_words(summed: xr.Dataset) -> str:
@@ -274,15 +268,11 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
 
 
 def broken(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
-    """Return the share of walks that break each limit of a search, dimensions (`limit` in words, `gains`).
-
-    A walk that diverged breaks every limit.
-    """
-    shares, words = [], []
+    """Return the share of walks that break each limit of a search, or diverge, (`limit` in words, `gains`)."""
+    shares, words = [], [in_words(limit) for limit in goal.limits]
     for limit in goal.limits:
         kept = violation(limit, walks[limit.metric].values.astype(float)) <= 0
         shares.append((~kept | walks["diverged"].values.astype(bool)).mean(1))
-        words.append(in_words(limit))
     about = {"units": "1", "long_name": "share of walks that break the limit"}
     values = np.reshape(shares, (len(words), walks.sizes["gains"]))
     return xr.DataArray(values, {"limit": words, "gains": walks["gains"].values}, ("limit", "gains"), attrs=about)
@@ -294,8 +284,7 @@ def scores(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
     terms, share = [], goal.worst.share if goal.worst is not None else 1.0
     for term in goal.terms:
         pd = rows[term.metric][-1]
-        mean = float(pd.mean())
-        worst = float(ensembles.worst_mean(pd, share, larger_is_better=term.larger_is_better))
+        mean, worst = float(pd.mean()), float(ensembles.worst_mean(pd, share, larger_is_better=term.larger_is_better))
         terms.append(term._replace(baseline=mean, smooth_baseline=mean, worst=worst, smooth_worst=worst))
     fresh = dataclasses.replace(goal, terms=tuple(terms))
     value = np.asarray(fresh.score({name: jnp.asarray(values.T) for name, values in rows.items()}).value)
@@ -303,19 +292,12 @@ def scores(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
 
 
 def binding(seen: xr.Dataset, goal: Objective, name: str) -> list[str]:
-    """Return in words which limits hold gains where they are: kept in every member, but hardly in one.
-
-    `seen` are the walks of the members that the search walked.
-    """
-    own = seen.sel(gains=name)
-    rows = {str(key): own[key].values.astype(float) for key in seen.data_vars}
+    """Return in words which limits hold gains where they are: kept in every member that was `seen`, hardly in one."""
+    rows = {str(key): values.values.astype(float) for key, values in seen.sel(gains=name).data_vars.items()}
     if rows["diverged"].any():
         return []
-    held = []
-    for limit in goal.limits:
-        worst = float(np.max(violation(limit, rows[limit.metric])))
-        if -BINDING * limit.margin <= worst <= 0:
-            held.append(in_words(limit))
+    worst = [float(np.max(violation(limit, rows[limit.metric]))) for limit in goal.limits]
+    held = [in_words(own) for own, most in zip(goal.limits, worst, strict=True) if -BINDING * own.margin <= most <= 0]
     if goal.margin is None or goal.worst is None:
         return held
     for term in goal.terms:

@@ -238,10 +238,8 @@ def worth(table: xr.Dataset) -> str:
     none = f"no verdict on the force sensor, since pd was searched {retuned_pd.ON_A_GRID}"
     verdict = none if (known < 1).any() else "the force sensor does not pay"
     span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))
-    return (
-        f"{verdict}: less objective at {(known < 1).sum()} of {known.size} operating points, {span} "
-        "times that of pd with kp and kd for each, which needs none"
-    )
+    found = f"{verdict}: less objective at {(known < 1).sum()} of {known.size} operating points"
+    return f"{found}, {span} times that of pd with kp and kd for each, which needs none"
 
 
 def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:

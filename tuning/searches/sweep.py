@@ -141,16 +141,13 @@ class Grid:
     gains: AnyGains | None  # in place of the scenario's or the law's own
     walked: Problem  # with these
     axes: Mapping[str, np.ndarray]
+    rows: int  # walks
     size: int  # robots that walk at a time
 
     @property
     def shape(self) -> tuple[int, ...]:
         """How many values each axis has."""
         return tuple(values.size for values in self.axes.values())
-
-    @property
-    def rows(self) -> int:
-        return math.prod(self.shape)
 
     def _values(self, rows: np.ndarray | int) -> dict[str, np.ndarray]:
         places = np.unravel_index(rows, self.shape)
@@ -235,7 +232,7 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
     if gains is not None:
         scenario, law = replaced(problem.scenario, problem.law, gains)
         walked = dataclasses.replace(problem, scenario=scenario, law=law)
-    return Grid(problem, gains, walked, lists, batch_size or default_batch_size(walks, problem.scenario.steps))
+    return Grid(problem, gains, walked, lists, walks, batch_size or default_batch_size(walks, problem.scenario.steps))
 
 
 def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:

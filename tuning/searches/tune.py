@@ -1,6 +1,7 @@
 """The search for the gains of a law: `tuning.tune`, and over an ensemble of walks `tuning.robust`."""
 
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -134,11 +135,7 @@ def run(
 ) -> Tuned:
     """Search a problem from start to end; arguments, result and errors as of `tune`."""
     task, chosen = Task(problem, search, start_of(problem)), method or METHODS[search.method]
-    interrupted = False
-
-    def own() -> dict[str, Any]:
-        return search_identity(problem, search, method=None if method is None else identity(method, "method"))
-
+    own, interrupted = functools.partial(search_identity, problem, search, method=method), False
     with Rounds(chosen.rounds(task), out, own, progress) as rounds:
         try:
             follow(chosen.run(task), lambda request: rounds.evaluate(problem, request))
@@ -221,6 +218,8 @@ def start_of(problem: Problem) -> np.ndarray:
 
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
-    """Return all that determines a search, bit by bit; `more`: what else does."""
+    """Return all that determines a search, bit by bit; `more`: what else does, a method of the user's own among it."""
     packages = {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}
+    if more.get("method") is not None:
+        more["method"] = identity(more["method"], "method")
     return {**identity_of(problem, packages), "search": search.model_dump(mode="json"), **more}
