@@ -1,14 +1,8 @@
-"""A program of one robot for a batch, cut into regions that XLA:CPU compiles as one kernel each.
+"""A program of one robot for a batch, cut into regions that XLA:CPU compiles as one kernel each (docs/execution.md).
 
-XLA:CPU runs a program as a sequence of kernels, one for each operation or fusion, at some 60 ns a call. A step of a
-walk has some 4000 operations, so that with a few hundred robots the calls cost more than the arithmetic. Fusion makes
-fewer kernels of them, but computes shared values again in each. A function call with the attribute
-`xla_cpu_small_call` becomes a single kernel: cut into such calls a step has few kernels, and what is shared between
-them is computed once.
-
-Within a kernel XLA still fuses, and computes again what is broadcast: an element of a product of matrices once for each
-element that is made of it. So a region has no matrices: each component is a row of robots, or of the limbs of robots,
-as `element_operations` writes it (`array_writer`). What it cannot write, and loops, stand between the regions.
+A function call with the attribute `xla_cpu_small_call` becomes a single kernel. In it there are no matrices, as XLA
+fuses and computes again what is broadcast: each component is a row of robots, or of the limbs of robots, as
+`element_operations` writes it (`array_writer`). What it cannot write, and loops, stand between the regions.
 """
 
 import functools

@@ -1,7 +1,7 @@
-"""Operations on elements, each of which is written once: asked for again, it gives the same result.
+"""Operations on elements, each written once or not at all: the frames of a robot are full of zeros and ones.
 
-The frames of a robot are full of zeros and ones: what need not be written, `SHORTCUTS` finds. That includes all that
-XLA would leave out itself, as it stops the process at a kernel with a parameter that nothing reads any more.
+What XLA would leave out itself must be found here too (`SHORTCUTS`), as it stops the process at a kernel with a
+parameter that nothing reads any more.
 """
 
 import functools
@@ -55,8 +55,20 @@ class Operations:
         if axis is None:
             each = zip(*(array.reshape(-1) for array in wide), strict=True)
             return as_array((self.element(primitive, parameters, *operands) for operands in each), shape)
-        rows = zip(*(self._rows(array, axis) for array in wide), strict=True)
-        return self._of_rows((self._of_all_lanes(primitive, parameters, row) for row in rows), shape, axis)
+
+        def of_all_lanes(*rows: np.ndarray) -> Iterable[Number]:  # an element for each lane of each operand
+            if not any(isinstance(element, OfLane) for row in rows for element in row):
+                return [self.element(primitive, parameters, *operands) for operands in zip(*rows, strict=True)]
+            operands = [self.packed(row) for row in rows]
+            made = self._alike(primitive, parameters, *operands)
+            for row, operand in zip(rows, operands, strict=True):
+                if made is operand:  # an operation that changes nothing
+                    return row
+            if isinstance(made, np.generic):
+                return [made] * self.writer.lanes
+            return [self.of_lane(made, lane) for lane in range(self.writer.lanes)]
+
+        return self._of_rows(map(of_all_lanes, *(self._rows(array, axis) for array in wide)), shape, axis)
 
     def runs_over_lanes(self, array: Elements, axis: int) -> bool:
         """Return whether the elements along an axis are what the lanes have of one value, somewhere in an array.
@@ -65,21 +77,11 @@ class Operations:
         """
         if known(array) or self.writer.lanes == 1 or array.shape[axis] != self.writer.lanes:
             return False
-        rows = np.moveaxis(array, axis, -1).reshape(-1, self.writer.lanes)
-        return any(_of_every_lane(row) for row in rows)
-
-    def _of_all_lanes(
-        self, primitive: core.Primitive, parameters: Mapping[str, Any], rows: Sequence[np.ndarray]
-    ) -> Iterable[Number]:
-        """Return an operation on operands that each have an element for each lane."""
-        if not any(isinstance(element, OfLane) for row in rows for element in row):
-            return [self.element(primitive, parameters, *operands) for operands in zip(*rows, strict=True)]
-        operands = [self.packed(row) for row in rows]
-        made = self._alike(primitive, parameters, *operands)
-        for row, operand in zip(rows, operands, strict=True):
-            if made is operand:  # an operation that changes nothing
-                return row
-        return [made if isinstance(made, np.generic) else self.of_lane(made, lane) for lane in range(self.writer.lanes)]
+        for row in np.moveaxis(array, axis, -1).reshape(-1, self.writer.lanes):
+            values = {id(element.value) if isinstance(element, OfLane) else None for element in row}
+            if len(values) == 1 and None not in values and len({element.lane for element in row}) == len(row):
+                return True
+        return False
 
     def of_lane(self, value: Value, lane: int) -> OfLane:
         """Return what a lane has of a value, the same object each time."""
@@ -146,17 +148,17 @@ class Operations:
         return functools.reduce(functools.partial(self.each, combine, {}), parts)
 
     def _total(self, combine: core.Primitive, value: Value) -> Value:
-        over_lanes: Callable[..., Any] = self.writer.over_lanes
+        writer, over_lanes = self.writer, cast(Callable[..., Any], self.writer.over_lanes)
         total: Any = self._once((combine.name, "over lanes", id(value)), value, lambda: over_lanes(combine, value))
 
         def with_partners(value: Value, distance: int) -> Value:
-            partners, name = [n ^ distance for n in range(lanes)], (combine.name, "of partners", id(value), distance)
-            operation, of_lanes = self.writer.operation, self.writer.of_lanes
-            made = self._once(name, value, lambda: operation(combine, {}, [value, of_lanes(value, partners)]))
-            return cast(Value, made)
+            partners, name = [n ^ distance for n in range(writer.lanes)], (combine.name, id(value), distance)
+            both = self._once(
+                name, value, lambda: writer.operation(combine, {}, [value, writer.of_lanes(value, partners)])
+            )
+            return cast(Value, both)
 
-        lanes = self.writer.lanes
-        distances = itertools.takewhile(lambda distance: distance < lanes, (1 << n for n in itertools.count()))
+        distances = (1 << n for n in range((writer.lanes - 1).bit_length()))
         return functools.reduce(with_partners, distances, value) if total is None else cast(Value, total)
 
     def element(self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: Number) -> Number:
@@ -209,12 +211,6 @@ def _in_order(elements: Sequence[Any] | np.ndarray) -> Value | None:
     value = first.value
     whole = all(isinstance(e, OfLane) and e.value is value and e.lane == n for n, e in enumerate(elements))
     return value if whole else None
-
-
-def _of_every_lane(elements: np.ndarray) -> bool:
-    """Return whether elements are what the lanes have of one value, each of another lane."""
-    values = {id(e.value) if isinstance(e, OfLane) else None for e in elements}
-    return len(values) == 1 and None not in values and len({e.lane for e in elements}) == len(elements)
 
 
 def computed_now(primitive: core.Primitive, parameters: Mapping[str, Any], given: Sequence[Any]) -> list[np.ndarray]:

@@ -76,19 +76,15 @@ def as_array(elements: Iterable[Any], shape: Sequence[int]) -> Elements:
     if flat and all(isinstance(element, np.generic) for element in flat):
         return np.array(flat).reshape(shape)
     array = np.empty(len(flat), object)
-    for index, element in enumerate(flat):
-        array[index] = element
+    array[:] = flat
     return array.reshape(shape)
 
 
 def objects(array: Elements) -> Elements:
-    """Return an array of elements that keep their types among others."""
-    if array.dtype == object:
-        return array.copy()
-    result = np.empty(array.shape, object)
-    for index in np.ndindex(*array.shape):
-        result[index] = array[index]
-    return result
+    """Return an array of elements that keep their types among others, a new one."""
+    result = np.empty(array.size, object)
+    result[:] = list(array.flat)
+    return result.reshape(array.shape)
 
 
 def along(array: Elements, axis: int) -> list[Elements]:
@@ -104,10 +100,6 @@ def known(array: Elements) -> bool:
 # --- operations that move elements without a look at them, of the operands and the operation's parameters
 
 Move = Callable[[list[Elements], Mapping[str, Any]], list[Elements]]
-
-
-def _as_they_are(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
-    return given
 
 
 def _broadcast(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
@@ -127,16 +119,12 @@ def _slice(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
 
 
 MOVES: dict[str, Move] = {
+    **dict.fromkeys(("copy", "copy_p", "name", "optimization_barrier", "stop_gradient"), lambda x, p: x),
     "broadcast_in_dim": _broadcast,
     "concatenate": lambda x, p: [np.concatenate([*map(objects, x)], p["dimension"])],
-    "copy": _as_they_are,
-    "copy_p": _as_they_are,
-    "name": _as_they_are,
-    "optimization_barrier": _as_they_are,
     "reshape": _reshaped,
     "slice": _slice,
     "squeeze": lambda x, p: [np.squeeze(x[0], tuple(p["dimensions"]))],
     "stack": lambda x, p: [np.stack([*map(objects, x)], p["axis"])],
-    "stop_gradient": _as_they_are,
     "transpose": lambda x, p: [x[0].transpose(p["permutation"])],
 }

@@ -1,15 +1,8 @@
-"""A function of one robot as one GPU kernel for a batch of them, with a thread for each robot, or for each limb.
-
-XLA:GPU runs a step of a walk as some thirty kernels, one after the other, that hand their values on through memory: the
-launches and the memory set the pace, not the arithmetic. But a robot needs nothing of the others. Written out element
-by element, with the loop over time inside, its whole walk is a single kernel whose values stay in registers. And most
-of a step is the same for each limb: with a thread for each of them it is written once, so that the code fits the
-instruction cache, and sums over the limbs are exchanges within a warp.
+"""A function of one robot as one GPU kernel for a batch of them, with a thread for each limb (docs/execution.md).
 
 The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC, a library that every installation of JAX for
-NVIDIA's GPUs brings, and launched by the custom call
-`__gpu$xla.gpu.ptx` of XLA's. Tangents are asked for beforehand (`tangents_over_robots`): each direction has
-threads of its own, which work out the values beside it.
+NVIDIA's GPUs brings, and launched by the custom call `__gpu$xla.gpu.ptx` of XLA's. Tangents are asked for beforehand:
+each direction has threads of its own, which work out the values beside it.
 """
 
 import contextlib

@@ -1,5 +1,6 @@
 """A batch on several devices and several processes: the same bits as on one, and no hanging."""
 
+import functools
 import os
 import socket
 import subprocess
@@ -30,7 +31,7 @@ np.savez(path, **metrics)
 """
 
 
-def _walk(tmp_path, devices, processes=1, robots=101):
+def _walk(tmp_path, devices, processes, robots):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
@@ -55,39 +56,23 @@ def _walk(tmp_path, devices, processes=1, robots=101):
     return [dict(np.load(path)) for path in paths]
 
 
-def _assert_same_bits(one, other):
-    for name, value in one.items():
-        assert value.tobytes() == other[name].tobytes(), name
-
-
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
-    """Return the metrics of the batch on one device."""
-    return _walk(tmp_path_factory.mktemp("one"), 1)[0]
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("devices", [2, 3])
-def test_more_devices_give_the_same_bits(tmp_path, alone, devices):
-    """A robot's walk does not depend on how many devices share the batch, ragged shares included."""
-    (metrics,) = _walk(tmp_path, devices)
-    _assert_same_bits(alone, metrics)
+    """Return the metrics of a number of robots on one device."""
+    return functools.cache(lambda robots: _walk(tmp_path_factory.mktemp("one"), 1, 1, robots)[0])
 
 
 @pytest.mark.slow
-def test_two_processes_give_the_same_bits(tmp_path, alone):
-    """Under jax.distributed every process gets the whole result, with the bits of a single device."""
-    for metrics in _walk(tmp_path, 1, processes=2):
-        _assert_same_bits(alone, metrics)
-
-
-@pytest.mark.slow
-@pytest.mark.nightly
-def test_fewer_robots_than_processes_need(tmp_path):
-    """A process without robots of its own neither fails nor keeps the others waiting."""
-    (alone,) = _walk(tmp_path, 1, robots=12)
-    for metrics in _walk(tmp_path, 1, processes=2, robots=12):
-        _assert_same_bits(alone, metrics)
+@pytest.mark.parametrize(
+    ("devices", "processes", "robots"),
+    [(1, 2, 101), *(pytest.param(*how, marks=pytest.mark.nightly) for how in ((2, 1, 101), (3, 1, 101), (1, 2, 12)))],
+)
+def test_more_devices_or_processes_give_the_same_bits(tmp_path, alone, devices, processes, robots):
+    """Ragged shares included. Under jax.distributed every process gets all, also one that has no robots of its own."""
+    for metrics in _walk(tmp_path, devices, processes, robots):
+        assert {name: value.tobytes() for name, value in metrics.items()} == {
+            name: value.tobytes() for name, value in alone(robots).items()
+        }
 
 
 def test_a_device_that_does_not_start_is_said_by_who_asks_for_one(monkeypatch, capfd):

@@ -28,10 +28,7 @@ CASES = {
     "virtual_model": ({"disturbance.pushes": [PUSH], "gait.heading": 0.4, "contact.holding_limit": 4.0}, False),
     "measured_pose": ({"gait.base_reference": "actual", "disturbance.cargo": {"mass": 1.0, "start": 0.02}}, True),
     "end_effector": ({"ground.footholds": FOOTHOLDS, "disturbance.pushes": [PUSH, PUSH]}, False),
-    "pd": (
-        {"ground.footholds": FOOTHOLDS, "gait.base_reference": "actual", "gait.swing": "low_reaction"},
-        False,
-    ),
+    "pd": ({"ground.footholds": FOOTHOLDS, "gait.base_reference": "actual", "gait.swing": "low_reaction"}, False),
 }
 
 
@@ -52,11 +49,6 @@ def walk_of(case, law, steps, dtype):
     return functools.partial(metrics_of, shape), arguments, [leaf.ndim > own for leaf, own in pairs]
 
 
-def by_vmap(walk, arguments, batched):
-    tree = jax.tree.structure(arguments)
-    return jax.vmap(walk, jax.tree.unflatten(tree, [0 if own else None for own in batched]))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
@@ -67,7 +59,8 @@ def test_the_kernel_walks_as_xla_does(case, law, interpreted):
     walk, arguments, batched = walk_of(case, law, STEPS, np.float64)
     whole = {"xla_disable_hlo_passes": "fusion"}  # compiles sooner
     found = jax.jit(over_robots(walk, batched), compiler_options=whole)(*arguments)
-    expected = jax.jit(by_vmap(walk, arguments, batched), compiler_options=whole)(*arguments)
+    axes = jax.tree.unflatten(jax.tree.structure(arguments), [0 if own else None for own in batched])
+    expected = jax.jit(jax.vmap(walk, axes), compiler_options=whole)(*arguments)
     assert found.keys() == expected.keys()
     assert len(np.unique(expected["peak_foot_force"])) == ROBOTS
     if law == "virtual_model":
@@ -119,31 +112,27 @@ def test_the_kernel_is_for_new_gpus(monkeypatch, backend, capability, paid):
     assert paths.path_for(None, double=True) != "kernel"
 
 
-@pytest.mark.parametrize(
-    ("robots", "slopes", "dtype", "limit", "there"),
-    [
-        (1, 0, np.float64, "", True),
-        (8, 0, np.float32, "", True),
-        (9, 0, np.float32, "", False),  # by the kernel
-        (64, 0, np.float64, "", True),
-        (65, 0, np.float64, "", False),
-        (4, 12, np.float32, "", True),
-        (5, 12, np.float32, "", False),
-        (500, 12, np.float64, "500", True),
-        (1, 0, np.float64, "0", False),
-    ],
-)
-def test_few_robots_walk_on_the_cpu(monkeypatch, robots, slopes, dtype, limit, there):
+# robots, tangents, double precision, limit, whether on the CPU; in single precision nine go by the kernel
+FEW = [
+    (1, 0, True, "", True), (8, 0, False, "", True), (9, 0, False, "", False), (64, 0, True, "", True),
+    (65, 0, True, "", False), (4, 12, False, "", True), (5, 12, False, "", False), (500, 12, True, "500", True),
+    (1, 0, True, "0", False),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("robots", "tangents", "double", "limit", "there"), FEW)
+def test_few_robots_walk_on_the_cpu(monkeypatch, robots, tangents, double, limit, there):
     """Although there is a GPU, up to a number that differs for what walks, or that the environment gives."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(paths, "path_for", lambda device, double: "plain" if double else "kernel")
     monkeypatch.setenv(paths.ON_CPU, limit)
-    assert (paths.device_for(robots, slopes, double=dtype is np.float64) == "cpu") == there
+    assert (paths.device_for(robots, tangents, double=double) == "cpu") == there
 
 
 def test_a_limit_that_is_no_number_is_refused(monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setenv(paths.ON_CPU, "few")
+    assert paths.device_for(1, 0, double=False) is None  # where there is no GPU nothing is asked
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     with pytest.raises(mc.ConfigError, match=r"^MJX_CLIMB_ON_CPU: expected a number of robots, got 'few'$"):
         paths.device_for(1, 0, double=False)
 
@@ -157,10 +146,6 @@ def test_without_nvrtc_the_reason_is_told(monkeypatch):
     monkeypatch.setattr(gpu_kernel.ctypes, "CDLL", missing)
     with pytest.raises(Unsupported, match=r"libnvrtc\.so; pip install"):
         gpu_kernel._library.__wrapped__()
-
-
-def test_without_a_gpu_nothing_is_moved(cpu_alone):
-    assert paths.device_for(1, 0, double=False) is None
 
 
 def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla(interpreted):
