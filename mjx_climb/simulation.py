@@ -252,13 +252,12 @@ class Simulation:
         law, own, batch, _ = resolved
         shape, arguments, axes = self._structure(own), (law, own), resolved.axes
         if directions is None:
-            return execution.run(function, shape, arguments, axes, batch, **how)
+            return execution.run(function, shape, execution.Robots(arguments, axes, batch), **how)
         along = resolved_directions(resolved, gains, directions)
         moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in along}
         of_moving = {name: law.AXES.get(name, 0) for name in along}
-        values, tangents = execution.run(
-            function, shape, (moving, *arguments), (of_moving, *axes), batch, directions=along, **how
-        )
+        robots = execution.Robots((moving, *arguments), (of_moving, *axes), batch, along)
+        values, tangents = execution.run(function, shape, robots, **how)
         return values, {name: np.moveaxis(value, len(batch), 0) for name, value in tangents.items()}
 
     def simulate(self, gains: AnyGains | None = None, parameters: Parameters | None = None) -> Metrics:

@@ -11,6 +11,7 @@ from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from mjx_climb.execution.batches import Robots as Robots
     from mjx_climb.execution.batches import run as run
     from mjx_climb.execution.batches import run_one as run_one
     from mjx_climb.execution.batches import walking_with as walking_with

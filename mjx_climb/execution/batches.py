@@ -38,33 +38,34 @@ class _Call(NamedTuple):
     tangents: bool = False
 
 
+class Robots(NamedTuple):
+    """The arguments of a batch of robots."""
+
+    arguments: Sequence[Any]  # trees of numpy arrays, whose leading axes broadcast to `shape`
+    axes: Sequence[Any]  # the same trees; in place of each array the number of axes that the value of one robot has
+    shape: tuple[int, ...]  # the batch axes
+    directions: Any = None  # a tree like `arguments[0]` of arrays (*shape, k, ...) along which tangents are asked for
+
+
 def run(
     function: Callable[..., dict[str, Array]],
     structure: Any,
-    arguments: Sequence[Any],
-    axes: Sequence[Any],
-    shape: tuple[int, ...],
+    robots: Robots,
     *,
-    directions: Any = None,
     batch_size: int | None = None,
     progress: Progress | None = None,
-    device: str | None = None,
     compile_briefly: bool = False,
 ) -> Any:
-    """Carry out a function of one robot for a batch of them, on all devices.
+    """Carry out a function of one robot for a batch of them, on all devices: where there is a GPU, few on the CPU.
 
     Arguments:
         function: of the structure and the arguments of one robot; of a module, pure. It returns a dict of arrays.
         structure: all that the function depends on beside the arguments; hashable. Executables are found by it, on
             disk too, by its contents.
-        arguments: trees of numpy arrays, whose leading axes broadcast to `shape`.
-        axes: the same trees; in place of each array the number of axes that the value of one robot has.
-        shape: the batch axes.
-        directions: a tree like `arguments[0]` of arrays (*shape, k, ...): tangents are asked for along these.
+        robots: their arguments.
         batch_size: at most so many robots in one call of the executable, one call at a time on a GPU and one on each
             core of a CPU.
         progress: called with the number of robots that are done and the number in all, after each call.
-        device: "cpu" or None: where there is a GPU, only few robots go to the CPU.
         compile_briefly: at a low level of optimisation, for large programs that run once.
 
     Returns:
@@ -74,6 +75,7 @@ def run(
     Raises:
         ValueError: a batch size below one.
     """
+    arguments, axes, shape, directions = robots
     count = math.prod(shape)
     trees, own = tuple(arguments), tuple(axes)
     if directions is not None:
@@ -87,7 +89,7 @@ def run(
 
     tangents = 0 if directions is None else jax.tree.leaves(directions)[0].shape[len(shape)]
     double = any(leaf.dtype == np.float64 for leaf in flat)
-    on = device or paths.device_for(count, tangents, double=double)
+    on = paths.device_for(count, tangents, double=double)
     path = paths.path_for(on, double=double)
     share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and directions is None)
     call = _Call(function, structure, tuple(batched), path, directions is not None)
@@ -176,9 +178,12 @@ def _carried_out(call: _Call, *trees: Any) -> Any:
     """
     function = functools.partial(call.function, call.structure)
     if call.path == "kernel":
-        if call.tangents:
-            return _tangents_in_kernel(function, call.batched, *trees)
-        return gpu_kernel.over_robots(function, call.batched)(*trees)
+        if not call.tangents:
+            return gpu_kernel.over_robots(function, call.batched)(*trees)
+        *given, directions = trees
+        batched = call.batched[: -len(jax.tree.leaves(directions))]
+        values, tangents = gpu_kernel.tangents_over_robots(function, batched)(directions, *given)
+        return values | {_TANGENT + name: value for name, value in tangents.items() if value is not None}
     one = over_robots(function, regions=call.path == "regions")
     if not call.batched:
         return one(*trees)
@@ -199,15 +204,3 @@ def _carried_out(call: _Call, *trees: Any) -> Any:
     leaves, tree = jax.tree.flatten(trees)
     carry_out, mapped = with_tangents if call.tangents else one, [0 if batched else None for batched in call.batched]
     return jax.vmap(lambda *leaves: carry_out(*jax.tree.unflatten(tree, leaves)), in_axes=mapped)(*leaves)
-
-
-def _tangents_in_kernel(function: Callable[..., Any], batched: tuple[bool, ...], *trees: Any) -> dict[str, Array]:
-    moving, *others, directions = trees
-    # what moves has the batch axis, as its directions have
-    robots, count = len(jax.tree.leaves(directions)[0]), len(jax.tree.leaves(moving))
-    own = iter(batched)
-    wide = jax.tree.map(lambda v: v if next(own) else jnp.broadcast_to(v, (robots, *v.shape)), moving)
-    every = [True] * count + list(batched[count : len(batched) - count])
-    values, tangents = gpu_kernel.tangents_over_robots(function, every)(directions, wide, *others)
-    found: dict[str, Array] = values | {_TANGENT + n: value for n, value in tangents.items() if value is not None}
-    return found

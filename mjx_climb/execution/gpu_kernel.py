@@ -72,26 +72,26 @@ def tangents_over_robots(
     """Return the function with its tangents, like `jax.jvp` by its first argument, along several directions.
 
     Arguments:
-        function, batched: as `over_robots` takes them; the first argument has real numbers alone, each with
-            the batch axis.
+        function, batched: as `over_robots` takes them; the first argument has real numbers alone.
 
     Returns:
-        A function of directions and arguments: for each array (B, ...) of the first argument one (B, k, ...). It
-        returns the results, and in place of each its tangents (B, k, ...), None where it is no real number.
+        A function of directions and arguments: of each robot's first argument its k directions (B, k, ...). It returns
+        the results, and in place of each its tangents (B, k, ...), None where it is no real number.
     """
 
     def mapped(directions: Any, *arguments: Any) -> tuple[_Result, Any]:
         program, shape = _of_one(function, arguments, batched)
         along = [jnp.asarray(direction) for direction in jax.tree.leaves(directions)]
         robots, count = along[0].shape[:2]
+        values, own = [*map(jnp.asarray, jax.tree.leaves(arguments))], [*batched]
+        for place, axis in enumerate(batched[: len(along)]):
+            if not axis:  # what moves is the robot's own, as its directions are
+                values[place], own[place] = jnp.broadcast_to(values[place], (robots, *values[place].shape)), True
         # every direction has threads of its own, and values for itself
-        values = [
-            jnp.repeat(jnp.asarray(value), count, 0) if own else value
-            for value, own in zip(jax.tree.leaves(arguments), batched, strict=True)
-        ]
+        values = [jnp.repeat(value, count, 0) if axis else value for value, axis in zip(values, own, strict=True)]
         both, moved = tangents_of(program, [place < len(along) for place in range(len(values))])
         along = [direction.reshape(robots * count, *direction.shape[2:]) for direction in along]
-        found = _launched(body_of(both), [*values, *along], [*batched, *[True] * len(along)])
+        found = _launched(body_of(both), [*values, *along], [*own, *[True] * len(along)])
         every = [array.reshape(robots, count, *array.shape[1:]) for array in found]
         results: _Result = jax.tree.unflatten(shape, [array[:, 0] for array in every[: len(moved)]])
         of_moving = iter(every[len(moved) :])

@@ -149,10 +149,9 @@ def _radii_of(walk: Structure, robots: _Robots, axes: Any, periods: np.ndarray, 
         some = jax.tree.map(lambda value, own: value[rows] if value.ndim > own else value, robots, axes)
         for kind in range(kinds):
             step = (first[rows] + kind).astype(np.int32)
-            _, tangents = execution.run(
-                _moved, walk, (still, *some, step), (1, *axes, 0), (matrices,),
-                directions=columns, batch_size=max(1, _ENTRIES_OF_A_CALL // states**2), compile_briefly=True,
-            )  # fmt: skip
+            linearised = execution.Robots((still, *some, step), (1, *axes, 0), (matrices,), columns)
+            size = max(1, _ENTRIES_OF_A_CALL // states**2)
+            _, tangents = execution.run(_moved, walk, linearised, batch_size=size, compile_briefly=True)
             found.append(np.swapaxes(tangents["after"], 1, 2))
         return np.stack(found)
 
