@@ -23,6 +23,7 @@ from jax.interpreters import ad, batching, mlir
 
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.elements import Elements, Number, Value, Writer, known
+from mjx_climb.execution.jax_internals import carried_out
 
 
 class ArrayWriter(Writer):
@@ -58,8 +59,7 @@ class ArrayWriter(Writer):
             for place, number in enumerate(operands)
         ]
         single = in_single(primitive.name, rows) if all(isinstance(o, Value) for o in operands) else None
-        made: Array = primitive.bind(*rows, **primitive.get_bind_params(dict(parameters))) if single is None else single
-        return self.value(made)
+        return self.value(carried_out(primitive, parameters, rows)[0] if single is None else single)
 
     def each_its_own(self, numbers: Sequence[Number]) -> Value:
         if all(isinstance(number, np.generic) for number in numbers):
@@ -81,8 +81,6 @@ class ArrayWriter(Writer):
         return self.value(lax.concatenate([lax.slice_in_dim(value.content, lane, lane + 1) for lane in lanes], 0))
 
     def over_lanes(self, combine: core.Primitive, value: Value) -> Value:
-        if len(value.content) == 1:
-            raise AssertionError("a value of which all lanes have the same is not combined over them")
         parts = self._parts[id(value)][1] if id(value) in self._parts else [value] * self.lanes
         mine, ones = map(self._lane, parts, range(self.lanes)), (1,) * (1 + len(self.batch))
         rows = [n.content if isinstance(n, Value) else lax.broadcast(jnp.asarray(n), ones) for n in mine]

@@ -21,7 +21,7 @@ from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import can_write, results
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import Has, by_axis, carried_on, flat, mapped, needed, reached, region, runs, variables_of
-from mjx_climb.execution.jax_internals import new_program, scan_sizes
+from mjx_climb.execution.jax_internals import carried_out, new_program, scan_sizes
 from mjx_climb.execution.limbs import LimbAxes
 
 EQUATIONS = 250  # in a region: with fewer the calls cost more
@@ -144,12 +144,8 @@ class _Program(NamedTuple):
         has = [has for _, has in given]
         together = tuple(map(any, zip(*has, strict=True))) or (False,) * len(self.batch)
         varies = [together] * len(equation.outvars)
-
-        def one(*operands: Any) -> list[Any]:
-            made = equation.primitive.bind(*operands, **equation.primitive.get_bind_params(equation.params))
-            return list(made) if equation.primitive.multiple_results else [made]
-
-        return list(zip(mapped(one, has, varies)(*(value for value, _ in given)), varies, strict=True))
+        one = mapped(lambda *operands: carried_out(equation.primitive, equation.params, operands), has, varies)
+        return list(zip(one(*(value for value, _ in given)), varies, strict=True))
 
 
 # --- cutting

@@ -28,6 +28,7 @@ from mjx_climb.execution.elements import (
     known,
     objects,
 )
+from mjx_climb.execution.jax_internals import carried_out
 from mjx_climb.execution.limbs import Axis, LimbAxes
 
 MOST_OPERATIONS = 100_000  # a walk has some 4,000, or 9,000 without lanes; compilers take minutes for more than this
@@ -220,10 +221,8 @@ def computed_now(primitive: core.Primitive, parameters: Mapping[str, Any], given
     """
     if primitive.name in _EXACT:
         return [np.asarray(_EXACT[primitive.name](*given))]
-    bound = primitive.get_bind_params(dict(parameters))
     with jax.ensure_compile_time_eval(), jax.default_device(host()):
-        results: Any = primitive.bind(*given, **bound)
-        return [np.asarray(result) for result in (results if primitive.multiple_results else [results])]
+        return [*map(np.asarray, carried_out(primitive, parameters, given))]
 
 
 _EXACT: dict[str, Callable[..., Any]] = {

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.extend import core
 
-from mjx_climb.execution.jax_internals import inner_program, jvp_jaxpr, new_program, scan_sizes
+from mjx_climb.execution.jax_internals import carried_out, inner_program, jvp_jaxpr, new_program, scan_sizes
 
 Atom = core.Var | core.Literal
 
@@ -178,8 +178,7 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
             else:
                 if primitive.name == "scan":
                     parameters = parameters | {"jaxpr": with_stable_maxima(parameters["jaxpr"])}
-                made = primitive.bind(*values, **primitive.get_bind_params(parameters))
-                results = made if primitive.multiple_results else [made]
+                results = carried_out(primitive, parameters, values)
             known.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in program.jaxpr.outvars]
 

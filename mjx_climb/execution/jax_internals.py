@@ -1,6 +1,6 @@
 """What this package needs of JAX that JAX does not promise, and what differs between 0.10 and 0.11; nowhere else."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -29,6 +29,12 @@ CALLS = {
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
 }
+
+
+def carried_out(primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Any]) -> list[Any]:
+    """Return the results of an operation, one or several."""
+    made = primitive.bind(*operands, **primitive.get_bind_params(dict(parameters)))
+    return list(made) if primitive.multiple_results else [made]
 
 
 def scan_sizes(parameters: dict[str, Any]) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-// What a kernel of `mjx_climb.compilation.cuda_writer` needs to run on a CPU: a thread for each lane of one robot, which
+// What a kernel of `mjx_climb.execution.cuda_writer` needs to run on a CPU: a thread for each lane of one robot, which
 // wait for each other where lanes change values.
 #include <barrier>
 #include <cmath>
