@@ -69,6 +69,10 @@ def told(robot):
     return "\n".join(map(" ".join, robot.notes))
 
 
+def driving(text, actuators):
+    return text.replace("</worldbody>", f"</worldbody><actuator>{actuators}</actuator>")
+
+
 def model_of(file):
     return compiled(str(file), bare(str(file)))
 
@@ -221,28 +225,26 @@ def six_limbs():
 
 
 def oddities():
-    """Return files as odd as public ones, by name: suffix and text."""
+    """Return the texts of files as odd as public ones."""
     text, _ = urdf(2)
     odd = re.sub(r'izz="[^"]*"', 'izz="0.9"', text, count=1).replace('lower="-1.2" upper="1.2"', 'lower="-9" upper="9"')
     motors = "".join(f'<motor joint="L{n}_{k}"/>' for n in range(4) for k in range(3))
-    passive = climbers.mjcf(4, 4).replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
     hip = '<joint name="L0_1" type="hinge" axis="0 -1 0" range="-20 100" />'
     two = climbers.mjcf(4, 3)
     assert hip in two
     return {
-        "a dog": ("xml", dog()),
-        "knees that bend either way": ("xml", either_way()),
-        "inertias of no body": ("urdf", odd),
-        "six limbs without limits": ("urdf", six_limbs()),
-        "passive ankles": ("xml", passive),
-        "two joints in a body": ("xml", two.replace(hip, hip + '<joint name="L0_r" axis="1 0 0" range="-20 20"/>')),
-        "a ball for a hip": ("xml", two.replace(hip, '<joint name="L0_1" type="ball" range="0 80"/>')),
-        "joints without names": ("xml", re.sub(r'joint name="L\d_\d"', "joint", two)),
-        "a weightless link": ("xml", two.replace('mass="0.15" diaginertia="1e-4 1.2e-4 1e-4"',
-                                                  'mass="0" diaginertia="0 0 0"', 1)),
-        "two joints a limb": ("xml", climbers.mjcf(4, 2)),
-        "two arms of seven": ("xml", climbers.mjcf(2, 7)),
-    }  # fmt: skip
+        "a dog": dog(),
+        "knees that bend either way": either_way(),
+        "inertias of no body": odd,
+        "six limbs without limits": six_limbs(),
+        "passive ankles": driving(climbers.mjcf(4, 4), motors),
+        "two joints in a body": two.replace(hip, hip + '<joint name="L0_r" axis="1 0 0" range="-20 20"/>'),
+        "a ball for a hip": two.replace(hip, '<joint name="L0_1" type="ball" range="0 80"/>'),
+        "joints without names": re.sub(r'joint name="L\d_\d"', "joint", two),
+        "a weightless link": re.sub('mass="0.15" diaginertia="[^"]*"', 'mass="0" diaginertia="0 0 0"', two, count=1),
+        "two joints a limb": climbers.mjcf(4, 2),
+        "two arms of seven": climbers.mjcf(2, 7),
+    }
 
 
 @pytest.mark.slow
@@ -250,8 +252,7 @@ def oddities():
 @pytest.mark.parametrize("name", oddities())
 def test_odd_files_walk_on_a_slope(saved, name):
     """Each walks a cycle up 30 degrees under lunar gravity, all grippers holding."""
-    suffix, text = oddities()[name]
-    proposed = propose(saved(text, f"robot.{suffix}")).sections
+    proposed = propose(saved(oddities()[name])).sections  # a URDF is one by what is in it
     scenario = mc.Scenario.model_validate({**proposed, "time_step": 0.001})
     scenario = scenario.with_overrides({"time_step": min(0.001, largest_time_step(scenario))})
     cycle = scenario.gait.cycle
@@ -306,10 +307,6 @@ def test_the_command_leaves_a_config_that_runs(saved, ended):
 
 # ------------------------------------------------------------------------------------------------------------
 # What a file may hold that its author meant otherwise than a quick reader takes it
-
-
-def driving(text, actuators):
-    return text.replace("</worldbody>", f"</worldbody><actuator>{actuators}</actuator>")
 
 
 @pytest.mark.parametrize(
