@@ -24,8 +24,6 @@ class Plan(NamedTuple):
     cycle_steps: Array  # () steps
     swing_steps: Array  # () steps
     swing_offset: Array  # (limb,) steps after the start of a cycle at which a limb lifts off
-    cargo: tuple[Array, Array]  # () steps: there from the first on, until before the second
-    pushes: tuple[Array, Array]  # (push,) steps, as of the cargo
 
 
 class Schedule(NamedTuple):
@@ -61,8 +59,6 @@ def plan(
         cycle_steps=cycle_steps,
         swing_steps=cycle_steps - stance_steps(parameters.duty, cycle_steps),
         swing_offset=whole_steps(shares * cycle_steps, 1),
-        cargo=tuple(whole_steps(time, time_step) for time in (parameters.cargo_start, parameters.cargo_stop)),
-        pushes=tuple(whole_steps(time, time_step) for time in (parameters.push_start, parameters.push_stop)),
     )
 
 

@@ -46,6 +46,7 @@ class Setup(NamedTuple):
     parameters: Parameters
     hardware: Hardware
     plan: gait.Plan
+    windows: disturbance.Windows
 
 
 class Walk(NamedTuple):
@@ -54,6 +55,7 @@ class Walk(NamedTuple):
     robot: Robot  # as its file says: `mass_scale` is none of it
     parameters: Parameters
     plan: gait.Plan
+    windows: disturbance.Windows
     controller: control_loop.Controller
     structure: Structure
 
@@ -77,6 +79,7 @@ def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
         parameters=parameters,
         hardware=hardware_of(parameters, structure.stages, structure.time_step, robot),
         plan=gait.plan(robot, feet, parameters, structure.lift_off, structure.time_step),
+        windows=disturbance.windows(parameters, structure.time_step),
     )
 
 
@@ -87,7 +90,7 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     robot, geometry = _in_precision((robot, geometry), setup.parameters.kp.dtype)
     robot = execution.of_limbs(robot)  # from here on execution knows which arrays have the limbs first
     controller = control_loop.Controller(setup.law, geometry, setup.hardware)
-    return Walk(robot, setup.parameters, setup.plan, controller, structure)
+    return Walk(robot, setup.parameters, setup.plan, setup.windows, controller, structure)
 
 
 def _in_precision(tree: Any, dtype: Any) -> Any:
@@ -137,7 +140,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         walk.controller, carry.memory, actual, reference, step, action
     )
 
-    cargo, push = disturbance.acting(parameters, walk.plan, step)
+    cargo, push = disturbance.acting(parameters, walk.windows, step)
     acceleration = _accelerations(walk, actual, drive, push, cargo)
     com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
     tsm, gia = _stability_margins(walk, actual, push, com, cargo)

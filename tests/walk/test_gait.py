@@ -14,7 +14,7 @@ from mjx_climb.quantities.batches import over_batch, own_axes
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.resolve import resolve, resolve_in
-from mjx_climb.walk import gait
+from mjx_climb.walk import disturbance, gait
 
 STEP = 1e-3
 LIMBS = load_robot("hubrobo_v3_2").limbs
@@ -73,8 +73,8 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
         return resolve(scenario, law_of(scenario), None, parameters, parameters.kp.dtype).parameters
 
     def steps_of_one(one):
-        plan, period = plan_of(scenario, one), hardware_of(one, stages, STEP).pace.period
-        return [*plan.cargo, *(w[0] for w in plan.pushes), period, plan.cycle_steps]
+        windows, period = disturbance.windows(one, STEP), hardware_of(one, stages, STEP).pace.period
+        return [*windows.cargo, *(w[0] for w in windows.pushes), period, plan_of(scenario, one).cycle_steps]
 
     @jax.jit
     def steps(parameters):
