@@ -31,7 +31,7 @@ def mujoco_acceleration(model, states, forces):
 def set_state(data, position, orientation, linear, angular, angles, rates):
     data.qpos[:] = np.concatenate([position, orientation, np.ravel(angles)])
     to_base = Rotation.from_quat(orientation, scalar_first=True).inv()
-    data.qvel[:] = np.concatenate([linear, to_base.apply(angular), np.ravel(rates)])
+    data.qvel[:] = np.concatenate([linear, to_base.apply(np.array(angular)), np.ravel(rates)])
 
 
 def apply(model, data, torque, foot_force, push):
