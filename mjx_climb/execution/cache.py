@@ -30,6 +30,7 @@ from jax import monitoring
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
+from mjx_climb.execution.jax_internals import prepare_for
 from mjx_climb.files.writing import whole
 
 VARIABLE = "MJX_CLIMB_CACHE"
@@ -209,6 +210,7 @@ def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
         if placed := [leaf for leaf in leaves if isinstance(leaf, jax.Array)]:
             [device] = placed[0].devices()
         serialized, inputs, outputs = pickle.loads(content)
+        prepare_for(content)
         executable: Callable[..., Any] = serialize_executable.deserialize_and_load(
             serialized, inputs, outputs, device.client, [device]
         )

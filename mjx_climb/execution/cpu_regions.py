@@ -30,6 +30,9 @@ STORED_FROM = 3  # operations
 MOST_ROWS = 16
 # bytes that a region of its own puts together: XLA:CPU splits what has more over threads, in a call into invalid code
 MOST_OF_A_CALL = 2**18
+# equations between the regions of a step: XLA:CPU works their arrays out by several threads, and two shares that do so
+# for many at once wait for each other for ever (jaxlib 0.10, MJX's 50)
+MOST_BETWEEN = 40
 
 
 def in_regions(
@@ -72,7 +75,11 @@ class _Program(NamedTuple):
         def fits(equation: core.JaxprEqn) -> bool:
             return id(equation) not in self.refused and can_write(equation)
 
-        for part, straight in runs(program.jaxpr, fits):
+        parts = runs(program.jaxpr, fits)
+        between = [e for part, straight in parts if not straight for e in part.jaxpr.eqns if e.primitive.name != "scan"]
+        if len(between) > MOST_BETWEEN:
+            raise Unsupported(f"{len(between)} operations as {between[0].primitive.name} in one step")
+        for part, straight in parts:
             if straight:
                 given = [known[variable] for variable in part.jaxpr.invars]
                 try:

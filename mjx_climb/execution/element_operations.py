@@ -65,8 +65,6 @@ class Operations:
             for row, operand in zip(rows, operands, strict=True):
                 if made is operand:  # an operation that changes nothing
                     return row
-            if isinstance(made, np.generic):
-                return [made] * self.writer.lanes
             return [self.of_lane(made, lane) for lane in range(self.writer.lanes)]
 
         return self._of_rows(map(of_all_lanes, *(self._rows(array, axis) for array in wide)), shape, axis)
@@ -84,11 +82,13 @@ class Operations:
                 return True
         return False
 
-    def of_lane(self, value: Value, lane: int) -> OfLane:
-        """Return what a lane has of a value, the same object each time."""
+    def of_lane(self, value: Shared, lane: int) -> Number:
+        """Return what a lane has of a number, the same object each time."""
+        if isinstance(value, np.generic):
+            return value
         return cast(OfLane, self._once(("of lane", id(value), lane), value, lambda: OfLane(value, lane)))
 
-    def taken_apart(self, values: Iterable[Value], shape: Sequence[int], axis: Axis) -> Elements:
+    def taken_apart(self, values: Iterable[Shared], shape: Sequence[int], axis: Axis) -> Elements:
         """Return values as the elements of an array: each is one, or with `axis` those of all lanes along it."""
         if axis is None:
             return as_array(values, shape)
@@ -170,7 +170,7 @@ class Operations:
         if len(lanes) == 1:  # the other lanes may be asked for the same, and have done it then
             values = [operand.value if isinstance(operand, OfLane) else operand for operand in operands]
             made = self._alike(primitive, parameters, *values)
-            return made if isinstance(made, np.generic) else self.of_lane(made, *lanes)
+            return self.of_lane(made, *lanes)
         return self._alike(primitive, parameters, *map(self.same_for_all, operands))
 
     def _alike(self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: Shared) -> Shared:

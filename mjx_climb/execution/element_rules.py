@@ -160,6 +160,16 @@ def _product_of_matrices(do: Operations, equation: core.JaxprEqn, given: list[El
     return [do.together(lax.add_p, along(products, 3)).reshape(result.shape)]
 
 
+def _named(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
+    """Return an array as lanes where a function says that its first axis runs over them."""
+    [array], [variable] = given, equation.outvars
+    axis = do.limbs.of(variable) if do.writer.lanes > 1 else None
+    if axis is None or known(array) or do.runs_over_lanes(array, axis):
+        return given
+    aval: Any = variable.aval
+    return [do.taken_apart(do.put_together(array, aval.dtype, axis), aval.shape, axis)]
+
+
 def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
     constants, carry = scan_sizes(equation.params)
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
@@ -212,5 +222,6 @@ RULES: dict[str, Rule] = {
     "reduce_and": _reduction(lax.and_p),
     "reduce_or": _reduction(lax.or_p),
     "dot_general": _product_of_matrices,
+    "name": _named,
     "scan": _loop,
 }

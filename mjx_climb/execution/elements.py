@@ -119,7 +119,7 @@ def _slice(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
 
 
 MOVES: dict[str, Move] = {
-    **dict.fromkeys(("copy", "copy_p", "name", "optimization_barrier", "stop_gradient"), lambda x, p: x),
+    **dict.fromkeys(("copy", "copy_p", "optimization_barrier", "stop_gradient"), lambda x, p: x),
     "broadcast_in_dim": _broadcast,
     "concatenate": lambda x, p: [np.concatenate([*map(objects, x)], p["dimension"])],
     "reshape": _reshaped,

@@ -28,7 +28,8 @@ def function(structure, values):
     traced.append(structure)
     with jax.ensure_compile_time_eval():  # a small program that runs while this one is traced
         answered = jax.numpy.cos(jax.numpy.zeros(3)).max() * answer
-    return {"sum": jax.numpy.sin(values).sum() * answered, "all": values + structure}
+    by_library = jax.numpy.linalg.cholesky(jax.numpy.diag(values**2 + 1))  # a stored executable has to find it
+    return {"sum": jax.numpy.sin(values).sum() * answered, "all": values + structure, "by library": by_library}
 
 enable_cache()
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # as if the machine were slow

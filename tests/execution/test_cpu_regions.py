@@ -1,5 +1,7 @@
 """A function of one robot, carried out for a batch in regions: as XLA does it whole."""
 
+import dataclasses
+import functools
 import os
 import subprocess
 import sys
@@ -10,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array
+from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.execution import over_robots
+from mjx_climb.execution import of_limbs, over_robots
 
 HERE = Path(__file__).parent
 CHECK = """
@@ -53,8 +56,8 @@ def carried_out(walk, tangents):
     return jax.jit(batch)(vectors, numbers)
 
 def agree(names, tangents):
-    for start in range(0, len(names), 12):  # few programs, which compile sooner than many
-        some = names[start : start + 12]
+    for start in range(0, len(names), 8):  # few programs, which compile sooner than many
+        some = names[start : start + 8]
         print(some, tangents, flush=True)
         walk = walk_of(some)
         expected, found = (carried_out(each, tangents) for each in (walk, over_robots(walk)))
@@ -125,6 +128,37 @@ def test_a_loop_has_lax_scans_derivatives(moving):
 
     for mine, theirs in zip(*(jax.tree.leaves(derivatives(each)) for each in (over_robots(walk), walk)), strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:the CPU's regions cannot do")
+def test_a_batch_of_two_shares_ends_by_mjx():
+    """Much stands between its regions: two shares that worked it out at once would wait for each other for ever."""
+    scenario, gains = mc.load_scenario("case_1_2", ["duration=0.02"]), {"stiffness": np.geomspace(1e2, 1e4, 256)}
+    gains["stiffness"] = gains["stiffness"][:, None] * np.ones(6)
+    mjx, limb = (mc.rollout_metrics(scenario, gains, engine=engine, dtype=np.float64) for engine in ("mjx", "limb"))
+    np.testing.assert_allclose(mjx["peak_foot_force"], limb["peak_foot_force"], rtol=1e-6)
+
+
+def test_limbs_that_are_marked_on_the_way_are_worked_out_together():
+    """One operation for all of them, where they were a row of numbers before."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Limbs:
+        angle: Float[Array, "limb joint"]
+
+    def motion(row: Array, marked: bool) -> Array:
+        limbs = Limbs(row.reshape(4, 3))
+        angle = (of_limbs(limbs) if marked else limbs).angle
+        return jnp.cos(angle) * jnp.sin(angle) / (2 + jnp.exp(angle))
+
+    rows = np.linspace(-1, 1, 24).reshape(2, 12)
+    written = []
+    for marked in (True, False):
+        batch = jax.jit(jax.vmap(over_robots(functools.partial(motion, marked=marked))))
+        np.testing.assert_allclose(batch(rows), jax.vmap(functools.partial(motion, marked=False))(rows), rtol=1e-12)
+        written.append(batch.lower(rows).as_text().count("stablehlo.exponential"))
+    assert written == [3, 12]
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ motions, which slip.
 """
 
 import dataclasses
-import functools
 import itertools
 import math
 from collections.abc import Mapping
@@ -27,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax import Array
+from jax.extend.core import jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from numpy.typing import ArrayLike
 
@@ -137,7 +137,7 @@ def _radii_of(walk: Structure, robots: _Robots, axes: Any, periods: np.ndarray, 
     with jax.enable_x64(True):
         off, step = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((), np.int32)
         single = jax.tree.map(one, robots, axes)
-        states = int(jax.eval_shape(functools.partial(_moved, walk), off, *single, step)["after"].size)
+        states = _traced_once.eval_shape(walk, off, *single, step)["after"].size
     # held: all steps after the first of a period are alike; on a line to the next target each is another
     kinds = int(periods.max() if walk.stages.linear else min(periods.max(), 2))
     count, matrices = len(periods), max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
@@ -256,18 +256,22 @@ def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, st
 
     def advanced(leaves: list[Array]) -> list[Array]:
         state, memory = jax.tree.unflatten(tree, leaves)
+        state = execution.of_limbs(state)  # a row of single numbers until now
         after, _ = advance(walk, carry._replace(state=state, memory=memory), step)
         return jax.tree.leaves((after.state, after.memory))
 
-    program = jax.make_jaxpr(advanced)(leaves).jaxpr
+    program = jax.make_jaxpr(advanced)(leaves)
     varied = [
         jnp.issubdtype(leaf.dtype, jnp.floating) and after is not before
-        for leaf, before, after in zip(leaves, program.invars, program.outvars, strict=True)
+        for leaf, before, after in zip(leaves, program.jaxpr.invars, program.jaxpr.outvars, strict=True)
     ]
     values, unravel = ravel_pytree(list(itertools.compress(leaves, varied)))
-    own = iter(unravel(values + off))
-    after = advanced([next(own) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)])
-    return {"after": ravel_pytree(list(itertools.compress(after, varied)))[0]}
+    changes = iter(unravel(jnp.broadcast_to(off, values.shape)))
+    moved = [leaf + next(changes) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)]
+    return {"after": ravel_pytree(list(itertools.compress(jaxpr_as_fun(program)(*moved), varied)))[0]}
+
+
+_traced_once = jax.jit(_moved, static_argnums=0)
 
 
 def _stance(walk: Walk, step: Array) -> Carry:
