@@ -39,7 +39,7 @@ def carried_out(primitive: core.Primitive, parameters: Mapping[str, Any], operan
 
 
 def prepare_for(executable: bytes) -> None:
-    """Have a stored executable find LAPACK where it calls it: JAX looks it up when it lowers, else the process stops."""
+    """Have a stored executable find LAPACK where it calls it: JAX looks it up when it lowers, else all stops."""
     if b"lapack_" in executable:
         from jaxlib import lapack  # imports SciPy
 
