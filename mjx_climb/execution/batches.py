@@ -22,7 +22,7 @@ from mjx_climb.execution import devices, gpu_kernel, paths
 from mjx_climb.execution.cache import cached_jit, enable_cache, source_digest
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.execution.one_robot import over_robots
-from mjx_climb.execution.paths import first_possible, one_at_a_time
+from mjx_climb.execution.paths import first_possible
 
 Progress = Callable[[int, int], None]
 _TANGENT = "tangent of "  # before the name of a result
@@ -34,7 +34,7 @@ class _Call(NamedTuple):
     function: Callable[..., Any]
     structure: Any
     batched: tuple[bool, ...]  # of each leaf of the arguments
-    path: str
+    path: str = ""
     tangents: bool = False
 
 
@@ -90,10 +90,7 @@ def run(
     tangents = 0 if directions is None else jax.tree.leaves(directions)[0].shape[len(shape)]
     double = any(leaf.dtype == np.float64 for leaf in flat)
     on = paths.device_for(count, tangents, double=double)
-    path = paths.path_for(on, double=double)
-    share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and directions is None)
-    call = _Call(function, structure, tuple(batched), path, directions is not None)
-    program = _program(path, share, on, compile_briefly)
+    call = _Call(function, structure, tuple(batched), tangents=directions is not None)
     enable_cache()
 
     @functools.cache
@@ -101,14 +98,21 @@ def run(
         same: list[Array] = jax.device_put([v for v, own in zip(flat, batched, strict=True) if not own], sharding)
         return same
 
-    def of_rows(rows: np.ndarray, sharding: Sharding) -> dict[str, Array]:
-        with devices.on_host(), jax.enable_x64(double):  # holds for one thread
-            each = jax.device_put([v[rows] for v, own in zip(flat, batched, strict=True) if own], sharding)
-            by_kind = {True: iter(each), False: iter(same_for_all(sharding))}
-            found: dict[str, Array] = program(call, *jax.tree.unflatten(tree, [next(by_kind[own]) for own in batched]))
-            return found
+    def by(path: str) -> dict[str, np.ndarray]:
+        share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and directions is None)
+        program = _program(path, share, on, compile_briefly)
 
-    found = devices.spread(of_rows, count, share, progress, on)
+        def of_rows(rows: np.ndarray, sharding: Sharding) -> dict[str, Array]:
+            with devices.on_host(), jax.enable_x64(double):  # holds for one thread
+                each = jax.device_put([v[rows] for v, own in zip(flat, batched, strict=True) if own], sharding)
+                by_kind = {True: iter(each), False: iter(same_for_all(sharding))}
+                leaves = [next(by_kind[own]) for own in batched]
+                found: dict[str, Array] = program(call._replace(path=path), *jax.tree.unflatten(tree, leaves))
+                return found
+
+        return devices.spread(of_rows, count, share, progress, on)
+
+    found = first_possible(by, paths.path_for(on, double=double), (call, tree))
     found = {name: value.reshape((*shape, *value.shape[1:])) for name, value in found.items()}
     if directions is None:
         return found
@@ -123,11 +127,14 @@ def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> An
         What the function returns, as arrays of numpy.
     """
     double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(arguments))
-    path = paths.path_for("cpu", double=double)
-    program, call = _program(path, 1, "cpu", False), _Call(function, structure, (), path)
+    call = _Call(function, structure, ())
     enable_cache()
-    with devices.on_host(), jax.enable_x64(double):
-        return jax.tree.map(np.asarray, program(call, *arguments))
+
+    def by(path: str) -> Any:
+        with devices.on_host(), jax.enable_x64(double):
+            return jax.tree.map(np.asarray, _program(path, 1, "cpu", False)(call._replace(path=path), *arguments))
+
+    return first_possible(by, paths.path_for("cpu", double=double), (call, jax.tree.structure(arguments)))
 
 
 def walking_with(robots: range, whole: int) -> range:
@@ -150,15 +157,8 @@ def flattened(value: Any, own: int, shape: Sequence[int]) -> Any:
 
 @functools.cache
 def _program(path: str, share: int, device: str | None, briefly: bool) -> Callable[..., dict[str, Array]]:
-    """Return the program of a path, or of the plain one where that cannot be; for so many robots at a time."""
-
-    def compiled(path: str) -> Callable[..., dict[str, Array]]:
-        options = paths.compiler_options(share, path, device, briefly=briefly)
-        program = cached_jit(_carried_out, _identity, options)
-        return lambda call, *trees: program(call._replace(path=path), *trees)
-
-    plain = functools.cache(lambda: one_at_a_time(compiled("plain")) if device != "gpu" else compiled("plain"))
-    return plain() if path == "plain" else first_possible(compiled(path), plain, paths.PATHS[path])
+    """Return the program of a path, for so many robots at a time."""
+    return cached_jit(_carried_out, _identity, paths.compiler_options(share, path, device, briefly=briefly))
 
 
 def _identity(call: _Call, *trees: Any) -> str | None:

@@ -6,6 +6,7 @@ a CPU it is cut into regions (`cpu_regions`). Other devices, and reverse mode, t
 
 import functools
 import itertools
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -16,6 +17,7 @@ from jax.extend import core
 from jax.interpreters import ad, batching, mlir
 
 from mjx_climb.execution.cpu_regions import in_regions
+from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import Has, by_axis, mapped, reached, tangents_of
 from mjx_climb.execution.jax_internals import OVER_ROBOTS, new_program, register_reverse_mode
 
@@ -25,10 +27,17 @@ _program = core.Primitive(OVER_ROBOTS)  # of one robot; see `_batched` for its p
 _program.multiple_results = True
 
 
-def over_robots(function: Callable[..., _Result], *, regions: bool = True) -> Callable[..., _Result]:
+def over_robots(function: Callable[..., _Result], *, regions: bool | None = None) -> Callable[..., _Result]:
     """Return a pure function of one robot, compiled, that is fast under `vmap`.
 
     It takes and gives trees of arrays, and works under `jit`, `scan`, `vmap`, `jvp` and `grad`, nested as one likes.
+
+    Arguments:
+        function: pure.
+        regions: whether a CPU works in regions; None: where they can, and a warning says where they cannot.
+
+    Raises:
+        Unsupported: when it is compiled, what regions cannot do.
     """
 
     def call(*arguments: Any) -> _Result:
@@ -116,7 +125,7 @@ def _whole(*values: Any, program: core.ClosedJaxpr, batch: tuple[int, ...], vari
     return mapped(core.jaxpr_as_fun(program), varies, having)(*values)
 
 
-def _as_call(program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], regions: bool) -> dict[str, Any]:
+def _as_call(program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], **_: Any) -> dict[str, Any]:
     """Return the parameters of an operation whose program takes the values with their batch axes."""
     if batch:
         varies = varies[: len(program.in_avals)]
@@ -128,10 +137,15 @@ def _as_call(program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence
     return {"program": program, "batch": (), "varies": ((),) * len(program.in_avals), "regions": False}
 
 
-def _for_cpu(*values: Any, program: core.ClosedJaxpr, regions: bool, **how: Any) -> Any:
-    if not regions:
-        return _whole(*values, program=program, **how)
-    return in_regions(program, values, how["varies"], how["batch"])
+def _for_cpu(*values: Any, program: core.ClosedJaxpr, regions: bool | None, **how: Any) -> Any:
+    if regions is not False:
+        try:
+            return in_regions(program, values, how["varies"], how["batch"])
+        except Unsupported as error:
+            if regions:
+                raise
+            warnings.warn(f"the CPU's regions cannot do {error}: by XLA's own way, slower", stacklevel=2)
+    return _whole(*values, program=program, **how)
 
 
 _program.def_abstract_eval(_abstract)

@@ -112,44 +112,26 @@ def compiler_options(robots: int, path: str, device: str | None, *, briefly: boo
 # --- where a fast path cannot
 
 _Result = TypeVar("_Result")
-# XLA:CPU works out large arrays by several threads of one pool, in which two programs may wait for each other for ever
-_one_at_a_time = threading.Lock()
 
 
-def one_at_a_time(program: Callable[..., _Result]) -> Callable[..., _Result]:
-    """Return a plain program on CPUs, which waits for other such programs."""
-
-    def alone(structure: Hashable, *arrays: Any) -> _Result:
-        with _one_at_a_time:
-            result: _Result = jax.block_until_ready(program(structure, *arrays))
-            return result
-
-    return alone
+@functools.cache
+def _refused() -> set[Hashable]:
+    """Return what fast paths could not do in this process, a set to add to."""
+    return set()
 
 
-def first_possible(
-    fast: Callable[..., _Result], plain: Callable[[], Callable[..., _Result]], what: str
-) -> Callable[..., _Result]:
-    """Return a program of a structure and trees of arrays that goes by `fast`, or by `plain` where that cannot be."""
-    refused: set[Hashable] = set()
-    alone = threading.Lock()  # shares of a batch come from several threads
-
-    def program(structure: Hashable, *arrays: Any) -> _Result:
-        kind = structure, jax.tree.structure(arrays)
-        if kind not in refused:
-            try:
-                return fast(structure, *arrays)
-            except (NotImplementedError, JaxRuntimeError) as error:
-                if "RESOURCE_EXHAUSTED" in str(error) and not isinstance(error, Unsupported):
-                    raise
-                with alone:
-                    if kind not in refused:
-                        refused.add(kind)
-                        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-                        warnings.warn(f"{what} cannot do {reason}: by XLA's own way, slower", stacklevel=2)
-        return plain()(structure, *arrays)
-
-    return program
+def first_possible(by: Callable[[str], _Result], path: str, what: Hashable) -> _Result:
+    """Return what `by` gives of a path, or of the plain one where that cannot be; of the same `what` it never can."""
+    if path != "plain" and (path, what) not in _refused():
+        try:
+            return by(path)
+        except (NotImplementedError, JaxRuntimeError) as error:
+            if "RESOURCE_EXHAUSTED" in str(error) and not isinstance(error, Unsupported):
+                raise
+            _refused().add((path, what))
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            warnings.warn(f"{PATHS[path]} cannot do {reason}: by XLA's own way, slower", stacklevel=3)
+    return by("plain")
 
 
 # --- does a fast path work on this machine?

@@ -158,17 +158,21 @@ def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla(interpreted):
     def fast(structure, values):
         return over_robots(functools.partial(function, structure), [True])(values)
 
-    traced = []
+    taken = []
 
-    def plain(structure, values):
-        traced.append(structure)
-        return jax.vmap(functools.partial(function, structure))(values)
+    def carried_out(structure, values):
+        def by(path):
+            taken.append(path)
+            if path == "kernel":
+                return jax.jit(fast, static_argnums=0)(structure, values)
+            return jax.vmap(functools.partial(function, structure))(values)
 
-    program = first_possible(jax.jit(fast, static_argnums=0), lambda: plain, "the kernel")
+        return first_possible(by, "kernel", structure)
+
     values = np.arange(1.0, 4.0)
-    with pytest.warns(UserWarning, match="the kernel cannot do the operation while") as said:
+    with pytest.warns(UserWarning, match="the GPU kernel cannot do the operation while") as said:
         for _ in range(2):
-            np.testing.assert_array_equal(program("loop", values), [16.0, 16.0, 12.0])
+            np.testing.assert_array_equal(carried_out("loop", values), [16.0, 16.0, 12.0])
     assert len(said) == 1
-    np.testing.assert_array_equal(program("double", values), values * 2)
-    assert traced == ["loop", "loop"]
+    np.testing.assert_array_equal(carried_out("double", values), values * 2)
+    assert taken == ["kernel", "plain", "plain", "kernel"]
