@@ -7,6 +7,7 @@ fuses and computes again what is broadcast: each component is a row of robots, o
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
@@ -24,7 +25,8 @@ from mjx_climb.execution.flat import Has, by_axis, carried_on, flat, mapped, nee
 from mjx_climb.execution.jax_internals import carried_out, new_program, scan_sizes
 from mjx_climb.execution.limbs import LimbAxes
 
-EQUATIONS = 250  # in a region: with fewer the calls cost more
+EQUATIONS = 250  # in a region: with fewer the calls cost more, with more compiling takes longer
+EQUATIONS_OF_ONE = 1000  # the same of a single robot, whose arithmetic takes no longer than the calls
 STORED_FROM = 3  # operations
 # put together by an equation within a region: XLA fuses them, and asks of each element which row it is in
 MOST_ROWS = 16
@@ -114,7 +116,8 @@ class _Program(NamedTuple):
                 for v, found, has in zip(jaxpr.outvars, results(do, part, elements), varies, strict=True)
             ]
 
-        made = _in_kernels(written, [value for value, _ in itertools.compress(given, traced)])
+        most = EQUATIONS if math.prod(self.batch) > 1 else EQUATIONS_OF_ONE
+        made = _in_kernels(written, [value for value, _ in itertools.compress(given, traced)], most)
         return list(zip(made, varies, strict=True))
 
     def _scan(self, equation: core.JaxprEqn, given: Sequence[Array]) -> list[Array]:
@@ -158,12 +161,12 @@ class _Program(NamedTuple):
 # --- cutting
 
 
-def _in_kernels(function: Callable[..., list[Any]], arguments: Sequence[Any]) -> list[Any]:
-    """Return the results of a function with its equations in regions, each a kernel of its own; for a CPU."""
+def _in_kernels(function: Callable[..., list[Any]], arguments: Sequence[Any], most: int) -> list[Any]:
+    """Return the results of a function with its equations in regions of at most so many, each a kernel of its own."""
     closed = jax.make_jaxpr(function)(*arguments)
     constants = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
     values = constants | dict(zip(closed.jaxpr.invars, arguments, strict=True))
-    for part in _regions(closed):
+    for part in _regions(closed, most):
         inputs = [variable for variable in part.jaxpr.invars if variable not in constants]
         own = [(variable, constants[variable]) for variable in part.jaxpr.invars if variable in constants]
         whole = new_program(part.jaxpr, part.jaxpr.eqns, inputs, part.jaxpr.outvars, own)
@@ -172,8 +175,8 @@ def _in_kernels(function: Callable[..., list[Any]], arguments: Sequence[Any]) ->
     return [atom.val if isinstance(atom, core.Literal) else values[atom] for atom in closed.jaxpr.outvars]
 
 
-def _regions(closed: core.ClosedJaxpr) -> list[core.ClosedJaxpr]:
-    """Return regions of at most `EQUATIONS`, in order of execution, without what nothing depends on.
+def _regions(closed: core.ClosedJaxpr, most: int) -> list[core.ClosedJaxpr]:
+    """Return regions of at most so many equations, in order of execution, without what nothing depends on.
 
     Equations that put many rows together are apart. Those of constants alone are in each region that reads them, see
     `_unseen`.
@@ -191,7 +194,7 @@ def _regions(closed: core.ClosedJaxpr) -> list[core.ClosedJaxpr]:
         return equation.primitive.name == "concatenate" and len(equation.invars) > MOST_ROWS
 
     alike = [list(run) for _, run in itertools.groupby(others, puts_together)]
-    groups = [run[start : start + EQUATIONS] for run in alike for start in range(0, len(run), EQUATIONS)]
+    groups = [run[start : start + most] for run in alike for start in range(0, len(run), most)]
     results = variables_of(jaxpr.outvars)
     later, found = dict(results), []
     for group in reversed(groups):
