@@ -8,7 +8,7 @@ rate and displacement bounded in norm, and at the bound of the displacement no r
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,17 @@ SUBSTEP = 2e-3  # s, at most
 LONGEST_PERIOD = 20e-3  # s
 _DOUBLINGS = 24
 Pair = tuple[float, float]  # of translations, of rotations
-# `inertia`, `damping` and `stiffness` of a virtual mass, of any shape that broadcasts with the displacement
-Impedance = Any
+
+
+class Impedance(Protocol):
+    """Gains of a virtual mass, damper and spring, of any shape that broadcasts with the displacement."""
+
+    @property
+    def inertia(self) -> Any: ...  # kg, kg m^2
+    @property
+    def damping(self) -> Any: ...  # N s/m, N m s/rad
+    @property
+    def stiffness(self) -> Any: ...  # N/m, N m/rad
 
 
 class Motion(NamedTuple):

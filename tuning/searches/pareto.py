@@ -7,13 +7,14 @@ was walked on the way is a candidate; the front is what nothing else beats in bo
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.resolve import AnyGains
 from mjx_climb.scenario.messages import ConfigError
@@ -91,7 +92,10 @@ def pareto(
     points: int | None = None,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
-    **how: Any,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    **settings: Any,
 ) -> Front:
     """Search the Pareto front of two metrics.
 
@@ -105,7 +109,7 @@ def pareto(
         against: the metric that each row limits.
         points: how many limits, evenly spaced in the logarithm, from the least that is found to where `better` is
             best, within the settings' own limit on `against`.
-        how: law, metrics and engine as of `tuning.tune`, as are out and progress; and keys of the settings.
+        law, metrics, engine, out, progress, settings: as of `tuning.tune`.
 
     Raises:
         ConfigError: no walk meets the constraints, a metric that cannot be weighed, or one against itself.
@@ -113,7 +117,7 @@ def pareto(
     """
     given = {"better": better, "against": against, "points": points}
     asked = Pareto().changed({name: value for name, value in given.items() if value is not None})
-    walks, settings = tune.walks_and_settings(how)
+    walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine}
     settled = (search or Search()).changed(settings)
     return run(problem_of(scenario, settled, asked, **walks), settled, asked, out=out, progress=progress)
 

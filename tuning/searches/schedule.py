@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ import xarray as xr
 import yaml
 
 import mjx_climb as mc
+from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics import STANDARD_GRAVITY as EARTH
 from mjx_climb.files import dataset
 from mjx_climb.quantities.parameters import own_parameters
@@ -69,7 +70,10 @@ def schedule(
     cargo: Sequence[float] | None = None,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
-    **how: Any,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    **settings: Any,
 ) -> Scheduled:
     """Tune gains for every pair of gravity and cargo.
 
@@ -80,7 +84,7 @@ def schedule(
         search: space, bounds, weights, limits and seed (the method is not used).
         gravity: G, ascending; the default of this and the next as of `tuning.problem.search.Schedule`.
         cargo: kg, ascending.
-        how: law, metrics and engine as of `tuning.tune`, as are out and progress; and keys of the settings.
+        law, metrics, engine, out, progress, settings: as of `tuning.tune`.
 
     Raises:
         ConfigError: operating points that are not in order, or pd has no value of a metric that is weighed.
@@ -88,7 +92,7 @@ def schedule(
     """
     given = {"gravity": gravity, "cargo": cargo}
     asked = Schedule().changed({name: tuple(values) for name, values in given.items() if values is not None})
-    walks, settings = tune.walks_and_settings(how)
+    walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine}
     points = operating_points(scenario, (search or Search()).changed(settings), asked, **walks)
     return run(points, out=out, progress=progress)
 

@@ -93,26 +93,23 @@ def robust(
     judges: int = Judge().members,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
-    **how: Any,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    **settings: Any,
 ) -> Robust:
     """Search the gains that do best over an ensemble: `tuning.tune`, whose arguments these are, with its walks.
 
     Where no weights are given, those of a plain search and the peak pulling force count alike. `judges` is how many
-    walks of a fresh draw test the result; `how`: law, metrics and engine as of `tuning.tune`, and keys of the settings.
+    walks of a fresh draw test the result.
     `robust(scenario, ensemble, out="results/mine").write("results/mine")` is `mjx-climb tune --ensemble`.
     """
-    walks, settings = walks_and_settings(how)
+    walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine}
     wanted = over_ensemble(search, settings, ensemble)
-    wanted = for_this_machine(scenario, wanted, (search, settings.get("method")), walks.get("law"))
+    wanted = for_this_machine(scenario, wanted, (search, settings.get("method")), law)
     found = run(problem_of(scenario, wanted, ensemble=ensemble, **walks), wanted, out=out, progress=progress)
     assert isinstance(found, Robust)
     return dataclasses.replace(found, judges=judges)
-
-
-def walks_and_settings(how: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return law, metrics and engine as far as they are given, and the other keywords, which are those of settings."""
-    walks = {name: how[name] for name in ("law", "metrics", "engine") if name in how}
-    return walks, {name: value for name, value in how.items() if name not in walks}
 
 
 def over_ensemble(settings: Search | None, changes: Mapping[str, Any], ensemble: Ensemble) -> Search:
