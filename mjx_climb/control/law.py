@@ -20,6 +20,8 @@ from jax import Array
 
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
 
+LONG = 1e3  # s, the times of a reference whose limbs are not said to swing
+
 
 class Measurement(NamedTuple):
     """What the robot's sensors measure, and the base pose that it estimates from them; world axes."""
@@ -39,6 +41,8 @@ class Reference(NamedTuple):
     base_position: Array  # (3,) m, of the base's centre of mass
     base_orientation: Array  # (4,) wxyz, base to world: the axes of the reference
     foot_position: Array  # (limb, 3) m
+    until_lift_off: Array | float = LONG  # (limb,) s, until the gripper opens next; 0 in a swing
+    since_touchdown: Array | float = LONG  # (limb,) s, since the gripper shut last; 0 in a swing
 
 
 class Command(NamedTuple):
@@ -165,7 +169,7 @@ class PD(Law):
 
     def step(self, state: tuple[()], measured: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
         """Return the reference as it is."""
-        return state, Command(*reference, jnp.zeros_like(reference.base_position, shape=6))
+        return state, Command(*reference[:3], jnp.zeros_like(reference.base_position, shape=6))
 
 
 def begin(law: Law, start: Start) -> Any:
@@ -174,7 +178,7 @@ def begin(law: Law, start: Start) -> Any:
     Raises:
         ValueError: `step`, traced once, returns another structure, shape or type than `init`, or no `Command`.
     """
-    position, _, feet = start.reference
+    position, _, feet = start.reference[:3]
 
     def as_array(leaf: Any) -> Array:
         array = jnp.asarray(leaf)
@@ -185,7 +189,7 @@ def begin(law: Law, start: Start) -> Any:
     six, support = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool)
     measured = Measurement(*start.reference[:2], position, position, feet, six, support)
     found = jax.eval_shape(law.step, state, measured, start.reference)
-    wanted = {"a state like that of init": state, "the command": Command(*start.reference, six)}
+    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields
         one, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))

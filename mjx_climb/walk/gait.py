@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.control import Reference
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
 from mjx_climb.quantities.parameters import Parameters, stance_steps, whole_steps
 from mjx_climb.quantities.swing import added_shapes, lift, rest_to_rest
@@ -34,6 +35,8 @@ class Schedule(NamedTuple):
     swing_phase: Array  # (limb,) in [0, 1) while swinging
     closed: Array  # (limb,) bool: the gripper is commanded shut
     foothold: Array  # (limb,) number of the foothold below the foot: the next one from the middle of a swing on
+    until_lift_off: Array  # (limb,) steps until the gripper opens next; 0 in a swing
+    since_touchdown: Array  # (limb,) steps since the gripper shut last; 0 in a swing
 
 
 def plan(
@@ -69,12 +72,17 @@ def schedule(plan: Plan, step: Array) -> Schedule:
     cycle = jnp.floor((step + 0.5) / plan.cycle_steps)
     in_cycle = step - cycle * plan.cycle_steps
     since_lift_off = jnp.mod(in_cycle - plan.swing_offset, plan.cycle_steps)
+    closed = since_lift_off >= plan.swing_steps
+    # a limb that has not swung yet has stood since a cycle before the walk begins
+    stood = since_lift_off - plan.swing_steps + jnp.where(step < plan.swing_offset, plan.cycle_steps, 0.0)
     return Schedule(
         cycle=cycle,
         cycle_phase=in_cycle / plan.cycle_steps,
         swing_phase=since_lift_off / plan.swing_steps,
-        closed=since_lift_off >= plan.swing_steps,
+        closed=closed,
         foothold=cycle + (in_cycle - plan.swing_offset >= plan.swing_steps / 2),
+        until_lift_off=jnp.where(closed, plan.cycle_steps - since_lift_off, 0.0),
+        since_touchdown=jnp.where(closed, stood, 0.0),
     )
 
 
@@ -104,6 +112,20 @@ def first_footholds(plan: Plan) -> Array:
 def planned_start(plan: Plan, cycle: Array) -> Array:
     """Return where the gait plans the base at the start of a cycle, (3,) m in world axes."""
     return _raised(plan.base_start + cycle * plan.advance, foothold_height(plan, cycle).mean())
+
+
+def reference(plan: Plan, now: Schedule, start: Array, grip_point: Array, time_step: float) -> Reference:
+    """Return what the gait asks for: a base that began its cycle at `start` (3,) m, shut grippers where they grip.
+
+    `grip_point` is (limb, 3) m, in world axes.
+    """
+    return Reference(
+        base_position=base_reference(plan, now, start),
+        base_orientation=plan.base_orientation,
+        foot_position=foot_targets(plan, now, grip_point),
+        until_lift_off=now.until_lift_off * time_step,
+        since_touchdown=now.since_touchdown * time_step,
+    )
 
 
 def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb import execution
-from mjx_climb.control import Law, Reference
+from mjx_climb.control import Law
 from mjx_climb.dynamics import ENGINES
 from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import (
@@ -105,8 +105,9 @@ def prepare(structure: Structure, law: Law, parameters: Parameters) -> Walk:
 def begin(walk: Walk) -> Carry:
     """Return the rest stance with all grippers shut."""
     plan, robot, stages = walk.plan, walk.robot, walk.structure.stages
-    start = gait.planned_start(plan, jnp.zeros_like(plan.cycle_steps))
-    reference = Reference(start, plan.base_orientation, gait.first_footholds(plan))
+    now = gait.schedule(plan, jnp.zeros_like(plan.cycle_steps))
+    start, feet = gait.planned_start(plan, now.cycle), gait.first_footholds(plan)
+    reference = gait.reference(plan, now, start, feet, walk.structure.time_step)._replace(foot_position=feet)
     rotation, joints = quaternion_to_matrix(reference.base_orientation), jnp.asarray(robot.stance_joints)
     if plan.heights.size:  # uneven ground: the rest stance is none
         target = (reference.foot_position - reference.base_position) @ rotation
@@ -134,8 +135,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     cycle_start, start = carry.cycle_start, gait.planned_start(walk.plan, now.cycle)
     if walk.structure.base_reference == "actual":  # a cycle starts where the base is, not where the last one ended
         cycle_start = start = jnp.where(now.cycle_phase == 0, state.base_position, carry.cycle_start)
-    feet = gait.foot_targets(walk.plan, now, actual.contact.grip_point)
-    reference = Reference(gait.base_reference(walk.plan, now, start), walk.plan.base_orientation, feet)
+    reference = gait.reference(walk.plan, now, start, actual.contact.grip_point, walk.structure.time_step)
     memory, command, joints, drive = control_loop.control(
         walk.controller, carry.memory, actual, reference, step, action
     )

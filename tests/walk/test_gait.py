@@ -103,6 +103,36 @@ def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
         np.testing.assert_array_equal(np.argmax(rate, axis=0), number + 1)
 
 
+@pytest.mark.parametrize("duty", [0.75, 0.8])
+def test_a_limb_knows_when_it_lifts_off_and_when_it_touched_down(duty):
+    """Over two cycles, counted in when its gripper opens and shuts; a swinging limb has neither time.
+
+    In the cycle before the walk nothing swings: a limb that has not swung yet has stood for a cycle longer.
+    """
+    scenario = mc.load_scenario("case_1_2", {"gait.cycle": 0.5, "gait.duty": duty})
+    plan, cycle, limbs = plan_of(scenario, own_parameters(scenario)), 500, len(LIMBS)
+    opens = np.array([round(scenario.gait.lift_off[limb] * cycle) for limb in LIMBS])
+    shuts = opens + cycle - round(duty * cycle)
+    step = np.arange(2 * cycle)
+    expected = np.zeros((2, len(step), limbs))
+    for limb, (first, last) in enumerate(zip(opens, shuts, strict=True)):
+        shut = np.ones(5 * cycle, bool)  # beginning two cycles before the walk
+        for begin in np.array([0, 2, 3, 4]) * cycle:
+            shut[begin + first : begin + last] = False
+        for n in step:
+            after, before = shut[n + 2 * cycle :], shut[: n + 2 * cycle + 1][::-1]
+            expected[:, n, limb] = np.argmin(after), max(np.argmin(before) - 1, 0)
+
+    def reference_of(n):
+        start, feet = plan.base_start, gait.first_footholds(plan)
+        return gait.reference(plan, gait.schedule(plan, n), start, feet, STEP)
+
+    found = jax.jit(jax.vmap(reference_of, axis_size=len(step)))(jnp.asarray(step))
+    for own, times in zip((found.until_lift_off, found.since_touchdown), expected * STEP, strict=True):
+        np.testing.assert_allclose(own, times, atol=1e-9)
+    assert expected.max(1).min() > 0.5 * cycle
+
+
 @pytest.mark.slow
 def test_a_batch_walks_the_gait_of_one_robot():
     """And no two limbs swing in one step: a swing of 256 steps of 1022 would begin before the last one ends."""

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.control import Law, Reference, law_of
+from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics
 from mjx_climb.dynamics.kinematics import limb_frames
@@ -278,14 +278,14 @@ def _stance(walk: Walk, step: Array) -> Carry:
     """Return a robot that stands as it should at a step, and has never been otherwise."""
     plan, carry = walk.plan, begin(walk)
     now = gait.schedule(plan, step)
-    base = gait.base_reference(plan, now, gait.planned_start(plan, now.cycle))
     grip = plan.footholds + now.foothold[:, None] * plan.advance
     grip = grip.at[:, 2].add(gait.foothold_height(plan, now.foothold))
-    reference = Reference(base, plan.base_orientation, gait.foot_targets(plan, now, grip))
+    start = gait.planned_start(plan, now.cycle)
+    reference = gait.reference(plan, now, start, grip, walk.structure.time_step)
     rotation = quaternion_to_matrix(plan.base_orientation)
-    target = (reference.foot_position - base) @ rotation
+    target = (reference.foot_position - reference.base_position) @ rotation
     joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
-    state = dataclasses.replace(carry.state, base_position=base, joint_angles=joints)
+    state = dataclasses.replace(carry.state, base_position=reference.base_position, joint_angles=joints)
     contact = carry.contact._replace(grip_point=grip, touching=now.closed)
     if walk.structure.stages.rotational:  # grips hold the attitudes that feet have now
         frames = limb_frames(walk.robot, rotation, joints)
