@@ -33,6 +33,9 @@ class Measurement(NamedTuple):
     foot_force: Array  # (limb, 3) N, of the ground on the foot
     wrench: Array  # (6,) N, N m: `w = J_b^T F_e`, moments about the base's centre of mass
     support: Array  # (limb,) bool: the gripper is shut and holds
+    joint_angles: Array | float = 0.0  # (limb, joint) rad, of the servos' encoders
+    joint_rates: Array | float = 0.0  # (limb, joint) rad/s
+    joint_torque: Array | float = 0.0  # (limb, joint) N m, of the motors in the time step before, from their current
 
 
 class Reference(NamedTuple):
@@ -59,6 +62,7 @@ class Start(NamedTuple):
 
     period: float | Array  # () s, from one step of the law to the next
     reference: Reference  # at the start
+    joint_angles: Array | None = None  # (limb, joint) rad; None: not known
 
 
 def shifted(reference: Reference, displacement: Array, turn: Array | None = None) -> Command:
@@ -172,7 +176,19 @@ class PD(Law):
         return state, Command(*reference[:3], jnp.zeros_like(reference.base_position, shape=6))
 
 
+class Beginning(NamedTuple):
+    """What is known of a law before its first step."""
+
+    state: Any
+    reads_servos: bool  # whether its step looks at what the joints' servos report
+
+
 def begin(law: Law, start: Start) -> Any:
+    """Return the state of a law at the start of a walk, see `beginning`."""
+    return beginning(law, start).state
+
+
+def beginning(law: Law, start: Start) -> Beginning:
     """Return the state of a law at the start of a walk, as arrays, real ones in the precision of the reference.
 
     Raises:
@@ -187,12 +203,16 @@ def begin(law: Law, start: Start) -> Any:
 
     state = jax.tree.map(as_array, law.init(start))
     six, support = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool)
-    measured = Measurement(*start.reference[:2], position, position, feet, six, support)
-    found = jax.eval_shape(law.step, state, measured, start.reference)
+    joints = jnp.zeros_like(feet) if start.joint_angles is None else start.joint_angles
+    measured = Measurement(*start.reference[:2], position, position, feet, six, support, joints, joints, joints)
+    program, found = jax.make_jaxpr(law.step, return_shape=True)(state, measured, start.reference)
     wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields
         one, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
         if jax.tree.flatten(one) != jax.tree.flatten(other):
             raise ValueError(f"{type(law).__name__}.step: expected {what}, {one}, got {other}")
-    return state
+    last = len(jax.tree.leaves((state, measured)))
+    servos = program.jaxpr.invars[last - 3 : last]
+    read = [*program.jaxpr.outvars, *(variable for equation in program.jaxpr.eqns for variable in equation.invars)]
+    return Beginning(state, any(variable is servo for variable in read for servo in servos))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.control import Command, Law, Measurement, Reference, Start, shifted
-from mjx_climb.control import begin as begin_law
+from mjx_climb.control.law import beginning
 from mjx_climb.dynamics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 from mjx_climb.dynamics.kinematics import Feet, Turning, base_wrench_of_foot_force
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
@@ -62,6 +62,14 @@ class Memory(NamedTuple):
     targets: signals.Buffer  # of joint targets (limb, joint) rad
     servo: servo.Servo
     posture: Any  # (limb, joint) rad, the joint angles last solved for, () where there is a closed form
+    reports: Any  # `Reports`, () where the law does not read them
+
+
+class Reports(NamedTuple):
+    """What the servos send back over the bus."""
+
+    buffers: tuple[signals.Buffer, ...]  # of angles, rates and torques
+    torque: Array  # (limb, joint) N m, of the motors in the step before
 
 
 class Actual(NamedTuple):
@@ -89,8 +97,10 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         command = Command(state.base_position, state.base_orientation, feet, no_wrench)
         held = Held(command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else ())
     base = sensors.true_base(state) if stages.base_delay else ()
+    law, reads_servos = beginning(controller.law, Start(hardware.law_period, reference, angles))
+    reported = tuple((value,) * stages.command_delay for value in (angles, state.joint_rates, no_torque))
     return Memory(
-        law=begin_law(controller.law, Start(hardware.law_period, reference)),
+        law=law,
         force_sensor=sensors.ForceSensor((no_force,) * stages.force_delay, no_force if stages.force_filter else ()),
         filtered=(no_force, no_wrench) if stages.sampled_filter else (),
         base_estimate=tuple((value,) * stages.base_delay for value in base),
@@ -98,6 +108,7 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         targets=(angles,) * stages.command_delay,
         servo=servo.Servo((no_torque,) * stages.servo_delay, no_torque if stages.dry_friction else ()),
         posture=angles if isinstance(controller.geometry, Chain) else (),
+        reports=Reports(reported, no_torque) if reads_servos else (),
     )
 
 
@@ -143,7 +154,8 @@ def control(
         error = error - jnp.clip(error, -play, play)
     torque = jnp.asarray(gains.kp * error - gains.kd * state.joint_rates)
     servos, drive = servo.driven(memory.servo, torque, state.joint_rates, hardware)
-    memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture)
+    reports = memory.reports._replace(torque=drive.motor_torque) if memory.reports else ()
+    memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture, reports=reports)
     return memory, command, joints, drive
 
 
@@ -163,8 +175,20 @@ def _measure(
             force, wrench = signals.held(into == 0, (force, wrench), filtered)
         filtered = force, wrench
     buffers, base = sensors.estimated_base(memory.base_estimate, sensors.true_base(actual.state), step, hardware)
-    memory = memory._replace(force_sensor=sensor, filtered=filtered, base_estimate=buffers)
-    return memory, Measurement(*base, force, wrench, actual.grip.support)
+    reports, joints = _reported(hardware, memory.reports, actual.state)
+    memory = memory._replace(force_sensor=sensor, filtered=filtered, base_estimate=buffers, reports=reports)
+    return memory, Measurement(*base, force, wrench, actual.grip.support, *joints)
+
+
+def _reported(hardware: Hardware, reports: Any, state: State) -> tuple[Any, tuple[Array, ...]]:
+    """Return what is remembered of the servos' reports, and angles, rates and torques as the law gets them."""
+    if not reports:  # nobody looks at them
+        return (), (state.joint_angles, state.joint_rates, jnp.zeros_like(state.joint_rates))
+    joints, buffers = (state.joint_angles, state.joint_rates, reports.torque), reports.buffers
+    if hardware.stages.command_delay:
+        late = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, joints, strict=True)]
+        buffers, joints = zip(*late, strict=True)
+    return reports._replace(buffers=buffers), joints
 
 
 def _solve(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import PD
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.scenario.load import load_hardware, with_hardware
 
@@ -47,6 +48,33 @@ def parameters_of(scenario, robots, seed=3):
     changes = {name: getattr(own, name) * rng.uniform(0.5, 1.0, robots) for name in VARIED}
     changes |= {"control_period": rng.choice([0.002, 0.005, 0.007], robots), "seed": np.arange(robots) * 1.0}
     return dataclasses.replace(own, **changes)
+
+
+class Showing(PD):
+    """The baseline, which says it shifts the base by what it is told of two joints: a walk keeps that."""
+
+    def step(self, state, measured, reference):
+        seen = jnp.stack([measured.joint_angles, measured.joint_rates, measured.joint_torque])
+        return state, super().step(state, measured, reference)[1]._replace(base_displacement=seen[:, 1, :2].ravel())
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0024])
+def test_a_law_is_told_of_the_joints_by_the_bus(delay):
+    """Angles and rates of this step and the motors' torque of the one before, late as the targets, once a period."""
+    scenario = mc.load_scenario("case_1_2", EVERYTHING | {"duration": 0.05})
+    scenario = scenario.with_overrides({"hardware.command_delay": delay, "control.controller": "pd"})
+    walk = mc.rollout(scenario, law=Showing(), dtype=np.float64)
+    own = np.stack([walk.joint_angles, walk.joint_rates, walk.joint_torque], axis=1)[:, :, 1, :2].reshape(-1, 6)
+    own[:, 4:] = np.vstack([np.zeros((1, 2)), own[:-1, 4:]])
+    rest = np.array([*own[0, :2], 0, 0, 0, 0])  # it has always rested
+    before, share = int(delay * 1000), delay * 1000 % 1
+    padded = np.vstack([rest] * (before + 1) + [own])
+    told = [(1 - share) * padded[n + 1] + share * padded[n] for n in range(len(own))]
+    told = np.array(told)[np.arange(len(own)) // 5 * 5]
+    np.testing.assert_allclose(walk.base_displacement, told, rtol=1e-9, atol=1e-12)
+    assert np.ptp(told, axis=0).min() > 1e-5
+    reports = [mc.Simulation(scenario, law).reset().carry.memory.reports for law in (Showing(), PD())]
+    assert len(jax.tree.leaves(reports[0])) == 1 + 3 * (4 if delay else 0) and reports[1] == ()
 
 
 @pytest.mark.slow
