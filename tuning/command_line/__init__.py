@@ -14,7 +14,9 @@ def main(arguments: list[str] | None = None) -> None:
     import os
     import sys
     import traceback
+    import warnings
 
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"  # not where in the code it came up
     atexit.register(gc.freeze)  # at its end Python looks for garbage among all that is left: 0.6 s
     gc.set_threshold(10_000, 10, 100)  # at its own pace it looks for garbage among all that was just imported
 
