@@ -32,8 +32,10 @@ from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.stance import check_stance
+from mjx_climb.rollouts.gait_values import gait_of, scenario_with_gait
 from mjx_climb.rollouts.resolve import (
     AnyGains,
+    by_name,
     check_robots,
     checked,
     is_traced,
@@ -164,7 +166,7 @@ class Simulation:
         shape = self._structure(resolved.parameters)
         samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters)
         return Trajectory(
-            scenario=self.scenario,
+            scenario=scenario_with_gait(self.scenario, {} if gains is None else by_name(gains)),
             gains=recorded(self.scenario, gains, resolved),
             parameters=jax.tree.map(functools.partial(np.asarray, dtype=dtype), resolved.own),
             limbs=load_robot(self.scenario.robot).limbs,
@@ -342,8 +344,10 @@ class Simulation:
         change.
 
         Raises:
-            ValueError: gains that the law does not have, or cannot have, or for more robots than there are.
+            ValueError: gains that the law does not have, or cannot have, or for more robots than there are; a gait.
         """
+        if gait := gait_of(by_name(gains)):
+            raise ValueError(f"gains.{next(iter(gait))}: expected none, a robot that walks keeps its gait")
         shape = state.step.shape
         resolved = resolve(self.scenario, state.law, gains, state.parameters, state.parameters.kp.dtype)
         if resolved.shape != shape:

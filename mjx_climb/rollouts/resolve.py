@@ -16,6 +16,7 @@ from mjx_climb.control import PD, Law
 from mjx_climb.dynamics.spatial import namespace
 from mjx_climb.quantities.batches import batch_shape, own_axes
 from mjx_climb.quantities.parameters import Gains, Parameters, check_ranges, own_parameters, with_whole_steps
+from mjx_climb.rollouts.gait_values import GAIT, TIMES, with_gait
 from mjx_climb.scenario.model import Scenario
 
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name
@@ -30,7 +31,7 @@ class Resolved(NamedTuple):
     law: Law
     parameters: Parameters  # with the joint gains that were given, and with times that are whole time steps
     shape: tuple[int, ...]
-    own: Parameters  # as they were given, without either
+    own: Parameters  # as they were given, with the gait among the gains, without either of these
 
     @property
     def axes(self) -> tuple[Law, Parameters]:
@@ -46,7 +47,7 @@ def resolve(
     dtype: DTypeLike,
     xp: ModuleType = jnp,
 ) -> Resolved:
-    """Return the law with the gains given in place of its own, and parameters with the joint gains among them.
+    """Return the law with the gains given in place of its own, and parameters with joint gains and gait among them.
 
     Parameters are the scenario's where there are none; all are arrays of a precision, of JAX or of NumPy (`xp`).
 
@@ -59,6 +60,7 @@ def resolve(
     own = own_parameters(scenario) if parameters is None else parameters
     check_ranges(own)
     values = _values_by_name(law, gains)
+    own = with_gait(scenario, own, {key: _checked(f"gains.{key}", values.pop(key), 1) for key in GAIT if key in values})
     joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
     law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
     parameters = jax.tree.map(array, with_whole_steps(own, scenario.time_step))
@@ -175,14 +177,14 @@ def by_name(gains: AnyGains) -> dict[str, Any]:
 def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
     """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
     values = dict(gains or {}) if isinstance(gains, Mapping | None) else by_name(gains)
-    if isinstance(gains, Gains):
+    known = [*law.GAINS, *_JOINT_LOOP]
+    if values.keys() >= Gains.AXES.keys():  # those of the paper, whatever else stands beside them
         for name, field in law.GAINS.items():
             if field.length == 3 and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
-                values[name] = values[name][..., :3]
-        if isinstance(law, PD):
-            return values
-    known = [*law.GAINS, *_JOINT_LOOP]
-    if unknown := [name for name in values if name not in known]:
+                own = values[name]
+                values[name] = (own if isinstance(own, jax.Array) else np.asarray(own))[..., :3]
+        known += Gains.AXES if isinstance(law, PD) else ()
+    if unknown := [name for name in values if name not in known and name not in GAIT]:
         names = f"{', '.join(known)}, the gains of {type(law).__name__}"
         raise ValueError(f"gains.{unknown[0]}: expected one of {names}")
     return values
@@ -215,7 +217,7 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
     """Return rates of gains (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number.
 
     Raises:
-        ValueError: in one line, `kp` or `kd` in one of two `Gains` alone.
+        ValueError: in one line, `kp` or `kd` in one of two `Gains` alone, or a time of the gait that changes.
     """
     if isinstance(gains, Gains) and isinstance(directions, Gains):
         for name, rates in vars(directions).items():
@@ -223,8 +225,11 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
                 so = f"rates of change, as gains.{name} is given" if rates is None else f"None, as gains.{name} is"
                 raise ValueError(f"directions.{name}: expected {so}, got {'None' if rates is None else 'rates'}")
     law, shape, dtype, found = resolved.law, resolved.shape, resolved.parameters.kp.dtype, {}
-    lengths = {name: field.length for name, field in law.GAINS.items()} | {"kp": 1, "kd": 1}
-    given = _values_by_name(law, directions)
+    given = {GAIT.get(name, name): rates for name, rates in _values_by_name(law, directions).items()}
+    for key in TIMES:
+        if np.any(given.pop(GAIT[key], 0.0)):
+            raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
+    lengths = {"kp": 1, "kd": 1} | dict.fromkeys(GAIT.values(), 1) | {n: own.length for n, own in law.GAINS.items()}
     for name in (name for name in given if name in lengths):
         value, own = np.asarray(given[name], dtype), (lengths[name],) if lengths[name] > 1 else ()
         (number, *batch) = value.shape[: value.ndim - len(own)]

@@ -1,0 +1,75 @@
+"""The gait among the gains: the walk is that of a scenario with these values; what no gait could have is refused."""
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+
+SHORT = mc.load_scenario("case_1_2", {"duration": 0.6, "gait.cycle": 1.0, "gait.stride": 0.02})
+GAIT = {"gait.duty": 0.8, "gait.cycle": 0.76, "gait.step_height": 0.02}
+WALKED = SHORT.with_overrides(GAIT | {"gait.stride": 0.02 * 0.76})
+PAPER = {"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}
+
+
+def test_the_walk_is_that_of_the_scenario_with_these_values():
+    """Bit by bit, at the same speed of travel, whatever law has the other gains; the walk says which gait it had."""
+    walk, same = mc.rollout(SHORT, {"kp": 40.0, **GAIT}), mc.rollout(WALKED, {"kp": 40.0})
+    assert walk.scenario == WALKED
+    np.testing.assert_array_equal(walk.foot_force, same.foot_force)
+    assert not np.array_equal(walk.foot_force, mc.rollout(SHORT, {"kp": 40.0}).foot_force)
+    again = mc.rollout(walk.scenario, walk.gains, walk.parameters)
+    np.testing.assert_array_equal(walk.base_position, again.base_position)
+
+
+def test_a_batch_of_gaits_is_walked_side_by_side():
+    """A cycle between two time steps counts as the nearer one; a stride that is given is kept."""
+    pd = SHORT.with_overrides(["control.controller=pd"])
+    cycle, height = np.array([0.76, 0.7603, 1.0]), np.array([0.02, 0.02, 0.03])
+    found = mc.rollout_metrics(pd, {**PAPER, "gait.cycle": cycle, "gait.step_height": height})
+    kept = mc.rollout_metrics(pd, {"gait.cycle": cycle, "gait.stride": 0.02, "gait.step_height": height})
+    for name in ("travel", "peak_foot_force", "force_variation"):
+        assert found[name][0] == found[name][1] != found[name][2]
+        assert kept[name][0] != found[name][0]
+        np.testing.assert_allclose(kept[name][2], found[name][2], rtol=1e-4)  # another program
+    scenarios = [pd.with_overrides({"gait.cycle": 0.76, "gait.stride": 0.0152, "gait.step_height": 0.02}), pd]
+    for row, scenario in zip((0, 2), scenarios, strict=True):
+        for name, value in mc.rollout_metrics(scenario).items():
+            np.testing.assert_allclose(found[name][row], value, rtol=1e-4, atol=1e-5, err_msg=name)
+
+
+def test_the_step_height_has_a_derivative_and_times_have_none():
+    gains = {"damping": 5e3, "gait.step_height": 0.02}
+    rates = {"damping": np.zeros((1, 6)), "gait.step_height": np.ones(1)}
+    _, slopes = mc.rollout_jvp(SHORT, gains, rates, dtype=np.float64)
+    ends = [mc.rollout_metrics(SHORT, gains | {"gait.step_height": 0.02 + h}, dtype=np.float64) for h in (1e-6, -1e-6)]
+    for name in ("force_variation", "cost_of_transport"):
+        np.testing.assert_allclose(slopes[name][0], (ends[0][name] - ends[1][name]) / 2e-6, rtol=1e-4)
+    with pytest.raises(ValueError, match=r"^directions\.gait\.duty: expected none, as it is counted in whole time"):
+        mc.rollout_jvp(SHORT, {"gait.duty": 0.8}, {"gait.duty": np.ones(1)})
+
+
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        ({"gait.duty": 0.6}, r"gains\.gait\.duty: expected a number from 0\.75 to below 1, so that one swing"),
+        ({"gait.duty": [0.8, 1.0]}, r"gains\.gait\.duty: expected a number above 0 and below 1, got 1"),
+        ({"gait.duty": 0.9999}, r"gains\.gait\.duty: expected a swing, .* of two time steps"),
+        ({"gait.cycle": 1e-5}, r"gains\.gait\.cycle: expected a finite number above 0, got 0"),
+        ({"gait.step_height": -0.1}, r"gains\.gait\.step_height: expected finite numbers above 0, got -0\.1"),
+        ({"gait.cycle": np.nan}, r"gains\.gait\.cycle: expected finite numbers above 0, got nan"),
+        ({"gait.heading": 0.1}, r"gains\.gait\.heading: expected one of inertia, damping, stiffness, kp, kd, the"),
+    ],
+)  # fmt: skip
+def test_what_no_gait_could_have_is_refused_in_one_line(gains, message):
+    with pytest.raises(ValueError, match=rf"^{message}") as refused:
+        mc.rollout_metrics(SHORT, gains)
+    assert "\n" not in str(refused.value)
+
+
+def test_swings_worked_out_for_one_stride_keep_it_and_a_robot_that_walks_its_gait():
+    low = SHORT.with_overrides(["gait.swing=low_reaction"])
+    with pytest.raises(ValueError, match=r"^gains\.gait\.cycle: expected none where gait\.swing is worked out"):
+        mc.rollout_metrics(low, {"gait.cycle": 0.76})
+    simulation = mc.Simulation(SHORT)
+    with pytest.raises(ValueError, match=r"^gains\.gait\.duty: expected none, a robot that walks keeps its gait"):
+        simulation.with_gains(simulation.reset(), {"gait.duty": 0.8})
