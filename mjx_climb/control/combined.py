@@ -1,0 +1,113 @@
+"""A control law that is the sum of two: each sees the same measurement, and what they command adds up.
+
+```python
+law = combined(VirtualModelAdmittance(damping=1e2), EndEffectorAdmittance(damping=1e3))
+```
+"""
+
+import dataclasses
+import functools
+import re
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start
+from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply
+
+
+class Part(NamedTuple):
+    """A law that is part of another, whose gains are among that one's."""
+
+    kind: type[Law]
+    names: tuple[tuple[str, str], ...]  # of its fields: its own, and the one that the whole has for it
+
+    def of(self, whole: Law) -> Any:
+        """Return the part of a law."""
+        return self.kind(**{own: getattr(whole, name) for own, name in self.names})
+
+    def bounds(self, whole: Law, period: float) -> dict[str, tuple[float, float]]:
+        """Return where searches of a law look for the gains of its part."""
+        names = dict(self.names)
+        found: dict[str, tuple[float, float]] = {}
+        for key, bounds in self.of(whole).search_bounds(period).items():
+            name, dot, axes = key.partition(".")
+            found[f"{names[name]}{dot}{axes}"] = bounds
+        return found
+
+
+class Sum(Law):
+    """The sum of two laws, made by `combined`: `x = x_ref + dx_1 + dx_2` of base and feet, `q = q_1 q_ref^* q_2`.
+
+    dx is what a law commands less the reference, of which the base's axes of both are; rotations follow each other.
+    """
+
+    PARTS: ClassVar[tuple[Part, ...]] = ()
+
+    def init(self, start: Start) -> tuple[Any, ...]:
+        """Return the states of both."""
+        return tuple(part.of(self).init(start) for part in self.PARTS)
+
+    def step(self, state: Any, measured: Measurement, reference: Reference) -> tuple[tuple[Any, ...], Command]:
+        """Let both take their step, and add up what they command."""
+        steps = [part.of(self).step(own, measured, reference) for part, own in zip(self.PARTS, state, strict=True)]
+        (one, first), (other, second) = steps
+        back = quaternion_conjugate(reference.base_orientation)
+        command = Command(
+            base_position=first.base_position + (second.base_position - reference.base_position),
+            base_orientation=quaternion_multiply(
+                first.base_orientation, quaternion_multiply(back, second.base_orientation)
+            ),
+            foot_position=first.foot_position + (second.foot_position - reference.foot_position),
+            base_displacement=first.base_displacement + second.base_displacement,
+        )
+        return (one, other), command
+
+    def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
+        """Return where the searches of both look."""
+        return {key: pair for part in self.PARTS for key, pair in part.bounds(self, period).items()}
+
+
+def combined(first: Law, second: Law) -> Law:
+    """Return the law that is the sum of two, an instance of a class `FIRST+SECOND`, the same for the same two classes.
+
+    Its gains are those of both. What both have stands under the name of the law in front: `virtual_model_damping`,
+    `end_effector_damping`; of two laws of one class, `first_damping`, `second_damping`.
+    """
+    laws: Any = first, second
+    kind = _sum_of(*map(type, laws))
+    return kind(**{name: getattr(law, own) for law, part in zip(laws, kind.PARTS, strict=True)
+                   for own, name in part.names})  # fmt: skip
+
+
+@functools.cache
+def _sum_of(first: type[Any], second: type[Any]) -> type[Sum]:
+    owns = [{field.name: field for field in dataclasses.fields(kind)} for kind in (first, second)]
+    shared, places = owns[0].keys() & owns[1].keys(), [_prefix(first), _prefix(second)]
+    if places[0] == places[1]:
+        places = ["first", "second"]
+    fields: dict[str, Any] = {}
+    parts: list[Part] = []
+    for kind, own, place in zip((first, second), owns, places, strict=True):
+        names = {name: f"{place}_{name}" if name in shared else name for name in own}
+        fields |= {names[name]: field for name, field in own.items()}
+        parts.append(Part(kind, tuple(names.items())))
+    made: type[Sum] = law_class(f"{first.__qualname__}+{second.__qualname__}", Sum, fields, PARTS=tuple(parts))
+    return made
+
+
+def law_class(name: str, base: type[Any], fields: Mapping[str, Any], **attributes: Any) -> Any:
+    """Return a class of laws with a name, whose fields are copies of those of other laws, by keyword alone."""
+    copies = {
+        name: dataclasses.field(
+            default=field.default, default_factory=field.default_factory, metadata=field.metadata, kw_only=True
+        )
+        for name, field in fields.items()
+    }
+    body = {"__module__": base.__module__, "__annotations__": dict.fromkeys(copies, Any), **copies, **attributes}
+    return type(name, (base,), body)
+
+
+def _prefix(kind: type[Law]) -> str:
+    """Return the name of a law in front of its gains."""
+    words = kind.__name__.removesuffix("Admittance") or kind.__name__
+    return re.sub(r"\W+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", words)).lower()
