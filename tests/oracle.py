@@ -42,7 +42,7 @@ class Gait:
         self.cycle = round(gait.cycle / scenario.time_step)
         self.swing = int(round((1 - gait.duty) * self.cycle, 6))  # limbs in turn never swing together
         self.offset = np.array([round(gait.lift_off[limb] * self.cycle) for limb in walk.limbs])
-        self.step_height, turn = gait.step_height, Rotation.from_euler("z", gait.heading)
+        self.settling, self.step_height, turn = gait.settling, gait.step_height, Rotation.from_euler("z", gait.heading)
         self.advance, self.feet, self.base = turn.apply([gait.stride, 0, 0]), turn.apply(feet), turn.apply(base)
         self.actual, self.start = gait.base_reference == "actual", None
         given = dict(scenario.ground.footholds.items()) if scenario.ground.footholds is not None else {}
@@ -64,7 +64,7 @@ class Gait:
         if within == 0 or not self.actual:
             self.start = base if self.actual else self.base + cycle * self.advance + old.mean() * Z
         way = self.advance + (new.mean() - old.mean()) * Z
-        phase = np.where(shut, 0, since / self.swing)
+        phase = np.where(shut, 0, np.minimum(since / self.swing / (1 - self.settling), 1))
         feet = self.feet + cycle * self.advance + rest_to_rest(phase)[:, None] * self.advance
         end = np.where(phase < 0.5, old, new)
         top = np.maximum(old, new) + self.step_height

@@ -85,6 +85,7 @@ class Parameters:
     step_height: _Scalar = _of("gait.step_height", "m", "step height")
     cycle: _Scalar = _of("gait.cycle", "s", "gait cycle")
     duty: _Scalar = _of("gait.duty", "1", "duty")
+    settling: _Scalar = _of("gait.settling", "1", "share of a swing in which the foot waits")
     heading: _Scalar = _of("gait.heading", "rad", "heading")
     foothold_height: Real[_Values, "... limbs N"] = _of(None)  # (limb, N) m, in order; N = 0: flat ground
     swing_path: Real[_Values, "... limbs 3 K"] = _of(

@@ -93,7 +93,7 @@ def swing_reaction(
     stance where None.
     """
     robot, (phase, derivative, weight) = load_robot(name), _samples(nodes)
-    span = (1 - gait.duty) * gait.cycle
+    span = (1 - gait.settling) * (1 - gait.duty) * gait.cycle
     rotation = quaternion_to_matrix(robot.stance_orientation)
     rest = limb_frames(robot, rotation, robot.stance_joints)
 
@@ -103,7 +103,7 @@ def swing_reaction(
     foot[..., 2] += _per_sample(gait.step_height * lift(phase), foot[..., 2])
     lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
     base = np.zeros_like(foot)
-    base[..., 0] = gait.stride * rest_to_rest(lift_off + (1 - gait.duty) * _per_sample(phase, foot[..., 0]))
+    base[..., 0] = gait.stride * rest_to_rest(lift_off + span / gait.cycle * _per_sample(phase, foot[..., 0]))
 
     target = (rest.foot + foot - base) @ rotation
     geometry = limb_geometry(robot, turned)

@@ -52,6 +52,9 @@ class Gait(v.Section):
     duty: v.Duty = setting(0.75, "share of the cycle that each limb is gripped, 1")
     stride: v.Way = setting(0.05, "way of the base per cycle, m")
     step_height: v.Height = setting(0.03, "height of a swing foot's arc over the ground, m")
+    settling: v.Share = setting(
+        0.0, "share of a swing, at its end, in which the foot waits over its new foothold for the gripper to shut, 1"
+    )
     sequence: v.Swings = setting(
         ("LH", "LF", "RH", "RF"),
         "order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",

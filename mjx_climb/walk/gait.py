@@ -22,6 +22,7 @@ class Plan(NamedTuple):
     heights: Array  # (limb, N) m, of each limb's footholds in order; N = 0: flat ground
     step_height: Array  # () m
     swing_path: Array  # (limb, 3, K) m, what is added to the cubics of a swing, shape by shape; K = 0: nothing
+    settling: Array  # () share of a swing, at its end, in which the foot waits over its new foothold
     cycle_steps: Array  # () steps
     swing_steps: Array  # () steps
     swing_offset: Array  # (limb,) steps after the start of a cycle at which a limb lifts off
@@ -59,6 +60,7 @@ def plan(
         heights=jnp.asarray(parameters.foothold_height),
         step_height=step_height,
         swing_path=step_height * (turned @ parameters.swing_path),
+        settling=jnp.asarray(parameters.settling),
         cycle_steps=cycle_steps,
         swing_steps=cycle_steps - stance_steps(parameters.duty, cycle_steps),
         swing_offset=whole_steps(shares * cycle_steps, 1),
@@ -146,7 +148,7 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
     of both. What is added to the cubics is zero, with zero slope, at both ends.
     """
     # a limb on the ground has no swing: its phase runs past one
-    phase = jnp.where(now.closed, 0.0, now.swing_phase)
+    phase = jnp.where(now.closed, 0.0, jnp.minimum(now.swing_phase / (1 - plan.settling), 1.0))
     swing = plan.footholds + (now.cycle + rest_to_rest(phase))[:, None] * plan.advance
     old, new = foothold_height(plan, now.cycle), foothold_height(plan, now.cycle + 1)
     end = jnp.where(phase < 0.5, old, new)

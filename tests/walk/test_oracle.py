@@ -55,7 +55,7 @@ WALKS = {  # changes, and what is to happen
         {
             # h D / M is not 1: the measured rate counts
             "control.reading": "measured_pose", "control.damping": 300.0, "control.stiffness": 2e4,
-            "gait.base_reference": "actual",
+            "gait.base_reference": "actual", "gait.settling": 0.3,
             "hardware.base_estimate": {"delay": 0.0025, "position_noise": 1e-4, "velocity_noise": 1e-3},
             "hardware.force_sensor": {"filter": 60.0, "filtered_by": "law"}, "hardware.control_period": 0.002,
         },

@@ -97,7 +97,7 @@ class Walker:
         # where base and feet should be, then the joints
         target = self.anchor.copy()
         for limb in np.flatnonzero(swinging):
-            phase = since[limb] / self.swing
+            phase = min(since[limb] / self.swing / (1 - gait.settling), 1.0)
             curve = self.footholds[:, limb].copy()
             curve[0] += gait.stride * (cycle + _cubic(phase))
             curve[2] += gait.step_height * _cubic(2 * phase if phase < 0.5 else 2 - 2 * phase)
