@@ -106,7 +106,7 @@ def by_stance(
     walk = walk._replace(stages=walk.stages._replace(**dict.fromkeys(_NOT_LINEAR, False)))
     periods = np.ones(found.shape, int)
     if walk.stages.control_period:
-        periods[:] = np.asarray(period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))
+        periods[...] = np.asarray(period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))
     stances = linearised_at(scenario, periods.ravel(), uneven=bool(calm.foothold_height.size))
     loads = 2 if calm.cargo_mass.any() else 1
     which = np.arange(loads * stances.shape[1]) if only is None else np.array([only])

@@ -99,6 +99,14 @@ def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gai
     assert (stability_limit.spectral_radius(pauses, gains, late) > 1).tolist() == [False, True, True, True, True]
 
 
+@pytest.mark.parametrize("shape", [(), (2,)])
+def test_one_robot_and_a_batch_are_looked_at_over_their_control_period(case, monkeypatch, shape):
+    monkeypatch.setattr(stability_limit, "_radii_of", lambda walk, robots, axes, periods, first: 1.0 * periods)
+    scenario = case("case_2", "virtual_model", {"hardware.control_period": 0.004})
+    found = stability_limit.spectral_radius(scenario, mc.Gains(np.ones((*shape, 6)), 150.0, 3000.0))
+    np.testing.assert_array_equal(found, np.full(shape, 4.0))  # steps
+
+
 @pytest.mark.slow
 def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypatch):
     """Soft gains, a law at 250 Hz, a cargo from the start: 5 ms of delay are borne, 15 ms are not.
