@@ -6,6 +6,7 @@ from typing import Any
 from mjx_climb.control.admittance import EndEffectorAdmittance, MeasuredPoseAdmittance, VirtualModelAdmittance
 from mjx_climb.control.combined import combined
 from mjx_climb.control.law import PD, Command, GainField, Law, Measurement, Reference, Start, begin, gain, shifted
+from mjx_climb.control.phased import phased
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
@@ -21,7 +22,7 @@ LAWS: dict[tuple[str, str], type[Law]] = {
 
 __all__ = [
     "LAWS", "PD", "Command", "EndEffectorAdmittance", "GainField", "Law", "MeasuredPoseAdmittance", "Measurement",
-    "Reference", "Start", "VirtualModelAdmittance", "begin", "combined", "gain", "law_of", "shifted",
+    "Reference", "Start", "VirtualModelAdmittance", "begin", "combined", "gain", "law_of", "phased", "shifted",
 ]  # fmt: skip
 
 

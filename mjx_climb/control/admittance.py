@@ -4,6 +4,8 @@ w = J_b^T F_e is the wrench of the foot forces on the base, dx the shift of the 
 are taken along the axes of the base reference, so a walk turned about z is the same walk.
 """
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -110,6 +112,8 @@ class EndEffectorAdmittance(Law):
     damping: Array = gain("N s/m", length=3, bounds=(1e0, 1e5), default=5e3, long_name="virtual damping D")
     stiffness: Array = gain("N/m", length=3, bounds=(1e2, 1e6), default=5e4, long_name="virtual stiffness K")
     motion: Motion = Motion()
+
+    LIMBWISE: ClassVar[frozenset[str]] = frozenset({"inertia", "damping", "stiffness"})
 
     def init(self, start: Start) -> VirtualMass:
         """Return the virtual masses of the feet at rest, (limb, 3)."""

@@ -21,9 +21,9 @@ class Part(NamedTuple):
     kind: type[Law]
     names: tuple[tuple[str, str], ...]  # of its fields: its own, and the one that the whole has for it
 
-    def of(self, whole: Law) -> Any:
-        """Return the part of a law."""
-        return self.kind(**{own: getattr(whole, name) for own, name in self.names})
+    def of(self, whole: Law, **others: Any) -> Any:
+        """Return the part of a law; `others` are fields of its own that the whole does not have."""
+        return self.kind(**{own: getattr(whole, name) for own, name in self.names}, **others)
 
     def bounds(self, whole: Law, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches of a law look for the gains of its part."""
@@ -38,7 +38,7 @@ class Part(NamedTuple):
 class Sum(Law):
     """The sum of two laws, made by `combined`: `x = x_ref + dx_1 + dx_2` of base and feet, `q = q_1 q_ref^* q_2`.
 
-    dx is what a law commands less the reference, of which the base's axes of both are; rotations follow each other.
+    dx is what a law commands less the reference; of rotations of the base, the second follows the first.
     """
 
     PARTS: ClassVar[tuple[Part, ...]] = ()
@@ -91,7 +91,9 @@ def _sum_of(first: type[Any], second: type[Any]) -> type[Sum]:
         names = {name: f"{place}_{name}" if name in shared else name for name in own}
         fields |= {names[name]: field for name, field in own.items()}
         parts.append(Part(kind, tuple(names.items())))
-    made: type[Sum] = law_class(f"{first.__qualname__}+{second.__qualname__}", Sum, fields, PARTS=tuple(parts))
+    limbwise = frozenset(name for part in parts for own, name in part.names if own in part.kind.LIMBWISE)
+    name = f"{first.__qualname__}+{second.__qualname__}"
+    made: type[Sum] = law_class(name, Sum, fields, PARTS=tuple(parts), LIMBWISE=limbwise)
     return made
 
 

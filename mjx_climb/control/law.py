@@ -136,6 +136,8 @@ class Law:
 
     GAINS: ClassVar[Mapping[str, GainField]] = MappingProxyType({})  # by name, in the order of the fields
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType({})  # number of axes of one robot's value
+    # gains that act on each limb for itself: (limb, length) works in their place, too
+    LIMBWISE: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -1,0 +1,166 @@
+"""Gains by gait phase: other values in a swing, before a lift-off, after a touchdown, and in between.
+
+```python
+law = phased(EndEffectorAdmittance(), gains=("damping", "stiffness"))
+```
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.control.combined import Part, law_class
+from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
+
+PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
+
+
+class Phased(Law):
+    """A law some of whose gains have a value for each phase, made by `phased`; see `limb_shares`.
+
+    What the law's `init` makes of its gains, as the motion of a virtual mass in one period, is made of the values of
+    each phase, and ramped as they are.
+    """
+
+    phase_time: Array = gain(
+        "s", length=1, bounds=(1e-2, 1.0), default=0.2, long_name="time before lift-off, after touchdown",
+        searched=False,
+    )  # fmt: skip
+    phase_ramp: Array = gain(
+        "s", length=1, bounds=(5e-3, 0.5), default=0.05, long_name="time from phase to phase", searched=False
+    )
+
+    PART: ClassVar[Part]  # of the gains that are the same in all phases
+    BY_PHASE: ClassVar[tuple[str, ...]] = ()
+
+    def init(self, start: Start) -> tuple[Any, ...]:
+        """Return the law's state by the gains of each phase: the last is the one that moves."""
+        return tuple(self._law(self._values(phase)).init(start) for phase in PHASES)
+
+    def step(
+        self, states: tuple[Any, ...], measured: Measurement, reference: Reference
+    ) -> tuple[tuple[Any, ...], Command]:
+        """Let the law take its step with the gains of the present phase."""
+        limbs = limb_shares(reference, self.phase_time, self.phase_ramp)
+        of_limbs = self.PART.kind.LIMBWISE.issuperset(self.BY_PHASE)
+        shares = limbs if of_limbs else robot_shares(limbs)
+
+        def now(*of_phases: Array) -> Array:
+            *others, standing = of_phases
+            # in this form a value that is the same in all phases keeps its bits
+            weights = [share[:, None] if of_limbs else share for share in shares]
+            changes = (weight * (other - standing) for weight, other in zip(weights, others, strict=True))
+            return sum(changes, standing)
+
+        values = (self._values(phase) for phase in PHASES)
+        law = self._law(jax.tree.map(now, *values))
+        leaves, tree = jax.tree.flatten(states[-1])
+        kept = _handed_on(lambda state: law.step(state, measured, reference)[0], states[-1])
+        by_phase = zip(*map(jax.tree.leaves, states), strict=True)
+        mixed = [now(*each) if keeps else each[-1] for each, keeps in zip(by_phase, kept, strict=True)]
+        moved, command = law.step(jax.tree.unflatten(tree, mixed), measured, reference)
+        after = [old if keeps else new for old, new, keeps in zip(leaves, jax.tree.leaves(moved), kept, strict=True)]
+        return (*states[:-1], jax.tree.unflatten(tree, after)), command
+
+    def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
+        """Return where searches of the law look, for each phase alike."""
+        times = {name: self.GAINS[name].bounds for name in ("phase_time", "phase_ramp")}
+        found = dict(times)
+        for key, bounds in self._law(self._values("standing")).search_bounds(period).items():
+            name, dot, axes = key.partition(".")
+            names = [f"{name}_{phase}" for phase in PHASES] if name in self.BY_PHASE else [name]
+            found |= {f"{each}{dot}{axes}": bounds for each in names}
+        return found | times
+
+    def _values(self, phase: str) -> dict[str, Any]:
+        """Return the gains of a phase, by the names that the law has for them."""
+        return {name: jnp.asarray(getattr(self, f"{name}_{phase}")) for name in self.BY_PHASE}
+
+    def _law(self, values: dict[str, Any]) -> Law:
+        law: Law = self.PART.of(self, **values)
+        return law
+
+
+def limb_shares(reference: Reference, phase_time: Array, phase_ramp: Array) -> tuple[Array, Array, Array]:
+    """Return to what share each limb is in a swing, before its lift-off and after its touchdown, (limb,) each.
+
+    What is left to 1 is its share of standing. With `r(t) = clip(t / ramp, 0, 1)`, u the time until lift-off and s that
+    since touchdown, the ground has `g = r(u) r(s)`: a swing's values fade in before the lift-off, which is at u = 0,
+    and out after the touchdown. Of this `1 - r(u - time)` is before the lift-off, `1 - r(s - time)` of the rest is
+    after the touchdown.
+    """
+
+    def ramp(time: Array) -> Array:
+        return jnp.clip(time / phase_ramp, 0.0, 1.0)
+
+    until, since = (jnp.atleast_1d(jnp.asarray(time)) for time in (reference.until_lift_off, reference.since_touchdown))
+    ground, far = ramp(until) * ramp(since), ramp(until - phase_time)
+    return 1 - ground, ground * (1 - far), ground * far * (1 - ramp(since - phase_time))
+
+
+def robot_shares(limbs: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Return to what share the robot is in a swing, before a lift-off and after a touchdown, () each, of its limbs'.
+
+    It is before a lift-off as much as the limb that is most; after a touchdown, and then in a swing, as much as these
+    and what goes before them have the largest sum in a limb.
+    """
+    swing, before, after = limbs
+    first, second, third = before.max(), (before + after).max(), (before + after + swing).max()
+    return third - second, first, second - first
+
+
+def phased(law: Law, gains: Sequence[str], *, phase_time: Any = 0.2, phase_ramp: Any = 0.05) -> Law:
+    """Return a law some of whose gains have a value for each phase, an instance of a class `LAW@GAIN,GAIN`.
+
+    The gain `damping` becomes `damping_in_swing`, `damping_before_lift_off`, `damping_after_touchdown` and
+    `damping_standing`, all of the law's own value at first. Gains that act on each limb (`Law.LIMBWISE`) follow the
+    phase of the limb, others that of the robot.
+
+    Arguments:
+        law: any law.
+        gains: their names.
+        phase_time: s, how long it is "before lift-off" and "after touchdown".
+        phase_ramp: s, from the values of one phase to those of the next.
+
+    Raises:
+        ValueError: a name that the law does not have, or gains some of which act on limbs and some on the base.
+    """
+    of: Any = type(law), tuple(gains)
+    kind = _phased(*of)
+    values = {f"{name}_{phase}": getattr(law, name) for name in kind.BY_PHASE for phase in PHASES}
+    values |= {name: getattr(law, own) for own, name in kind.PART.names}
+    made: Law = kind(**{"phase_time": phase_time, "phase_ramp": phase_ramp} | values)
+    return made
+
+
+@functools.cache
+def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
+    if not gains or not {*gains} <= kind.GAINS.keys():
+        known, got = ", ".join(kind.GAINS), next((name for name in gains if name not in kind.GAINS), "none")
+        raise ValueError(f"gains by phase: expected some of {known}, the gains of {kind.__qualname__}, got {got}")
+    if {*gains} & kind.LIMBWISE and not {*gains} <= kind.LIMBWISE:
+        raise ValueError(f"gains by phase: expected such as act on limbs, or such as do not, got {', '.join(gains)}")
+    own, fields = {field.name: field for field in dataclasses.fields(kind)}, {}
+    for name, field in own.items():
+        for phase in PHASES if name in gains else ():
+            said: GainField = field.metadata["gain"]
+            words = f"{said.long_name or name}, {phase.replace('_', ' ')}"
+            metadata = {"gain": said._replace(long_name=words)}
+            fields[f"{name}_{phase}"] = dataclasses.field(default=field.default, metadata=metadata)
+        if name not in gains:
+            fields[name] = field
+    part = Part(kind, tuple((name, name) for name in own if name not in gains))
+    name = f"{kind.__qualname__}@{','.join(gains)}"
+    return law_class(name, Phased, fields, PART=part, BY_PHASE=gains, LIMBWISE=kind.LIMBWISE - {*gains})
+
+
+def _handed_on(step: Any, state: Any) -> list[bool]:
+    """Return which real values of a state a step returns as they are: what `init` made of the gains."""
+    program = jax.make_jaxpr(step)(state).jaxpr
+    pairs = zip(program.invars, program.outvars, jax.tree.leaves(state), strict=True)
+    return [into is out and jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for into, out, leaf in pairs]
