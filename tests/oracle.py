@@ -74,6 +74,13 @@ class Gait:
                 feet[limb] += added * (1 - c**2) ** 3 * c ** (k + np.array([0, 0, 1]))
         return shut, ground, self.start + rest_to_rest(within / self.cycle) * way, feet
 
+    def times(self, step):
+        """Return how many steps until each gripper opens, and since it shut; a cycle more before its first swing."""
+        since = (step - self.offset) % self.cycle
+        return np.where(
+            since < self.swing, 0, [self.cycle - since, since - self.swing + self.cycle * (step < self.offset)]
+        )
+
 
 class Grips:
     """Springs and dampers between feet and ground."""
@@ -132,7 +139,7 @@ class Law:
         systems = [[[0, 1, 0], [-k / m, -d / m, 1 / m], [0, 0, 0]] for m, d, k in zip(*self.gains, strict=True)]
         self.exact = expm(np.array(systems) * self.period)[:, :2]
 
-    def say(self, position, base, force, wrench, support, feet):
+    def say(self, position, base, force, wrench, support, feet, times):
         """Return where base, its attitude and the feet shall be, and the shift of the base."""
         into, shift, turn = self.reference.inv(), np.zeros(6), Rotation.identity()
         own = np.concatenate([into.apply(wrench[:3]), into.apply(wrench[3:])])
@@ -263,8 +270,11 @@ def windows(scenario, step):
     return on(cargo) * cargo.mass, push
 
 
-def again(walk):
-    """Return the histories of a walk by name, each worked out from the states that it has."""
+def again(walk, law=None):
+    """Return the histories of a walk by name, each worked out from the states that it has.
+
+    A law is the scenario's, unless it is given: a class of `tests/oracle_laws.py`, say.
+    """
     scenario, h = walk.scenario, walk.scenario.time_step
     sensor, estimate, hardware = scenario.hardware.force_sensor, scenario.hardware.base_estimate, scenario.hardware
     assert scenario.control.integration == "exact" and not scenario.control.deadband
@@ -283,7 +293,8 @@ def again(walk):
     after = start, reference.as_quat(scalar_first=True), still, still, angles, np.zeros_like(angles)
     body.place(body.data, *after[:2], angles)
     grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3))
-    law, servos = Law(scenario, reference, body.limbs), Servos(scenario, body.model, angles)
+    law = Law(scenario, reference, body.limbs) if law is None else law(scenario, reference, body.limbs)
+    servos = Servos(scenario, body.model, angles)
     forces, bases, commands, filtered = [np.zeros_like(feet)], [], [angles], np.zeros_like(feet)
     read, by_law = np.zeros(feet.size + 6), sensor.filtered_by == "law"
     share = 1 - np.exp(-2 * np.pi * (law.period if by_law else h) * number(sensor.filter))
@@ -324,7 +335,8 @@ def again(walk):
         drawn = noise(hardware.seed, step, 1000 + np.arange(6))
         base[0], base[2] = base[0] + estimate.position_noise * drawn[:3], base[2] + estimate.velocity_noise * drawn[3:]
         if step % period == 0:
-            command = law.say(wanted, base, read[:-6].reshape(-1, 3), read[-6:], held["support"], targets)
+            sensed = read[:-6].reshape(-1, 3), read[-6:], held["support"]
+            command = law.say(wanted, base, *sensed, targets, h * gait.times(step))
             before = said
             if three:
                 said = body.joints_for(*command[:3], said)
@@ -360,9 +372,9 @@ def again(walk):
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
-def assert_is(walk):
+def assert_is(walk, law=None):
     """Assert that every history of a walk is what comes out again: to 5e-12 of its largest value, or of one."""
-    for name, expected in again(walk).items():
+    for name, expected in again(walk, law).items():
         size = np.abs(expected[np.isfinite(expected)]).max(initial=1.0)
         np.testing.assert_allclose(getattr(walk, name), expected, rtol=0, atol=5e-12 * size, err_msg=name)
 

@@ -6,6 +6,7 @@ from typing import Any
 from mjx_climb.control.admittance import EndEffectorAdmittance, MeasuredPoseAdmittance, VirtualModelAdmittance
 from mjx_climb.control.combined import combined
 from mjx_climb.control.law import PD, Command, GainField, Law, Measurement, Reference, Start, begin, gain, shifted
+from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.control.phased import phased
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError
@@ -19,10 +20,13 @@ LAWS: dict[tuple[str, str], type[Law]] = {
     ("base_admittance", "measured_pose"): MeasuredPoseAdmittance,
     ("end_effector_admittance", "virtual_model"): EndEffectorAdmittance,
 }
+# by the names that --law, a gains file and `own.law.name` take
+SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), LoadTransfer)}
 
 __all__ = [
-    "LAWS", "PD", "Command", "EndEffectorAdmittance", "GainField", "Law", "MeasuredPoseAdmittance", "Measurement",
-    "Reference", "Start", "VirtualModelAdmittance", "begin", "combined", "gain", "law_of", "phased", "shifted",
+    "LAWS", "PD", "SHIPPED", "Command", "EndEffectorAdmittance", "GainField", "Law", "LoadTransfer",
+    "MeasuredPoseAdmittance", "Measurement", "Reference", "Start", "VirtualModelAdmittance", "begin", "combined",
+    "gain", "law_of", "phased", "shifted",
 ]  # fmt: skip
 
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import VirtualModelAdmittance, law_of
+from mjx_climb.control import SHIPPED, VirtualModelAdmittance, law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.walk.metrics import total
+from tuning.command_line import options
 from tuning.gains import gains_file, own_section
 from tuning.searches.sweep import sweep
 from tuning.tune import tune
@@ -158,7 +159,8 @@ def test_gains_that_cannot_be_are_refused_in_one_line(scenario, law, gains, said
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("nothing", "law: expected FILE.py:NAME, got 'nothing'"),
+        ("nothing", "law: expected FILE.py:NAME, or one of PD, "),
+        ("nothing:", "law: expected FILE.py:NAME, got 'nothing:'"),
         ("nothing.py:Law", "nothing.py: expected a file of Python, got none"),
         (f"{SCRIPT}:Missing", "expected a law named Missing, got none"),
         (f"{SCRIPT}:jnp", "expected jnp to be a law that inherits from mjx_climb.Law"),
@@ -213,3 +215,24 @@ def test_another_value_of_a_global_is_another_program(scenario, monkeypatch, own
     assert mc.simulator(scenario, **own) == before
     monkeypatch.setattr(sys.modules[__name__], "SHARE", 0.0)
     assert mc.simulator(scenario, **own) != before
+
+
+# --- Shipped laws by the names of their classes
+
+
+def test_a_shipped_law_goes_by_its_name(tmp_path):
+    """As an option, in a gains file and in a config; a name that is none gives one line with all of them."""
+    for name, kind in SHIPPED.items():
+        assert type(own_section.load_law(name)) is kind and own_section.reference(kind()) == name
+    law = dataclasses.replace(SHIPPED["LoadTransfer"](), leak=0.7)
+    file = gains_file.save({name: getattr(law, name) for name in law.GAINS}, tmp_path / "gains.yaml", law=law)
+    assert "law: LoadTransfer" in file.read_text() and gains_file.shipped_law(file) == "LoadTransfer"
+    asked = options.Walk(config="case_1_2", gains=file).load_with_gains()
+    assert (type(asked.law), float(asked.law.leak)) == (type(law), 0.7)
+    own = {"own": {"law": {"name": "LoadTransfer", "gains": {"leak": 0.9}}}}
+    _, taken, _ = own_section.taken(mc.load_scenario("case_1_2", own))
+    assert (type(taken), float(taken.leak)) == (type(law), 0.9)
+    with pytest.raises(mc.ConfigError, match=f"one of {', '.join(SHIPPED)}, got 'LoadTransfr'$"):
+        own_section.load_law("LoadTransfr")
+    with pytest.raises(mc.ConfigError, match="law: expected gains of the config's law, got those of LoadTransfer"):
+        gains_file.load(file)

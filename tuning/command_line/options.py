@@ -32,7 +32,11 @@ HARDWARE = setting(
     metavar="NAME",
     complete="hardware",
 )
-LAW = setting(None, "control law of one's own in place of the config's; the file is run", metavar="FILE.py:NAME")
+LAW = setting(
+    None,
+    "control law in place of the config's: a shipped one, as LoadTransfer, or one's own, whose file is run",
+    metavar="NAME|FILE.py:NAME",
+)
 METRICS = setting(
     (), "metric of one's own beside the shipped ones; the file is run", flag="--metric", metavar="FILE.py:NAME"
 )
@@ -71,10 +75,14 @@ class Walk(Options):
         A change of `control.NAME`, a gain of a law of one's own, is the law's.
         """
         from mjx_climb.scenario.yaml_text import pairs
+        from tuning.gains import gains_file
         from tuning.gains.own_section import of_one, taken, without
         from tuning.problem.evaluation import Problem
 
-        source, (law, metrics) = str(shipped.found(self.config)), own_objects(self.law, self.metrics)
+        named = self.law
+        if named is None and self.gains is not None and self.controller is None:
+            named = gains_file.shipped_law(self.gains)
+        source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
         changes = dict(pairs(self.changes, source))
         if self.controller is not None:
             if self.law is not None:

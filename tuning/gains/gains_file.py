@@ -10,6 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.control import SHIPPED
 from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
 from mjx_climb.rollouts.resolve import by_name as by_name
@@ -21,7 +22,15 @@ from tuning.gains.ros2_control import commented
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
 OPTIONAL = ("kp", "kd")
-LAW = "law"  # FILE.py:NAME of the law whose gains they are, where it is not one of the program's
+LAW = "law"  # FILE.py:NAME of the law whose gains they are, NAME of a shipped one, none where it is the config's
+
+
+def shipped_law(path: str | os.PathLike[str]) -> str | None:
+    """Return the name of the shipped law that a gains file is of, None where it says no such law."""
+    source = os.fsdecode(path)
+    data = parse(read(source), source)
+    name = data.get(LAW) if isinstance(data, dict) else None
+    return name if name in SHIPPED else None
 
 
 @overload

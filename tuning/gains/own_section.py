@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.control import LAWS
+from mjx_climb.control import SHIPPED
 from mjx_climb.execution.contents import in_library
 from mjx_climb.files import scenario_files
 from mjx_climb.rollouts.resolve import checked_gains
@@ -23,7 +23,6 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnObject
 
 THE_CONFIG = "the config's law"
-_SHIPPED = {law.__name__: law for law in LAWS.values()}
 _RUN: list[tuple[types.ModuleType, str]] = []  # what was run here, and the digest of its files then
 
 
@@ -58,7 +57,15 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
 
 
 def load_law(text: str) -> mc.Law:
-    """Return the law that FILE.py:NAME names, an instance or a class whose gains have defaults; errors as of `load`."""
+    """Return a shipped law by its name, or what FILE.py:NAME names: an instance or a class whose gains have defaults.
+
+    Raises:
+        ConfigError: as of `load`; no such name.
+    """
+    if text in SHIPPED:
+        return SHIPPED[text]()
+    if ":" not in text:
+        raise ConfigError(f"law: expected FILE.py:NAME, or one of {', '.join(SHIPPED)}, got {text!r}")
     found, file, name = load(text, "law")
     if isinstance(found, type) and issubclass(found, mc.Law):
         try:
@@ -85,8 +92,13 @@ def load_metrics(texts: Iterable[str]) -> mc.MetricTable:
 
 
 def reference(law: mc.Law) -> str:
-    """Return FILE.py:NAME of a law's class, without the folder, as it stands in files; NAME where it has no file."""
+    """Return FILE.py:NAME of a law's class, without the folder, as it stands in files.
+
+    It is NAME alone of a shipped law, and where there is no file.
+    """
     kind = type(law)
+    if SHIPPED.get(kind.__name__) is kind:
+        return kind.__name__
     # by its methods: a class of a file that was run by hand is in no module that Python knows
     codes = [function.__code__ for function in vars(kind).values() if inspect.isfunction(function)]
     files = [code.co_filename for code in codes if code.co_filename not in ("<string>", dataclasses.__file__)]
@@ -127,8 +139,8 @@ def taken(
     if own is None:
         return scenario, law, metrics
     if law is None and own.law is not None:
-        shipped = own.law.file is None and own.law.name in _SHIPPED
-        law = _SHIPPED[own.law.name]() if shipped else load_law(_text(own.law, "law", source))
+        shipped = own.law.file is None and own.law.name in SHIPPED
+        law = SHIPPED[own.law.name]() if shipped else load_law(_text(own.law, "law", source))
         try:
             law = of_one(law, dict(own.law.gains.items()))
         except (TypeError, ValueError) as error:

@@ -1,0 +1,73 @@
+"""The grasp map of the standing feet: sharing a wrench among them, and the rigid part of their displacements.
+
+With levers r to the feet, G_i = [1; r_i x] takes a force to its wrench, and G_i^T a twist (t, theta) to the motion
+t + theta x r_i of a foot.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.dynamics.spatial import skew, solve_symmetric
+
+_REGULARIZATION = 8.0  # in units of rounding: feet on a line cannot take any wrench
+_SOFTNESS = 0.1  # of a limit on pulls, in units of a weight: where feet have to pull harder, they share it
+_SWEEPS = 12  # of Gauss-Seidel through the limbs, which leave less than 0.005 of the largest force
+
+
+def weighted_grasp(lever: Array, weight: Array) -> Array:
+    """Return `sum weight G G^T` (6, 6) of levers (limb, 3) m and weights (limb,)."""
+    one = jnp.eye(3, dtype=lever.dtype)
+    first = skew((weight[:, None] * lever).sum(0))
+    squares = (weight[:, None] * lever).T @ lever
+    matrix = jnp.block([[weight.sum() * one, -first], [first, jnp.trace(squares) * one - squares]])
+    rounding = float(jnp.finfo(lever.dtype).eps)
+    return matrix + _REGULARIZATION * rounding * jnp.eye(6, dtype=lever.dtype)
+
+
+def net_wrench(lever: Array, force: Array) -> Array:
+    """Return the wrench (6,) of forces (limb, 3) about the point where the levers begin."""
+    return jnp.concatenate([force.sum(0), jnp.cross(lever, force).sum(0)])
+
+
+def moved_rigidly(lever: Array, twist: Array) -> Array:
+    """Return the motion (limb, 3) of feet under a twist (6,): translation and rotation vector."""
+    return twist[:3] + jnp.cross(twist[3:], lever)
+
+
+def rigid_part(lever: Array, displacement: Array, weight: Array) -> Array:
+    """Return the rigid motion (limb, 3) that is nearest to displacements, by least squares with weights (limb,)."""
+    moments = net_wrench(lever, weight[:, None] * displacement)
+    return moved_rigidly(lever, solve_symmetric(weighted_grasp(lever, weight), moments[:, None])[:, 0])
+
+
+def distributed(wrench: Array, lever: Array, weight: Array, pull_limit: Array) -> Array:
+    """Return the foot forces (limb, 3) N that make up a wrench (6,) N, N m.
+
+    They minimise `sum |F|^2 / weight` with `sum G F` as the wrench, where a foot's pull on the ground, `-F_z`, is
+    softly kept below `pull_limit` N. A foot of weight 0 bears nothing. (A quadratic program: its dual in the limits on
+    pulls is solved by projected Gauss-Seidel, which keeps the wrench whatever it has reached.)
+
+    Arguments:
+        wrench: about the point where the levers begin, in any axes with z along the ground's normal.
+        lever: (limb, 3) m, to the feet.
+        weight: (limb,) 0 to 1.
+        pull_limit: () N.
+    """
+    limbs = range(len(weight))
+    normal = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0], wrench.dtype), lever.shape)
+    pushes = weight[:, None] * jnp.concatenate([normal, jnp.cross(lever, normal)], axis=1)  # (limb, 6): W G^T's z
+    right = jnp.concatenate([wrench[None], pushes]).T
+    solution = solve_symmetric(weighted_grasp(lever, weight), right)  # (6, 1 + limb)
+    # normal forces without a limit, and how they change with the limits' multipliers
+    vertical = pushes @ solution[:, 0]
+    change = weight[:, None] * jnp.eye(len(weight), dtype=wrench.dtype) - pushes @ solution[:, 1:]
+    multiplier = [jnp.zeros_like(pull_limit)] * len(weight)
+    for _ in range(_SWEEPS):
+        for limb in limbs:
+            now = vertical[limb] + sum(change[limb, other] * multiplier[other] for other in limbs)
+            missing = -pull_limit - now - _SOFTNESS * multiplier[limb]
+            step = missing / (change[limb, limb] + _SOFTNESS)
+            multiplier[limb] = jnp.maximum(multiplier[limb] + step, 0.0)
+    limited = jnp.stack(multiplier)
+    dual = solution[:, 0] - solution[:, 1:] @ limited
+    return weight[:, None] * (moved_rigidly(lever, dual) + limited[:, None] * normal)

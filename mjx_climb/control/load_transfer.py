@@ -1,0 +1,120 @@
+"""Load transfer: what a foot bears is handed over to the others before it lifts off, and back after it has landed.
+
+Shifts of the base change the wrench on the base, not how the closed chain of limbs shares it. So here each foot gives
+way on its own, `D dx' = F - F_wanted - leak D dx`, where the wanted forces share the measured wrench anew among the
+feet that stand, with weights that fall before a lift-off and rise after a touchdown. It integrates: a servo's friction,
+which a spring does not overcome, holds nothing back for long. Three feet are statically determined along the ground's
+normal: there must be a while on all feet (a duty above 1 - 1 / limbs) in which loads can be handed over.
+
+The law knows no joint limits and no reach. What it winds up where targets are out of reach is bounded by `max_offset`
+and leaks away; of servos at their `torque_limit` it gets the reports, and lets the offset of such a limb only shrink.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.control.force_distribution import distributed, moved_rigidly, net_wrench, rigid_part
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.virtual_mass import bounded
+from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
+
+RELEASE = 0.05  # s, in which an offset fades once its gripper has opened
+LEAST = 0.02  # weight of a foot that stands: three of them can always take the wrench
+
+
+class Offsets(NamedTuple):
+    """How far the feet are from where the gait wants them."""
+
+    displacement: Array  # (limb, 3) m, axes of the base reference
+    period: Array  # () s, of the law
+
+
+class Sensed(NamedTuple):
+    """Forces that can be trusted."""
+
+    force: Array  # (limb, 3) N, axes of the base reference; 0 of other feet
+    trusted: Array  # (limb,) bool: the foot stands, and its sensor says something
+
+
+class LoadTransfer(Law):
+    """Integral force control of each foot towards its share of the measured wrench."""
+
+    normal_damping: Array = gain(
+        "N s/m", length=1, bounds=(1e1, 1e4), default=1e2, long_name="damping D along the ground's normal"
+    )
+    tangential_damping: Array = gain(
+        "N s/m", length=1, bounds=(1e2, 1e6), default=1e4, long_name="damping D along the ground"
+    )
+    leak: Array = gain("1/s", length=1, bounds=(1e-2, 1e1), default=0.3, long_name="leak of the offsets")
+    leveling: Array = gain("1/s", length=1, bounds=(1e-1, 2e1), default=1.0, long_name="rate at which the base levels")
+    unloading: Array = gain("s", length=1, bounds=(2e-2, 1.0), default=0.1, long_name="time of unloading")
+    loading: Array = gain("s", length=1, bounds=(2e-2, 1.0), default=0.1, long_name="time of loading")
+    landing: Array = gain("1", length=1, bounds=(1e-2, 1.5), default=1.0, long_name="share of the base's error")
+    pull_limit: Array = gain(
+        "N", length=1, bounds=(1e-1, 1e1), default=2.0, long_name="pull that the law asks for, at most", searched=False
+    )
+    max_offset: float = 0.02  # m
+    max_rate: float = 0.1  # m/s
+    torque_limit: float = math.inf  # N m, of the servos: from there on more offset makes no more force
+
+    def init(self, start: Start) -> Offsets:
+        """Return no offsets."""
+        return Offsets(jnp.zeros_like(start.reference.foot_position), jnp.asarray(start.period))
+
+    def step(self, offsets: Offsets, measured: Measurement, reference: Reference) -> tuple[Offsets, Command]:
+        """Let the feet that stand give way towards the wanted forces; the offset of an open gripper fades."""
+        rotation = quaternion_to_matrix(reference.base_orientation)
+        lever = (reference.foot_position - measured.base_position) @ rotation
+        sensed = trusted_forces(measured, rotation)
+        weight = jnp.where(sensed.trusted, self.weights(reference), LEAST) * jnp.where(measured.support, 1.0, 0.0)
+        wanted = distributed(net_wrench(lever, sensed.force), lever, weight, self.pull_limit)
+        pushed = jnp.where(sensed.trusted[:, None], sensed.force - wanted, 0.0)
+
+        # what of the offsets only turns and shifts the base: its way back, and where a swinging foot finds the ground
+        before = offsets.displacement
+        rigid = rigid_part(lever, before, jnp.where(measured.support, 1.0, 0.0))
+        damping = jnp.stack([self.tangential_damping, self.tangential_damping, self.normal_damping])
+        back = -self.leak * (before - rigid) - self.leveling * rigid
+        yielding = bounded(pushed / damping + back, self.max_rate)
+        if self.torque_limit < math.inf:
+            saturated = (jnp.abs(measured.joint_torque) >= self.torque_limit).any(1)
+            outward = saturated & (jnp.vecdot(yielding, before) > 0)
+            yielding = jnp.where(outward[:, None], 0.0, yielding)
+        moved = bounded(before + offsets.period * yielding, self.max_offset)
+        lands = -self.landing * moved_rigidly(lever, base_error(measured, reference, rotation))
+        follows = lands + (before - lands) * jnp.exp(-offsets.period / RELEASE)
+        displacement = jnp.where(measured.support[:, None], moved, follows)
+        return offsets._replace(displacement=displacement), feet_shifted(reference, displacement, rotation)
+
+    def weights(self, reference: Reference) -> Array:
+        """Return the shares (limb,) that the gait wants the feet to have, if they stand."""
+        until = jnp.clip(reference.until_lift_off / self.unloading, 0.0, 1.0)
+        since = jnp.clip(reference.since_touchdown / self.loading, 0.0, 1.0)
+        return jnp.maximum(until * since, LEAST)
+
+
+def trusted_forces(measured: Measurement, rotation: Array) -> Sensed:
+    """Return the forces of feet that stand, along the columns of `rotation`, where the sensor is not dead.
+
+    A dead sensor says exactly nothing, or what is no number: its foot is then left as it is.
+    """
+    size = jnp.abs(measured.foot_force).sum(1)
+    trusted = measured.support & (size > 0) & jnp.isfinite(size)
+    # of rows: each row times R is R^T times it
+    return Sensed(jnp.where(trusted[:, None], measured.foot_force, 0.0) @ rotation, trusted)
+
+
+def base_error(measured: Measurement, reference: Reference, rotation: Array) -> Array:
+    """Return how far the base is from its reference, (6,) m, rad along the axes of the reference; small angles."""
+    turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measured.base_orientation)
+    return jnp.concatenate([(measured.base_position - reference.base_position) @ rotation, 2 * turn[1:] * turn[0]])
+
+
+def feet_shifted(reference: Reference, displacement: Array, rotation: Array) -> Command:
+    """Return the reference with its feet shifted by `displacement` (limb, 3) m along the axes of the reference."""
+    feet = reference.foot_position + displacement @ rotation.T
+    no_shift = jnp.zeros_like(reference.base_position, shape=6)
+    return Command(reference.base_position, reference.base_orientation, feet, no_shift)

@@ -1,0 +1,164 @@
+"""Laws that move single feet: walks against NumPy, gradients, and what they do when a sensor or a servo fails."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import mjx_climb as mc
+from mjx_climb.control import LoadTransfer, Start, begin
+from tests import oracle, oracle_laws
+
+STEP = 5e-3
+FEET = np.array([[0.14, 0.14, 0.0], [-0.14, 0.15, 0.0], [-0.13, -0.14, 0.01], [0.15, -0.14, 0.0]])
+WALK = {
+    "duration": 0.3, "contact.stiffness": 6e3, "gait.cycle": 0.4, "gait.duty": 0.8, "gait.stride": 0.012,
+    "gait.step_height": 0.006, "gait.heading": 0.6, "contact.holding_limit": None,
+}  # fmt: skip
+
+
+class Kind(NamedTuple):
+    """A law with gains that make a difference within a short walk, and its twin in NumPy."""
+
+    law: mc.Law
+    twin: type[oracle_laws.OfFeet]
+
+
+KINDS = {
+    "LoadTransfer": Kind(
+        LoadTransfer(
+            normal_damping=60.0, tangential_damping=300.0, leak=2.0, leveling=5.0, unloading=0.05, loading=0.04,
+            landing=0.7, pull_limit=0.5,
+        ),
+        oracle_laws.LoadTransfer,
+    ),
+}  # fmt: skip
+kinds = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+
+
+def scene(seed=0):
+    """Return a reference and a measurement of a robot that stands on all feet, turned and off its reference."""
+    rng = np.random.default_rng(seed)
+    attitude, off = Rotation.from_rotvec([0.1, -0.2, 0.7]), Rotation.from_rotvec(rng.uniform(-0.05, 0.05, 3))
+    base, still = np.array([0.0, 0.0, 0.11]), jnp.zeros(3)
+    reference = mc.Reference(
+        jnp.asarray(base), jnp.asarray(attitude.as_quat(scalar_first=True)), jnp.asarray(FEET),
+        jnp.array([0.03, 0.5, 0.7, 0.6]), jnp.array([0.5, 0.5, 0.02, 0.5]),
+    )  # fmt: skip
+    turned = jnp.asarray((attitude * off).as_quat(scalar_first=True))
+    force = jnp.asarray(rng.normal([0.0, 0.0, 2.0], [0.5, 0.5, 2.0], (4, 3)))
+    position = jnp.asarray(base + rng.uniform(-0.01, 0.01, 3))
+    wrench = jnp.concatenate([force.sum(0), jnp.cross(FEET - position, force).sum(0)])
+    joints = jnp.zeros((4, 3))
+    return reference, mc.Measurement(
+        position, turned, still, still, force, wrench, jnp.ones(4, bool), joints, joints, joints
+    )
+
+
+@jax.jit
+def after(law, state, measured, reference, steps):
+    """Return the state after some steps under the same measurement, and how far the feet are then moved, (limb, 3)."""
+
+    def step(_, now):
+        state, command = law.step(now[0], measured, reference)
+        return state, command.foot_position - reference.foot_position
+
+    return jax.lax.fori_loop(0, steps, step, (state, jnp.zeros((4, 3))))
+
+
+def started(law, measured, reference, steps=3):
+    """Return what `after` does of a law that begins."""
+    return after(law, begin(law, Start(STEP, reference)), measured, reference, steps)
+
+
+@pytest.mark.slow
+@kinds
+@pytest.mark.parametrize("control_period", [0.0, 0.005])
+def test_a_walk_worked_out_again(kind, control_period):
+    """Every history to 5e-12, with lift-offs, touchdowns and pulls beyond the limit."""
+    changes = WALK | {"hardware.control_period": control_period, "gait.sequence": ["LH", "LF", "RH", "RF"]}
+    scenario = mc.load_scenario("case_1_2", changes)
+    walk = mc.rollout(scenario, law=kind.law)
+    offset = np.linalg.norm(walk.foot_target - walk.grip_point, axis=2)[walk.support]
+    assert np.ptp(walk.support.sum(1)) and offset.max() > 1e-4
+    twin = type("Twin", (kind.twin,), {"gains": {name: float(getattr(kind.law, name)) for name in kind.law.GAINS}})
+    oracle.assert_is(walk, twin)
+
+
+@pytest.mark.slow
+@kinds
+def test_derivatives_by_every_gain_agree_with_central_differences(kind):
+    """The third foot has just lost its grip; the force on the first pulls."""
+    reference, measured = scene()
+    force, support = measured.foot_force.at[0, 2].set(-6.0), measured.support.at[2].set(False)
+    measured = measured._replace(foot_force=force, support=support)
+    reference = reference._replace(since_touchdown=reference.since_touchdown.at[1].set(0.02))
+    names, law = list(kind.law.GAINS), kind.law
+    values = jnp.array([float(getattr(law, name)) for name in names])
+
+    def shift(values):
+        return started(dataclasses.replace(law, **dict(zip(names, values, strict=True))), measured, reference)[1]
+
+    found = jax.jacfwd(shift)(values)
+    for n, name in enumerate(names):
+        h = 1e-5 * values[n]
+        difference = (shift(values.at[n].add(h)) - shift(values.at[n].add(-h))) / (2 * h)
+        np.testing.assert_allclose(found[..., n], difference, rtol=1e-5, atol=1e-9, err_msg=name)
+    assert (np.abs(found).max((0, 1)) > 1e-9).all()
+
+
+@pytest.mark.slow
+@kinds
+def test_a_batch_moves_as_each_of_its_robots(kind):
+    scenes = [scene(seed) for seed in range(3)]
+    reference, measured = jax.tree.map(lambda *each: jnp.stack(each), *scenes)
+    together = jax.vmap(lambda r, m: started(kind.law, m, r)[1])(reference, measured)
+    for own, one in zip(together, scenes, strict=True):
+        np.testing.assert_allclose(own, started(kind.law, one[1], one[0])[1], rtol=0, atol=1e-12)
+
+
+@kinds
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+def test_a_foot_whose_sensor_is_dead_goes_back_to_where_the_gait_wants_it(kind, value):
+    """Alone it leaves the others at work; with all sensors dead the robot walks as under pd."""
+    reference, measured = scene()
+    state, before = started(kind.law, measured, reference, 100)
+    assert np.linalg.norm(before, axis=1).min() > 1e-4
+    dead = measured._replace(foot_force=measured.foot_force.at[1].set(value))
+    state, one = after(kind.law, state, dead, reference, 4000)
+    assert np.isfinite(one).all() and np.linalg.norm(one, axis=1).max() > 1e-4
+    none = dead._replace(foot_force=jnp.full((4, 3), value))
+    _, shift = after(kind.law, state, none, reference, 4000)
+    np.testing.assert_allclose(shift, 0, atol=1e-6)
+
+
+# --- Load transfer alone
+
+
+def test_loads_leave_a_foot_before_it_lifts_off():
+    """Of equal loads; the forces on the feet push each as far as it gives way."""
+    reference, measured = scene()
+    equal = jnp.tile(jnp.array([0.0, 0.0, 2.0]), (4, 1))
+    measured = measured._replace(foot_force=equal, base_position=reference.base_position)
+    law = dataclasses.replace(KINDS["LoadTransfer"].law, unloading=1.0, loading=0.02)
+    shift = np.array(started(law, measured, reference)[1]) @ np.array([0, 0, 1])
+    assert shift[0] > 0 > shift[1]
+
+
+def test_a_limb_at_its_torque_limit_is_not_wound_up():
+    """The offset of its foot grows no longer, that of others does; it still may shrink."""
+    reference, measured = scene()
+    law = dataclasses.replace(KINDS["LoadTransfer"].law, torque_limit=1.0)
+    state, start = started(law, measured, reference)
+    saturated = measured._replace(joint_torque=jnp.zeros((4, 3)).at[0, 2].set(-1.0))
+    _, free = after(law, state, measured, reference, 20)
+    _, held = after(law, state, saturated, reference, 20)
+    sizes = [np.linalg.norm(shift, axis=1) for shift in (start, held, free)]
+    assert sizes[1][0] <= sizes[0][0] + 1e-12 < sizes[2][0] / 2
+    assert (sizes[1][1:] > sizes[0][1:]).all()
+    _, back = after(law, state, saturated._replace(foot_force=-measured.foot_force), reference, 3)
+    assert np.linalg.norm(back[0]) < sizes[0][0]

@@ -1,0 +1,69 @@
+"""Laws that move the feet, in plain NumPy from their equations in docs/laws.md; `tests.oracle` walks under them."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def grasp(levers):
+    """Return G (6, 3 limb): from forces to the wrench about the point where the levers begin."""
+    return np.hstack([np.vstack([np.eye(3), np.cross(lever, np.eye(3)).T]) for lever in levers])
+
+
+def rigid(levers, displacement, weight):
+    """Return the rigid motion (limb, 3) that is nearest to displacements."""
+    root, back = np.repeat(np.sqrt(weight), 3), grasp(levers).T
+    return (back @ np.linalg.lstsq(root[:, None] * back, root * displacement.ravel())[0]).reshape(-1, 3)
+
+
+def shared(wrench, levers, weight, pull_limit, softness=0.1, sweeps=12):
+    """Return the forces of least `sum |F|^2 / weight`, pulls softly limited: 12 sweeps through the multipliers."""
+    by_force, up = np.diag(np.repeat(weight, 3)), np.eye(3 * len(levers))[2::3]
+    map_ = grasp(levers)
+    inverse = by_force @ map_.T @ np.linalg.inv(map_ @ by_force @ map_.T)
+    free, inner = inverse @ wrench, by_force - inverse @ map_ @ by_force
+    change, multiplier = up @ inner @ up.T, np.zeros(len(levers))
+    for limb in list(range(len(levers))) * sweeps:
+        missing = -pull_limit - up[limb] @ free - change[limb] @ multiplier - softness * multiplier[limb]
+        multiplier[limb] = max(multiplier[limb] + missing / (change[limb, limb] + softness), 0)
+    return (free + inner @ up.T @ multiplier).reshape(-1, 3)
+
+
+def bounded(rows, largest):
+    return rows * np.minimum(1, largest / np.maximum(np.linalg.norm(rows, axis=1), 1e-300))[:, None]
+
+
+class OfFeet:
+    """What laws that move the feet share; `gains` as of the law, by name."""
+
+    gains: dict[str, float]
+
+    def __init__(self, scenario, reference, limbs):
+        self.reference, self.period = reference, scenario.hardware.control_period or scenario.time_step
+        self.offset = np.zeros((limbs, 3))
+
+    def say(self, position, base, force, wrench, support, feet, times):
+        """Return where base, its attitude and the feet shall be, and the shift of the base."""
+        where, quaternion, *_ = base
+        into = self.reference.inv()
+        levers, own = into.apply(feet - where), into.apply(force)
+        turn = (into * Rotation.from_quat(quaternion, scalar_first=True)).as_quat(canonical=True)
+        error = np.concatenate([into.apply(where - position), 2 * turn[:3] * turn[3]])
+        trusted = support & np.isfinite(own).all(1) & own.any(1)
+        self.move(levers, np.where(trusted[:, None], own, 0), error, support, trusted, times)
+        return position, self.reference, feet + self.reference.apply(self.offset), np.zeros(6)
+
+
+class LoadTransfer(OfFeet):
+    def move(self, levers, force, error, support, trusted, times):
+        gains, h = self.gains, self.period
+        ramps = np.minimum(times[0] / gains["unloading"], 1) * np.minimum(times[1] / gains["loading"], 1)
+        weight = support * np.where(trusted, np.maximum(ramps, 0.02), 0.02)
+        wanted = shared(grasp(levers) @ force.ravel(), levers, weight, gains["pull_limit"])
+        whole = rigid(levers, self.offset, support * 1.0)
+        damping = np.array([*[gains["tangential_damping"]] * 2, gains["normal_damping"]])
+        rate = trusted[:, None] * (force - wanted) / damping
+        rate = rate - gains["leak"] * (self.offset - whole) - gains["leveling"] * whole
+        moved = bounded(self.offset + h * bounded(rate, 0.1), 0.02)
+        lands = -gains["landing"] * (error[:3] + np.cross(error[3:], levers))
+        fades = lands + (self.offset - lands) * np.exp(-h / 0.05)
+        self.offset = np.where(support[:, None], moved, fades)
