@@ -17,7 +17,7 @@ import mjx_climb as mc
 ROOT = Path(__file__).parents[2]
 FILES = (  # beside the code
     "mjx_climb/robot/models/*.xml", "mjx_climb/checks/*.json", "mjx_climb/plots/*.mplstyle", "tuning/report/page.*",
-    "*/py.typed",
+    "tuning/gains/*.hpp", "*/py.typed",
 )  # fmt: skip
 
 pytestmark = pytest.mark.slow

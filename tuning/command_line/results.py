@@ -312,13 +312,30 @@ class Export(Options):
     name: Annotated[str, AfterValidator(_identifier)] = setting(
         "admittance_controller", "name of the controller in the parameter file", metavar="NAME"
     )
-    out: Path | None = setting(None, "file to write; null: standard output", metavar="FILE")
+    out: Path | None = setting(None, "file to write, of load transfer a folder; null: standard output", metavar="FILE")
     hardware: str | None = HARDWARE
     engine: EngineName = ENGINE
 
-    def scenario(self) -> "mc.Scenario | None":
-        """Return the scenario in which the gains must hold, at the update rate, None without one."""
+    def load_transfer(self) -> "mc.Law | None":
+        """Return load transfer where the gains are of that law, None elsewhere."""
+        from mjx_climb.control import LoadTransfer
+        from tuning.gains import gains_file
+
+        if gains_file.shipped_law(self.gains) != LoadTransfer.__name__:
+            return None
+        if "form" in self.model_fields_set:
+            raise InputError(
+                f"--format: expected none with gains of LoadTransfer, which have one form, got {self.form}"
+            )
+        return LoadTransfer()
+
+    def scenario(self, law: "mc.Law | None") -> "mc.Scenario | None":
+        """Return the scenario in which the gains of a law (None: the scenario's) must hold, at the update rate.
+
+        None where there is no config.
+        """
         from mjx_climb.scenario.messages import ConfigError, config_error
+        from tuning.gains.own_section import without
 
         beside = self.gains.parent / _BESIDE
         if (config := beside if self.config is None and beside.is_file() else self.config) is None:
@@ -333,6 +350,8 @@ class Export(Options):
             except ConfigError:
                 expected = f"a whole number of the config's time steps of {scenario.time_step:g} s"
                 raise InputError(f"--update-rate: expected one whose period is {expected}, got {self.rate}") from None
+        if law is not None:
+            return without(scenario)
         control = scenario.control
         if control.controller == "pd":
             raise config_error(str(config), "control.controller", "an admittance law, whose gains these are", "pd")
@@ -356,31 +375,42 @@ def export(asked: Export) -> None:
     admittance_control has one mass, damping and stiffness for forces and one for moments: gains that differ between
     their axes are refused. docs/ros2_control.md has the mapping of parameters and frames to the law used here.
 
+    Gains of load transfer (`law: LoadTransfer` in GAINS) have one form: load_transfer.yaml, load_transfer_gains.hpp,
+    and load_transfer.hpp, which is the law in C++.
+
     \b
     Examples:
       mjx-climb export results/case_1_2-tune-gradient-isotropic/gains.yaml --hardware dynamixel_x
       mjx-climb export gains.yaml --config case_1_2 --format admittance_control --update-rate 200
       mjx-climb export gains.yaml --format csv --out gains.csv
+      mjx-climb export transfer.yaml --config case_1_1 --hardware dynamixel_x --out include
     """
     with reserved_stdout() as stdout:
         from mjx_climb.files import dataset
         from tuning.evaluation import deployment
         from tuning.gains import gains_file
 
-        gains, source = gains_file.load(asked.gains), str(asked.gains)
-        scenario = asked.scenario()
-        text, notes = _written(asked, gains, scenario)
+        source, law = str(asked.gains), asked.load_transfer()
+        gains = gains_file.load(asked.gains, law)
+        scenario = asked.scenario(law)
+        if isinstance(gains, mc.Gains):
+            text, notes = _written(asked, gains, scenario)
+            files = {"": text}
+        else:
+            files, notes = _load_transfer(asked, gains, scenario)
         if scenario is None:
             said = [f"note: no {_BESIDE} beside {asked.gains.name} and no --config: these gains were not walked"]
         else:
             said = [f"note: {line}" for line in notes]
-            said += [f"warning: {line}" for line in deployment.check(scenario, gains, source, engine=asked.engine)]
+            warnings = deployment.check(scenario, gains, source, law=law, engine=asked.engine)
+            said += [f"warning: {line}" for line in warnings]
         for line in said:
             print(f"mjx-climb: {line}", file=sys.stderr)
         if asked.out is None:
-            print(text, end="", file=stdout)
+            print(next(iter(files.values())), end="", file=stdout)
         else:
-            dataset.write_text_atomically(asked.out, text)
+            for name, text in files.items():  # the one without a name is FILE itself
+                dataset.write_text_atomically(asked.out / name, text)
 
 
 def _written(asked: Export, gains: "mc.Gains", scenario: "mc.Scenario | None") -> tuple[str, list[str]]:
@@ -413,3 +443,19 @@ def _written(asked: Export, gains: "mc.Gains", scenario: "mc.Scenario | None") -
         )
         return text, [note] if note else []
     return (gains_tables.write_json if asked.form == "json" else gains_tables.write_csv)(gains), []
+
+
+def _load_transfer(
+    asked: Export, gains: dict[str, Any], scenario: "mc.Scenario | None"
+) -> tuple[dict[str, str], list[str]]:
+    """Return the files for a robot under load transfer, by name, and notes on them."""
+    from mjx_climb.control import LoadTransfer
+    from tuning.gains import gains_file, load_transfer
+
+    law = LoadTransfer(**{name: gains[name] for name in LoadTransfer.GAINS})
+    if scenario is None:
+        return load_transfer.texts(law, 1 / (asked.rate or 1000)), []
+    walked = gains_file.applied(scenario, gains)
+    period, cutoff = walked.hardware.control_period or walked.time_step, walked.hardware.force_sensor.filter
+    note = f"load_transfer.hpp filters nothing: give it forces behind a low pass of {cutoff or 0:g} Hz"
+    return load_transfer.texts(law, period, walked), [] if cutoff is None else [note]

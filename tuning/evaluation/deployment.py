@@ -2,11 +2,14 @@
 
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.rollouts.resolve import AnyGains
 from tuning.evaluation import margins, stability_limit
 
 
-def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = DEFAULT_ENGINE) -> list[str]:
-    """Return warnings, a margin of less than twice the hardware each.
+def check(
+    scenario: mc.Scenario, gains: AnyGains, source: str, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
+) -> list[str]:
+    """Return warnings, a margin of less than twice the hardware each; `law` None: the gains are of the scenario's.
 
     A robot stands on all its feet before it walks, also where its gait has no such stance: gains hold there too.
 
@@ -16,11 +19,11 @@ def check(scenario: mc.Scenario, gains: mc.Gains, source: str, *, engine: str = 
     """
     standing = scenario.with_overrides({"gait.duty": 1 - 2 * scenario.time_step / scenario.gait.cycle})
     for where, walked in (("about a stance of the gait", scenario), ("of a robot that stands on all feet", standing)):
-        radius = float(stability_limit.spectral_radius(walked, gains, engine=engine).max())
+        radius = float(stability_limit.spectral_radius(walked, gains, law=law, engine=engine).max())
         if radius > 1 + stability_limit.ROUNDING:
             got = f"a disturbance {where} that grows by {radius:.6f} a time step"
             raise mc.ConfigError(f"{source}: expected gains that are stable on the config's hardware, got {got}")
-    found = margins.find(scenario, gains, engine=engine)
+    found = margins.find(scenario, gains, law=law, engine=engine)
     if not found.holds:
         got = "a walk that loses a gripper or diverges"
         raise mc.ConfigError(f"{source}: expected gains that hold on the config's hardware, got {got}")

@@ -30,7 +30,7 @@ def shipped_law(path: str | os.PathLike[str]) -> str | None:
     source = os.fsdecode(path)
     data = parse(read(source), source)
     name = data.get(LAW) if isinstance(data, dict) else None
-    return name if name in SHIPPED else None
+    return name if isinstance(name, str) and name in SHIPPED else None
 
 
 @overload
@@ -39,6 +39,10 @@ def load(path: str | os.PathLike[str], law: None = None) -> mc.Gains: ...
 
 @overload
 def load(path: str | os.PathLike[str], law: mc.Law) -> dict[str, Any]: ...
+
+
+@overload
+def load(path: str | os.PathLike[str], law: mc.Law | None) -> mc.Gains | dict[str, Any]: ...
 
 
 def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> mc.Gains | dict[str, Any]:

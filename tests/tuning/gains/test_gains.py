@@ -170,7 +170,7 @@ def judged(monkeypatch):
     """Stability and margins that a test sets, in place of minutes of walking; what they were asked for is kept."""
     found = {"radius": 0.99, "standing": 0.99, "holds": 0.05, "better": 0.05, "asked": []}
 
-    def find(scenario, gains, *, engine):
+    def find(scenario, gains, *, law, engine):
         found["asked"].append(scenario)
         reached = {"force_delay": (found["holds"], found["better"]), "joint_gains": (0.1, 0.1)}
         each = {
