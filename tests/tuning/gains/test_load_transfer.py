@@ -46,7 +46,7 @@ def scenes(limbs):
     times = random.exponential(0.3, (2, STEPS, limbs)) * support
     force = (load + random.normal(0, 2, load.shape)) * support[..., None]
     base = position + random.normal(0, 0.01, (STEPS, 3)), quaternions(random, orientation, 0.02)
-    for dead in (0.0, np.nan):
+    for dead in (0.0, np.nan, np.inf):
         force[random.random(support.shape) < 0.02] = dead
     unread, torque = np.zeros(STEPS), random.normal(0, 1, (STEPS, limbs, 3))
     measured = Measurement(*base, unread, unread, force, unread, support, unread, unread, torque)
