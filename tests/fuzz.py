@@ -56,6 +56,8 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "margins": "{config} --gains {gains} --retuned-pd {gains} --controller pd --hardware ideal --set control.kd=0.1",
     "judge": "{config} --gains {gains} --ensemble {ensemble} --members 8 --controller base_admittance --shard 1/2 "
     "--set control.kd=0.1",
+    "compare": "{config} --laws base_admittance,end_effector_admittance --ensemble {ensemble} --members 8 --starts 4 "
+    "--iterations 2 --also inertia --pin damping=30 --bound kp=10:90 --search {search}",
     "export": "{gains} --format ros2_control --update-rate 500 --name admittance",
     "schema": "",
     "bench": "--batch 64 --quick",

@@ -36,6 +36,7 @@ COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} 
     "reproduce": ["reproduce", *OUT],
     "margins": ["margins", *SHORT, "--gains", "{gains}", *OUT],
     "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4", *OUT],
+    "compare": ["compare", *SHORT, *"--laws base_admittance --members 4 --starts 2 --iterations 2".split(), *OUT],
     "export": ["export", "{gains}", "--update-rate", "500"],
     "merge": ["merge", "{shards}", *OUT],
     "plot": ["plot", "{swept}", *OUT],

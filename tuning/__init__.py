@@ -1,13 +1,14 @@
 """Searches for admittance gains, and the command line on top of them.
 
-`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`: what they return writes by `.write(folder)` what the
-command writes. `sweep_shard`, `judge_shard` and `merge` are for several machines.
+`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`, `compare`: what they return writes by `.write(folder)`
+what the command writes. `sweep_shard`, `judge_shard` and `merge` are for several machines.
 """
 
 from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from tuning.searches.compare import compare as compare
     from tuning.searches.judge import judge as judge
     from tuning.searches.judge import judge_shard as judge_shard
     from tuning.searches.pareto import pareto as pareto

@@ -159,12 +159,17 @@ class SearchFile(Options):
         """Return the settings of the file with those that were typed in their place, checked against the scenario."""
         from tuning.problem.spaces import space
 
+        wanted = self.joined(typed, loaded)
+        with self.naming(typed, config):
+            space(loaded.scenario, wanted, loaded.law)
+        return wanted
+
+    def joined(self, typed: Search, loaded: "Problem") -> Search:
+        """Return what `settings` does, before the gains that they name are looked for."""
         own = Search() if self.search is None else Search.load(self.search)
         check_metrics(own, loaded.metrics, str(self.search))
         wanted = own.changed(typed.model_dump(exclude_unset=True), "options")
         check_metrics(wanted, loaded.metrics, "--weight, --limit")
-        with self.naming(typed, config):
-            space(loaded.scenario, wanted, loaded.law)
         return wanted
 
     @contextlib.contextmanager

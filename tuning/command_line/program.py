@@ -31,6 +31,7 @@ COMMANDS = {  # what each does
     "merge": "Put shards of sweep or judge together.",
     "tune": "Search the gains of the controller.",
     "judge": "Judge gains on walks that no search saw.",
+    "compare": "Tune laws alike, and judge them side by side.",
     "pareto": "Search the front of two metrics.",
     "schedule": "Tune gains for pairs of gravity and cargo.",
     "plot": "Draw the pictures of a result again.",
@@ -43,7 +44,7 @@ COMMANDS = {  # what each does
     "doctor": "Examine this installation.",
 }
 _MODULES = {  # and the commands in each
-    "run": ("run",), "searches": ("sweep", "merge", "tune", "judge", "pareto", "schedule"),
+    "run": ("run",), "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
     "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
 }  # fmt: skip
 _LONGEST = 1000  # characters of a line

@@ -1,4 +1,4 @@
-"""`mjx-climb tune`, `pareto`, `schedule`, `sweep`, `judge` and `merge`: searches whose finished parts are kept."""
+"""`mjx-climb tune`, `pareto`, `schedule`, `sweep`, `judge`, `compare`, `merge`: searches with finished parts kept."""
 
 import dataclasses
 import importlib
@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from mjx_climb.scenario import shipped
 from tuning.command_line import processes
-from tuning.command_line.from_models import command
+from tuning.command_line.from_models import command, in_options
 from tuning.command_line.interruption import Interrupted
 from tuning.command_line.options import ENSEMBLE, LAW, METRICS, SHARD, Output, SearchFile, Walk, own_objects
 from tuning.command_line.program import InputError, origin, repeated, typed_but
@@ -390,6 +390,89 @@ def judge(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> No
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
     _walk_rows(rivals, walk, output, "judge", again)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+class Laws(Judge):
+    """Which laws are compared, on what."""
+
+    laws: Annotated[tuple[str, ...], BeforeValidator(_names)] = setting(
+        ...,
+        "laws to compare with pd, with commas: base_admittance, end_effector_admittance, or what --law of tune takes; "
+        "files are run",
+        metavar="LAW,LAW,...",
+    )
+    ensemble: Path | None = setting(
+        None, f"{ENSEMBLE}; null: that of --hardware, else ensemble", metavar="FILE", complete="ensemble"
+    )
+
+    def draw(self, hardware: str | None) -> "Ensemble":
+        """Return the ensemble, by default the shipped one of a profile of hardware."""
+        from tuning.problem.ensemble import Ensemble
+
+        own = f"ensemble_{hardware}"
+        default = Path(own if own in shipped.ensembles() else "ensemble")
+        return Ensemble.load(shipped.found(self.ensemble or default))
+
+
+@command("results/<config>-compare")
+def compare(
+    asked: Laws,
+    search: Annotated[Search, "-joint_gains"],
+    file: SearchFile,
+    walk: Annotated[Walk, "-gains", "-law", "-controller"],
+    output: Output,
+) -> None:
+    """Tune several laws for as many evaluations on the same draws, and judge them on the same unseen walks.
+
+    pd with kp and kd retuned is always among them, and all search kp and kd. Prints mean and worst 5 % of each metric,
+    the difference from retuned pd with a 95 % interval by a paired bootstrap over the walks (~: the interval holds 0),
+    and in a sentence which law is better, what the force sensor is worth, and what better hardware would be worth:
+    retuned pd judged again with half the delay, half the friction, twice the rate.
+
+    Writes to DIR every walk and the differences (compared.nc), the table (compared.csv), the gains of each law
+    (gains-<law>.yaml), a picture, the summary (summary.json), and all of it as a page for a browser (report.html).
+    Finished rounds are kept: after Ctrl-C the same command goes on.
+
+    GAIN of --also, --bound and --pin may be one of any law; laws without it are searched without it.
+
+    \b
+    Examples:
+      mjx-climb compare case_1_2 --laws base_admittance,my_law.py:Mine --hardware dynamixel_x
+      mjx-climb compare case_1_1 --laws base_admittance --hardware dynamixel_x --starts 32 --iterations 20 --members 512
+    """
+    with output.session() as shell:
+        from mjx_climb.execution import devices
+        from mjx_climb.scenario.messages import ConfigError
+
+        devices.begin()
+        from tuning.searches import compare as comparing
+        from tuning.searches import tune as searches
+
+        loaded, ensemble = walk.load(), asked.draw(walk.hardware)
+        joined = file.joined(search, loaded)
+        own = Search.load(file.search) if file.search is not None else None
+        if "weights" not in search.model_fields_set and own is None:
+            joined = joined.model_copy(update={"weights": ROBUST_WEIGHTS})
+        try:
+            with file.naming(search):
+                wanted = comparing.alike(searches.over_ensemble(joined, {}, ensemble), search, own)
+                laws = comparing.contestants(loaded.scenario, asked.laws, wanted)
+        except ConfigError as error:
+            raise ConfigError(in_options(str(error), Laws)) from None
+        out = shell.claim("compared.nc", walk.config.stem, "compare")
+        shell.opening(loaded.scenario)
+        with shell.stage("baseline"), file.naming(search, walk.config):
+            problem = comparing.problem_of(
+                loaded.scenario, laws, ensemble, metrics=loaded.metrics, engine=loaded.engine
+            )
+        with shell.keeping("rounds"):
+            found = comparing.run(laws, problem, wanted, asked.members, out=out, stage=shell.stage)
+            files = ["--search", "search.yaml", "--ensemble", "ensemble.yaml"]
+            shell.result(found, repeated(["compare", *files], "--laws", "--members", "--engine"))
 
 
 class Merge(Options):

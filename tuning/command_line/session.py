@@ -144,14 +144,14 @@ class Session:
     ) -> None:
         """Write a result with its report, in which `again` repeats it, and print it: a table, or that of its walks."""
         from tuning.report import comparison
-        from tuning.report.pages import judged_table
+        from tuning.report.pages import summed_table
 
         how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "compared": compared}
         written, problem = found.write(self.out, origin=origin(self.name, again), **how), found.problem
         if table is not None:
             self.show(table)
         elif written.summed is not None:
-            self.show(from_page(judged_table(written.summed, problem.metrics)))
+            self.show(from_page(summed_table(written.summed, problem.metrics)))
         else:
             self.show(comparison_table(written.compared, "pd", self.tables.width, problem.metrics, problem.law))
             if found.search is not None:

@@ -85,9 +85,14 @@ def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: 
     Raises:
         OutputError: the file cannot be written.
     """
+    return write_text_atomically(path, text(gains, comment, law))
+
+
+def text(gains: AnyGains, comment: str = "", law: mc.Law | None = None) -> str:
+    """Return what `save` writes."""
     plain: dict[str, Any] = {} if law is None else {LAW: own_section.reference(law)}
     plain |= {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
-    return write_text_atomically(path, commented(comment, plain))
+    return commented(comment, plain)
 
 
 def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:

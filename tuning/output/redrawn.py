@@ -12,14 +12,15 @@ from matplotlib.figure import Figure
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
+from tuning.evaluation import paired
 from tuning.output import results
 from tuning.report import pictures
 from tuning.report.comparison import Compared
 from tuning.report.explorer import axes_of
 from tuning.searches import result
 
-RESULTS = ("trajectory.nc", "sweep.nc", "map.nc", "search.nc", "judged.nc", "front.nc", "schedule.nc")
-OF_METRICS = ("sweep.nc", "map.nc", "judged.nc")
+RESULTS = ("trajectory.nc", "sweep.nc", "map.nc", "search.nc", "judged.nc", "compared.nc", "front.nc", "schedule.nc")
+OF_METRICS = ("sweep.nc", "map.nc", "judged.nc", "compared.nc")
 MAPS = {"sweep.nc": ("maps", "comparison.json"), "map.nc": ("map", "summary.json")}  # picture, walks to mark on it
 
 
@@ -66,6 +67,10 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Fi
                 yield "path", pictures.plot_path(found, dataset.load(folder / "map.nc"))
         elif name == "judged.nc":
             yield "judged", pictures.plot_judged(data, *([metrics] if metrics else []))
+        elif name == "compared.nc" and metrics:
+            yield "judged", pictures.plot_judged(data, metrics)
+        elif name == "compared.nc":
+            yield "compared", pictures.plot_laws(paired.taken(data))
         elif name == "front.nc":
             yield "front", pictures.plot_front(data)
         elif name == "schedule.nc":

@@ -17,7 +17,8 @@ from mjx_climb.execution import devices
 from mjx_climb.files import scenario_files
 from mjx_climb.quantities.parameters import gains as scenario_gains
 from tuning.background import Callback, Stage, Work, background, ignore
-from tuning.evaluation import maps, margins, stability_limit, verification
+from tuning.evaluation import maps, margins, paired, stability_limit, verification
+from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name, replaced
 from tuning.output import comparisons
 from tuning.output.comparisons import GIVEN, OfGrid, OfSearch, beside_retuned, one_walk
@@ -31,6 +32,7 @@ from tuning.report.numbers import failed, remarks, to_json
 from tuning.searches import judge as judging
 from tuning.searches import retuned_pd
 from tuning.searches import schedule as schedules
+from tuning.searches.compare import Comparison, file_name, reads_forces
 from tuning.searches.pareto import Front
 from tuning.searches.result import Robust, Tuned, Written
 from tuning.searches.shards import Rows
@@ -41,6 +43,7 @@ CONVERGENCE = "How the search converged."
 WALKS = "The walks over time: red crosses mark a torn gripper, shading a disturbance."
 PATH = "The way of the search over the map; the red line is the limit of stability."
 MARGINS = "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges."
+LAWS = "Differences from retuned pd, with 95 % intervals over the walks; grey where the interval holds 0."
 SHARES = "Share of the walks below a value."
 FRONT = "The front, and all that was walked on the way."
 SCHEDULE = "Gains by gravity and cargo."
@@ -117,6 +120,37 @@ def pareto(found: Front, folder: Folder, _: None = None) -> Contents:
         {"front": (FRONT, lambda: pictures.plot_front(data))},
         lambda origin: pages.pareto_page(found, histories, walks, origin),
         again,
+    )
+
+
+def compare(found: Comparison, folder: Folder, _: None = None) -> Contents:
+    """Every walk with what differs, a table, the gains of each law, a picture, the page."""
+    ensemble, metrics = found.ensemble, found.problem.metrics
+    assert ensemble is not None and isinstance(found.problem.objective, Objective)
+    reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]
+    with folder.stage("intervals", compiles=False):
+        table = paired.compared(found.data, pages.of_laws(metrics), retuned_pd.NAME, found.problem.objective)
+    said = paired.verdict(table, found.laws, reading, found.hardware)
+    data = paired.beside(found.data, table).assign_attrs(verdict=said.in_words)
+    found = folder.found(dataclasses.replace(found, data=data))
+    name = "from Python" if folder.origin is None else folder.origin.name
+    gains = {
+        f"gains-{file_name(law)}.yaml": gains_file.text(own.gains, f"mjx-climb compare {name}: {law}", own.problem.law)
+        for law, own in found.tuned.items()
+    }
+    rows = pages.rows_of_laws(table)
+    searched = {
+        law: {"gains": by_name(own.gains), "points": own.data.sizes["point"], "env_steps": own.env_steps,
+              "objective": own.value, "feasible": own.feasible, "reads_forces": law in reading}
+        for law, own in found.tuned.items()
+    }  # fmt: skip
+    summary = to_json({"verdict": said.in_words, "best": said.best, "laws": searched, "table": rows})
+    notes = pages.notes_of_laws(found, table)
+    return Contents(
+        Written(data=found.data, summed=table, outcome=[*notes, said.in_words], summary=summary),
+        {**gains, "compared.csv": pages.to_csv(rows), "summary.json": summary + "\n"},
+        {"compared": (LAWS, lambda: pictures.plot_laws(table))},
+        lambda origin: pages.laws_page(found, table, said.in_words, notes, origin),
     )
 
 

@@ -1,5 +1,7 @@
 """What stands on the page of each search: of a sweep, of a search for gains, of a front, of gains on an ensemble."""
 
+import csv
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,12 +11,14 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.rollouts.walks import LINES
 from tuning.gains.gains_file import by_name
+from tuning.gains.gains_tables import labels
 from tuning.problem.evaluation import Problem
 from tuning.report import comparison
 from tuning.report.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, grid_points, listed_points
 from tuning.report.numbers import axis_values, change, failed, gain, number, remarks, unit
 from tuning.report.page import Origin, Page, Table
 from tuning.searches import sweep as sweeps
+from tuning.searches.compare import Comparison
 from tuning.searches.pareto import Front, without_sensor
 from tuning.searches.result import Tuned
 
@@ -165,6 +169,11 @@ def shown(metrics: mc.MetricTable) -> list[str]:
     return [*SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
 
 
+def summed_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
+    """Return the table of the walks of a fresh draw: of laws that are compared, or of gains of one law."""
+    return laws_table(summed, metrics) if "difference" in summed else judged_table(summed, metrics)
+
+
 def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
     """Return mean and worst of the main metrics, the first gains' with their change against the config's."""
     names = summed["gains"].values.tolist()
@@ -184,6 +193,117 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
         rows = [row(summed[name].sel(statistic=key), *about, label) for key, label in statistics.items()]
         sections.append(("", rows))
     return Table("On the walks of a fresh draw", columns, sections, 3)
+
+
+LAWS_SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
+
+
+def of_laws(metrics: mc.MetricTable) -> list[str]:
+    """Return the names of the metrics by which laws are compared: the main ones, and those of the user's own."""
+    return [*LAWS_SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
+
+
+def rows_of_laws(table: xr.Dataset) -> list[dict[str, Any]]:
+    """Return a comparison of laws as plain rows: a metric, a statistic, a law, and its numbers."""
+    rows: list[dict[str, Any]] = []
+    dims = ("metric", "statistic", "gains")
+    for place in np.ndindex(*(table.sizes[name] for name in dims)):
+        if np.isfinite(table["value"].values[place]):
+            words = {name: str(table[name].values[index]) for name, index in zip(dims, place, strict=True)}
+            numbers = {
+                name: table[name].values[place].item() for name in ("value", "difference", "low", "high", "real")
+            }
+            rows.append(words | numbers)
+    return rows
+
+
+def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return plain rows as CSV."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def laws_table(table: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
+    """Return mean and worst of each metric by law, each with its difference from retuned pd and the interval, in %."""
+    base, sections = table.attrs["baseline"], []
+    versus = f"vs {base} %"
+    columns = ["metric", "law", "mean", versus, f"worst {table.attrs['worst_share']:.0%}", versus]
+    for name in table["metric"].values.tolist():
+        own = table.sel(metric=name)
+        words = [metrics.in_words(name), unit(name, metrics)] if name in metrics.names else [_NOT_METRICS[name], ""]
+        rows: list[list[str]] = []
+        for law in table["gains"].values.tolist():
+            cells = [
+                cell
+                for key in ("mean", "worst")
+                for cell in _versus(own.sel(statistic=key, gains=law), own.sel(statistic=key, gains=base))
+            ]
+            rows.append([words[len(rows)] if len(rows) < len(words) else "", law, *cells])
+        sections.append(("", rows))
+    caption = f"On {table.attrs['members_compared']} walks that no search saw; ~: no real difference"
+    return Table(caption, columns, sections, 2)
+
+
+_NOT_METRICS = {"objective": "objective", "failed": "share lost"}
+
+
+def _versus(own: xr.Dataset, base: xr.Dataset) -> tuple[str, str]:
+    """Return a value, and its difference with the interval in per cent, "~" behind it where it is not real."""
+    value, of = float(own["value"]), abs(float(base["value"]))
+    if not np.isfinite(value):
+        return "", ""
+    if str(own["gains"].values) == str(base["gains"].values):
+        return number(value), ""
+    if not of:  # a share of no walks has no per cent of its own
+        of = 1.0
+    change, low, high = (100 * float(own[name]) / of for name in ("difference", "low", "high"))
+    return number(value), f"{change:+.1f} [{low:.1f}, {high:.1f}]{' ' if bool(own['real']) else '~'}"
+
+
+def notes_of_laws(found: Comparison, table: xr.Dataset) -> list[str]:
+    """Return what a comparison of laws rests on, in lines."""
+    points = {name: own.data.sizes["point"] for name, own in found.tuned.items()}
+    same = len({*points.values()}) == 1
+    spent = str(min(points.values())) if same else ", ".join(f"{name} {count}" for name, count in points.items())
+    notes = [
+        f"{spent} points of {found.problem.members} walks searched for each law; {table.attrs['members']} unseen "
+        f"walks each; {table.attrs['level']:.0%} intervals by {table.attrs['resamples']} resamples of the walks"
+    ]
+    if not same:
+        notes.append("warning: searches that had converged ended early")
+    broken = [name for name, own in found.tuned.items() if not own.feasible]
+    if broken:
+        notes.append(f"warning: no gains kept every limit in the search of {', '.join(broken)}")
+    if left := table.attrs["members"] - table.attrs["members_compared"]:
+        notes.append(f"warning: {left} walks in which something diverged count among those lost alone")
+    if found.hardware:
+        notes.append("better hardware walks with the kp and kd that were tuned for the present one")
+    return notes
+
+
+def laws_page(found: Comparison, table: xr.Dataset, verdict: str, notes: Sequence[str], origin: Origin) -> Page:
+    """Return the page of a comparison of laws: what it says, the table, and the gains of each."""
+    sections = []
+    for name, own in found.tuned.items():
+        known = labels(own.problem.law)
+        rows = [
+            ["", gain_name, known[gain_name][0] if gain_name in known else "", gain(by_name(own.gains), gain_name)]
+            for gain_name in own.problem.space.gains
+        ]
+        rows[0][0] = name
+        sections.append(("", rows))
+    steps = ", ".join(f"{name} {own.env_steps:,}" for name, own in found.tuned.items())
+    assert found.search is not None
+    return Page(
+        title=f"Laws compared on {origin.name}: {', '.join(found.laws)} beside retuned pd", origin=origin,
+        verdict=sentences([verdict])[0], scenario=found.scenario, notes=sentences(notes),
+        tables=[laws_table(table, found.problem.metrics),
+                Table("Gains found", ["law", "gain", "unit", "value"], sections, 3)],
+        facts={"precision": "float32", "seed": found.search.seed, "env-steps": steps},
+    )  # fmt: skip
 
 
 def pareto_page(

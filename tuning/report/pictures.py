@@ -178,6 +178,43 @@ def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation",
 
 
 @plots.style()
+def plot_laws(table: xr.Dataset) -> Figure:
+    """Draw differences from the baseline in per cent of it, with their intervals: a panel a metric, a row a law.
+
+    Dots are means, diamonds means of the worst 5 %; grey where the interval holds 0.
+    """
+    base = table.attrs["baseline"]
+    names = [name for name in table["gains"].values.tolist() if name != base]
+    metrics = [name for name in table["metric"].values.tolist() if table["value"].sel(metric=name).any()]
+    columns = min(3, len(metrics))
+    rows = -(-len(metrics) // columns)
+    figure = Figure(figsize=(2 * plots.COLUMN, rows * (0.55 + 0.2 * len(names)) + 0.4), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for panel, metric in itertools.zip_longest(panels.flat, metrics):
+        if metric is None:
+            panel.set_visible(False)
+            continue
+        panel.axvline(0, color="0.6", linewidth=0.8)
+        for statistic, marker, shift in (("mean", "o", -0.13), ("worst", "D", 0.13)):
+            own = table.sel(metric=metric, statistic=statistic)
+            per = 100 / (abs(float(own["value"].sel(gains=base))) or 1.0)  # of no lost walks: per cent of all
+            for place, name in enumerate(names):
+                middle, low, high = (per * float(own[key].sel(gains=name)) for key in ("difference", "low", "high"))
+                better = (middle < 0) != bool(own["larger_is_better"])
+                color = (plots.BLUE if better else plots.VERMILLION) if bool(own["real"].sel(gains=name)) else "0.7"
+                panel.plot([low, high], [place + shift] * 2, color=color, linewidth=1.2)
+                panel.plot(middle, place + shift, marker, color=color, ms=3.5)
+        panel.set(title=metric.replace("_", " "), ylim=(len(names) - 0.5, -0.5))
+        panel.set_yticks(range(len(names)), names)
+    for panel in panels[-1]:
+        panel.set_xlabel("difference from\nretuned pd [%]")
+    marks = [key(text, color="0.3", marker=mark, ms=4, ls="") for text, mark in (("mean", "o"), ("worst 5 %", "D"))]
+    lines = (("better", plots.BLUE), ("worse", plots.VERMILLION), ("not real", "0.7"))
+    plots.legend_below(figure, [*marks, *(key(text, color=color) for text, color in lines)], 5)
+    return figure
+
+
+@plots.style()
 def plot_front(front: xr.Dataset) -> Figure:
     """Draw a Pareto front, all that was walked on the way, its knee, the config's gains, pd, and the front of pd."""
     metrics = front.attrs["against"], front.attrs["better"]

@@ -26,7 +26,7 @@ from tuning.gains.gains_file import by_name
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.problem.objectives import BINDING, Objective, in_words, violation
+from tuning.problem.objectives import BINDING, Objective, Term, in_words, violation
 from tuning.problem.search import Judge
 from tuning.searches.parts import identity_of
 from tuning.searches.result import Result
@@ -260,11 +260,16 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
         values = held[name].transpose("member", "gains").values.astype(float)
         worst = ensembles.worst_mean(values, share, larger_is_better=dataset.larger_is_better(walks[name]))
         data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), walks[name].attrs)
-    failed = (walks["peak_pull_force"] > walks.attrs["holding_limit"]) | walks["diverged"].astype(bool)
     about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
-    data["failed"] = ("gains", failed.mean("member").values, about)
+    data["failed"] = ("gains", failed(walks).mean("member").values, about)
     attrs = {**walks.attrs, "worst_share": share, "members_compared": held.sizes["member"]}
     return xr.Dataset(data, {"statistic": ["mean", "worst"], "gains": walks["gains"].values}, attrs)
+
+
+def failed(walks: xr.Dataset) -> xr.DataArray:
+    """Return which walks lose a gripper or diverge, dimensions as of the walks."""
+    found: xr.DataArray = (walks["peak_pull_force"] > walks.attrs["holding_limit"]) | walks["diverged"].astype(bool)
+    return found
 
 
 def broken(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
@@ -281,14 +286,19 @@ def broken(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
 def scores(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
     """Return what gains are worth over the walks of a draw, (`gains`): 1 for pd on the same walks."""
     rows = {str(name): walks[name].values for name in walks.data_vars if walks[name].ndim == 2}
-    terms, share = [], goal.worst.share if goal.worst is not None else 1.0
-    for term in goal.terms:
-        pd = rows[term.metric][-1]
-        mean, worst = float(pd.mean()), float(ensembles.worst_mean(pd, share, larger_is_better=term.larger_is_better))
-        terms.append(term._replace(baseline=mean, smooth_baseline=mean, worst=worst, smooth_worst=worst))
-    fresh = dataclasses.replace(goal, terms=tuple(terms))
+    fresh = dataclasses.replace(goal, terms=terms_on(walks, goal))
     value = np.asarray(fresh.score({name: jnp.asarray(values.T) for name, values in rows.items()}).value)
     return xr.DataArray(value, {"gains": walks["gains"].values}, attrs={"units": "1", "long_name": "objective"})
+
+
+def terms_on(walks: xr.Dataset, goal: Objective) -> tuple[Term, ...]:
+    """Return the terms of an objective relative to pd on the walks of a draw."""
+    terms, share = [], goal.worst.share if goal.worst is not None else 1.0
+    for term in goal.terms:
+        pd = walks[term.metric].sel(gains=PD).values
+        mean, worst = float(pd.mean()), float(ensembles.worst_mean(pd, share, larger_is_better=term.larger_is_better))
+        terms.append(term._replace(baseline=mean, smooth_baseline=mean, worst=worst, smooth_worst=worst))
+    return tuple(terms)
 
 
 def binding(seen: xr.Dataset, goal: Objective, name: str) -> list[str]:

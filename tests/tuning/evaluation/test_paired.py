@@ -1,0 +1,142 @@
+"""Intervals of differences between gains on the same walks: against plain resampling and against the normal law."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from tuning.evaluation import paired
+from tuning.problem import ensemble
+from tuning.problem.ensemble import Worst
+from tuning.problem.objectives import Objective, Term
+from tuning.searches import judge
+
+NAMES = ["mine", "other", "retuned_pd", "half the friction", "pd"]
+
+
+@pytest.mark.parametrize("larger", [False, True])
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
+def test_statistics_are_those_of_the_walks_drawn_again(share, larger):
+    rng = np.random.default_rng(0)
+    values, drawn = rng.normal(size=(3, 37)), rng.integers(0, 37, (50, 37))
+    values[1] = np.round(values[1])  # equal ones
+    counts = np.stack([np.bincount(row, minlength=37) for row in drawn])
+    found = paired.worst_mean(values, counts, share, larger_is_better=larger)
+    wanted = [[ensemble.worst_mean(own[row], share, larger_is_better=larger) for own in values] for row in drawn]
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_resamples_are_as_many_walks_drawn_alike(monkeypatch):
+    whole = np.concatenate(list(paired.resamples(40, 3000, seed=1)))
+    assert whole.shape == (3000, 40) and (whole.sum(1) == 40).all()
+    assert whole.mean(0) == pytest.approx(1, abs=5 * np.sqrt(39 / 40 / 3000))
+    assert whole.var() == pytest.approx(39 / 40, rel=0.02)
+    monkeypatch.setattr(paired, "_AT_ONCE", 400)
+    np.testing.assert_array_equal(np.concatenate(list(paired.resamples(40, 3000, seed=1))), whole)
+
+
+def test_the_interval_of_normal_differences_is_the_analytic_one():
+    """What both walks have in common, thirty times as large, does not widen it."""
+    rng = np.random.default_rng(3)
+    common, difference = 30 * rng.normal(size=500), 0.2 + rng.normal(size=500)
+    values = np.stack([common + difference, common])
+    found = paired.intervals({"mean": lambda counts: paired.worst_mean(values, counts)}, 500, 1, count=20_000)["mean"]
+    error = difference.std() / np.sqrt(500)
+    np.testing.assert_allclose(found[:2, 0], [values[0].mean(), difference.mean()], rtol=1e-12)
+    # a quantile of 20,000 is off by some 0.02 of the error
+    np.testing.assert_allclose((found[2:, 0] - difference.mean()) / error, [-1.96, 1.96], atol=0.08)
+    assert (found[1:, 1] == 0).all()
+
+
+def walks(members=60, **columns):
+    """Walks of `NAMES`, each metric its own level with what all have in common."""
+    rng, data = np.random.default_rng(5), {}
+    levels = {"force_variation": [80, 99, 100, 90, 130], "peak_pull_force": [2, 2, 2, 1, 3], "travel": [2, 1, 1, 1, 1]}
+    for name, level in (levels | columns).items():
+        common = 1 + 0.3 * rng.normal(size=members)
+        own = 0.05 * rng.normal(size=(len(NAMES), members))
+        values = np.asarray(level, float)[:, None] * np.clip(common + own, 0.2, None)
+        data[name] = (("gains", "member"), values, {"larger_is_better": int(name == "travel"), "units": "N"})
+    data["diverged"] = (("gains", "member"), np.zeros((len(NAMES), members), bool))
+    return xr.Dataset(data, {"gains": NAMES, "member": np.arange(members)}, {"holding_limit": 15.0})
+
+
+GOAL = Objective((Term("force_variation", 3.0, 1.0, 1.0), Term("travel", 1.0, 1.0, 1.0, True)), (), worst=Worst())
+METRICS = ["force_variation", "peak_pull_force", "travel"]
+
+
+def compared(data, **how):
+    return paired.compared(data, METRICS, "retuned_pd", GOAL, count=2000, **how)
+
+
+def test_a_table_has_what_judge_says_and_which_differences_are_real():
+    data = walks()
+    table, summed = compared(data), judge.summary(data)
+    for name in METRICS:
+        np.testing.assert_allclose(table["value"].sel(metric=name), summed[name], rtol=1e-12)
+    np.testing.assert_allclose(
+        table["value"].sel(metric="objective", statistic="mean"), judge.scores(data, GOAL), rtol=1e-6
+    )
+    mean = table.sel(statistic="mean")
+    assert mean["real"].sel(metric="force_variation").values.tolist() == [True, False, False, True, True]
+    assert mean["real"].sel(metric="travel").values.tolist() == [True, False, False, False, False]
+    assert not mean["real"].sel(metric="failed").any()
+    xr.testing.assert_identical(compared(data), table)  # seeded
+    assert not compared(data, seed=1).equals(table)
+
+
+def test_what_is_lost_counts_and_what_diverges_is_left_out():
+    data = walks()
+    data["peak_pull_force"][0, :20] = 16.0
+    data["diverged"][1, :3] = True
+    data["diverged"][3, :50] = True
+    for name in METRICS:
+        data[name][1, :3] = np.nan
+    table = compared(data)
+    failed = table.sel(metric="failed", statistic="mean")
+    assert failed["value"].values.tolist() == pytest.approx([20 / 60, 3 / 60, 0, 50 / 60, 0])
+    assert failed["real"].values.tolist() == [True, False, False, True, False]
+    assert table.attrs["members_compared"] == 57
+    own = table["value"].sel(metric="force_variation", statistic="mean")
+    assert own.sel(gains="mine").item() == pytest.approx(data["force_variation"].sel(gains="mine")[3:].mean().item())
+    assert np.isnan(own.sel(gains="half the friction"))
+
+
+def said(data, reading=("mine", "other")):
+    return paired.verdict(compared(data), ["mine", "other"], reading, ["half the friction"])
+
+
+def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
+    found = said(walks())
+    assert found.best == "mine" and found.in_words.startswith("mine is better than pd with kp and kd retuned, by ")
+    parts = found.in_words.split("; ")
+    assert parts[1].startswith("the force sensor is worth 2") and parts[1].endswith("nothing in peak pull force")
+    assert "of force variation (mine)" in parts[1] and "of travel (mine)" in parts[1]
+    assert parts[2].startswith("half the friction would be worth less than any of these laws: ")
+    deaf = said(walks(), reading=()).in_words
+    assert "no law here reads forces" in deaf and deaf.startswith("mine is better")
+
+
+def test_the_sentence_says_so_where_no_law_is_better():
+    level = {"travel": [1, 1, 1, 1, 1], "force_variation": [100, 120, 100, 70, 130]}
+    found = said(walks(**level))
+    assert found.best is None and found.in_words.startswith("none is better than pd with kp and kd retuned; ")
+    assert "the force sensor is worth nothing here" in found.in_words
+    assert "half the friction would be worth more than any of these laws: 2" in found.in_words
+    nothing = said(walks(**level | {"force_variation": [100] * 5}))
+    assert nothing.in_words.endswith("no real gain for pd by half the friction")
+
+
+def test_a_law_that_loses_walks_is_not_better():
+    data = walks()
+    data["peak_pull_force"][0, :20] = 16.0
+    assert said(data).best is None
+
+
+def test_what_a_law_is_worse_in_is_named():
+    assert ", though worse in peak pull force" in said(walks(peak_pull_force=[3, 2, 2, 2, 2])).in_words
+
+
+def test_a_table_comes_back_from_beside_the_walks():
+    data = walks()
+    table = compared(data)
+    xr.testing.assert_equal(paired.taken(paired.beside(data, table)), table)
