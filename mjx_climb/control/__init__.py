@@ -1,5 +1,6 @@
 """Control laws behind one seam: what is measured and planned goes in, targets of base and feet come out."""
 
+import functools
 import math
 from typing import Any
 
@@ -26,8 +27,27 @@ SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), L
 __all__ = [
     "LAWS", "PD", "SHIPPED", "Command", "EndEffectorAdmittance", "GainField", "Law", "LoadTransfer",
     "MeasuredPoseAdmittance", "Measurement", "Reference", "Start", "VirtualModelAdmittance", "begin", "combined",
-    "gain", "law_of", "phased", "shifted",
+    "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
 ]  # fmt: skip
+
+
+def is_shipped(name: str) -> bool:
+    """Return whether a name is one that `shipped` knows, or would be but for the names of gains."""
+    return all(part.split("@")[0] in SHIPPED for part in name.split("+"))
+
+
+def shipped(name: str) -> Law:
+    """Return a law by its name: that of a shipped class, `NAME@GAIN,GAIN` for gains by phase, `NAME+NAME` for a sum.
+
+    Raises:
+        ValueError: gains by phase that the law does not have.
+    """
+
+    def part(text: str) -> Law:
+        kind, *gains = text.split("@")
+        return functools.reduce(lambda law, names: phased(law, names.split(",")), gains, SHIPPED[kind]())
+
+    return functools.reduce(combined, map(part, name.split("+")))
 
 
 def law_of(scenario: Scenario) -> Law:

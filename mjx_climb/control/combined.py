@@ -70,8 +70,8 @@ class Sum(Law):
 def combined(first: Law, second: Law) -> Law:
     """Return the law that is the sum of two, an instance of a class `FIRST+SECOND`, the same for the same two classes.
 
-    Its gains are those of both. What both have stands under the name of the law in front: `virtual_model_damping`,
-    `end_effector_damping`; of two laws of one class, `first_damping`, `second_damping`.
+    Its gains are those of both. Where these have a name in common, the name of the law stands in front of all:
+    `virtual_model_damping`, `end_effector_damping`; of two laws of one kind, `first_damping`, `second_damping`.
     """
     laws: Any = first, second
     kind = _sum_of(*map(type, laws))
@@ -82,17 +82,19 @@ def combined(first: Law, second: Law) -> Law:
 @functools.cache
 def _sum_of(first: type[Any], second: type[Any]) -> type[Sum]:
     owns = [{field.name: field for field in dataclasses.fields(kind)} for kind in (first, second)]
-    shared, places = owns[0].keys() & owns[1].keys(), [_prefix(first), _prefix(second)]
+    places = [f"{_prefix(kind)}_" for kind in (first, second)]
     if places[0] == places[1]:
-        places = ["first", "second"]
+        places = ["first_", "second_"]
+    if not owns[0].keys() & owns[1].keys():
+        places = ["", ""]
     fields: dict[str, Any] = {}
     parts: list[Part] = []
     for kind, own, place in zip((first, second), owns, places, strict=True):
-        names = {name: f"{place}_{name}" if name in shared else name for name in own}
+        names = {name: place + name for name in own}
         fields |= {names[name]: field for name, field in own.items()}
         parts.append(Part(kind, tuple(names.items())))
     limbwise = frozenset(name for part in parts for own, name in part.names if own in part.kind.LIMBWISE)
-    name = f"{first.__qualname__}+{second.__qualname__}"
+    name = f"{first.__qualname__}+{f'({second.__qualname__})' if issubclass(second, Sum) else second.__qualname__}"
     made: type[Sum] = law_class(name, Sum, fields, PARTS=tuple(parts), LIMBWISE=limbwise)
     return made
 
@@ -111,5 +113,6 @@ def law_class(name: str, base: type[Any], fields: Mapping[str, Any], **attribute
 
 def _prefix(kind: type[Law]) -> str:
     """Return the name of a law in front of its gains."""
-    words = kind.__name__.removesuffix("Admittance") or kind.__name__
+    name = kind.__name__.split("@")[0]  # without its gains by phase
+    words = name.removesuffix("Admittance") or name
     return re.sub(r"\W+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", words)).lower()

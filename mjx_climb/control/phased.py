@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.combined import Part, law_class
+from mjx_climb.control.combined import Part, Sum, law_class
 from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
 
 PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
@@ -155,7 +155,8 @@ def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
         if name not in gains:
             fields[name] = field
     part = Part(kind, tuple((name, name) for name in own if name not in gains))
-    name = f"{kind.__qualname__}@{','.join(gains)}"
+    of = f"({kind.__qualname__})" if issubclass(kind, Sum) else kind.__qualname__
+    name = f"{of}@{','.join(gains)}"
     return law_class(name, Phased, fields, PART=part, BY_PHASE=gains, LIMBWISE=kind.LIMBWISE - {*gains})
 
 

@@ -97,6 +97,23 @@ def test_gains_of_both_have_names_that_tell_whose_they_are():
     assert bounds["end_effector_stiffness"] == (1e2, 1e6)
 
 
+def test_laws_go_by_names_that_are_put_together():
+    """Which their gains files have, and `own.law.name`; a law that has no such name is refused."""
+    for name in ("PD+EndEffectorAdmittance", "EndEffectorAdmittance@damping,stiffness", "LoadTransfer+PD+LoadTransfer",
+                 "VirtualModelAdmittance@damping@stiffness+LoadTransfer@leak"):  # fmt: skip
+        law = own_section.load_law(name)
+        assert own_section.reference(law) == name and type(own_section.load_law(name)) is type(law)
+        scenario = mc.load_scenario("case_1_2").with_overrides({"own": own_section.section(law)})
+        assert type(own_section.taken(scenario)[1]) is type(law)
+    assert type(combined(BASE, combined(BASE, FEET))).__name__.endswith(
+        "+(VirtualModelAdmittance+EndEffectorAdmittance)"
+    )
+    with pytest.raises(mc.ConfigError, match=r"^law: gains by phase: expected some of .* of PD, got leak$"):
+        own_section.load_law("PD@leak+PD")
+    with pytest.raises(mc.ConfigError, match=r"^law: expected FILE.py:NAME, or one of PD, .*, got 'PD\+Nobody'$"):
+        own_section.load_law("PD+Nobody")
+
+
 def test_gains_of_a_sum_are_saved_and_read_back(tmp_path):
     law = combined(BASE, FEET)
     values = {name: getattr(law, name) for name in law.GAINS}

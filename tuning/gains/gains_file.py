@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.control import SHIPPED
+from mjx_climb.control import is_shipped
 from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
 from mjx_climb.rollouts.resolve import by_name as by_name
@@ -30,7 +30,7 @@ def shipped_law(path: str | os.PathLike[str]) -> str | None:
     source = os.fsdecode(path)
     data = parse(read(source), source)
     name = data.get(LAW) if isinstance(data, dict) else None
-    return name if isinstance(name, str) and name in SHIPPED else None
+    return name if isinstance(name, str) and is_shipped(name) else None
 
 
 @overload

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.control import SHIPPED
+from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import in_library
 from mjx_climb.files import scenario_files
 from mjx_climb.rollouts.resolve import checked_gains
@@ -57,13 +57,16 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
 
 
 def load_law(text: str) -> mc.Law:
-    """Return a shipped law by its name, or what FILE.py:NAME names: an instance or a class whose gains have defaults.
+    """Return a law by its name, see `shipped`, or what FILE.py:NAME names: an instance, or a class with defaults.
 
     Raises:
         ConfigError: as of `load`; no such name.
     """
-    if text in SHIPPED:
-        return SHIPPED[text]()
+    if is_shipped(text):
+        try:
+            return shipped(text)
+        except ValueError as error:
+            raise ConfigError(f"law: {error}") from None
     if ":" not in text:
         raise ConfigError(f"law: expected FILE.py:NAME, or one of {', '.join(SHIPPED)}, got {text!r}")
     found, file, name = load(text, "law")
@@ -139,8 +142,8 @@ def taken(
     if own is None:
         return scenario, law, metrics
     if law is None and own.law is not None:
-        shipped = own.law.file is None and own.law.name in SHIPPED
-        law = SHIPPED[own.law.name]() if shipped else load_law(_text(own.law, "law", source))
+        by_name = own.law.file is None and is_shipped(own.law.name)
+        law = load_law(own.law.name if by_name else _text(own.law, "law", source))
         try:
             law = of_one(law, dict(own.law.gains.items()))
         except (TypeError, ValueError) as error:
