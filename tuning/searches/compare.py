@@ -14,7 +14,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.control import Measurement, Reference, Start, begin, law_of
+from mjx_climb.control import PD, Measurement, Reference, Start, begin, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.execution.flat import reached
 from mjx_climb.hardware.stages import given
@@ -45,6 +45,9 @@ HARDWARE = {  # what retuned pd walks with besides: parameters and their factor
     "twice the rate": (("control_period",), 0.5),
 }
 _KEYS = ("also", "bounds", "pins")  # settings that name gains
+
+
+Laws = Iterable[str | mc.Law] | Mapping[str, str | mc.Law]
 
 
 class Contestant(NamedTuple):
@@ -82,7 +85,7 @@ class Comparison(Result):
 
 def compare(
     scenario: mc.Scenario,
-    laws: Iterable[str | mc.Law],
+    laws: Laws,
     ensemble: Ensemble,
     search: Search | None = None,
     *,
@@ -101,7 +104,8 @@ def compare(
 
     Arguments:
         scenario: what walks where.
-        laws: instances, or names: `base_admittance`, `end_effector_admittance`, or what `--law` takes.
+        laws: instances, or names: `base_admittance`, `end_effector_admittance`, or what `--law` takes; a mapping gives
+            them other names than their own.
         ensemble: what the walks may meet; drawn again with another seed to judge.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it. The
             method is cmaes or optuna; 16 points in 20 rounds where they do not say, on a GPU 256 in 40.
@@ -140,7 +144,7 @@ def alike(wanted: Search, *given: Search | Mapping[str, Any] | None) -> Search:
     return wanted.model_copy(update=how)
 
 
-def named(scenario: mc.Scenario, laws: Iterable[str | mc.Law]) -> dict[str, tuple[mc.Scenario, mc.Law | None]]:
+def named(scenario: mc.Scenario, laws: Laws) -> dict[str, tuple[mc.Scenario, mc.Law | None]]:
     """Return scenario and law (None: the scenario's) by name, pd the last.
 
     Raises:
@@ -148,31 +152,35 @@ def named(scenario: mc.Scenario, laws: Iterable[str | mc.Law]) -> dict[str, tupl
     """
     found: dict[str, tuple[mc.Scenario, mc.Law | None]] = {}
     own = without(scenario)
-    for law in laws:
-        name = (law.rpartition(":")[2] if isinstance(law, str) else type(law).__name__).strip()
-        name = NAME if name == "pd" else name
+    for name, law in laws.items() if isinstance(laws, Mapping) else ((_name(law), law) for law in laws):
         if name in found or name in HARDWARE:
             raise ConfigError(f"laws: expected laws of different names, got {name.replace(NAME, 'pd')} twice")
-        if isinstance(law, mc.Law):
+        if name == NAME:
+            found[name] = under_pd(scenario), None
+        elif isinstance(law, mc.Law):
             found[name] = own, law
-        elif name in CONTROLLERS:
-            reading = scenario.control.reading if name == "base_admittance" else "virtual_model"
-            changes = {"control.controller": name, "control.reading": reading}
+        elif law in CONTROLLERS:
+            reading = scenario.control.reading if law == "base_admittance" else "virtual_model"
+            changes = {"control.controller": law, "control.reading": reading}
             found[name] = own.with_overrides(changes), None
-        elif name != NAME:
+        else:
             try:
-                found[name] = own, load_law(law.strip())
+                found[name] = own, load_law(law)
             except ConfigError as error:
                 raise ConfigError(f"laws: expected pd, {', '.join(CONTROLLERS)} or a law: {error}") from None
-        else:
-            found[name] = under_pd(scenario), None
     if not found.keys() - {NAME}:
         raise ConfigError("laws: expected a law to compare with pd, got none")
     found.pop(NAME, None)
     return found | {NAME: (under_pd(scenario), None)}
 
 
-def contestants(scenario: mc.Scenario, laws: Iterable[str | mc.Law], search: Search) -> dict[str, Contestant]:
+def _name(law: str | mc.Law) -> str:
+    if law in ("pd", PD.__name__) or type(law) is PD:
+        return NAME
+    return law.rpartition(":")[2] if isinstance(law, str) else type(law).__name__
+
+
+def contestants(scenario: mc.Scenario, laws: Laws, search: Search) -> dict[str, Contestant]:
     """Return the laws by name, pd the last, each with the settings that concern it; errors as of `compare`."""
     found = {}
     for name, (place, law) in named(scenario, laws).items():

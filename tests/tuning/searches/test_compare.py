@@ -79,6 +79,17 @@ def test_each_law_is_searched_by_what_it_has_of_the_settings(scenario, files):
             np.testing.assert_allclose(bounds["share"], (0.1, 0.9))
 
 
+def test_laws_have_names_of_their_own_or_given_ones(scenario, files):
+    law = VirtualModelAdmittance(1.0, 1e3, 1e4)
+    given = {"soft": law, "stiff": "end_effector_admittance", "mine": f"{files}/law.py:Shared"}
+    found = compare.contestants(scenario, given, settings())
+    assert list(found) == ["soft", "stiff", "mine", "retuned_pd"]
+    assert found["soft"].law is law and type(found["mine"].law).__name__ == "Shared"
+    assert found["stiff"].scenario.control.controller == "end_effector_admittance"
+    own = compare.contestants(scenario, [law, PD(), "LoadTransfer"], settings())
+    assert list(own) == ["VirtualModelAdmittance", "LoadTransfer", "retuned_pd"]
+
+
 @pytest.mark.parametrize(
     ("laws", "changes", "expected"),
     [
@@ -89,6 +100,7 @@ def test_each_law_is_searched_by_what_it_has_of_the_settings(scenario, files):
         ),
         (["base_admittance"] * 2, {}, "laws: expected laws of different names, got base_admittance twice"),
         (["pd", "pd", "base_admittance"], {}, "laws: expected laws of different names, got pd twice"),
+        ([PD()], {}, "laws: expected a law to compare with pd, got none"),
         (["pd"], {}, "laws: expected a law to compare with pd, got none"),
         ([VirtualModelAdmittance(1.0, 1.0, 1.0)] * 2, {}, "got VirtualModelAdmittance twice"),
         (["base_admittance"], {"also": ("cutoff",)}, "also: expected a gain that one of the laws has, got cutoff"),
