@@ -5,6 +5,7 @@ law = combined(VirtualModelAdmittance(damping=1e2), EndEffectorAdmittance(dampin
 ```
 """
 
+import copyreg
 import dataclasses
 import functools
 import re
@@ -35,7 +36,16 @@ class Part(NamedTuple):
         return found
 
 
-class Sum(Law):
+class Made(type):
+    """Type of the classes that are made of others: stored programs find one by the function that made it."""
+
+    MADE_BY: tuple[Any, ...] = ()  # the function and its arguments
+
+
+copyreg.pickle(Made, lambda kind: kind.MADE_BY or kind.__qualname__)
+
+
+class Sum(Law, metaclass=Made):
     """The sum of two laws, made by `combined`: `x = x_ref + dx_1 + dx_2` of base and feet, `q = q_1 q_ref^* q_2`.
 
     dx is what a law commands less the reference; of rotations of the base, the second follows the first.
@@ -95,7 +105,8 @@ def _sum_of(first: type[Any], second: type[Any]) -> type[Sum]:
         parts.append(Part(kind, tuple(names.items())))
     limbwise = frozenset(name for part in parts for own, name in part.names if own in part.kind.LIMBWISE)
     name = f"{first.__qualname__}+{f'({second.__qualname__})' if issubclass(second, Sum) else second.__qualname__}"
-    made: type[Sum] = law_class(name, Sum, fields, PARTS=tuple(parts), LIMBWISE=limbwise)
+    made_by = _sum_of, (first, second)
+    made: type[Sum] = law_class(name, Sum, fields, PARTS=tuple(parts), LIMBWISE=limbwise, MADE_BY=made_by)
     return made
 
 
@@ -108,7 +119,7 @@ def law_class(name: str, base: type[Any], fields: Mapping[str, Any], **attribute
         for name, field in fields.items()
     }
     body = {"__module__": base.__module__, "__annotations__": dict.fromkeys(copies, Any), **copies, **attributes}
-    return type(name, (base,), body)
+    return Made(name, (base,), body)
 
 
 def _prefix(kind: type[Law]) -> str:

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.combined import Part, Sum, law_class
+from mjx_climb.control.combined import Made, Part, Sum, law_class
 from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
 
 PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
 
 
-class Phased(Law):
+class Phased(Law, metaclass=Made):
     """A law some of whose gains have a value for each phase, made by `phased`; see `limb_shares`.
 
     What the law's `init` makes of its gains, as the motion of a virtual mass in one period, is made of the values of
@@ -157,7 +157,8 @@ def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
     part = Part(kind, tuple((name, name) for name in own if name not in gains))
     of = f"({kind.__qualname__})" if issubclass(kind, Sum) else kind.__qualname__
     name = f"{of}@{','.join(gains)}"
-    return law_class(name, Phased, fields, PART=part, BY_PHASE=gains, LIMBWISE=kind.LIMBWISE - {*gains})
+    of_limbs, made_by = kind.LIMBWISE - {*gains}, (_phased, (kind, gains))
+    return law_class(name, Phased, fields, PART=part, BY_PHASE=gains, LIMBWISE=of_limbs, MADE_BY=made_by)
 
 
 def _handed_on(step: Any, state: Any) -> list[bool]:

@@ -1,6 +1,7 @@
 """The sum of two laws against their equations, by other code than ours; its gains, derivatives and walks."""
 
 import dataclasses
+import pickle
 
 import jax
 import jax.numpy as jnp
@@ -103,6 +104,7 @@ def test_laws_go_by_names_that_are_put_together():
                  "VirtualModelAdmittance@damping@stiffness+LoadTransfer@leak"):  # fmt: skip
         law = own_section.load_law(name)
         assert own_section.reference(law) == name and type(own_section.load_law(name)) is type(law)
+        assert pickle.loads(pickle.dumps(type(law))) is type(law)  # as programs on disk find it
         scenario = mc.load_scenario("case_1_2").with_overrides({"own": own_section.section(law)})
         assert type(own_section.taken(scenario)[1]) is type(law)
     assert type(combined(BASE, combined(BASE, FEET))).__name__.endswith(
