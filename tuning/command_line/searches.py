@@ -442,7 +442,7 @@ def compare(
     \b
     Examples:
       mjx-climb compare case_1_2 --laws base_admittance,my_law.py:Mine --hardware dynamixel_x
-      mjx-climb compare case_1_1 --laws base_admittance --hardware dynamixel_x --starts 32 --iterations 20 --members 512
+      mjx-climb compare case_1_1 --laws base_admittance --starts 32 --iterations 20 --members 512
     """
     with output.session() as shell:
         from mjx_climb.execution import devices
