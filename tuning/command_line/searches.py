@@ -5,7 +5,7 @@ import importlib
 import shlex
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -13,7 +13,17 @@ from mjx_climb.scenario import shipped
 from tuning.command_line import processes
 from tuning.command_line.from_models import command, in_options
 from tuning.command_line.interruption import Interrupted
-from tuning.command_line.options import ENSEMBLE, LAW, METRICS, SHARD, Output, SearchFile, Walk, own_objects
+from tuning.command_line.options import (
+    ENSEMBLE,
+    LAW,
+    METRICS,
+    SHARD,
+    ControllerName,
+    Output,
+    SearchFile,
+    Walk,
+    own_objects,
+)
 from tuning.command_line.program import InputError, origin, repeated, typed_but
 from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Search, check_metrics
 from tuning.problem.settings import Options, setting
@@ -392,8 +402,15 @@ def judge(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> No
     _walk_rows(rivals, walk, output, "judge", again)
 
 
+_CONTROLLERS = get_args(ControllerName)
+
+
 def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    found: list[str] = []
+    for name in filter(None, map(str.strip, text.split(","))):
+        gain = found and "@" in found[-1] and ":" not in name and name[0].islower() and name not in _CONTROLLERS
+        found[-1:] = [f"{found[-1]},{name}"] if gain else [*found[-1:], name]  # of Law@damping,stiffness
+    return tuple(found)
 
 
 class Laws(Judge):
@@ -401,7 +418,7 @@ class Laws(Judge):
 
     laws: Annotated[tuple[str, ...], BeforeValidator(_names)] = setting(
         ...,
-        "laws to compare with pd, with commas: base_admittance, end_effector_admittance, or what --law of tune takes; "
+        "laws to compare with pd, with commas: base_admittance, end_effector_admittance, or what --law takes; "
         "files are run",
         metavar="LAW,LAW,...",
     )

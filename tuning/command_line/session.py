@@ -252,7 +252,8 @@ def from_page(made: "page.Table") -> Table:
     """Return a table of a report for the terminal."""
     table = plain_table(*made.columns)
     for place, column in enumerate(table.columns):
-        column.justify = "left" if place < made.words else "right"
+        words = place < made.words
+        column.justify, column.no_wrap, column.overflow = "left" if words else "right", not words, "fold"
     for _, rows in made.sections:
         for row in rows:
             table.add_row(*row, end_section=row is rows[-1])

@@ -209,7 +209,7 @@ def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
         try:
             spaces.space(scenario, bare.model_copy(update={"also": (gain,)}), law)
         except ConfigError as error:
-            return not str(error).startswith("also")
+            return not str(error).startswith("also: expected gains of the law")
         return True
 
     own = search.model_copy(update={"also": tuple(filter(has, search.also))})
@@ -218,8 +218,9 @@ def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
             spaces.space(scenario, own, law)
             return own
         except ConfigError as error:
-            section, _, gain = str(error).partition(":")[0].partition(".")
-            if section not in ("bounds", "pins") or gain not in getattr(own, section):
+            key, _, reason = str(error).partition(": ")
+            section, _, gain = key.partition(".")
+            if not reason.startswith("expected one of") or gain not in getattr(own, section, ()):
                 raise
             left = {name: value for name, value in getattr(own, section).items() if name != gain}
             own = own.model_copy(update={section: left})
@@ -302,4 +303,4 @@ def reads_forces(problem: Problem) -> bool:
 
 def file_name(law: str) -> str:
     """Return what a law's files are called."""
-    return re.sub(r"[^\w.-]", "_", law)
+    return re.sub(r"[^\w.@+-]", "_", law)

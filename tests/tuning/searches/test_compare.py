@@ -17,6 +17,7 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tests.shell import ends, finish, same_files, start, wait_for_parts
 from tuning.background import silent
+from tuning.command_line.searches import Laws
 from tuning.gains import gains_file
 from tuning.problem.ensemble import Ensemble, draw
 from tuning.problem.evaluation import Problem
@@ -288,3 +289,9 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     gain = (walks.sel(gains="half the friction") - walks.sel(gains="retuned_pd")).values
     np.testing.assert_allclose(gain, 0.1 * np.log(0.5), rtol=1e-3)
     assert "half the friction would be worth" in written.outcome[-1]
+
+
+def test_commas_are_between_laws_and_between_gains_by_phase():
+    text = "pd, EndEffectorAdmittance@damping,stiffness,base_admittance,my.py:Law,A@kp,B+C@damping,kd"
+    wanted = ("pd", "EndEffectorAdmittance@damping,stiffness", "base_admittance", "my.py:Law", "A@kp", "B+C@damping,kd")
+    assert Laws(laws=text).laws == wanted
