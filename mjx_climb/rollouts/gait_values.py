@@ -1,6 +1,6 @@
 """Values of the gait among the gains, by the keys of a scenario: a law and the gait under it are tuned together."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +22,16 @@ def gait_of(gains: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in gains.items() if name in GAIT}
 
 
+def why_fixed(scenario: Scenario, keys: Iterable[str]) -> str:
+    """Return in words which of the keys are no gains in a scenario that works something out for them, "" for none."""
+    low = scenario.gait.swing == "low_reaction"
+    for key in keys:
+        if low or (scenario.ground.map is not None and key in _WAY):
+            what = "gait.swing: low_reaction is" if low else "a map's footholds are"
+            return f"{key}: expected none, as {what} worked out for the scenario's own gait"
+    return ""
+
+
 def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, Any]) -> Parameters:
     """Return parameters with values of the gait, by their keys, in place of their own.
 
@@ -36,10 +46,8 @@ def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, Any]) ->
     if "cycle" in changed:  # whole steps, so that the speed is that of the cycle that is walked
         changed["cycle"] = whole_steps(changed["cycle"], scenario.time_step) * scenario.time_step
         changed.setdefault("stride", own.stride / own.cycle * changed["cycle"])
-    for name, kind in (("ground.map", scenario.ground.map), ("gait.swing", scenario.gait.swing)):
-        if kind not in (None, "cubic") and not {*_WAY}.isdisjoint(values):
-            key = next(key for key in _WAY if key in values)
-            raise ValueError(f"gains.{key}: expected none where {name} is worked out for the scenario's own stride")
+    if why := why_fixed(scenario, values):
+        raise ValueError(f"gains.{why}")
     walked = replace(own, **changed)
     each = [getattr(walked, name) for name in GAIT.values()]
     if not any(isinstance(value, jax.core.Tracer) for value in each):

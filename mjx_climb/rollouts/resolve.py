@@ -60,7 +60,9 @@ def resolve(
     own = own_parameters(scenario) if parameters is None else parameters
     check_ranges(own)
     values = _values_by_name(law, gains)
-    own = with_gait(scenario, own, {key: _checked(f"gains.{key}", values.pop(key), 1) for key in GAIT if key in values})
+    own = with_gait(
+        scenario, own, {key: _checked(f"gains.{key}", values.pop(key), 1, 0.0) for key in GAIT if key in values}
+    )
     joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
     law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
     parameters = jax.tree.map(array, with_whole_steps(own, scenario.time_step))

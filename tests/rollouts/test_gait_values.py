@@ -55,8 +55,9 @@ def test_the_step_height_has_a_derivative_and_times_have_none():
         ({"gait.duty": [0.8, 1.0]}, r"gains\.gait\.duty: expected a number above 0 and below 1, got 1"),
         ({"gait.duty": 0.9999}, r"gains\.gait\.duty: expected a swing, .* of two time steps"),
         ({"gait.cycle": 1e-5}, r"gains\.gait\.cycle: expected a finite number above 0, got 0"),
-        ({"gait.step_height": -0.1}, r"gains\.gait\.step_height: expected finite numbers above 0, got -0\.1"),
-        ({"gait.cycle": np.nan}, r"gains\.gait\.cycle: expected finite numbers above 0, got nan"),
+        ({"gait.step_height": -0.1}, r"gains\.gait\.step_height: expected finite numbers of 0 or more, got -0\.1"),
+        ({"gait.cycle": np.nan}, r"gains\.gait\.cycle: expected finite numbers of 0 or more, got nan"),
+        ({"gait.step_height": 0.0}, r"gains\.gait\.step_height: expected a number above 0, 100 at most, got 0"),
         ({"gait.heading": 0.1}, r"gains\.gait\.heading: expected one of inertia, damping, stiffness, kp, kd, the"),
     ],
 )  # fmt: skip
@@ -68,8 +69,10 @@ def test_what_no_gait_could_have_is_refused_in_one_line(gains, message):
 
 def test_swings_worked_out_for_one_stride_keep_it_and_a_robot_that_walks_its_gait():
     low = SHORT.with_overrides(["gait.swing=low_reaction"])
-    with pytest.raises(ValueError, match=r"^gains\.gait\.cycle: expected none where gait\.swing is worked out"):
-        mc.rollout_metrics(low, {"gait.cycle": 0.76})
+    with pytest.raises(
+        ValueError, match=r"^gains\.gait\.duty: expected none, as gait\.swing: low_reaction is worked out"
+    ):
+        mc.rollout_metrics(low, {"gait.duty": 0.8})
     simulation = mc.Simulation(SHORT)
     with pytest.raises(ValueError, match=r"^gains\.gait\.duty: expected none, a robot that walks keeps its gait"):
         simulation.with_gains(simulation.reset(), {"gait.duty": 0.8})

@@ -70,10 +70,11 @@ class Walk(Options):
     engine: EngineName = ENGINE
 
     def load(self) -> "Problem":
-        """Return scenario, law, metrics and engine, from options or the config, without the gains file.
+        """Return scenario, law, metrics and engine, from options or the config, without the gains file but for its law.
 
         A change of `control.NAME`, a gain of a law of one's own, is the law's.
         """
+        from mjx_climb.control import LAWS
         from mjx_climb.scenario.yaml_text import pairs
         from tuning.gains import gains_file
         from tuning.gains.own_section import of_one, taken, without
@@ -81,7 +82,8 @@ class Walk(Options):
 
         named = self.law
         if named is None and self.gains is not None and self.controller is None:
-            named = gains_file.shipped_law(self.gains)
+            kind = gains_file.named(self.gains)
+            named = None if kind is None or kind in LAWS.values() else kind.__name__
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
         changes = dict(pairs(self.changes, source))
         if self.controller is not None:
@@ -101,8 +103,23 @@ class Walk(Options):
                 law = of_one(law, {key[8:]: value for key, value in mine.items()}) if mine else law
             except (TypeError, ValueError) as error:
                 raise InputError(f"--set {', '.join(mine)}: {error}") from None
-        scenario = scenario_from(Path(source), changes, self.hardware, self.controller)
-        return Problem(without(scenario), law=law, metrics=metrics, engine=self.engine)
+        scenario = without(scenario_from(Path(source), changes, self.hardware, self.controller))
+        if self.gains is not None and self.law is None:
+            scenario, law = self._of_file(self.gains, scenario, law, changes)
+        return Problem(scenario, law=law, metrics=metrics, engine=self.engine)
+
+    def _of_file(
+        self, file: Path, scenario: "mc.Scenario", law: "mc.Law | None", changes: Mapping[str, Any]
+    ) -> "tuple[mc.Scenario, mc.Law | None]":
+        """Return scenario and law with the one that a gains file names; options may not ask for another."""
+        from tuning.gains import gains_file
+
+        place, own = gains_file.walker(file, scenario, law)
+        typed = "--controller" if self.controller else "--set control.controller"
+        if (self.controller or "control.controller" in changes) and (place, own) != (scenario, law):
+            expected = f"none with {file}, whose gains are of {gains_file.shipped_law(file)}"
+            raise InputError(f"{typed}: expected {expected}, got {scenario.control.controller}")
+        return place, own
 
     def load_with_gains(self) -> "Problem":
         """Return what `load` does, with the values of the gains file in the scenario or the law."""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -113,20 +114,22 @@ class Rival(Options):
     """What is compared with."""
 
     retuned_pd: Path | None = setting(
-        None, "gains file whose kp and kd pd has too, in a curve of its own", metavar="FILE"
+        None, "gains file whose kp and kd (and gait) pd has too, in a curve of its own", metavar="FILE"
     )
 
     def joint_gains(self) -> dict[str, float]:
-        """Return kp and kd of the file, none without one."""
+        """Return kp and kd of the file, and its gait where it has one; none without a file."""
         from tuning.gains import gains_file
 
         if self.retuned_pd is None:
             return {}
+        from mjx_climb.rollouts.gait_values import GAIT
+
         values = gains_file.by_name(gains_file.load(self.retuned_pd))
         if missing := [name for name in ("kp", "kd") if name not in values]:
             expected = f"a gains file with kp and kd, {self.retuned_pd} has no {' and no '.join(missing)}"
             raise InputError(f"--retuned-pd: expected {expected}")
-        return {name: values[name] for name in ("kp", "kd")}
+        return {name: value for name, value in values.items() if name in ("kp", "kd", *GAIT)}
 
 
 @command("results/<config>-margins")
@@ -151,17 +154,21 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
 
         devices.begin()
         from mjx_climb import plots
-        from mjx_climb.control import PD
+        from mjx_climb.control import PD, law_of
         from mjx_climb.files import dataset
         from tuning.evaluation import linear_margins
         from tuning.evaluation import margins as evaluation
+        from tuning.gains.gains_file import apart
         from tuning.output.folder import write_config
         from tuning.report.pictures import plot_margins
 
         loaded = walk.load()
         law = loaded.law
         gains = walk.values(law) or {}
-        others = {} if walk.gains is None or law is not None else {"config": evaluation.Walker(None, {})}
+        others = {}
+        if walk.gains is not None and law is None:
+            config = walk.model_copy(update={"gains": None}).load().scenario
+            others["config"] = evaluation.Walker(None if config == loaded.scenario else law_of(config), {})
         if joint := rival.joint_gains():
             others["retuned pd"] = evaluation.Walker(PD(), joint)
         out = shell.claim("margins.json", walk.config.stem, "margins")
@@ -171,7 +178,8 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         with shell.stage("margins") as told:
             found = evaluation.find(scenario, gains, others=others, progress=told, **how)
         with shell.stage("linearised loop", unit="quantities") as told:
-            stable = linear_margins.find(scenario, gains, found.margins, progress=told, **how)
+            place, own = apart(scenario, gains)
+            stable = linear_margins.find(place, own, found.margins, progress=told, **how)
         warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
         table, text = _margins_in_words(found, stable, warnings)
         with shell.stage("drawing", compiles=False):
@@ -335,6 +343,7 @@ class Export(Options):
         None where there is no config.
         """
         from mjx_climb.scenario.messages import ConfigError, config_error
+        from tuning.gains import gains_file
         from tuning.gains.own_section import without
 
         beside = self.gains.parent / _BESIDE
@@ -342,7 +351,7 @@ class Export(Options):
             if self.hardware is not None:
                 raise InputError("--hardware: expected --config with it")
             return None
-        scenario = scenario_from(config, {}, self.hardware)
+        scenario, _ = gains_file.walker(self.gains, scenario_from(config, {}, self.hardware))
         if self.rate is not None:
             period = 0.0 if self.rate == round(1 / scenario.time_step) else 1 / self.rate
             try:
@@ -386,15 +395,23 @@ def export(asked: Export) -> None:
       mjx-climb export transfer.yaml --config case_1_1 --hardware dynamixel_x --out include
     """
     with reserved_stdout() as stdout:
+        from mjx_climb.control import PD
         from mjx_climb.files import dataset
+        from mjx_climb.rollouts.gait_values import gait_of
+        from mjx_climb.scenario.messages import config_error
         from tuning.evaluation import deployment
         from tuning.gains import gains_file
 
         source, law = str(asked.gains), asked.load_transfer()
-        gains = gains_file.load(asked.gains, law)
-        scenario = asked.scenario(law)
-        if isinstance(gains, mc.Gains):
-            text, notes = _written(asked, gains, scenario)
+        values = gains_file.by_name(gains_file.load(asked.gains, law))
+        if gains_file.named(asked.gains) is PD:
+            raise config_error(source, "law", "an admittance law, whose gains are exported", "pd")
+        scenario, gait = asked.scenario(law), gait_of(values)
+        scenario = None if scenario is None else gains_file.with_gait(scenario, gait, source)
+        gains: Any = {name: value for name, value in values.items() if name not in gait}
+        if law is None:
+            gains = mc.Gains(**gains)
+            text, notes = _written(asked, gains, gait, scenario)
             files = {"": text}
         else:
             files, notes = _load_transfer(asked, gains, scenario)
@@ -413,36 +430,38 @@ def export(asked: Export) -> None:
                 dataset.write_text_atomically(asked.out / name, text)
 
 
-def _written(asked: Export, gains: "mc.Gains", scenario: "mc.Scenario | None") -> tuple[str, list[str]]:
-    """Return the gains in the form that was asked for, and notes on it."""
+def _written(
+    asked: Export, gains: "mc.Gains", gait: Mapping[str, Any], scenario: "mc.Scenario | None"
+) -> tuple[str, list[str]]:
+    """Return the gains, and their gait, in the form that was asked for, and notes on it."""
     from mjx_climb.control import law_of
     from mjx_climb.control.virtual_mass import Motion
     from tuning.gains import admittance_control, gains_tables, ros2_control
 
     source, rate, cutoff = str(asked.gains), asked.rate or 1000, None
+    if asked.form in ("json", "csv"):
+        return (gains_tables.write_json if asked.form == "json" else gains_tables.write_csv)(gains, gait), []
+    own = ", ".join(f"{key.removeprefix('gait.')} {float(value):.4g}" for key, value in gait.items())
+    gait_note = [f"the gait that belongs to these gains is no parameter of the controller: {own}"] if gait else []
     if scenario is not None:
         rate = round(1 / (scenario.hardware.control_period or scenario.time_step))
         cutoff = scenario.hardware.force_sensor.filter
     if asked.form == "ros2_control":
         ros2_control.check(gains, rate, source)
-        notes = []
+        notes: list[str] = []
         if scenario is not None and cutoff is not None and scenario.hardware.force_sensor.filtered_by != "law":
             notes.append(
                 f"the config's sensors filter their forces at {cutoff:g} Hz: filter_coefficient 1, so that they are "
                 "not filtered twice; where admittance_controller is to filter in their place, walk and search with "
                 "hardware.force_sensor.filtered_by=law"
             )
-        return ros2_control.write(gains, rate, asked.name, None if notes else cutoff), notes
-    if asked.form == "admittance_control":
-        admittance_control.check(gains, 1 / rate, source)
-        motion = getattr(None if scenario is None else law_of(scenario), "motion", Motion())
-        forces = scenario is not None and scenario.control.controller == "end_effector_admittance"
-        text = admittance_control.write(gains, 1 / rate, motion, forces_only=forces)
-        note = (
-            f"admittance_control filters nothing: give it forces behind a low pass of {cutoff:g} Hz" if cutoff else ""
-        )
-        return text, [note] if note else []
-    return (gains_tables.write_json if asked.form == "json" else gains_tables.write_csv)(gains), []
+        return ros2_control.write(gains, rate, asked.name, None if notes else cutoff), notes + gait_note
+    admittance_control.check(gains, 1 / rate, source)
+    motion = getattr(None if scenario is None else law_of(scenario), "motion", Motion())
+    forces = scenario is not None and scenario.control.controller == "end_effector_admittance"
+    text = admittance_control.write(gains, 1 / rate, motion, forces_only=forces)
+    note = f"admittance_control filters nothing: give it forces behind a low pass of {cutoff:g} Hz" if cutoff else ""
+    return text, [note, *gait_note] if note else gait_note
 
 
 def _load_transfer(

@@ -75,7 +75,8 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
       cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
       joint_limit_margin (rad); with --metric the user's own
     GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
-      stiffness and inertia likewise; kp, kd; with --law the law's own gains
+      stiffness and inertia likewise; kp, kd; with --law the law's own gains;
+      gait.duty, gait.cycle, gait.step_height (--also), at the same speed of travel
 
     \b
     Examples:
@@ -83,6 +84,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
       mjx-climb tune case_2 --method gradient --space diagonal --limit base_deviation=0.015
       mjx-climb tune case_1_1 --method cmaes --space split --pin damping.rotation=50
       mjx-climb tune case_2 --ensemble ensemble --members 16
+      mjx-climb tune case_1_2 --controller pd --also gait.duty --also gait.cycle
     """
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
@@ -307,9 +309,13 @@ class Rivals(Judge):
         from tuning.searches.judge import draw_of
 
         loaded = walk.load()
-        if loaded.law is None and loaded.scenario.control.controller == "pd":
+        if (
+            loaded.law is None
+            and loaded.scenario.control.controller == "pd"
+            and not all(map(gains_file.named, self.gains))
+        ):
             raise InputError("--controller: expected a law whose gains are judged, got pd, which walks beside them")
-        named = {file.stem: gains_file.load(file, loaded.law) for file in self.gains}
+        named = {file.stem: gains_file.whole(file, loaded.scenario, loaded.law) for file in self.gains}
         if len(named) < len(self.gains) or named.keys() & {"config", "pd"}:
             got = ", ".join(file.stem for file in self.gains)
             raise InputError(f"--gains: expected files of different names, none config or pd, got {got}")
@@ -386,9 +392,9 @@ def judge(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> No
     """Judge gains on walks that no search over the ensemble has seen, beside the config's own and pd.
 
     As tune --ensemble judges its result: pushes, cargo, slope, grips, masses and hardware are drawn with another seed,
-    nothing is torn off, and a walk fails where it pulls beyond the holding limit. Prints mean and worst 5 % of each
-    metric; writes to DIR every walk (judged.nc), a picture, the summary and a page. `mjx-climb plot DIR` draws other
-    metrics.
+    nothing is torn off, and a walk fails where it pulls beyond the holding limit. A file that names its law or gait
+    walks with these. Prints mean and worst 5 % of each metric; writes to DIR every walk (judged.nc), a picture, the
+    summary and a page. `mjx-climb plot DIR` draws other metrics.
 
     Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
     array, the members are spread over machines, and `mjx-climb merge DIR` writes what one machine would have written.

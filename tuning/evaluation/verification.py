@@ -9,13 +9,15 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.rollouts.gait_values import GAIT
 from mjx_climb.walk.metrics import FAILURES
 from tuning.evaluation import maps, margins, stability_limit
 from tuning.evaluation.margins import Margin
-from tuning.gains.gains_file import OPTIONAL, applied, by_name
+from tuning.gains.gains_file import OPTIONAL, apart, applied, by_name
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal
+from tuning.problem.spaces import kind_of
 from tuning.searches.methods.descents import CANDIDATES
 from tuning.searches.result import Tuned
 from tuning.searches.sweep import sweep
@@ -39,7 +41,7 @@ class Verification:
     less: dict[str, float | None]  # change of the value with a gain 20 % less; None: infeasible or diverged
     more: dict[str, float | None]
     shape: dict[str, str]  # plateau, slope or cliff
-    slopes: dict[str, float]  # of the value per natural logarithm of a gain
+    slopes: dict[str, float]  # of the value per natural logarithm of a gain; none for times of the gait
     grid_value: float | None  # best of an isotropic grid
     grid_gains: dict[str, float] | None
     spectral_radius: float  # of the closed loop in its worst stance; above 1 a small disturbance grows
@@ -67,8 +69,8 @@ def map_of(
         progress: called with walks done and in all.
     """
     problem = problem or _problem_of(found)
-    joint = {name: value for name, value in by_name(found.gains).items() if name in OPTIONAL}
-    return map_with(problem, applied(found.scenario, joint), found.law, progress=progress)
+    others = {name: value for name, value in by_name(found.gains).items() if name in (*OPTIONAL, *GAIT)}
+    return map_with(problem, applied(found.scenario, others), found.law, progress=progress)
 
 
 def map_with(
@@ -76,8 +78,8 @@ def map_with(
 ) -> xr.Dataset | None:
     """Return a problem's map as `map_of` does; gains that it does not sweep are as scenario and law have them."""
     box = {}
-    for kind in problem.space.gains[:2]:
-        rows = [i for i, name in enumerate(problem.space.names) if name.split(".")[0] == kind]
+    for kind in [name for name in problem.space.gains if name not in GAIT][:2]:
+        rows = [i for i, name in enumerate(problem.space.names) if kind_of(name) == kind]
         low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
         box[kind] = np.geomspace(low, high, GRID)
     if len(box) < 2 or (law is None and set(box) != {"stiffness", "damping"}):
@@ -95,7 +97,7 @@ class Tests(NamedTuple):
     """What walks close to a result tell of it."""
 
     around: Evaluation  # of the result, and with each gain in turn 20 % less, then more
-    slopes: np.ndarray  # (n,) of the value, true extremes
+    slopes: np.ndarray  # (n,) of the value, true extremes; NaN along times of the gait
     radius: float  # of the closed loop in its worst stance
 
 
@@ -104,19 +106,25 @@ def tests(found: Tuned, problem: Problem | None = None) -> Tests:
     problem = problem or _problem_of(found)
     nudges = np.log([1 - STEP, 1 + STEP])
     axes = np.eye(problem.space.size)
-    points = [found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in axes)]
+    points: Any = np.array([found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in axes)])
+    of_gait = np.isin(problem.space.names, list(GAIT))
+    points = np.where(of_gait, problem.space.clip(points), points)  # beyond its bounds it may be none
     # as many robots as searches have: they walk by programs that were compiled for it
     around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), len(axes))))
     around = jax.tree.map(lambda values: values[: len(points)], around)
     slopes = slopes_at(problem, found.theta)
-    single = jax.tree.map(lambda value: np.asarray(value, float)[None], found.gains)
-    limit = stability_limit.spectral_radius(found.scenario, single, law=found.law, engine=problem.engine)
+    scenario, gains = apart(found.scenario, found.gains)
+    single = jax.tree.map(lambda value: np.asarray(value, float)[None], gains)
+    limit = stability_limit.spectral_radius(scenario, single, law=found.law, engine=problem.engine)
     return Tests(around, slopes, float(limit[0]))
 
 
 def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
     """Return the slopes (n,) of the value at a point, true extremes, by the program of a search's last start."""
-    return np.asarray(problem.evaluate(theta[None], np.eye(problem.space.size)).sharp[0])
+    slopes, smooth = np.full(problem.space.size, np.nan), problem.space.smooth
+    if smooth.any():
+        slopes[smooth] = problem.evaluate(theta[None], np.eye(problem.space.size)[smooth]).sharp[0]
+    return slopes
 
 
 def verify(
@@ -159,7 +167,7 @@ def verify(
         less=less,
         more=more,
         shape=dict(zip(names, shape, strict=True)),
-        slopes={name: float(v) for name, v in zip(names, slopes, strict=True)},
+        slopes={n: float(v) for n, v, smooth in zip(names, slopes, problem.space.smooth, strict=True) if smooth},
         grid_value=None if best is None else float(best["objective"]),
         grid_gains=None if best is None else {str(n): float(best[n]) for n in best.coords if not best[n].ndim},
         spectral_radius=radius,
@@ -201,7 +209,8 @@ def _warnings(found: Tuned, problem: Problem, around: Evaluation, checked: Verif
     if not found.feasible:
         lines.append("no point of the search keeps every limit: these gains are the nearest to it")
     for name in space.on_bound(found.theta):
-        lines.append(f"{name} lies on a bound: widen bounds.{name}")
+        wider = "" if name == "gait.duty" else f": widen bounds.{name}"  # limbs in turn cannot stand less
+        lines.append(f"{name} lies on a bound{wider}")
     moved = np.zeros(space.size)
     for name in problem.metrics.names:
         values = around.metrics[name].astype(float)

@@ -1,17 +1,21 @@
-"""Gains files: the gains that a search found, as YAML with keys inertia, damping, stiffness and perhaps kp and kd.
+"""Gains files: what a search found, whole, as YAML: a law, its gains, kp and kd, and the gait.
 
-Those of a law of one's own are named as the law names them, and `law` says whose they are.
+The gains are inertia, damping and stiffness, or those of another law as it names them. `law` says whose they are: the
+name of a shipped law, or FILE.py:NAME; without it they are the config's law's. `kp`, `kd` and the keys of `gait` are
+the config's where they are not given.
 """
 
+import inspect
 import os
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.control import is_shipped
+from mjx_climb.control import LAWS, PD, SHIPPED, is_shipped, law_of
 from mjx_climb.files.dataset import write_text_atomically
+from mjx_climb.rollouts.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
 from mjx_climb.rollouts.resolve import by_name as by_name
 from mjx_climb.scenario.messages import ConfigError, config_error
@@ -22,42 +26,34 @@ from tuning.gains.ros2_control import commented
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
 OPTIONAL = ("kp", "kd")
-LAW = "law"  # FILE.py:NAME of the law whose gains they are, NAME of a shipped one, none where it is the config's
+LAW = "law"  # whose gains they are: the name of a shipped law, or FILE.py:NAME; the config's where there is none
+SECTION = "gait"
+_KEYS = [key.removeprefix("gait.") for key in GAIT]  # of the section
 
 
-def shipped_law(path: str | os.PathLike[str]) -> str | None:
-    """Return the name of the shipped law that a gains file is of, None where it says no such law."""
-    source = os.fsdecode(path)
-    data = parse(read(source), source)
-    name = data.get(LAW) if isinstance(data, dict) else None
-    return name if isinstance(name, str) and is_shipped(name) else None
+class Whole(NamedTuple):
+    """What a gains file says: gains, joint gains and gait, by name, and whose they are."""
+
+    law: mc.Law | None  # the scenario's where None
+    gains: AnyGains
 
 
-@overload
-def load(path: str | os.PathLike[str], law: None = None) -> mc.Gains: ...
+def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
+    """Read the gains of a file, the gait among them; `law` is the one whose gains are wanted, None for the scenario's.
 
-
-@overload
-def load(path: str | os.PathLike[str], law: mc.Law) -> dict[str, Any]: ...
-
-
-@overload
-def load(path: str | os.PathLike[str], law: mc.Law | None) -> mc.Gains | dict[str, Any]: ...
-
-
-def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> mc.Gains | dict[str, Any]:
-    """Read a gains file; `law` is the one whose gains are wanted, where it is not one of the program's.
+    They are `mc.Gains` where they are the paper's without a gait, else a mapping. Where a file names another law than
+    the scenario's, `walker` gives scenario and law that they are for.
 
     Raises:
         ConfigError: in one line, what is wrong with the file or a value, or the gains are those of another law.
     """
-    source = os.fsdecode(path)
-    data = parse(read(source), source)
-    required = REQUIRED if law is None else tuple(law.GAINS)
-    keys = (*required, *OPTIONAL)
-    if not isinstance(data, dict):
-        raise ConfigError(f"{source}: expected a mapping with keys {', '.join(keys)}")
-    own_section.check_reference(law, data.pop(LAW, None), source)
+    source, data = os.fsdecode(path), _data(path)
+    stored = data.pop(LAW, None)
+    name = _shipped(stored)
+    if not (_of_scenarios(name) if law is None else own_section.reference(law) == name):
+        own_section.check_reference(law, stored, source)
+    required = REQUIRED if law is None and name != PD.__name__ else tuple((law or PD()).GAINS)
+    gait, keys = _gait(data.pop(SECTION, {}), source), (*required, *OPTIONAL)
     for key in (*data, *required):
         if key not in keys:
             raise config_error(source, key, f"only the keys {', '.join(keys)}", "another")
@@ -71,12 +67,82 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> mc.Gains | 
         raise ConfigError(str(error).replace(f"{source}: control.", f"{source}: ", 1)) from None
     values = {key: np.asarray(getattr(control, key), float) for key in joint}
     if law is None:
-        return mc.Gains(**values)
+        return values | gait if gait or name == PD.__name__ else mc.Gains(**values)
     try:
         changed = checked_gains(law, {key: np.asarray(data[key], float) for key in law.GAINS})
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{source}: {str(error).removeprefix('gains.')}") from None
-    return values | {key: getattr(changed, key) for key in law.GAINS}
+    return values | {key: getattr(changed, key) for key in law.GAINS} | gait
+
+
+def walker(
+    path: str | os.PathLike[str], scenario: mc.Scenario, law: mc.Law | None = None
+) -> tuple[mc.Scenario, mc.Law | None]:
+    """Return scenario and law (None: the scenario's) with the shipped law that a gains file names, as they are without.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    name = shipped_law(path)
+    if name is None or name == own_section.reference(law or law_of(scenario)):
+        return scenario, law
+    if not _of_scenarios(name):
+        return scenario, own_section.load_law(name)
+    controller, reading = next(key for key, own in LAWS.items() if own.__name__ == name)
+    return scenario.with_overrides({"control.controller": controller, "control.reading": reading}), None
+
+
+def shipped_law(path: str | os.PathLike[str]) -> str | None:
+    """Return the name of the shipped law that a gains file is of, None where it says no such law.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    return _shipped(_data(path).get(LAW))
+
+
+def whole(path: str | os.PathLike[str], scenario: mc.Scenario, law: mc.Law | None = None) -> Whole:
+    """Read a gains file as it is to walk in a scenario: under its own law, where it names one, else under `law`.
+
+    Raises:
+        ConfigError: as of `load`; a gait that the scenario could not have.
+    """
+    place, own = walker(path, scenario, law)
+    gains = load(path, own)
+    with_gait(scenario, gains, os.fsdecode(path))
+    return Whole(own if place is scenario else law_of(place), gains)
+
+
+def _data(path: str | os.PathLike[str]) -> dict[str, Any]:
+    source = os.fsdecode(path)
+    data = parse(read(source), source)
+    if not isinstance(data, dict):
+        raise ConfigError(f"{source}: expected a mapping with keys {', '.join((*REQUIRED, *OPTIONAL))}")
+    return data
+
+
+def _shipped(stored: Any) -> str | None:
+    """Return the name of the shipped law that a file names, alone or behind that of its module, None for another."""
+    file, _, name = stored.rpartition(":") if isinstance(stored, str) else ("", "", "")
+    module = Path(inspect.getfile(SHIPPED[name])).name if name in SHIPPED else ""
+    return name if is_shipped(name) and file in ("", module) else None
+
+
+def _of_scenarios(name: str | None) -> bool:
+    """Return whether a law of this name is one that scenarios have."""
+    return SHIPPED.get(name or "") in LAWS.values()
+
+
+def _gait(section: Any, source: str) -> dict[str, np.ndarray]:
+    """Return the values of a file's gait by their keys in a scenario."""
+    if not isinstance(section, dict):
+        raise config_error(source, SECTION, f"a mapping with keys {', '.join(_KEYS)}", repr(section))
+    for key, value in section.items():
+        if key not in _KEYS:
+            raise config_error(source, f"{SECTION}.{key}", f"only the keys {', '.join(_KEYS)}", "another")
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise config_error(source, f"{SECTION}.{key}", "a number", repr(value))
+    return {f"{SECTION}.{key}": np.asarray(value, float) for key, value in section.items()}
 
 
 def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: mc.Law | None = None) -> Path:
@@ -91,14 +157,42 @@ def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: 
 def text(gains: AnyGains, comment: str = "", law: mc.Law | None = None) -> str:
     """Return what `save` writes."""
     plain: dict[str, Any] = {} if law is None else {LAW: own_section.reference(law)}
-    plain |= {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
+    values = {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
+    gait, left = gait_of(values), REQUIRED if isinstance(law, PD) else ()  # pd has none of these
+    plain |= {key: value for key, value in values.items() if key not in gait and key not in left}
+    plain |= {SECTION: {key.removeprefix("gait."): value for key, value in gait.items()}} if gait else {}
     return commented(comment, plain)
 
 
+def with_gait(scenario: mc.Scenario, gains: AnyGains, source: str) -> mc.Scenario:
+    """Return the scenario with the gait among gains; ConfigError with the source where it could not have it."""
+    try:
+        return scenario_with_gait(scenario, by_name(gains))
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {str(error).removeprefix('scenario: ')}") from None
+
+
+def completed(scenario: mc.Scenario, gains: AnyGains) -> AnyGains:
+    """Return gains with all of the gait, where they have some of it, as it is walked in a scenario."""
+    if not gait_of(values := by_name(gains)):
+        return gains
+    gait = scenario_with_gait(scenario, values).gait
+    return values | {key: getattr(gait, name) for key, name in GAIT.items()}
+
+
+def apart(scenario: mc.Scenario, gains: AnyGains) -> tuple[mc.Scenario, AnyGains]:
+    """Return the scenario with the gait among gains, and the gains without it."""
+    values = by_name(gains)
+    if not gait_of(values):
+        return scenario, gains
+    return scenario_with_gait(scenario, values), {key: value for key, value in values.items() if key not in GAIT}
+
+
 def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
-    """Return the scenario with these gains in its control section, as far as it has them."""
-    values = {name: value for name, value in by_name(gains).items() if name in REQUIRED + OPTIONAL}
-    return scenario.with_overrides({f"control.{key}": value for key, value in values.items()})
+    """Return the scenario with these gains in its control section, and their gait, as far as it has them."""
+    values = by_name(gains)
+    control = {f"control.{name}": value for name, value in values.items() if name in REQUIRED + OPTIONAL}
+    return scenario_with_gait(scenario.with_overrides(control), values)
 
 
 def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tuple[mc.Scenario, mc.Law | None]:

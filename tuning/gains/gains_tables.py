@@ -4,12 +4,14 @@ import csv
 import io
 import json
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import COORDINATES, SIX
+from mjx_climb.rollouts.gait_values import GAIT
 from tuning.gains.ros2_control import six
 
 AXES = {3: "three", 6: "six"}  # the dimension of a gain of so many axes
@@ -23,6 +25,7 @@ def labels(law: mc.Law | None = None) -> dict[str, tuple[str, str]]:
     """Return unit and long name of every gain; where rotations have another unit, it follows after a comma."""
     own = {} if law is None else law.GAINS
     known = {name: COORDINATES[name] for name in (*mc.Gains.AXES, *JOINT_UNITS)}
+    known |= {key: COORDINATES[name] for key, name in GAIT.items()}
     return known | {n: (field.unit, field.long_name or n.replace("_", " ")) for n, field in own.items()}
 
 
@@ -44,28 +47,29 @@ def axes_of(variables: Mapping[str, Variable]) -> dict[str, list[str]]:
     return {name: list(SIX[:length]) for length, name in AXES.items() if name in used}
 
 
-def _rows(gains: mc.Gains) -> list[tuple[str, str, float, str]]:
-    """Return one row per number: gain, axis ("joints" for kp and kd), value, unit."""
+def _rows(gains: mc.Gains, gait: Mapping[str, Any]) -> list[tuple[str, str, float, str]]:
+    """Return one row per number: gain, axis ("joints" for kp and kd, "gait" for the gait's keys), value, unit."""
     table = [
         (name, axis, float(value), COORDINATES[name][0].split(", ")[axis.startswith("r")])
         for name, values in zip(mc.Gains.AXES, six(gains), strict=True)
         for axis, value in zip(SIX, values, strict=True)
     ]
     joint = {name: getattr(gains, name) for name in JOINT_UNITS}
-    return table + [(name, "joints", float(v), JOINT_UNITS[name]) for name, v in joint.items() if v is not None]
+    table += [(name, "joints", float(v), JOINT_UNITS[name]) for name, v in joint.items() if v is not None]
+    return table + [(key, "gait", float(v), COORDINATES[GAIT[key]][0]) for key, v in gait.items()]
 
 
-def write_csv(gains: mc.Gains) -> str:
+def write_csv(gains: mc.Gains, gait: Mapping[str, Any] = MappingProxyType({})) -> str:
     """Return the gains as CSV in long form."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([("gain", "axis", "value", "unit"), *_rows(gains)])
+    csv.writer(text, lineterminator="\n").writerows([("gain", "axis", "value", "unit"), *_rows(gains, gait)])
     return text.getvalue()
 
 
-def write_json(gains: mc.Gains) -> str:
+def write_json(gains: mc.Gains, gait: Mapping[str, Any] = MappingProxyType({})) -> str:
     """Return the gains as JSON: each gain with its unit and a value for each axis."""
     tree: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, axis, value, unit in _rows(gains):
+    for name, axis, value, unit in _rows(gains, gait):
         entry = tree.setdefault(name, {"units": {}, "values": {}})
         entry["units"][axis], entry["values"][axis] = unit, value
     return json.dumps(tree, indent=2) + "\n"

@@ -7,12 +7,13 @@ from typing import NamedTuple
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.rollouts.gait_values import GAIT
 from mjx_climb.rollouts.resolve import AnyGains
 from tuning.background import Begin, Work
 from tuning.evaluation import margins, stability_limit, verification
 from tuning.gains.gains_file import replaced
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.problem.search import Search
+from tuning.problem.search import BY_GRADIENTS, Search
 from tuning.problem.spaces import JOINT
 from tuning.searches import retuned_pd
 from tuning.searches.result import Tuned
@@ -61,7 +62,7 @@ def of_grid(problem: Problem, gains: AnyGains | None, axes: Axes, begin: Begin) 
 def of_search(problem: Problem, search: Search, begin: Begin, *, out: Path | None = None) -> OfSearch:
     """Begin what a search is compared with; `out` holds the rounds in which pd is retuned until the result is there."""
     scenario, law, engine = problem.scenario, problem.law, problem.engine
-    on_the_map = law is None and JOINT.keys().isdisjoint(problem.space.gains)  # then one map serves all results
+    on_the_map = law is None and {*JOINT, *GAIT}.isdisjoint(problem.space.index)  # then one map serves all results
     return OfSearch(
         begin(retuned(problem, search, out)),
         {"pd": begin(one_walk(under_pd(scenario), None, engine)), "config": begin(one_walk(scenario, law, engine))},
@@ -82,7 +83,7 @@ def retuned(problem: Problem, search: Search, out: Path | None) -> Work[Tuned | 
 
 def load_tests(problem: Problem, search: Search, begin: Begin) -> None:
     """Begin to load the executable of a result's tests, which takes long, where the search does not use it."""
-    if search.method not in ("gradient", "lbfgs"):
+    if search.method not in BY_GRADIENTS:
         begin(lambda _: verification.slopes_at(problem, start_of(problem)))
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.files import dataset, scenario_files
 from tuning.background import Stage, silent
 from tuning.gains import gains_file
@@ -82,7 +83,8 @@ class Folder:
         scenario = write_config(problem.scenario, self.path, problem.law, problem.metrics, problem.own_objective)
         if found.gains is not None and found.search is not None:
             name = "from Python" if self.origin is None else self.origin.name
-            gains_file.save(found.gains, self.path / "gains.yaml", found.comment(name), problem.law)
+            gains, law = gains_file.completed(scenario, found.gains), problem.law or law_of(scenario)
+            gains_file.save(gains, self.path / "gains.yaml", found.comment(name), law)
             self._files.append("gains.yaml")
         data = found.data.assign_attrs(scenario=scenario.to_yaml())
         self.add(self.result, data)

@@ -16,6 +16,7 @@ from mjx_climb.control import PD
 from mjx_climb.execution import devices
 from mjx_climb.files import scenario_files
 from mjx_climb.quantities.parameters import gains as scenario_gains
+from mjx_climb.rollouts.gait_values import GAIT
 from tuning.background import Callback, Stage, Work, background, ignore
 from tuning.evaluation import maps, margins, paired, stability_limit, verification
 from tuning.gains import gains_file
@@ -25,6 +26,7 @@ from tuning.output.comparisons import GIVEN, OfGrid, OfSearch, beside_retuned, o
 from tuning.output.folder import Contents, Folder, write_config
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal, Objective
+from tuning.problem.spaces import searches_gait
 from tuning.report import page, pages, pictures
 from tuning.report.comparison import Compared, differences, gains_of
 from tuning.report.explorer import axes_of
@@ -454,13 +456,13 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
             checked = verification.verify(
                 found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested(ignore)
             )
-    gains, worth = {name: _with_joint_gains(walk) for name, walk in walks.items()}, None
+    gains, worth = {name: _with_joint_gains(walk, problem) for name, walk in walks.items()}, None
     if retuned is not None:
         at_step = metrics["tuned"] if level is None else mc.metrics(level(ignore), problem.metrics)
         both = at_step, metrics[retuned_pd.NAME]
         scored = [_scored(problem.objective, each) for each in both]
         worth = _worth(both, scored, retuned_pd.rival_of(found, retuned, step), problem)
-        gains[retuned_pd.NAME] = joint
+        gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     return TuneComparison(walks, {name: (gains[name], metrics[name]) for name in order}, over, hardware, checked, worth)
 
@@ -477,10 +479,15 @@ def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
     ]
 
 
-def _with_joint_gains(walk: mc.Trajectory) -> dict[str, Any] | None:
-    """Return the gains of a walk, those of the joint loop last; None where its controller has none."""
+def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:
+    """Return the gains of a walk, joint loop and searched gait last; None where its controller has none."""
     gains, control = gains_of(walk), walk.scenario.control
-    return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")}
+    gait = (
+        {key: getattr(walk.scenario.gait, name) for key, name in GAIT.items()} if searches_gait(problem.space) else {}
+    )
+    if gains is None and gait:
+        gains = {}
+    return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")} | gait
 
 
 def _scored(target: Goal, metrics: Metrics) -> dict[str, float]:
@@ -499,8 +506,9 @@ def _outcome_of(checked: verification.Verification, found: Tuned) -> list[str]:
         lines.append(f"held by its limits: {'; '.join(checked.binding_limits)}")
     kinds = {kind: [n for n, k in checked.shape.items() if k == kind] for kind in ("plateau", "slope", "cliff")}
     lines.append("within 20 %: " + "; ".join(f"{kind} in {', '.join(n)}" for kind, n in kinds.items() if n))
-    steepest = max(checked.slopes, key=lambda name: abs(checked.slopes[name]))
-    lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
+    if checked.slopes:
+        steepest = max(checked.slopes, key=lambda name: abs(checked.slopes[name]))
+        lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
     if checked.grid_value is not None:
         lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
     for name, margin in checked.margins.items():

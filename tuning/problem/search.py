@@ -19,6 +19,7 @@ MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 SpaceName = Literal["isotropic", "split", "diagonal"]
 OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune`
 METHODS: tuple[str, ...] = get_args(MethodName)
+BY_GRADIENTS = ("gradient", "lbfgs")
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}  # of a search over an ensemble
@@ -38,11 +39,13 @@ class Search(Settings):
     """A search for gains, fully specified beside its scenario."""
 
     method: MethodName | Literal["own"] = setting(
-        "gradient", "how to search", default_in_words="gradient; cmaes on a GPU"
+        "gradient", "how to search", default_in_words="gradient; cmaes on a GPU, and of a gait's times"
     )
     space: SpaceName = setting("isotropic", "which axes share their gains")
     inertia: bool = setting(False, "search the virtual inertia as well", flag="--with-inertia")
-    also: tuple[str, ...] = setting((), "gain of the law to search that is left alone otherwise", metavar="GAIN")
+    also: tuple[str, ...] = setting(
+        (), "gain of the law, or gait.duty, gait.cycle, gait.step_height, gait.settling, to search too", metavar="GAIN"
+    )
     joint_gains: bool | None = setting(
         None,
         "search kp and kd of the joint loop as well; null: where there is hardware",

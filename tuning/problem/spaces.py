@@ -3,7 +3,7 @@
 A point theta holds natural logarithms, so every gain is positive. Names of its coordinates: `damping` and
 `stiffness` where all axes share a gain; `damping.translation`, `damping.rotation`; or `damping.x`, .. `damping.rz`;
 likewise any other gain of six axes; a gain of three has translations alone, a gain of one number is one coordinate. And
-`kp`, `kd`.
+`kp`, `kd`, and those of the gait: `gait.duty`, `gait.cycle`, `gait.step_height`, ....
 """
 
 import dataclasses
@@ -23,6 +23,7 @@ from mjx_climb.files.dataset import SIX
 from mjx_climb.hardware.stages import IDEAL, stages_of
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.gait_values import GAIT, TIMES, gait_of, scenario_with_gait, why_fixed
 from mjx_climb.rollouts.resolve import AnyGains, has_gains_of_the_paper
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile
@@ -31,6 +32,10 @@ from tuning.problem.search import LAYOUTS, Search
 
 PARTS = ("translation", "rotation")
 JOINT = {"kp": (5.0, 4.0), "kd": (10.0, 10.0)}  # bounds: how many times below and above the scenario's own
+SEARCHED_GAIT = tuple(name for name in GAIT if name != "gait.stride")  # the speed of travel is held
+_LONGEST_STANCE = 0.95  # duty, up to which searches look
+_SETTLING = (0.02, 0.5)  # shares of a swing
+_GAIT_FACTOR = 2.0  # cycle and step height: so many times below and above the scenario's own
 _DAMPED = 0.004  # s, kd over kp of the paper's joint loop: in place of a scenario's kd of zero
 _BOUNDED_FOR = "hubrobo_v3_2"  # the robot that bounds of the paper's gains are for
 
@@ -53,8 +58,13 @@ class Space:
     @property
     def gains(self) -> list[str]:
         """The names of the gains that are searched on one or more axes, stiffness and damping first."""
-        kinds = dict.fromkeys(name.split(".")[0] for name in self.names)
+        kinds = dict.fromkeys(map(kind_of, self.names))
         return sorted(kinds, key=lambda kind: {"stiffness": 0, "damping": 1}.get(kind, 2))
+
+    @property
+    def smooth(self) -> np.ndarray:
+        """Which coordinates metrics have derivatives along (n,) bool: all but times, counted in whole steps."""
+        return np.array([name not in TIMES for name in self.names], bool)
 
     def to_gains(self, theta: Float[Array, "*batch n"]) -> AnyGains:
         """Return the gains of points, with their batch axes: `mc.Gains` where they are the paper's, else by name."""
@@ -81,7 +91,7 @@ class Space:
     @property
     def ties(self) -> np.ndarray:
         """Which coordinates are the same gain of different axes: (k, n), one row of zeros and ones per gain."""
-        kinds = [name.split(".")[0] for name in self.names]
+        kinds = list(map(kind_of, self.names))
         return np.array([[float(kind == own) for kind in kinds] for own in dict.fromkeys(kinds)])
 
     def draw_tied(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -105,6 +115,16 @@ class Space:
 NO_SPACE = Space((), np.zeros(0), np.zeros(0), {}, np.zeros(0))
 
 
+def searches_gait(space: Space) -> bool:
+    """Return whether points of a space have a gait of their own."""
+    return not space.index.keys().isdisjoint(GAIT)
+
+
+def kind_of(coordinate: str) -> str:
+    """Return the gain that a coordinate is of."""
+    return coordinate if coordinate in GAIT else coordinate.split(".")[0]
+
+
 def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> Space:
     """Return the space that the settings ask for around a law's own gains, the scenario's law where None is given.
 
@@ -115,12 +135,16 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     # with a late force sensor or a servo with friction, which admittance is best depends on the joint loop
     ideal = stages_of(scenario, own_parameters(scenario))._replace(capture=False) == IDEAL
     joint_gains = not ideal if search.joint_gains is None else search.joint_gains
-    if not law.GAINS and not joint_gains:
+    gait = [name for name in GAIT if name in search.also or name in search.pins]
+    if not law.GAINS and not joint_gains and gait_of(dict.fromkeys(search.also)) == {}:
         raise ConfigError("control.controller: expected an admittance law, got pd, which has no gains to search")
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
-    if unknown := sorted({*search.also} - set(law.GAINS)):
-        raise ConfigError(f"also: expected gains of the law, {', '.join(law.GAINS)}, got {unknown[0]}")
-    defaults, joint = default_bounds(scenario, law), dict.fromkeys(JOINT, 0.0) if joint_gains else {}
+    if unknown := sorted({*search.also} - {*law.GAINS, *SEARCHED_GAIT}):
+        names = ", ".join([*law.GAINS, *SEARCHED_GAIT])
+        raise ConfigError(f"also: expected gains of the law, {names}, got {unknown[0]}")
+    check_gait(scenario, search)
+    defaults = default_bounds(scenario, law) | _gait_bounds(scenario)
+    joint = dict.fromkeys([*(JOINT if joint_gains else ()), *gait], 0.0)
     own = own_values(scenario, law) | joint
     bounds: dict[str, tuple[float, float]] = {}
     known: set[str] = set()  # keys that the settings may name
@@ -140,7 +164,7 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     entries: dict[str, list[str | float]] = {}
     for gain, value in own.items():
         values, field = np.atleast_1d(value), law.GAINS.get(gain)
-        if gain in JOINT or (field is not None and (field.searched or gain in asked)):
+        if gain in joint or (field is not None and (field.searched or gain in asked)):
             axes = 1 if field is None else field.length  # that the law has; further ones keep their values
             depth = 1 if axes == 1 else 1 + LAYOUTS.index(search.space)
             keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"][:depth] for axis in range(axes)]
@@ -187,8 +211,41 @@ def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float,
     return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in JOINT.items()}
 
 
+def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
+    """Return where searches look for a gait: stances that keep the order of the swings, half to twice the rest."""
+    gait = scenario.gait
+    least = gait.duty if gait.phases is not None else 1 - 1 / len(gait.sequence)
+    bounds = {name: getattr(gait, GAIT[name]) for name in SEARCHED_GAIT}
+    spans = {name: (own / _GAIT_FACTOR, own * _GAIT_FACTOR) for name, own in bounds.items()}
+    return spans | {"gait.duty": (least, max(_LONGEST_STANCE, (1 + least) / 2)), "gait.settling": _SETTLING}
+
+
+def refuse_gait(search: Search) -> None:
+    """Refuse by a ConfigError a gait among what is searched, where `tune` alone searches one."""
+    if gait := gait_of(dict.fromkeys([*search.also, *search.pins])):
+        raise ConfigError(f"also: expected gains of the law, as tune alone searches a gait, got {next(iter(gait))}")
+
+
+def check_gait(scenario: mc.Scenario, search: Search) -> None:
+    """Refuse a gait that the scenario could not have at the ends of its bounds, or that cannot be searched.
+
+    Raises:
+        ConfigError: in one line.
+    """
+    spans = _gait_bounds(scenario) | search.bounds
+    each = {name: spans[name] for name in SEARCHED_GAIT if name in search.also}
+    each |= {name: (value, value) for name, value in search.pins.items() if name in GAIT}
+    if why := why_fixed(scenario, each):
+        raise ConfigError(f"also: {why}")
+    for ends in itertools.product(*each.values()):
+        try:
+            scenario_with_gait(scenario, dict(zip(each, ends, strict=True)))
+        except ConfigError as error:
+            raise ConfigError(f"bounds.{str(error).removeprefix('scenario: ')}") from None
+
+
 def as_gains(values: Mapping[str, Any]) -> AnyGains:
-    """Return gains by name as `mc.Gains` where they are the paper's, else as they are."""
+    """Return gains by name as `mc.Gains` where they are the paper's and the gait is none of them, else as they are."""
     return mc.Gains(**values) if set(values) - set(JOINT) == set(mc.Gains.AXES) else values
 
 

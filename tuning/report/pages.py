@@ -104,7 +104,7 @@ def tune_page(
     for name, shape in checked.shape.items():
         changes = (checked.less[name], checked.more[name])
         cells = ("breaks a limit" if value is None else f"{100 * value:+.2f}" for value in changes)
-        around.append([name, *cells, shape, number(checked.slopes[name])])
+        around.append([name, *cells, shape, number(checked.slopes.get(name))])
     near = Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", around)], 1)
     return Page(
         title=f"Tuned gains for {origin.name}: {search.method}, {search.space}", origin=origin,

@@ -18,6 +18,7 @@ from mjx_climb.plots import key
 from tuning.evaluation import margins
 from tuning.gains.gains_file import by_name
 from tuning.problem import ensemble
+from tuning.problem.spaces import kind_of
 from tuning.report.explorer import SCALES, axes_of
 from tuning.report.numbers import axis_values
 from tuning.searches.judge import WORST_SHARE
@@ -88,7 +89,7 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
     """
     axes, tuned, control = axes_of(walks), by_name(found.gains), found.scenario.control
     coordinates, theta = found.data["coordinate"].values.astype(str), found.data["theta"].values
-    apart = any("." in name for name in coordinates)
+    apart = any(name != kind_of(name) for name in coordinates)
     means = {"tuned": [_mean(tuned[gain]) for gain in axes]}
     if not found.law:
         means["config"] = [_mean(getattr(control, gain)) for gain in axes]

@@ -15,14 +15,16 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.execution.contents import identity
 from mjx_climb.files import dataset
 from mjx_climb.quantities.batches import own_axes
 from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.rollouts.gait_values import GAIT, gait_of
 from mjx_climb.rollouts.resolve import AnyGains, resolve_in
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES
 from tuning.gains import gains_file
-from tuning.gains.gains_file import by_name
+from tuning.gains.gains_file import Whole, by_name
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
@@ -67,7 +69,7 @@ class Judged(Result):
 
 def judge(
     scenario: mc.Scenario,
-    gains: Mapping[str, AnyGains],
+    gains: Mapping[str, AnyGains | Whole],
     ensemble: Ensemble,
     *,
     members: int = MEMBERS,
@@ -84,7 +86,7 @@ def judge(
 
     Arguments:
         scenario: what walks where, under an admittance law.
-        gains: by name.
+        gains: by name; with laws of their own as `tuning.gains.gains_file.whole(file, scenario)` gives them.
         ensemble: what the walks may meet; drawn again with another seed.
         members: walks of each set of gains.
         law: whose gains they are, where it is not the scenario's.
@@ -102,7 +104,7 @@ def judge(
 
 def judge_shard(
     scenario: mc.Scenario,
-    gains: Mapping[str, AnyGains],
+    gains: Mapping[str, AnyGains | Whole],
     ensemble: Ensemble,
     shard: tuple[int, int],
     *,
@@ -124,25 +126,33 @@ class Draw:
     """Gains that walk through an ensemble: a `tuning.searches.shards.Work`. A row is one member, with all gains."""
 
     problem: Problem  # with the ensemble that walks, and its parameters
-    gains: Mapping[str, AnyGains]  # by name
+    gains: Mapping[str, AnyGains | Whole]  # by name
     pd: Mapping[str, AnyGains]  # joint gains of pd, by name; the scenario's walk as "pd"
     ensemble: Ensemble | None  # as its user gave it
     rows: int  # members
     size: int  # members that walk at a time
 
+    @property
+    def _whole(self) -> dict[str, Whole]:
+        """The gains by name with their law."""
+        own = self.problem.law
+        return {name: each if isinstance(each, Whole) else Whole(own, each) for name, each in self.gains.items()}
+
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Return the metrics of some members, (rows, gains)."""
-        scenario, drawn, law = self.problem.scenario, self.problem.parameters, self.problem.law
+        scenario, drawn = self.problem.scenario, self.problem.parameters
         parameters = jax.tree.map(lambda value, own: value[rows] if value.ndim > own else value, drawn, own_axes(drawn))
         joint = {"kp": scenario.control.kp, "kd": scenario.control.kd}
         pd, found = under_pd(scenario), []
         walkers: list[tuple[mc.Scenario, mc.Law | None, AnyGains]]
-        walkers = [(scenario, law, gains) for gains in self.gains.values()]
+        walkers = [(scenario, *own) for own in self._whole.values()]
         walkers += [(pd, None, gains) for gains in (*self.pd.values(), joint)]
         for place, whose, gains in walkers:
             one = resolve_in(place, whose or law_of(place), gains, None, np.float64)
             batch = {name: getattr(one.law, name)[None] for name in one.law.GAINS}  # of one
             batch |= {name: getattr(one.parameters, name)[None] for name in joint}
+            if gait_of(by_name(gains)):
+                batch |= {key: getattr(one.own, name)[None] for key, name in GAIT.items()}
             how = {**self.problem.walks, "law": whose, "dtype": np.float32, "smooth": True}
             found.append(mc.rollout_metrics(place, batch, parameters, **how))
         return {name: np.concatenate([each[name] for each in found], axis=1) for name in self.problem.metrics.names}
@@ -174,7 +184,8 @@ class Draw:
     def identity(self) -> dict[str, Any]:
         gains = {
             name: {key: np.asarray(value, float).tolist() for key, value in by_name(own).items()}
-            for name, own in self.gains.items()
+            | ({} if law is self.problem.law else {gains_file.LAW: identity(law, name)})
+            for name, (law, own) in self._whole.items()
         }
         return {"kind": Judged.KIND, **identity_of(self.problem), "gains": gains, "batch_size": self.size}
 
@@ -185,20 +196,22 @@ class Draw:
         assert self.ensemble is not None
         write_config(self.problem.scenario, folder, self.problem.law, self.problem.metrics)
         dataset.write_text_atomically(folder / "ensemble.yaml", self.ensemble.to_yaml())
-        for number, own in enumerate(self.gains.values()):
-            gains_file.save(own, folder / f"gains-{number}.yaml", "evaluated in this folder", self.problem.law)
+        for number, (law, own) in enumerate(self._whole.values()):
+            gains_file.save(own, folder / f"gains-{number}.yaml", "evaluated in this folder", law)
 
 
 def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable) -> Draw:
     """Return the walks that a shard is of, from what `Draw.write_asked` left in its folder."""
     names = enumerate(kept.identity["gains"])
-    gains = {name: gains_file.load(kept.folder / f"gains-{number}.yaml", law) for number, name in names}
+    gains = {name: gains_file.whole(kept.folder / f"gains-{number}.yaml", scenario, law) for number, name in names}
     ensemble = Ensemble.load(kept.folder / "ensemble.yaml")
     problem = Problem(scenario, law=law, metrics=metrics, engine=kept.identity["engine"])
     return through(problem, gains, fresh(ensemble), asked=ensemble)
 
 
-def draw_of(problem: Problem, gains: Mapping[str, AnyGains], ensemble: Ensemble, members: int = MEMBERS) -> Draw:
+def draw_of(
+    problem: Problem, gains: Mapping[str, AnyGains | Whole], ensemble: Ensemble, members: int = MEMBERS
+) -> Draw:
     """Return what `judge` walks, whose arguments and errors these are."""
     asked = ensemble.model_copy(update={"members": members})
     return through(problem, {**gains, "config": problem.law or gains_of(problem.scenario)}, fresh(asked), asked=asked)
@@ -211,7 +224,7 @@ def fresh(ensemble: Ensemble) -> Ensemble:
 
 def through(
     problem: Problem,
-    gains: Mapping[str, AnyGains],
+    gains: Mapping[str, AnyGains | Whole],
     ensemble: Ensemble,
     pd: Mapping[str, AnyGains] = MappingProxyType({}),
     asked: Ensemble | None = None,

@@ -24,7 +24,7 @@ from tuning.problem import objectives
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Pareto, Search
-from tuning.problem.spaces import as_gains, to_gains64
+from tuning.problem.spaces import as_gains, refuse_gait, to_gains64
 from tuning.searches import retuned_pd, tune
 from tuning.searches.methods import Request, Task
 from tuning.searches.methods.descents import again
@@ -124,6 +124,7 @@ def pareto(
 
 def problem_of(scenario: mc.Scenario, search: Search, asked: Pareto, **walks: Any) -> Problem:
     """Return the problem that weighs the metric to better alone; `walks` and errors as of `tune.problem_of`."""
+    refuse_gait(search)
     return tune.problem_of(scenario, _bettering(search, asked), **walks)
 
 

@@ -14,7 +14,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.checks.time_step import short_enough
 from mjx_climb.files import dataset
-from mjx_climb.rollouts.resolve import AnyGains, has_gains_of_the_paper, with_gains
+from mjx_climb.rollouts.resolve import AnyGains, with_gains
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Stage, silent
 from tuning.gains.gains_file import by_name
@@ -22,7 +22,7 @@ from tuning.gains.own_section import check_reference, reference
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Judge, Search
-from tuning.problem.spaces import JOINT, to_gains64
+from tuning.problem.spaces import JOINT, as_gains, to_gains64
 
 if TYPE_CHECKING:
     from tuning.report.page import Origin
@@ -240,8 +240,6 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None, metrics: Itera
     if "search" not in data.attrs or "interrupted" not in data.attrs:
         raise ConfigError(f"{source}: expected the result of a search, got another dataset")
     check_reference(law, data.attrs.get("law"), source)
-    gains: Any = {name: np.asarray(v) for name, v in json.loads(data.attrs["gains"]).items() if v is not None}
-    if law is None or has_gains_of_the_paper(law):
-        gains = mc.Gains(**gains)
+    gains = as_gains({name: np.asarray(v) for name, v in json.loads(data.attrs["gains"]).items() if v is not None})
     problem = Problem(dataset.scenario_of(data), law=law, metrics=mc.MetricTable(metrics))
     return Tuned(data, problem, Search.parse(data.attrs["search"], source), gains=gains)

@@ -13,8 +13,9 @@ import mjx_climb as mc
 from mjx_climb.checks.time_step import short_enough
 from mjx_climb.control import PD
 from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.rollouts.gait_values import GAIT, gait_of
 from mjx_climb.scenario.messages import ConfigError
-from tuning.gains.gains_file import by_name
+from tuning.gains.gains_file import applied, by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
@@ -33,7 +34,7 @@ ON_A_GRID = "on a grid alone"
 
 
 class Rival(NamedTuple):
-    """pd with kp and kd that were searched."""
+    """pd with kp and kd that were searched, and perhaps the gait, by the keys of a scenario."""
 
     joint: Mapping[str, float]
     value: float  # of what was searched for
@@ -50,7 +51,7 @@ def search(
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
 ) -> Tuned | None:
-    """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same.
+    """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same, and the gait.
 
     A method of the caller's own is replaced by the default one, in its own number of rounds. The time step is one that
     all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were searched, it is the one of theirs.
@@ -61,10 +62,12 @@ def search(
     """
     if problem.law is None and problem.scenario.control.controller == "pd":
         return None
-    changed: dict[str, Any] = {"space": "isotropic", "inertia": False, "also": (), "joint_gains": True, "pins": {}}
-    changed["bounds"] = {name: span for name, span in settings.bounds.items() if name in JOINT}
+    changed: dict[str, Any] = {"space": "isotropic", "inertia": False, "joint_gains": True}
+    changed["also"] = tuple(name for name in settings.also if name in GAIT)
+    changed["bounds"] = {name: span for name, span in settings.bounds.items() if name in JOINT or name in GAIT}
+    changed["pins"] = gait_of(settings.pins)
     if settings.method == OWN_METHOD:
-        changed |= {"method": "gradient", "starts": None, "iterations": None}
+        changed |= {"method": "cmaes" if changed["also"] else "gradient", "starts": None, "iterations": None}
     settings, scenario = settings.model_copy(update=changed), under_pd(problem.scenario)
     space = spaces.space(scenario, settings)
     if JOINT.keys().isdisjoint(problem.space.gains):
@@ -152,14 +155,13 @@ def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: i
 
 def walker(scenario: mc.Scenario, joint: Mapping[str, float]) -> mc.Scenario:
     """Return the scenario with pd in place of its law, with joint gains and a time step that they can follow."""
-    gains = {f"control.{name}": value for name, value in joint.items()}
-    return under_pd(scenario).with_overrides({**gains, "time_step": time_step_for(scenario, joint)})
+    return applied(under_pd(scenario), joint).with_overrides({"time_step": time_step_for(scenario, joint)})
 
 
 def joint_of(found: Tuned) -> dict[str, float]:
-    """Return kp and kd alone: pd has no other gains."""
+    """Return kp and kd, and the gait where it was searched: pd has no other gains."""
     gains = by_name(found.gains)
-    return {name: float(gains[name]) for name in JOINT}
+    return {name: float(gains[name]) for name in (*JOINT, *GAIT) if name in gains}
 
 
 def spread(values: np.ndarray) -> float:
@@ -184,7 +186,7 @@ def rival_of(found: Tuned, retuned: Tuned, step: float | None = None) -> Rival:
 
 
 def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
-    return short_enough(scenario.with_overrides({f"control.{name}": float(value) for name, value in joint.items()}))
+    return short_enough(scenario.with_overrides({f"control.{name}": float(joint[name]) for name in JOINT}))
 
 
 def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
@@ -227,7 +229,8 @@ def worth(
         place: where the gains were searched, if that is not all there is.
         others: what else is worse, and what is better, in words.
     """
-    than = f"pd with kp {rival.joint['kp']:.4g}, kd {rival.joint['kd']:.4g}, which needs none"
+    own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
+    than = f"pd with {own}, which needs none"
     than += "" if rival.feasible else " (and breaks a limit)"
     changes = {name: values[name] / without[name] - 1 for name in values}
     if not all(map(math.isfinite, changes.values())):

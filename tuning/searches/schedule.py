@@ -28,7 +28,7 @@ from tuning.problem import objectives, spaces
 from tuning.problem.evaluation import Evaluation, Problem, pd_of, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
-from tuning.problem.spaces import to_gains64
+from tuning.problem.spaces import refuse_gait, to_gains64
 from tuning.searches import retuned_pd, tune
 from tuning.searches.methods import Request, Task
 from tuning.searches.methods.descents import again
@@ -116,6 +116,7 @@ class OperatingPoints:
 
 def operating_points(scenario: mc.Scenario, search: Search, asked: Schedule, **walks: Any) -> OperatingPoints:
     """Return what `schedule` tunes, with its errors; pd walks at each point first. `walks`: law, metrics and engine."""
+    refuse_gait(search)
     problem = tune.without_goal(scenario, search, **walks)
     down = np.asarray(scenario.gravity, float)
     length = np.linalg.norm(down)

@@ -16,6 +16,7 @@ from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.quantities.batches import batch_shape
+from mjx_climb.rollouts.gait_values import GAIT
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, objectives, spaces
@@ -23,7 +24,7 @@ from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
-from tuning.problem.search import OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
+from tuning.problem.search import BY_GRADIENTS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
 from tuning.searches.methods import METHODS, Method, Points, Task
 from tuning.searches.parts import identity_of
 from tuning.searches.result import Robust, Tuned, from_rounds
@@ -149,11 +150,14 @@ def for_this_machine(
     """Return settings with the method that is best here, where none of `chosen` (None: not given) says how to search.
 
     Where a GPU's kernel walks thousands in the time of one, many points compared by their values go deeper, and sooner,
-    than a few that follow their gradients.
+    than a few that follow their gradients. Times of the gait have no gradients to follow.
     """
-    free = all(given is None for given in chosen) and execution.many_at_once(np.dtype(search.precision))
-    many = free and spaces.space(scenario, search, law).size > 1
-    return search.model_copy(update={"method": "cmaes"}) if many else search
+    if any(given is not None for given in chosen):
+        return search
+    space, method = spaces.space(scenario, search, law), search.method
+    if not space.smooth.all() or execution.many_at_once(np.dtype(search.precision)):
+        method = "cmaes" if space.size > 1 else method if space.smooth.all() else "grid"
+    return search.model_copy(update={"method": method})
 
 
 def problem_of(
@@ -204,14 +208,20 @@ def without_goal(
         raise ConfigError(f"metrics: expected the shipped {missing[0]} among them, as in METRICS + (mine,)")
     search_settings.check_metrics(search, table)
     space, dtype = spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
+    if search.method in BY_GRADIENTS and not space.smooth.all():
+        times = ", ".join(name for name, smooth in zip(space.names, space.smooth, strict=True) if not smooth)
+        raise ConfigError(
+            f"method: expected cmaes, grid or optuna to search {times} in whole steps, got {search.method}"
+        )
     return Problem(scenario, space, dtype=dtype, metrics=table, **walks)
 
 
 def start_of(problem: Problem) -> np.ndarray:
-    """Return the law's own gains, and the scenario's of the joint loop, as a point of the space."""
-    control = problem.scenario.control
+    """Return the law's own gains, and the scenario's of joint loop and gait, as a point of the space."""
+    control, gait = problem.scenario.control, problem.scenario.gait
     own = spaces.own_values(problem.scenario, problem.law or law_of(problem.scenario))
-    return problem.space.from_gains({**own, "kp": control.kp, "kd": max(control.kd, 1e-12)})
+    walked = {key: getattr(gait, name) for key, name in GAIT.items()}
+    return problem.space.from_gains({**own, **walked, "kp": control.kp, "kd": max(control.kd, 1e-12)})
 
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:

@@ -339,3 +339,79 @@ def test_bad_gains_file(text, expected, tmp_path):
         gains_file.load(tmp_path / "gains.yaml")
     message = str(refused.value)
     assert expected in message and message.startswith(str(tmp_path / "gains.yaml")) and "\n" not in message
+
+
+GAIT = {"gait.duty": 0.8, "gait.cycle": 3.2, "gait.step_height": 0.02}
+
+
+@pytest.mark.parametrize("law", [mc.control.PD(), mc.control.MeasuredPoseAdmittance(1.0, 1.0, 1.0)])
+def test_a_file_holds_law_joint_gains_and_gait(law, tmp_path):
+    """Whatever law the scenario has: it walks under that of the file, as fast, on its own gait."""
+    scenario = mc.load_scenario("case_1_2")
+    gains = {"inertia": 1.0, "damping": [1.0, 2, 3, 4, 5, 6], "stiffness": 3e3, "kp": 40.0, "kd": 0.4, **GAIT}
+    path = gains_file.save(gains_file.completed(scenario, gains), tmp_path / "g.yaml", law=law)
+    whole = gains_file.whole(path, scenario)
+    assert type(whole.law) is type(law)
+    kept = {name: value for name, value in gains.items() if name not in mc.Gains.AXES or law.GAINS}
+    assert set(whole.gains) == {*kept, "gait.stride", "gait.settling"}
+    for name, value in kept.items():
+        np.testing.assert_array_equal(whole.gains[name], value)
+    place, own = gains_file.walker(path, scenario)
+    walked, _ = gains_file.replaced(place, own, gains_file.load(path))
+    assert own is None and isinstance(mc.control.law_of(walked), type(law))
+    assert (walked.gait.duty, walked.gait.cycle, walked.control.kd) == (0.8, 3.2, 0.4)
+    assert walked.gait.stride / 3.2 == pytest.approx(scenario.gait.stride / scenario.gait.cycle)
+    assert gains_file.apart(scenario, whole.gains)[0].gait == walked.gait
+    assert gains_file.whole(path, walked).law is None  # the scenario's
+
+
+def test_a_file_that_names_a_shipped_law_with_its_module_still_reads(tmp_path):
+    (tmp_path / "g.yaml").write_text(
+        "law: admittance.py:VirtualModelAdmittance\ninertia: 1\ndamping: 2\nstiffness: 3\n"
+    )
+    law = mc.control.VirtualModelAdmittance(1.0, 1.0, 1.0)
+    assert gains_file.load(tmp_path / "g.yaml").damping == gains_file.load(tmp_path / "g.yaml", law)["damping"][0] == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, got another"),
+        ("law: mine.py:Mine\nkp: 1", "law: expected gains of the config's law, got those of mine.py:Mine"),
+        ("law: PD\ngait: 3", "gait: expected a mapping with keys stride, step_height, cycle, duty, settling, got 3"),
+        ("law: PD\ngait: {speed: 3}", "gait.speed: expected only the keys stride, "),
+        ("law: PD\ngait: {duty: high}", "gait.duty: expected a number, got 'high'"),
+        ("law: PD\ngait: {duty: 0.6}", "gait.duty: expected a number from 0.75 to below 1, so that one swing"),
+    ],
+)
+def test_what_a_whole_file_cannot_say_is_refused(text, expected, tmp_path):
+    (tmp_path / "g.yaml").write_text(text)
+    with pytest.raises(mc.ConfigError) as refused:
+        gains_file.whole(tmp_path / "g.yaml", mc.Scenario())
+    assert expected in str(refused.value) and "g.yaml: " in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_the_gait_of_exported_gains_is_walked_and_told(export, judged):
+    """A controller does not have it, a table does; pd has no gains that an admittance controller takes."""
+    gains = vars(SPLIT) | GAIT
+    gains = {name: value for name, value in gains.items() if value is not None}
+    _, text, err = export(gains, "--config", "case_1_2")
+    (scenario,) = judged["asked"]
+    assert (scenario.gait.duty, scenario.gait.cycle) == (0.8, 3.2)
+    assert "no parameter of the controller: duty 0.8, cycle 3.2, step_height 0.02" in err and len(err.splitlines()) == 1
+    assert parameters_in(text) == parameters_in(export(SPLIT, config=None)[1])
+    rows = list(csv.reader(export(gains, "--format", "csv")[1].splitlines()))
+    assert ["gait.cycle", "gait", "3.2", "s"] in rows
+    assert json.loads(export(gains, "--format", "json")[1])["gait.duty"] == {
+        "units": {"gait": "1"},
+        "values": {"gait": 0.8},
+    }
+
+
+def test_pd_is_not_exported_and_options_do_not_contradict_a_file(call, tmp_path):
+    path = gains_file.save(GAINS, tmp_path / "g.yaml", law=mc.control.PD())
+    code, out, err = call("export", path, "--config", "case_1_2")
+    assert (code, out, len(err.splitlines())) == (2, "", 1) and "law: expected an admittance law" in err
+    for typed in (("--controller", "base_admittance"), ("--set", "control.controller=base_admittance")):
+        code, _, err = call("run", "case_1_2", "--gains", path, *typed)
+        assert code == 2 and f"expected none with {path}, whose gains are of PD, got base_admittance" in err
