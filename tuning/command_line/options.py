@@ -74,7 +74,6 @@ class Walk(Options):
 
         A change of `control.NAME`, a gain of a law of one's own, is the law's.
         """
-        from mjx_climb.control import LAWS
         from mjx_climb.scenario.yaml_text import pairs
         from tuning.gains import gains_file
         from tuning.gains.own_section import of_one, taken, without
@@ -82,8 +81,8 @@ class Walk(Options):
 
         named = self.law
         if named is None and self.gains is not None and self.controller is None:
-            kind = gains_file.named(self.gains)
-            named = None if kind is None or kind in LAWS.values() else kind.__name__
+            named = gains_file.shipped_law(self.gains)
+            named = None if gains_file.of_scenarios(named) else named
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
         changes = dict(pairs(self.changes, source))
         if self.controller is not None:

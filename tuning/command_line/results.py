@@ -404,7 +404,7 @@ def export(asked: Export) -> None:
 
         source, law = str(asked.gains), asked.load_transfer()
         values = gains_file.by_name(gains_file.load(asked.gains, law))
-        if gains_file.named(asked.gains) is PD:
+        if gains_file.shipped_law(asked.gains) == PD.__name__:
             raise config_error(source, "law", "an admittance law, whose gains are exported", "pd")
         scenario, gait = asked.scenario(law), gait_of(values)
         scenario = None if scenario is None else gains_file.with_gait(scenario, gait, source)

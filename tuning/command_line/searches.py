@@ -312,7 +312,7 @@ class Rivals(Judge):
         if (
             loaded.law is None
             and loaded.scenario.control.controller == "pd"
-            and not all(map(gains_file.named, self.gains))
+            and not all(map(gains_file.shipped_law, self.gains))
         ):
             raise InputError("--controller: expected a law whose gains are judged, got pd, which walks beside them")
         named = {file.stem: gains_file.whole(file, loaded.scenario, loaded.law) for file in self.gains}

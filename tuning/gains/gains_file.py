@@ -50,7 +50,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
     source, data = os.fsdecode(path), _data(path)
     stored = data.pop(LAW, None)
     name = _shipped(stored)
-    if not (_of_scenarios(name) if law is None else own_section.reference(law) == name):
+    if not (of_scenarios(name) if law is None else own_section.reference(law) == name):
         own_section.check_reference(law, stored, source)
     required = REQUIRED if law is None and name != PD.__name__ else tuple((law or PD()).GAINS)
     gait, keys = _gait(data.pop(SECTION, {}), source), (*required, *OPTIONAL)
@@ -86,7 +86,7 @@ def walker(
     name = shipped_law(path)
     if name is None or name == own_section.reference(law or law_of(scenario)):
         return scenario, law
-    if not _of_scenarios(name):
+    if not of_scenarios(name):
         return scenario, own_section.load_law(name)
     controller, reading = next(key for key, own in LAWS.items() if own.__name__ == name)
     return scenario.with_overrides({"control.controller": controller, "control.reading": reading}), None
@@ -128,7 +128,7 @@ def _shipped(stored: Any) -> str | None:
     return name if is_shipped(name) and file in ("", module) else None
 
 
-def _of_scenarios(name: str | None) -> bool:
+def of_scenarios(name: str | None) -> bool:
     """Return whether a law of this name is one that scenarios have."""
     return SHIPPED.get(name or "") in LAWS.values()
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import mjx_climb as mc
 from mjx_climb import plots
-from mjx_climb.control import PD
+from mjx_climb.control import PD, law_of
 from mjx_climb.execution import devices
 from mjx_climb.files import scenario_files
 from mjx_climb.quantities.parameters import gains as scenario_gains
@@ -137,7 +137,11 @@ def compare(found: Comparison, folder: Folder, _: None = None) -> Contents:
     found = folder.found(dataclasses.replace(found, data=data))
     name = "from Python" if folder.origin is None else folder.origin.name
     gains = {
-        f"gains-{file_name(law)}.yaml": gains_file.text(own.gains, f"mjx-climb compare {name}: {law}", own.problem.law)
+        f"gains-{file_name(law)}.yaml": gains_file.text(
+            gains_file.completed(own.scenario, own.gains),
+            f"mjx-climb compare {name}: {law}",
+            own.problem.law or law_of(own.scenario),
+        )
         for law, own in found.tuned.items()
     }
     rows = pages.rows_of_laws(table)
