@@ -15,17 +15,41 @@ def rigid(levers, displacement, weight):
     return (back @ np.linalg.lstsq(root[:, None] * back, root * displacement.ravel())[0]).reshape(-1, 3)
 
 
+def pseudoinverse(levers, weight):
+    """Return W G^T (G W G^T)^-1 (3 limb, 6)."""
+    map_, by_force = grasp(levers), np.diag(np.repeat(weight, 3))
+    return by_force @ map_.T @ np.linalg.inv(map_ @ by_force @ map_.T)
+
+
+def parts(wrench, levers, weight):
+    """Return the forces of least `sum |F|^2 / weight`, what pushes on the feet add to them, and which are vertical."""
+    inverse, up = pseudoinverse(levers, weight), np.eye(3 * len(levers))[2::3]
+    by_force = np.diag(np.repeat(weight, 3))
+    return inverse @ wrench, (by_force - inverse @ grasp(levers) @ by_force) @ up.T, up
+
+
 def shared(wrench, levers, weight, pull_limit, softness=0.1, sweeps=12):
     """Return the forces of least `sum |F|^2 / weight`, pulls softly limited: 12 sweeps through the multipliers."""
-    by_force, up = np.diag(np.repeat(weight, 3)), np.eye(3 * len(levers))[2::3]
-    map_ = grasp(levers)
-    inverse = by_force @ map_.T @ np.linalg.inv(map_ @ by_force @ map_.T)
-    free, inner = inverse @ wrench, by_force - inverse @ map_ @ by_force
-    change, multiplier = up @ inner @ up.T, np.zeros(len(levers))
+    free, push, up = parts(wrench, levers, weight)
+    change, multiplier = up @ push, np.zeros(len(levers))
     for limb in list(range(len(levers))) * sweeps:
         missing = -pull_limit - up[limb] @ free - change[limb] @ multiplier - softness * multiplier[limb]
         multiplier[limb] = max(multiplier[limb] + missing / (change[limb, limb] + softness), 0)
-    return (free + inner @ up.T @ multiplier).reshape(-1, 3)
+    return (free + push @ multiplier).reshape(-1, 3)
+
+
+def of_largest_margin(wrench, levers, weight, bears, cost, sweeps=12):
+    """Return the forces of the largest least normal force of feet that bear: 12 sweeps through pairs of feet."""
+    free, push, up = parts(wrench, levers, weight)
+    share, pairs = bears / max(bears.sum(), 1), [(i, j) for i in range(len(levers)) for j in range(i)]
+    for i, j in pairs * sweeps:
+        if bears[i] and bears[j]:
+            apart = up[i] - up[j]
+            slope = apart @ (free + push @ share / cost)
+            given = slope * cost / (apart @ (push[:, i] - push[:, j]) + 1e-6)
+            given = min(max(given, -share[j]), share[i])
+            share[i], share[j] = share[i] - given, share[j] + given
+    return (free + push @ share / cost).reshape(-1, 3)
 
 
 def bounded(rows, largest):
@@ -67,3 +91,31 @@ class LoadTransfer(OfFeet):
         lands = -gains["landing"] * (error[:3] + np.cross(error[3:], levers))
         fades = lands + (self.offset - lands) * np.exp(-h / 0.05)
         self.offset = np.where(support[:, None], moved, fades)
+
+
+class InternalForce(OfFeet):
+    def move(self, levers, force, error, support, trusted, times):
+        stiffness, h = self.gains["stiffness"], self.period
+        weight = support * np.where(trusted, 1, 0.02)
+        wrench = grasp(levers) @ force.ravel()
+        internal = trusted[:, None] * (force - (pseudoinverse(levers, weight) @ wrench).reshape(-1, 3))
+        kept = np.exp(-h * stiffness / self.gains["damping"])
+        moved = bounded(internal / stiffness + kept * (self.offset - internal / stiffness), 0.02)
+        self.offset = np.where(support[:, None], moved, self.offset * np.exp(-h / 0.05))
+
+
+class ClimbSDK(OfFeet):
+    steps = 0
+
+    def move(self, levers, force, error, support, trusted, times):
+        gains, h = self.gains, self.period
+        change = np.zeros_like(self.offset)
+        if self.steps % round(0.05 / h) == 0:
+            weight = support * np.where(trusted, 1, 0.02)
+            wanted = of_largest_margin(grasp(levers) @ force.ravel(), levers, weight, trusted, gains["force_cost"])
+            pushed = trusted[:, None] * (force - wanted)
+            change = gains["force_gain"] * (pushed - rigid(levers, pushed, support * 1.0))
+            change = change + gains["body_gain"] * (error[:3] + np.cross(error[3:], levers))
+        self.steps += 1
+        moved = bounded(self.offset + change, 0.02)
+        self.offset = np.where(support[:, None], moved, self.offset * np.exp(-h / 0.05))

@@ -5,7 +5,9 @@ import math
 from typing import Any
 
 from mjx_climb.control.admittance import EndEffectorAdmittance, MeasuredPoseAdmittance, VirtualModelAdmittance
+from mjx_climb.control.climb_sdk import ClimbSDK
 from mjx_climb.control.combined import combined
+from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.control.law import PD, Command, GainField, Law, Measurement, Reference, Start, begin, gain, shifted
 from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.control.phased import phased
@@ -22,12 +24,12 @@ LAWS: dict[tuple[str, str], type[Law]] = {
     ("end_effector_admittance", "virtual_model"): EndEffectorAdmittance,
 }
 # by the names that --law, a gains file and `own.law.name` take
-SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), LoadTransfer)}
+SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), LoadTransfer, InternalForce, ClimbSDK)}
 
 __all__ = [
-    "LAWS", "PD", "SHIPPED", "Command", "EndEffectorAdmittance", "GainField", "Law", "LoadTransfer",
-    "MeasuredPoseAdmittance", "Measurement", "Reference", "Start", "VirtualModelAdmittance", "begin", "combined",
-    "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
+    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "GainField", "InternalForce", "Law",
+    "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "Reference", "Start", "VirtualModelAdmittance", "begin",
+    "combined", "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
 ]  # fmt: skip
 
 

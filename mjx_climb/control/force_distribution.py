@@ -4,6 +4,8 @@ With levers r to the feet, G_i = [1; r_i x] takes a force to its wrench, and G_i
 t + theta x r_i of a foot.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jax import Array
 
@@ -11,7 +13,7 @@ from mjx_climb.dynamics.spatial import skew, solve_symmetric
 
 _REGULARIZATION = 8.0  # in units of rounding: feet on a line cannot take any wrench
 _SOFTNESS = 0.1  # of a limit on pulls, in units of a weight: where feet have to pull harder, they share it
-_SWEEPS = 12  # of Gauss-Seidel through the limbs, which leave less than 0.005 of the largest force
+_SWEEPS = 12  # of Gauss-Seidel through the limbs, which leave less than 0.001 of the largest force
 
 
 def weighted_grasp(lever: Array, weight: Array) -> Array:
@@ -34,10 +36,41 @@ def moved_rigidly(lever: Array, twist: Array) -> Array:
     return twist[:3] + jnp.cross(twist[3:], lever)
 
 
+def least_forces(wrench: Array, lever: Array, weight: Array) -> Array:
+    """Return the forces (limb, 3) N of least `sum |F|^2 / weight` that make up a wrench w: `W G^T (G W G^T)^-1 w`."""
+    twist = solve_symmetric(weighted_grasp(lever, weight), wrench[:, None])[:, 0]
+    return weight[:, None] * moved_rigidly(lever, twist)
+
+
 def rigid_part(lever: Array, displacement: Array, weight: Array) -> Array:
     """Return the rigid motion (limb, 3) that is nearest to displacements, by least squares with weights (limb,)."""
     moments = net_wrench(lever, weight[:, None] * displacement)
     return moved_rigidly(lever, solve_symmetric(weighted_grasp(lever, weight), moments[:, None])[:, 0])
+
+
+class Sharing(NamedTuple):
+    """The forces of least `sum |F|^2 / weight` that make up a wrench, and how they change."""
+
+    dual: Array  # (6, 1 + limb): F = weight G^T dual, of the wrench, and of what pushes on the feet add to it
+    vertical: Array  # (limb,) N, along the ground's normal
+    change: Array  # (limb, limb): of the vertical forces, by pushes on the feet that leave the wrench as it is
+    lever: Array  # (limb, 3) m
+    weight: Array  # (limb,)
+
+
+def sharing(wrench: Array, lever: Array, weight: Array) -> Sharing:
+    """Return how feet at levers (limb, 3) m share a wrench (6,), with weights (limb,)."""
+    normal = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0], wrench.dtype), lever.shape)
+    pushes = weight[:, None] * jnp.concatenate([normal, jnp.cross(lever, normal)], axis=1)  # (limb, 6): W G^T's z
+    dual = solve_symmetric(weighted_grasp(lever, weight), jnp.concatenate([wrench[None], pushes]).T)
+    change = weight[:, None] * jnp.eye(len(weight), dtype=wrench.dtype) - pushes @ dual[:, 1:]
+    return Sharing(dual, pushes @ dual[:, 0], change, lever, weight)
+
+
+def pushed_up(share: Sharing, push: Array) -> Array:
+    """Return the forces (limb, 3) N with pushes (limb,) on the feet that leave the wrench as it is."""
+    motion = moved_rigidly(share.lever, share.dual[:, 0] - share.dual[:, 1:] @ push)
+    return share.weight[:, None] * (motion + push[:, None] * jnp.array([0.0, 0.0, 1.0], push.dtype))
 
 
 def distributed(wrench: Array, lever: Array, weight: Array, pull_limit: Array) -> Array:
@@ -53,21 +86,12 @@ def distributed(wrench: Array, lever: Array, weight: Array, pull_limit: Array) -
         weight: (limb,) 0 to 1.
         pull_limit: () N.
     """
-    limbs = range(len(weight))
-    normal = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0], wrench.dtype), lever.shape)
-    pushes = weight[:, None] * jnp.concatenate([normal, jnp.cross(lever, normal)], axis=1)  # (limb, 6): W G^T's z
-    right = jnp.concatenate([wrench[None], pushes]).T
-    solution = solve_symmetric(weighted_grasp(lever, weight), right)  # (6, 1 + limb)
-    # normal forces without a limit, and how they change with the limits' multipliers
-    vertical = pushes @ solution[:, 0]
-    change = weight[:, None] * jnp.eye(len(weight), dtype=wrench.dtype) - pushes @ solution[:, 1:]
+    share, limbs = sharing(wrench, lever, weight), range(len(weight))
     multiplier = [jnp.zeros_like(pull_limit)] * len(weight)
     for _ in range(_SWEEPS):
         for limb in limbs:
-            now = vertical[limb] + sum(change[limb, other] * multiplier[other] for other in limbs)
+            now = share.vertical[limb] + sum(share.change[limb, other] * multiplier[other] for other in limbs)
             missing = -pull_limit - now - _SOFTNESS * multiplier[limb]
-            step = missing / (change[limb, limb] + _SOFTNESS)
+            step = missing / (share.change[limb, limb] + _SOFTNESS)
             multiplier[limb] = jnp.maximum(multiplier[limb] + step, 0.0)
-    limited = jnp.stack(multiplier)
-    dual = solution[:, 0] - solution[:, 1:] @ limited
-    return weight[:, None] * (moved_rigidly(lever, dual) + limited[:, None] * normal)
+    return pushed_up(share, jnp.stack(multiplier))

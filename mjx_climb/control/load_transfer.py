@@ -11,32 +11,15 @@ and leaks away; of servos at their `torque_limit` it gets the reports, and lets 
 """
 
 import math
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.control.foot_offsets import LEAST, Offsets, base_error, feet_shifted, released, trusted_forces
 from mjx_climb.control.force_distribution import distributed, moved_rigidly, net_wrench, rigid_part
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
-from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
-
-RELEASE = 0.05  # s, in which an offset fades once its gripper has opened
-LEAST = 0.02  # weight of a foot that stands: three of them can always take the wrench
-
-
-class Offsets(NamedTuple):
-    """How far the feet are from where the gait wants them."""
-
-    displacement: Array  # (limb, 3) m, axes of the base reference
-    period: Array  # () s, of the law
-
-
-class Sensed(NamedTuple):
-    """Forces that can be trusted."""
-
-    force: Array  # (limb, 3) N, axes of the base reference; 0 of other feet
-    trusted: Array  # (limb,) bool: the foot stands, and its sensor says something
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 
 
 class LoadTransfer(Law):
@@ -62,7 +45,7 @@ class LoadTransfer(Law):
 
     def init(self, start: Start) -> Offsets:
         """Return no offsets."""
-        return Offsets(jnp.zeros_like(start.reference.foot_position), jnp.asarray(start.period))
+        return Offsets.begin(start)
 
     def step(self, offsets: Offsets, measured: Measurement, reference: Reference) -> tuple[Offsets, Command]:
         """Let the feet that stand give way towards the wanted forces; the offset of an open gripper fades."""
@@ -85,8 +68,7 @@ class LoadTransfer(Law):
             yielding = jnp.where(outward[:, None], 0.0, yielding)
         moved = bounded(before + offsets.period * yielding, self.max_offset)
         lands = -self.landing * moved_rigidly(lever, base_error(measured, reference, rotation))
-        follows = lands + (before - lands) * jnp.exp(-offsets.period / RELEASE)
-        displacement = jnp.where(measured.support[:, None], moved, follows)
+        displacement = jnp.where(measured.support[:, None], moved, released(offsets, lands))
         return offsets._replace(displacement=displacement), feet_shifted(reference, displacement, rotation)
 
     def weights(self, reference: Reference) -> Array:
@@ -94,27 +76,3 @@ class LoadTransfer(Law):
         until = jnp.clip(reference.until_lift_off / self.unloading, 0.0, 1.0)
         since = jnp.clip(reference.since_touchdown / self.loading, 0.0, 1.0)
         return jnp.maximum(until * since, LEAST)
-
-
-def trusted_forces(measured: Measurement, rotation: Array) -> Sensed:
-    """Return the forces of feet that stand, along the columns of `rotation`, where the sensor is not dead.
-
-    A dead sensor says exactly nothing, or what is no number: its foot is then left as it is.
-    """
-    size = jnp.abs(measured.foot_force).sum(1)
-    trusted = measured.support & (size > 0) & jnp.isfinite(size)
-    # of rows: each row times R is R^T times it
-    return Sensed(jnp.where(trusted[:, None], measured.foot_force, 0.0) @ rotation, trusted)
-
-
-def base_error(measured: Measurement, reference: Reference, rotation: Array) -> Array:
-    """Return how far the base is from its reference, (6,) m, rad along the axes of the reference; small angles."""
-    turn = quaternion_multiply(quaternion_conjugate(reference.base_orientation), measured.base_orientation)
-    return jnp.concatenate([(measured.base_position - reference.base_position) @ rotation, 2 * turn[1:] * turn[0]])
-
-
-def feet_shifted(reference: Reference, displacement: Array, rotation: Array) -> Command:
-    """Return the reference with its feet shifted by `displacement` (limb, 3) m along the axes of the reference."""
-    feet = reference.foot_position + displacement @ rotation.T
-    no_shift = jnp.zeros_like(reference.base_position, shape=6)
-    return Command(reference.base_position, reference.base_orientation, feet, no_shift)

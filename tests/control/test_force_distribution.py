@@ -3,10 +3,12 @@
 import itertools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.control.force_distribution import distributed, net_wrench, rigid_part
+from mjx_climb.control.climb_sdk import of_largest_margin
+from mjx_climb.control.force_distribution import distributed, net_wrench, rigid_part, sharing
 from tests import oracle_laws
 
 SOFTNESS = 0.1
@@ -67,6 +69,53 @@ def test_forces_are_those_of_the_exact_program(limbs, count):
     assert min(limited.mean(), 1 - limited.mean()) > 0.05
     assert (off / largest).max() < 1e-3
     assert off[~limited].max() < 1e-9
+
+
+def margins(wrench, lever, cost):
+    """Return the forces (scene, limb, 3) of `min cost / 2 |F|^2 - m, m <= F_z`, by trying which feet are at the margin.
+
+    Those that are have shares of one, none below 0; no other foot has less force along the normal.
+    """
+    count, limbs = lever.shape[:2]
+    size = 3 * limbs
+    to_wrench = np.stack([oracle_laws.grasp(own) for own in lever])
+    solution, best = np.full((count, limbs, 3), np.nan), np.full(count, np.inf)
+    for acts in itertools.product([False, True], repeat=limbs):
+        feet = np.flatnonzero(acts)
+        if not len(feet):
+            continue
+        system = np.zeros((count, size + 7 + len(feet), size + 7 + len(feet)))
+        right = np.zeros((count, len(system[0])))
+        at_margin = np.zeros((len(feet), size + 1))  # F_z - m
+        at_margin[range(len(feet)), 3 * feet + 2], at_margin[:, size] = 1, -1
+        system[:, range(size), range(size)] = cost
+        right[:, size] = 1
+        system[:, : size + 1, size + 7 :], system[:, size + 7 :, : size + 1] = -at_margin.T, at_margin
+        system[:, :size, size + 1 : size + 7], system[:, size + 1 : size + 7, :size] = to_wrench.mT, to_wrench
+        right[:, size + 1 : size + 7] = wrench
+        system[:, range(size + 7, len(right[0])), range(size + 7, len(right[0]))] = 1e-9 / cost  # shares, if not unique
+        found = np.linalg.solve(system, right[..., None])[..., 0]
+        force = found[:, :size].reshape(count, limbs, 3)
+        value = cost / 2 * (force**2).sum((1, 2)) - force[..., 2].min(1)
+        fits = (found[:, size + 7 :] > -1e-9).all(1) & (value < best)
+        solution[fits], best[fits] = force[fits], value[fits]
+    return solution, best
+
+
+@pytest.mark.parametrize(("limbs", "count"), [(4, 10_000), (3, 2000)])
+def test_forces_of_the_largest_margin_are_those_of_the_exact_program(limbs, count):
+    wrench, lever, *_ = scenes(count, limbs)
+    cost, all_bear = 0.01, np.ones((count, limbs), bool)
+
+    def of_one(wrench, lever, bears):
+        return of_largest_margin(sharing(wrench, lever, jnp.ones(limbs)), bears, cost)
+
+    found = np.asarray(jax.jit(jax.vmap(of_one))(wrench, lever, all_bear))
+    np.testing.assert_allclose(jax.vmap(net_wrench)(lever, found), wrench, rtol=0, atol=1e-9)
+    _, best = margins(wrench, lever, cost)
+    missing = cost / 2 * (found**2).sum((1, 2)) - found[..., 2].min(1) - best
+    assert missing.min() > -1e-6
+    np.testing.assert_array_less(np.percentile(missing, [50, 99]), [1e-6, 1e-2])  # N; few sweeps are made
 
 
 def test_a_rigid_motion_is_all_rigid_and_the_rest_has_none():
