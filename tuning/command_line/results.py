@@ -414,7 +414,7 @@ def export(asked: Export) -> None:
             text, notes = _written(asked, gains, gait, scenario)
             files = {"": text}
         else:
-            files, notes = _load_transfer(asked, gains, scenario)
+            files, notes = _load_transfer(asked, values, scenario)
         if scenario is None:
             said = [f"note: no {_BESIDE} beside {asked.gains.name} and no --config: these gains were not walked"]
         else:
@@ -465,16 +465,17 @@ def _written(
 
 
 def _load_transfer(
-    asked: Export, gains: dict[str, Any], scenario: "mc.Scenario | None"
+    asked: Export, values: Mapping[str, Any], scenario: "mc.Scenario | None"
 ) -> tuple[dict[str, str], list[str]]:
-    """Return the files for a robot under load transfer, by name, and notes on them."""
+    """Return the files for a robot under load transfer, by name, and notes on them; values of a whole gains file."""
     from mjx_climb.control import LoadTransfer
     from tuning.gains import gains_file, load_transfer
 
-    law = LoadTransfer(**{name: gains[name] for name in LoadTransfer.GAINS})
+    law = LoadTransfer(**{name: values[name] for name in LoadTransfer.GAINS})
     if scenario is None:
-        return load_transfer.texts(law, 1 / (asked.rate or 1000)), []
-    walked = gains_file.applied(scenario, gains)
+        others = {name: value for name, value in values.items() if name not in LoadTransfer.GAINS}
+        return load_transfer.texts(law, 1 / (asked.rate or 1000), given=others), []
+    walked = gains_file.applied(scenario, values)
     period, cutoff = walked.hardware.control_period or walked.time_step, walked.hardware.force_sensor.filter
     note = f"load_transfer.hpp filters nothing: give it forces behind a low pass of {cutoff or 0:g} Hz"
     return load_transfer.texts(law, period, walked), [] if cutoff is None else [note]

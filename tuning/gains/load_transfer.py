@@ -1,7 +1,10 @@
 """Load transfer for a robot: gains as YAML and as C++, and the law in one C++ header, which lies beside this file."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import yaml
 
@@ -52,12 +55,18 @@ def parameters(law: LoadTransfer, period: float) -> Parameters:
     return {"period": (float(period), "s", "from one step of the law to the next")} | gains | bounds
 
 
-def texts(law: LoadTransfer, period: float, walked: mc.Scenario | None = None) -> dict[str, str]:
+def texts(
+    law: LoadTransfer,
+    period: float,
+    walked: mc.Scenario | None = None,
+    given: Mapping[str, Any] = MappingProxyType({}),
+) -> dict[str, str]:
     """Return what a robot needs, by the names of files: gains as YAML, gains as C++, and the law.
 
     Arguments:
         period: from one step of the law to the next, s.
-        walked: where the gains were walked, None where they were not; with the joint gains that go with them.
+        walked: where the gains were walked, with their joint gains and gait; None where they were not.
+        given: joint gains and gait that go with them, by name, where they were not walked.
     """
     names = {"yaml": "load_transfer.yaml", "cpp": "load_transfer_gains.hpp"}
     found = "They come from simulation, nobody said of which hardware, and were not walked before they were written."
@@ -67,7 +76,7 @@ def texts(law: LoadTransfer, period: float, walked: mc.Scenario | None = None) -
         )
     header, values = _HEADER.format(found=found, period=period), parameters(law, period)
     return {
-        names["yaml"]: _comment("#", header) + _yaml(values) + _walked(walked),
+        names["yaml"]: _comment("#", header) + _yaml(values) + (_given(given) if walked is None else _walked(walked)),
         names["cpp"]: _cpp(header, values),
         LAW.name: LAW.read_text(encoding="utf-8"),
     }
@@ -83,9 +92,11 @@ def _yaml(values: Parameters) -> str:
     return "".join(["load_transfer:\n", *lines])
 
 
-def _walked(scenario: mc.Scenario | None) -> str:
-    if scenario is None:
-        return ""
+def _given(values: Mapping[str, Any]) -> str:
+    return yaml.safe_dump({"given": {n: float(v) for n, v in values.items()}}, sort_keys=False) if values else ""
+
+
+def _walked(scenario: mc.Scenario) -> str:
     control = scenario.control
     sections = {name: getattr(scenario, name).model_dump(mode="json") for name in ("gait", "hardware")}
     tree = {"walked": {"kp": control.kp, "kd": control.kd} | sections}

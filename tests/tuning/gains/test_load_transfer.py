@@ -142,9 +142,19 @@ def test_what_is_written_is_what_the_file_has_to_the_last_digit(export, tmp_path
 
 
 def test_without_a_folder_the_parameters_are_printed(export):
-    code, out, err, checked = export("--update-rate", 250)
+    code, out, err, checked = export("--update-rate", 250, kd=1.66, gait={"duty": 0.8})
     assert (code, checked, len(err.splitlines())) == (0, [], 1) and "these gains were not walked" in err
-    assert yaml.safe_load(out)["load_transfer"]["period"] == 1 / 250
+    written = yaml.safe_load(out)
+    assert written["load_transfer"]["period"] == 1 / 250 and written["given"] == {"kd": 1.66, "gait.duty": 0.8}
+
+
+def test_the_gait_of_the_file_is_walked_and_written(export):
+    """At the config's speed of travel: half the cycle, half the stride."""
+    _, out, _, checked = export("--config", "case_1_2", gait={"duty": 0.8, "cycle": 2.0})
+    (((scenario, *_), _),) = checked
+    gait = yaml.safe_load(out)["walked"]["gait"]
+    assert gait == scenario.gait.model_dump(mode="json") and (gait["duty"], gait["cycle"]) == (0.8, 2.0)
+    assert gait["stride"] == pytest.approx(mc.load_scenario("case_1_2").gait.stride / 2)
 
 
 def test_a_filter_that_the_law_had_is_said(export, tmp_path):
