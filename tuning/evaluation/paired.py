@@ -202,11 +202,11 @@ def verdict(table: xr.Dataset, laws: Sequence[str], reading: Collection[str], ha
     gains = {name: gained(name, objective) for name in (*laws, *hardware)}
     best, better = max(laws, key=gains.__getitem__), max(hardware, key=gains.__getitem__, default=None)
     if gains[best]:
-        said = f"{best} is better than pd with kp and kd retuned, by {gains[best]:.1%} of the objective"
+        said = f"{best} is better than retuned pd, by {gains[best]:.1%} of the objective"
         worse = [metric.replace("_", " ") for metric in _metrics(table) if worse_in(best, metric)]
         said += f", though worse in {', '.join(worse)}" if worse else ""
     else:
-        said = "none is better than pd with kp and kd retuned"
+        said = "none is better than retuned pd"
     said += f"; {_sensor(table, [name for name in laws if name in reading], gained)}"
     if better is None:
         return Verdict(best if gains[best] else None, said + "; the scenario has no delay, friction or rate to better")

@@ -21,6 +21,7 @@ from tuning.searches import sweep as sweeps
 from tuning.searches.compare import Comparison
 from tuning.searches.pareto import Front, without_sensor
 from tuning.searches.result import Tuned
+from tuning.searches.retuned_pd import NAME
 
 if TYPE_CHECKING:
     from tuning.output.results import SweepComparison, TuneComparison
@@ -272,6 +273,8 @@ def notes_of_laws(found: Comparison, table: xr.Dataset) -> list[str]:
         f"{spent} points of {found.problem.members} walks searched for each law; {table.attrs['members']} unseen "
         f"walks each; {table.attrs['level']:.0%} intervals by {table.attrs['resamples']} resamples of the walks"
     ]
+    pd, values = found.tuned[NAME], by_name(found.tuned[NAME].gains)
+    notes.append(f"retuned pd: {', '.join(f'{name} {gain(values, name)}' for name in pd.problem.space.gains)}")
     if not same:
         notes.append("warning: searches that had converged ended early")
     broken = [name for name, own in found.tuned.items() if not own.feasible]
@@ -280,7 +283,7 @@ def notes_of_laws(found: Comparison, table: xr.Dataset) -> list[str]:
     if left := table.attrs["members"] - table.attrs["members_compared"]:
         notes.append(f"warning: {left} walks in which something diverged count among those lost alone")
     if found.hardware:
-        notes.append("better hardware walks with the kp and kd that were tuned for the present one")
+        notes.append("better hardware walks with what was tuned for the present one, so it may be worth more")
     return notes
 
 

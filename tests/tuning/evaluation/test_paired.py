@@ -107,7 +107,7 @@ def said(data, reading=("mine", "other")):
 
 def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
     found = said(walks())
-    assert found.best == "mine" and found.in_words.startswith("mine is better than pd with kp and kd retuned, by ")
+    assert found.best == "mine" and found.in_words.startswith("mine is better than retuned pd, by ")
     parts = found.in_words.split("; ")
     assert parts[1].startswith("the force sensor is worth 2") and parts[1].endswith("nothing in peak pull force")
     assert "of force variation (mine)" in parts[1] and "of travel (mine)" in parts[1]
@@ -119,7 +119,7 @@ def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
 def test_the_sentence_says_so_where_no_law_is_better():
     level = {"travel": [1, 1, 1, 1, 1], "force_variation": [100, 120, 100, 70, 130]}
     found = said(walks(**level))
-    assert found.best is None and found.in_words.startswith("none is better than pd with kp and kd retuned; ")
+    assert found.best is None and found.in_words.startswith("none is better than retuned pd; ")
     assert "the force sensor is worth nothing here" in found.in_words
     assert "half the friction would be worth more than any of these laws: 2" in found.in_words
     nothing = said(walks(**level | {"force_variation": [100] * 5}))

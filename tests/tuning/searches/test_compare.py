@@ -280,7 +280,7 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     xr.testing.assert_identical(found.data, whole.data)
     written = found.write(tmp_path)
     assert not (tmp_path / "parts").exists()
-    assert " is better than pd with kp and kd retuned, by " in written.outcome[-1]
+    assert " is better than retuned pd, by " in written.outcome[-1]
     assert found.laws == ["base_admittance", "Shared"] and found.hardware == list(compare.HARDWARE)
     table = written.summed["value"].sel(metric="force_variation", statistic="mean")
     walks = found.data["force_variation"]
