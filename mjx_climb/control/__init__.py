@@ -8,7 +8,19 @@ from mjx_climb.control.admittance import EndEffectorAdmittance, MeasuredPoseAdmi
 from mjx_climb.control.climb_sdk import ClimbSDK
 from mjx_climb.control.combined import combined
 from mjx_climb.control.internal_force import InternalForce
-from mjx_climb.control.law import PD, Command, GainField, Law, Measurement, Reference, Start, begin, gain, shifted
+from mjx_climb.control.law import (
+    PD,
+    Command,
+    GainField,
+    JointGains,
+    Law,
+    Measurement,
+    Reference,
+    Start,
+    begin,
+    gain,
+    shifted,
+)
 from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.control.phased import phased
 from mjx_climb.control.virtual_mass import Motion
@@ -27,9 +39,9 @@ LAWS: dict[tuple[str, str], type[Law]] = {
 SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), LoadTransfer, InternalForce, ClimbSDK)}
 
 __all__ = [
-    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "GainField", "InternalForce", "Law",
-    "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "Reference", "Start", "VirtualModelAdmittance", "begin",
-    "combined", "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
+    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "GainField", "InternalForce",
+    "JointGains", "Law", "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "Reference", "Start",
+    "VirtualModelAdmittance", "begin", "combined", "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
 ]  # fmt: skip
 
 

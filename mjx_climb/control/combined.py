@@ -12,6 +12,9 @@ import re
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
+import jax
+import jax.numpy as jnp
+
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start
 from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply
 
@@ -69,12 +72,18 @@ class Sum(Law, metaclass=Made):
             ),
             foot_position=first.foot_position + (second.foot_position - reference.foot_position),
             base_displacement=first.base_displacement + second.base_displacement,
+            joint_gains=product(first.joint_gains, second.joint_gains),
         )
         return (one, other), command
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where the searches of both look."""
         return {key: pair for part in self.PARTS for key, pair in part.bounds(self, period).items()}
+
+
+def product(first: Any, second: Any) -> Any:
+    """Return the factors of joint gains of two laws together; () is no factor."""
+    return jax.tree.map(jnp.multiply, first, second) if first and second else first or second
 
 
 def combined(first: Law, second: Law) -> Law:

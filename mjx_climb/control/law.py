@@ -48,6 +48,13 @@ class Reference(NamedTuple):
     since_touchdown: Array | float = LONG  # (limb,) s, since the gripper shut last; 0 in a swing
 
 
+class JointGains(NamedTuple):
+    """By how much a law multiplies the joint loop's gains, limb by limb."""
+
+    kp: Array  # (limb,) 1
+    kd: Array  # (limb,) 1
+
+
 class Command(NamedTuple):
     """Targets for the inverse kinematics, world axes, and the shift that led to them."""
 
@@ -55,6 +62,7 @@ class Command(NamedTuple):
     base_orientation: Array  # (4,) wxyz, base to world
     foot_position: Array  # (limb, 3) m
     base_displacement: Array  # (6,) m, rad: the law's shift of the base, reference axes
+    joint_gains: JointGains | tuple[()] = ()  # (): the joint loop's own
 
 
 class Start(NamedTuple):
@@ -183,6 +191,7 @@ class Beginning(NamedTuple):
 
     state: Any
     reads_servos: bool  # whether its step looks at what the joints' servos report
+    joint_gains: JointGains | tuple[()]  # of its first command: ones, () of a law that leaves them alone
 
 
 def begin(law: Law, start: Start) -> Any:
@@ -208,13 +217,15 @@ def beginning(law: Law, start: Start) -> Beginning:
     joints = jnp.zeros_like(feet) if start.joint_angles is None else start.joint_angles
     measured = Measurement(*start.reference[:2], position, position, feet, six, support, joints, joints, joints)
     program, found = jax.make_jaxpr(law.step, return_shape=True)(state, measured, start.reference)
-    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six)}
+    one = jnp.ones_like(feet[:, 0])
+    gains = JointGains(one, one) if getattr(found[1], "joint_gains", ()) else ()
+    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six, gains)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields
-        one, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
-        if jax.tree.flatten(one) != jax.tree.flatten(other):
-            raise ValueError(f"{type(law).__name__}.step: expected {what}, {one}, got {other}")
+        own, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
+        if jax.tree.flatten(own) != jax.tree.flatten(other):
+            raise ValueError(f"{type(law).__name__}.step: expected {what}, {own}, got {other}")
     last = len(jax.tree.leaves((state, measured)))
     servos = program.jaxpr.invars[last - 3 : last]
     read = [*program.jaxpr.outvars, *(variable for equation in program.jaxpr.eqns for variable in equation.invars)]
-    return Beginning(state, any(variable is servo for variable in read for servo in servos))
+    return Beginning(state, any(variable is servo for variable in read for servo in servos), gains)

@@ -7,6 +7,7 @@ law = phased(EndEffectorAdmittance(), gains=("damping", "stiffness"))
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -14,8 +15,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.combined import Made, Part, Sum, law_class
-from mjx_climb.control.law import Command, GainField, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.combined import Made, Part, Sum, law_class, product
+from mjx_climb.control.law import Command, GainField, JointGains, Law, Measurement, Reference, Start, gain
 
 PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
 
@@ -37,6 +38,7 @@ class Phased(Law, metaclass=Made):
 
     PART: ClassVar[Part]  # of the gains that are the same in all phases
     BY_PHASE: ClassVar[tuple[str, ...]] = ()
+    OF_JOINTS: ClassVar[tuple[str, ...]] = ()  # of kp and kd
 
     def init(self, start: Start) -> tuple[Any, ...]:
         """Return the law's state by the gains of each phase: the last is the one that moves."""
@@ -47,7 +49,7 @@ class Phased(Law, metaclass=Made):
     ) -> tuple[tuple[Any, ...], Command]:
         """Let the law take its step with the gains of the present phase."""
         limbs = limb_shares(reference, self.phase_time, self.phase_ramp)
-        of_limbs = self.PART.kind.LIMBWISE.issuperset(self.BY_PHASE)
+        of_limbs = bool(self.BY_PHASE) and self.PART.kind.LIMBWISE.issuperset(self.BY_PHASE)
         shares = limbs if of_limbs else robot_shares(limbs)
 
         def now(*of_phases: Array) -> Array:
@@ -65,17 +67,27 @@ class Phased(Law, metaclass=Made):
         mixed = [now(*each) if keeps else each[-1] for each, keeps in zip(by_phase, kept, strict=True)]
         moved, command = law.step(jax.tree.unflatten(tree, mixed), measured, reference)
         after = [old if keeps else new for old, new, keeps in zip(leaves, jax.tree.leaves(moved), kept, strict=True)]
+        if self.OF_JOINTS:
+            own = (self._factors(name, limbs) for name in JointGains._fields)
+            command = command._replace(joint_gains=product(JointGains(*own), command.joint_gains))
         return (*states[:-1], jax.tree.unflatten(tree, after)), command
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches of the law look, for each phase alike."""
-        times = {name: self.GAINS[name].bounds for name in ("phase_time", "phase_ramp")}
-        found = dict(times)
+        own = {f"{name}_{phase}" for name in self.OF_JOINTS for phase in PHASES} | {"phase_time", "phase_ramp"}
+        found: dict[str, tuple[float, float]] = {}
         for key, bounds in self._law(self._values("standing")).search_bounds(period).items():
             name, dot, axes = key.partition(".")
             names = [f"{name}_{phase}" for phase in PHASES] if name in self.BY_PHASE else [name]
             found |= {f"{each}{dot}{axes}": bounds for each in names}
-        return found | times
+        return found | {name: field.bounds for name, field in self.GAINS.items() if name in own}
+
+    def _factors(self, name: str, shares: tuple[Array, Array, Array]) -> Array:
+        """Return by how much a joint gain is multiplied, (limb,)."""
+        factor = jnp.ones_like(shares[0])
+        for phase, share in zip(PHASES, shares, strict=False) if name in self.OF_JOINTS else ():
+            factor = factor + share * (getattr(self, f"{name}_{phase}") - 1)
+        return factor
 
     def _values(self, phase: str) -> dict[str, Any]:
         """Return the gains of a phase, by the names that the law has for them."""
@@ -119,7 +131,8 @@ def phased(law: Law, gains: Sequence[str], *, phase_time: Any = 0.2, phase_ramp:
 
     The gain `damping` becomes `damping_in_swing`, `damping_before_lift_off`, `damping_after_touchdown` and
     `damping_standing`, all of the law's own value at first. Gains that act on each limb (`Law.LIMBWISE`) follow the
-    phase of the limb, others that of the robot.
+    phase of the limb, others that of the robot. `kp` and `kd` of the joint loop become factors of them in three phases,
+    `kp_in_swing` and so on, by the phase of the limb; standing, they are the joint loop's own.
 
     Arguments:
         law: any law.
@@ -140,10 +153,12 @@ def phased(law: Law, gains: Sequence[str], *, phase_time: Any = 0.2, phase_ramp:
 
 @functools.cache
 def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
-    if not gains or not {*gains} <= kind.GAINS.keys():
-        known, got = ", ".join(kind.GAINS), next((name for name in gains if name not in kind.GAINS), "none")
-        raise ValueError(f"gains by phase: expected some of {known}, the gains of {kind.__qualname__}, got {got}")
-    if {*gains} & kind.LIMBWISE and not {*gains} <= kind.LIMBWISE:
+    known, of_joints = [*kind.GAINS, *JointGains._fields], tuple(name for name in gains if name in JointGains._fields)
+    if not gains or not {*gains} <= {*known}:
+        names, got = ", ".join(known), next((name for name in gains if name not in known), "none")
+        raise ValueError(f"gains by phase: expected some of {names}, the gains of {kind.__qualname__}, got {got}")
+    of_law = tuple(name for name in gains if name not in of_joints)
+    if {*of_law} & kind.LIMBWISE and not {*of_law} <= kind.LIMBWISE:
         raise ValueError(f"gains by phase: expected such as act on limbs, or such as do not, got {', '.join(gains)}")
     own, fields = {field.name: field for field in dataclasses.fields(kind)}, {}
     for name, field in own.items():
@@ -154,11 +169,15 @@ def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
             fields[f"{name}_{phase}"] = dataclasses.field(default=field.default, metadata=metadata)
         if name not in gains:
             fields[name] = field
+    for name, phase in itertools.product(of_joints, PHASES[:-1]):
+        words = f"factor of {name}, {phase.replace('_', ' ')}"
+        fields[f"{name}_{phase}"] = gain("1", length=1, bounds=(0.1, 10.0), default=1.0, long_name=words)
     part = Part(kind, tuple((name, name) for name in own if name not in gains))
     of = f"({kind.__qualname__})" if issubclass(kind, Sum) else kind.__qualname__
     name = f"{of}@{','.join(gains)}"
     of_limbs, made_by = kind.LIMBWISE - {*gains}, (_phased, (kind, gains))
-    return law_class(name, Phased, fields, PART=part, BY_PHASE=gains, LIMBWISE=of_limbs, MADE_BY=made_by)
+    says = {"PART": part, "BY_PHASE": of_law, "OF_JOINTS": of_joints, "LIMBWISE": of_limbs, "MADE_BY": made_by}
+    return law_class(name, Phased, fields, **says)
 
 
 def _handed_on(step: Any, state: Any) -> list[bool]:

@@ -63,6 +63,7 @@ class Memory(NamedTuple):
     servo: servo.Servo
     posture: Any  # (limb, joint) rad, the joint angles last solved for, () where there is a closed form
     reports: Any  # `Reports`, () where the law does not read them
+    joint_gains: Any  # buffers of the law's factors of the joint gains, () where it leaves these alone
 
 
 class Reports(NamedTuple):
@@ -92,12 +93,12 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
     hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
     stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
     no_wrench = jnp.zeros_like(state.base_position, shape=6)
+    law, reads_servos, factors = beginning(controller.law, Start(hardware.law_period, reference, angles))
     held: Any = ()
     if stages.control_period:
-        command = Command(state.base_position, state.base_orientation, feet, no_wrench)
+        command = Command(state.base_position, state.base_orientation, feet, no_wrench, factors)
         held = Held(command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else ())
     base = sensors.true_base(state) if stages.base_delay else ()
-    law, reads_servos = beginning(controller.law, Start(hardware.law_period, reference, angles))
     reported = tuple((value,) * stages.command_delay for value in (angles, state.joint_rates, no_torque))
     return Memory(
         law=law,
@@ -109,6 +110,7 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         servo=servo.Servo((no_torque,) * stages.servo_delay, no_torque if stages.dry_friction else ()),
         posture=angles if isinstance(controller.geometry, Chain) else (),
         reports=Reports(reported, no_torque) if reads_servos else (),
+        joint_gains=tuple((factor,) * stages.command_delay for factor in factors),
     )
 
 
@@ -128,7 +130,8 @@ def control(
     law_state, command = controller.law.step(memory.law, measured, reference)
     if action is not None:
         displacement = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(actual.wrench)
-        law_state, command = memory.law, shifted(reference, displacement)
+        own = jax.tree.map(jnp.ones_like, command.joint_gains)
+        law_state, command = memory.law, shifted(reference, displacement)._replace(joint_gains=own)
     joints, posture = _solve(controller.geometry, memory.posture, command, reference)
     if isinstance(action, JointTargets):
         joints = joints._replace(joint_angles=action.angles)
@@ -152,11 +155,23 @@ def control(
     if stages.backlash:  # the motor rests at its target; the link is free to move by half the play to either side
         play = gains.backlash / 2
         error = error - jnp.clip(error, -play, play)
-    torque = jnp.asarray(gains.kp * error - gains.kd * state.joint_rates)
+    late_gains, kp, kd = _joint_gains(hardware, memory.joint_gains, command.joint_gains)
+    torque = jnp.asarray(kp * error - kd * state.joint_rates)
     servos, drive = servo.driven(memory.servo, torque, state.joint_rates, hardware)
     reports = memory.reports._replace(torque=drive.motor_torque) if memory.reports else ()
     memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture, reports=reports)
-    return memory, command, joints, drive
+    return memory._replace(joint_gains=late_gains), command, joints, drive
+
+
+def _joint_gains(hardware: Hardware, buffers: Any, factors: Any) -> tuple[Any, Array, Array]:
+    """Return what is on its way to the joint loop, and kp and kd of a step: by the law's factors, if it has any."""
+    kp, kd = jnp.asarray(hardware.parameters.kp), jnp.asarray(hardware.parameters.kd)
+    if not factors:
+        return (), kp, kd
+    if hardware.stages.command_delay:  # by the bus that takes the joint targets
+        both = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, factors, strict=True)]
+        buffers, factors = zip(*both, strict=True)
+    return buffers, kp * factors[0][:, None], kd * factors[1][:, None]
 
 
 def _measure(

@@ -86,7 +86,7 @@ def test_a_law_of_one_robot_is_mapped_and_differentiated(kind):
         state = begin(law, Start(STEP, reference))
         for _ in range(3):
             state, command = law.step(state, measured, reference)
-        return command
+        return command[:4]  # none of these laws has joint gains of its own
 
     values = jnp.array([10.0, 3e3])
     batch = jax.jit(jax.vmap(of_stiffness))(values)

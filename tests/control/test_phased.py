@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.control import (
+    PD,
     EndEffectorAdmittance,
     MeasuredPoseAdmittance,
     Start,
@@ -116,6 +117,21 @@ def test_each_foot_has_the_gains_of_its_own_phase(scene):
         rate = rate + STEP * (force - damping * rate - 900 * shift) / 1.5
         shift = shift + STEP * rate
     np.testing.assert_allclose(command.foot_position - reference.foot_position, turn.apply(shift), rtol=1e-9)
+
+
+def test_joint_gains_are_multiplied_by_the_phase_of_the_limb(scene):
+    """Of a sum by both; kd stays where only kp was asked for."""
+    reference, measured = scene
+    inner = dataclasses.replace(phased(PD(), ["kp"], phase_time=TIME, phase_ramp=RAMP), kp_in_swing=0.5)
+    command = walked(inner, measured, reference)
+    np.testing.assert_allclose(command.joint_gains.kp, np.array([0.5, 1, 1, 1]) @ SHARES, rtol=1e-12)
+    np.testing.assert_array_equal(command.joint_gains.kd, 1)
+    law = dataclasses.replace(phased(PD(), ["kp", "kd"], phase_time=TIME, phase_ramp=RAMP),
+                              kp_before_lift_off=3.0, kd_after_touchdown=2.0)  # fmt: skip
+    found = walked(combined(law, inner), measured, reference).joint_gains
+    np.testing.assert_allclose(found.kp, (np.array([1, 3, 1, 1]) @ SHARES) * (np.array([0.5, 1, 1, 1]) @ SHARES))
+    np.testing.assert_allclose(found.kd, np.array([1, 1, 2, 1]) @ SHARES)
+    assert law.search_bounds(STEP)["kp_in_swing"] == (0.1, 10.0) and "kp_standing" not in law.GAINS
 
 
 @pytest.mark.parametrize("name", ["damping_before_lift_off", "damping_in_swing", "phase_time", "phase_ramp"])
