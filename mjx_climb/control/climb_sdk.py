@@ -82,12 +82,11 @@ def of_largest_margin(share: Sharing, bears: Array, cost: Array) -> Array:
     limbs, counts = len(bears), jnp.where(bears, 1.0, 0.0)
     part = counts / jnp.maximum(counts.sum(), 1.0)
     parts = [part[limb] for limb in range(limbs)]
-    change, pairs = share.change / cost, [(i, j) for i in range(limbs) for j in range(i)]
-    for _ in range(_SWEEPS):
-        for i, j in pairs:
-            row = change[i] - change[j]
-            slope = share.vertical[i] - share.vertical[j] + sum(row[k] * parts[k] for k in range(limbs))
-            given = counts[i] * counts[j] * slope / (row[i] - row[j] + _FLAT / cost)
-            given = jnp.minimum(jnp.maximum(given, -parts[j]), parts[i])
-            parts[i], parts[j] = parts[i] - given, parts[j] + given
+    pairs = [(i, j) for i in range(limbs) for j in range(i)]
+    rows = {(i, j): (share.change[i] - share.change[j]) / cost for i, j in pairs}
+    scale = {(i, j): counts[i] * counts[j] / (row[i] - row[j] + _FLAT / cost) for (i, j), row in rows.items()}
+    for i, j in pairs * _SWEEPS:
+        slope = share.vertical[i] - share.vertical[j] + sum(rows[i, j][limb] * parts[limb] for limb in range(limbs))
+        given = jnp.minimum(jnp.maximum(scale[i, j] * slope, -parts[j]), parts[i])
+        parts[i], parts[j] = parts[i] - given, parts[j] + given
     return pushed_up(share, jnp.stack(parts) / cost)

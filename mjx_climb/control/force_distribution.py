@@ -87,11 +87,12 @@ def distributed(wrench: Array, lever: Array, weight: Array, pull_limit: Array) -
         pull_limit: () N.
     """
     share, limbs = sharing(wrench, lever, weight), range(len(weight))
+    # a sweep solves `(change + softness) multiplier = missing` row by row, scaled by its diagonal
+    scale = 1 / (jnp.stack([share.change[limb, limb] for limb in limbs]) + _SOFTNESS)
+    missing, rows = -scale * (pull_limit + share.vertical), -scale[:, None] * share.change
     multiplier = [jnp.zeros_like(pull_limit)] * len(weight)
     for _ in range(_SWEEPS):
         for limb in limbs:
-            now = share.vertical[limb] + sum(share.change[limb, other] * multiplier[other] for other in limbs)
-            missing = -pull_limit - now - _SOFTNESS * multiplier[limb]
-            step = missing / (share.change[limb, limb] + _SOFTNESS)
-            multiplier[limb] = jnp.maximum(multiplier[limb] + step, 0.0)
+            others = sum(rows[limb, other] * multiplier[other] for other in limbs if other != limb)
+            multiplier[limb] = jnp.maximum(missing[limb] + others, 0.0)
     return pushed_up(share, jnp.stack(multiplier))
