@@ -57,6 +57,7 @@ _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the g
 _NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "dry_friction",
                "backlash", "capture")  # fmt: skip
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
+_ALIVE = 1e-9  # N, what sensors say of no force
 _Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, parameters where they vary
 
 
@@ -96,14 +97,18 @@ def by_stance(
 
     The other arguments are those of `spectral_radius`; `only` is the number of one stance, which is then the only one.
     """
+    own = law is not None
     if law is None:
         law = law_of(scenario.with_overrides(_UNBOUNDED))
     calm = own_parameters(scenario) if parameters is None else jax.tree.map(np.asarray, parameters)
     none = {name: getattr(calm, name) * 0 for name in ("gravity", "push_force", "push_moment")}
     calm = dataclasses.replace(calm, **none, cargo_start=np.zeros(()), cargo_stop=np.full((), np.inf))
+    calm = dataclasses.replace(calm, force_bias=np.full_like(calm.force_bias, _ALIVE))
     found = resolve_in(scenario, law, gains, calm, np.float64)
     walk = structure(scenario, engine, found.parameters, law=law, smooth=True)
-    walk = walk._replace(stages=walk.stages._replace(**dict.fromkeys(_NOT_LINEAR, False)))
+    # a law that takes a force of exactly 0 for a dead sensor would not be in the loop
+    linear = dict.fromkeys(_NOT_LINEAR, False) | {"force_bias": own}
+    walk = walk._replace(stages=walk.stages._replace(**linear))
     periods = np.ones(found.shape, int)
     if walk.stages.control_period:
         periods[...] = np.asarray(period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))

@@ -10,6 +10,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.checks.time_step import growth
+from mjx_climb.control import LoadTransfer
 from mjx_climb.quantities.parameters import own_parameters
 from tuning.evaluation import maps, stability_limit
 from tuning.searches.sweep import sweep
@@ -128,6 +129,15 @@ def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypa
     assert radius[0] < 0.995 and force[0, 160:].max() < 0.5 * force[0, 40:60].max()
     assert (end[1] / early[1]) ** (1 / 400) - 1 == pytest.approx(radius[1] - 1, rel=0.1)
     assert radius[1] > 1.004
+
+
+@pytest.mark.slow
+def test_a_law_that_knows_dead_sensors_is_in_the_loop(case):
+    """No force is no dead sensor: feet that give way much faster than their grips and forces allow are unstable."""
+    scenario = case("case_1_1", "pd", {"hardware.control_period": 0.005, "hardware.force_sensor.delay": 0.005})
+    gains = {name: np.array([200.0, 1.0]) for name in ("normal_damping", "tangential_damping")}
+    radius = stability_limit.by_stance(scenario, gains, only=0, law=LoadTransfer())[:, 0]
+    assert radius[0] < 1 < 1.01 < radius[1]
 
 
 def made(radius):
