@@ -13,12 +13,14 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.gains import gains_file
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble
+from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.searches import retuned_pd
-from tuning.searches.judge import judge
+from tuning.searches.judge import draw_of, judge, read_asked
 from tuning.searches.pareto import pareto
 from tuning.searches.result import load
 from tuning.searches.schedule import schedule
+from tuning.searches.shards import Kept, Shard
 from tuning.searches.tune import for_this_machine, problem_of, tune
 
 SHORT = mc.load_scenario("case_1_2", {"duration": 0.8, "gait.cycle": 0.8, "gait.stride": 0.01})
@@ -119,7 +121,7 @@ def test_the_rival_of_a_law_has_the_same_freedom(monkeypatch):
 
 
 def test_files_of_other_laws_and_gaits_are_judged_in_one_call(tmp_path):
-    """Each as it walks by itself, also where a shard has kept them."""
+    """Each as it walks by itself."""
     files = {
         "pd": mc.Gains(1.0, 1.0, 1.0, 40.0, 0.4),
         "feet": {"inertia": 1.0, "damping": 2e3, "stiffness": 1e4, "gait.duty": 0.8, "gait.cycle": 0.76},
@@ -138,4 +140,16 @@ def test_files_of_other_laws_and_gaits_are_judged_in_one_call(tmp_path):
     for name in ("force_variation", "travel", "peak_foot_force"):
         np.testing.assert_allclose(draw[name], alone[name], rtol=1e-3)
         assert draw[name] != float(walks[name].isel(member=0).sel(gains="config"))
-    assert jax.tree.leaves(whole["pd's"].law) == []
+
+
+def test_a_shard_keeps_laws_and_gaits(tmp_path):
+    """What is read again from its folder walks as what was written, and is known as the same."""
+    still = Ensemble.make({"members": 2, "pushes": None, "cargo": None, "gravity": None})
+    pd = gains_file.Whole(mc.control.PD(), {"kp": np.asarray(40.0), "gait.duty": np.asarray(0.8)})
+    draw = draw_of(Problem(SHORT), {"mine": mc.Gains(1.0, 2e3, 1e4), "retuned": pd}, still, 2)
+    draw.write_asked(tmp_path)
+    asked = json.loads(json.dumps(draw.identity()))
+    again = read_asked(Kept(tmp_path, Shard(1, 1), asked, {}), SHORT, None, mc.METRICS)
+    assert type(again.gains["retuned"].law) is mc.control.PD
+    assert again.gains["mine"].law is None
+    assert json.loads(json.dumps(again.identity()))["gains"] == asked["gains"]
