@@ -194,3 +194,26 @@ def test_a_walk_with_the_same_gains_in_all_phases_is_that_of_the_law(case):
     for name in ("peak_foot_force", "force_variation", "base_deviation"):
         np.testing.assert_allclose(found[name][0], expected[name], rtol=1e-9)
     assert abs(found["force_variation"][1] / found["force_variation"][0] - 1) > 1e-4
+
+
+@pytest.mark.slow
+def test_tangents_of_a_walk_are_those_of_central_differences(case):
+    """By a factor of a joint gain, and by how long it is before a lift-off."""
+    small = (
+        ("duration", 0.3),
+        ("gait.cycle", 0.4),
+        ("gait.duty", 0.8),
+        ("gait.stride", 0.005),
+        ("gait.step_height", 0.002),
+    )
+    scenario, how = case("case_1_2", "pd", small), {"dtype": np.float64, "smooth": True}
+    how |= {"law": phased(PD(), ["kp", "kd"], phase_time=0.04, phase_ramp=0.02)}
+    gains = {"kp_before_lift_off": np.array(1.2), "phase_time": np.array(0.0403)}
+    along = {name: np.eye(2)[row] for row, name in enumerate(gains)}
+    tangents = mc.rollout_jvp(scenario, gains, along, **how)[1]
+    for row, name in enumerate(gains):
+        sides = [mc.rollout_metrics(scenario, gains | {name: gains[name] + h}, **how) for h in (1e-5, -1e-5)]
+        for metric in ("force_variation", "cost_of_transport", "base_deviation"):
+            difference = (sides[0][metric] - sides[1][metric]) / 2e-5
+            assert difference != 0
+            np.testing.assert_allclose(tangents[metric][row], difference, rtol=1e-4, err_msg=f"{name} {metric}")
