@@ -249,11 +249,13 @@ def plain_table(*columns: str) -> Table:
 
 
 def from_page(made: "page.Table") -> Table:
-    """Return a table of a report for the terminal."""
-    table = plain_table(*made.columns)
+    """Return a table of a report for the terminal: where it is too wide, long names break, not numbers or words."""
+    table, every = plain_table(*made.columns), [row for _, rows in made.sections for row in rows]
     for place, column in enumerate(table.columns):
         words = place < made.words
-        column.justify, column.no_wrap, column.overflow = "left" if words else "right", not words, "fold"
+        column.justify, column.no_wrap, column.overflow = "left" if words else "right", False, "fold"
+        each = [part for row in every for part in (row[place].split() if words else [row[place]])]
+        column.min_width = max(map(len, each), default=1)
     for _, rows in made.sections:
         for row in rows:
             table.add_row(*row, end_section=row is rows[-1])
