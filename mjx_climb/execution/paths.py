@@ -104,8 +104,10 @@ def compiler_options(robots: int, path: str, device: str | None, *, briefly: boo
     if (device or jax.default_backend()) != "cpu":
         return {}
     options: dict[str, str | int] = {"xla_backend_optimization_level": 0} if briefly else {}
-    if path == "regions":  # higher levels of optimisation compile half as long again, and run no faster
-        return {"xla_backend_optimization_level": 1} | options | {"xla_cpu_prefer_vector_width": 512}
+    if path == "regions":
+        if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
+            options.setdefault("xla_backend_optimization_level", 1)  # above: half as long again, and no faster
+        return options | {"xla_cpu_prefer_vector_width": 512}
     return options | ({"xla_disable_hlo_passes": "fusion"} if robots >= _FUSION_PAYS_BELOW else {})
 
 
