@@ -26,8 +26,8 @@ def of_limbs(tree: Tree) -> Tree:
     marked = {}
     for name, hint in typing.get_type_hints(type(tree)).items():
         shapes = [getattr(kind, "dim_str", "") for kind in typing.get_args(hint) or [hint]]  # of a union any
-        of_limbs = any(shape.removeprefix("*batch ").split(" ")[0] == "limb" for shape in shapes)
-        if of_limbs and getattr(tree, name) is not None:
+        marks = any(shape.removeprefix("*batch ").split(" ")[0] == "limb" for shape in shapes)
+        if marks and getattr(tree, name) is not None:
             marked[name] = checkpoint_name(jnp.asarray(getattr(tree, name)), _NAME)
     result: Tree = dataclasses.replace(cast(Any, tree), **marked)
     return result
