@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mjx_climb.execution.batches import run as run
     from mjx_climb.execution.batches import run_one as run_one
     from mjx_climb.execution.batches import walking_with as walking_with
+    from mjx_climb.execution.flat import reached as reached
     from mjx_climb.execution.limbs import of_limbs as of_limbs
     from mjx_climb.execution.one_robot import over_robots as over_robots
     from mjx_climb.execution.paths import many_at_once as many_at_once

@@ -175,17 +175,15 @@ def test_gains_have_the_names_and_bounds_of_their_phases():
         phased(both, ["end_effector_inertia", "virtual_model_stiffness"])
 
 
+SMALL = (
+    ("duration", 0.3), ("gait.cycle", 0.4), ("gait.duty", 0.8), ("gait.stride", 0.005), ("gait.step_height", 0.002),
+)  # fmt: skip
+
+
 @pytest.mark.slow
 def test_a_walk_with_the_same_gains_in_all_phases_is_that_of_the_law(case):
     """And with others it is another."""
-    small = (
-        ("duration", 0.3),
-        ("gait.cycle", 0.4),
-        ("gait.duty", 0.8),
-        ("gait.stride", 0.005),
-        ("gait.step_height", 0.002),
-    )
-    scenario = case("case_1_2", "pd", small)
+    scenario = case("case_1_2", "pd", SMALL)
     law = EndEffectorAdmittance(damping=1e3, stiffness=1e4)
     ours = phased(law, ["damping"], phase_time=0.03, phase_ramp=0.02)
     values = {"damping_before_lift_off": np.array([[1e3], [1e2]]) * np.ones(3)}
@@ -199,14 +197,7 @@ def test_a_walk_with_the_same_gains_in_all_phases_is_that_of_the_law(case):
 @pytest.mark.slow
 def test_tangents_of_a_walk_are_those_of_central_differences(case):
     """By a factor of a joint gain, and by how long it is before a lift-off."""
-    small = (
-        ("duration", 0.3),
-        ("gait.cycle", 0.4),
-        ("gait.duty", 0.8),
-        ("gait.stride", 0.005),
-        ("gait.step_height", 0.002),
-    )
-    scenario, how = case("case_1_2", "pd", small), {"dtype": np.float64, "smooth": True}
+    scenario, how = case("case_1_2", "pd", SMALL), {"dtype": np.float64, "smooth": True}
     how |= {"law": phased(PD(), ["kp", "kd"], phase_time=0.04, phase_ramp=0.02)}
     gains = {"kp_before_lift_off": np.array(1.2), "phase_time": np.array(0.0403)}
     along = {name: np.eye(2)[row] for row, name in enumerate(gains)}

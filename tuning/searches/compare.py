@@ -16,7 +16,6 @@ import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import PD, Measurement, Reference, Start, begin, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.execution.flat import reached
 from mjx_climb.hardware.stages import given
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
@@ -298,7 +297,7 @@ def reads_forces(problem: Problem) -> bool:
     program = jax.make_jaxpr(one.step)(state, measured, reference)
     still = [jax.tree.map(lambda _: False, tree) for tree in (state, measured, reference)]
     still[1] = still[1]._replace(foot_force=True, wrench=True)
-    return any(reached(program.jaxpr, jax.tree.leaves(still)))
+    return any(execution.reached(program.jaxpr, jax.tree.leaves(still)))
 
 
 def file_name(law: str) -> str:
