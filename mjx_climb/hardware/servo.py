@@ -1,4 +1,4 @@
-"""The joints' servos: from the torque that the joint loop asks for to the one that turns the joint.
+"""The joints' servos: from joint targets to the torque that turns the joint.
 
 Dry friction is a bristle, a spring with a damper, that slips once it bears as much as the friction can (an elastic,
 perfectly plastic element, also called Jenkin's, damped as LuGre's bristles are): a joint at rest does not creep. A
@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import signals
 from mjx_climb.hardware.stages import Hardware
 
@@ -32,6 +33,27 @@ class Drive(NamedTuple):
     motor_torque: Array  # (limb, joint) N m
     joint_torque: Array  # (limb, joint) N m, less friction
     armature: Any  # (limb, joint) kg m^2, what sticking joints have more of it in this step; () without dry friction
+
+
+class JointGains(NamedTuple):
+    """Gains of the joint loop in a step."""
+
+    kp: Array  # () or (limb, joint) N m/rad
+    kd: Array  # () or (limb, joint) N m s/rad
+
+
+def joint_loop(
+    servo: Servo, targets: Array, state: State, gains: JointGains, hardware: Hardware
+) -> tuple[Servo, Drive]:
+    """Return the servos after this step and what they do in it, for joint targets (limb, joint) rad.
+
+    The loop is `tau = kp (phi_des - phi) - kd phidot`: the desired rate is zero.
+    """
+    error = targets - state.joint_angles
+    if hardware.stages.backlash:  # the motor rests at its target; the link is free to move by half the play either way
+        play = hardware.parameters.backlash / 2
+        error = error - jnp.clip(error, -play, play)
+    return driven(servo, jnp.asarray(gains.kp * error - gains.kd * state.joint_rates), state.joint_rates, hardware)
 
 
 def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tuple[Servo, Drive]:

@@ -123,7 +123,7 @@ def control(
     counts steps, ().
     """
     hardware, state = controller.hardware, actual.state
-    stages, pace, gains = hardware.stages, hardware.pace, hardware.parameters
+    stages, pace = hardware.stages, hardware.pace
     into = signals.steps_into(step, pace.period) if stages.control_period else jnp.zeros(())
     memory, measured = _measure(hardware, memory, actual, step, into)
 
@@ -150,14 +150,8 @@ def control(
         targets, late = signals.delayed(targets, joints.joint_angles, pace.command)
         joints = joints._replace(joint_angles=late)
 
-    # joint loop: tau = kp (phi_des - phi) - kd phidot, the desired rate is zero
-    error = joints.joint_angles - state.joint_angles
-    if stages.backlash:  # the motor rests at its target; the link is free to move by half the play to either side
-        play = gains.backlash / 2
-        error = error - jnp.clip(error, -play, play)
     late_gains, kp, kd = _joint_gains(hardware, memory.joint_gains, command.joint_gains)
-    torque = jnp.asarray(kp * error - kd * state.joint_rates)
-    servos, drive = servo.driven(memory.servo, torque, state.joint_rates, hardware)
+    servos, drive = servo.joint_loop(memory.servo, joints.joint_angles, state, servo.JointGains(kp, kd), hardware)
     reports = memory.reports._replace(torque=drive.motor_torque) if memory.reports else ()
     memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture, reports=reports)
     return memory._replace(joint_gains=late_gains), command, joints, drive

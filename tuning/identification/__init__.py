@@ -1,0 +1,1 @@
+"""From a robot's own log to the parameters of its model: excite, identify, replay."""

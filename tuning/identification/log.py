@@ -1,0 +1,49 @@
+"""What a robot recorded: signals in SI units, each at its own times.
+
+Names: `LF.coxa.command` and `.position` in rad, `.velocity` rad/s, `.effort` N m (limb and joint as `mjx-climb robot`
+prints them); `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m, `base.orientation.w` 1.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from mjx_climb.robot.constants import Robot
+
+JOINT = ("command", "position", "velocity", "effort")
+UNITS = {"command": "rad", "position": "rad", "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1"}
+BASE = {"position": "m", "orientation": "1", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Signal:
+    """One recorded number over time; times increase, what was not recorded is not there."""
+
+    time: Float[np.ndarray, " samples"]  # s, from the log's first sample
+    value: Float[np.ndarray, " samples"]  # SI units
+
+
+@dataclasses.dataclass(frozen=True)
+class Log:
+    """The signals of one recording, by name."""
+
+    signals: Mapping[str, Signal]
+    source: str  # the file, as the user named it
+    warnings: tuple[str, ...] = ()  # what was found odd on reading, a line each
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample, s."""
+        return max(float(signal.time[-1]) for signal in self.signals.values())
+
+
+def names(robot: Robot) -> Iterator[str]:
+    """Return the names of all signals that a robot can record, limb after limb, then the base."""
+    for limb in robot.limbs:
+        yield from (f"{limb}.{joint}.{what}" for joint in robot.joint_names for what in JOINT)
+        yield from (f"{limb}.force.{axis}" for axis in "xyz")
+        yield f"{limb}.support"
+    for what in BASE:
+        yield from (f"base.{what}.{axis}" for axis in ("wxyz" if what == "orientation" else "xyz"))
