@@ -11,6 +11,7 @@ References:
     J. Carpentier, N. Mansard, Analytical Derivatives of Rigid Body Dynamics Algorithms, 2018.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -133,6 +134,13 @@ def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Arr
     """
     robot, state, *acting = primals
     factors, acceleration = solved(robot, state, Loads(*acting))
+    # what is missing is zero: so is what the turn of the base's axes adds to it
+    change = _missing_change(primals, tangents, Acceleration(*acceleration))
+    return acceleration, _in_world_axes(state, *accelerations(factors, change))
+
+
+def _missing_change(primals: tuple[Any, ...], tangents: tuple[Any, ...], acceleration: Acceleration) -> Forces:
+    """Return the tangents of the forces that are missing at accelerations which stay as they are."""
     leaves, tree = jax.tree.flatten(primals)
     directions = jax.tree.leaves(tangents, is_leaf=lambda tangent: isinstance(tangent, SymbolicZero))
     moving = [place for place, direction in enumerate(directions) if not isinstance(direction, SymbolicZero)]
@@ -142,8 +150,43 @@ def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Arr
         for place, value in zip(moving, values, strict=True):
             every[place] = value
         robot, state, *acting = jax.tree.unflatten(tree, every)
-        return missing_forces(robot, state, Acceleration(*acceleration), Loads(*acting))
+        return missing_forces(robot, state, acceleration, Loads(*acting))
 
-    # what is missing is zero: so is what the turn of the base's axes adds to it
+    change: Forces
     _, change = jax.jvp(missing, ([leaves[place] for place in moving],), ([directions[place] for place in moving],))
-    return acceleration, _in_world_axes(state, *accelerations(factors, change))
+    return change
+
+
+def held_accelerations(robot: Robot, state: State, joint_torque: Array, gravity: Array) -> Array:
+    """Return the joints' accelerations (limb, joint) rad/s^2 of a robot whose base is held still, its feet in the air.
+
+    Each limb is then a robot of its own, `H qdd + c = tau`; `joint_torque` is (limb, joint) N m, `gravity` (3,) m/s^2
+    in world axes.
+    """
+    still = jnp.zeros_like(gravity)
+    loads = Loads(joint_torque, jnp.zeros_like(robot.foot_center), jnp.zeros_like(gravity, shape=6), still[0], gravity)
+    state = dataclasses.replace(state, base_linear_velocity=still, base_angular_velocity=still)
+    return jnp.asarray(_held(robot, state, *loads))
+
+
+@jax.custom_jvp
+def _held(robot: Robot, state: State, *acting: Array) -> Array:
+    return _held_solved(robot, state, Loads(*acting))[1]
+
+
+def _held_solved(robot: Robot, state: State, loads: Loads) -> tuple[Array, Array]:
+    """Return the inverse of each limb's mass matrix (limb, N, N), and the accelerations of the joints."""
+    frames = limb_frames(robot, None, state.joint_angles)
+    (inverse, *_), _ = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
+    still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
+    return inverse, jnp.matvec(inverse, missing_forces(robot, state, still, loads).joint)
+
+
+@functools.partial(_held.defjvp, symbolic_zeros=True)
+def _held_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    """Return what `_jvp` does, of the joints alone."""
+    robot, state, *acting = primals
+    inverse, joints = _held_solved(robot, state, Loads(*acting))
+    still = jnp.zeros_like(state.base_position)
+    change = _missing_change(primals, tangents, Acceleration(still, still, joints))
+    return joints, jnp.matvec(inverse, change.joint)

@@ -14,7 +14,7 @@ from jax import Array
 
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import signals
-from mjx_climb.hardware.stages import Hardware
+from mjx_climb.hardware.stages import Hardware, Stages
 
 PRESLIDING = 5e-4  # rad, bend at which a bristle slips: a third of a count of a servo's encoder of 4096 counts
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
@@ -40,6 +40,12 @@ class JointGains(NamedTuple):
 
     kp: Array  # () or (limb, joint) N m/rad
     kd: Array  # () or (limb, joint) N m s/rad
+
+
+def begin(angles: Array, stages: Stages) -> Servo:
+    """Return servos that have always rested at joint angles (limb, joint) rad."""
+    no_torque = jnp.zeros_like(angles)
+    return Servo((no_torque,) * stages.servo_delay, no_torque if stages.dry_friction else ())
 
 
 def joint_loop(

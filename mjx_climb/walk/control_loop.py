@@ -107,7 +107,7 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         base_estimate=tuple((value,) * stages.base_delay for value in base),
         held=held,
         targets=(angles,) * stages.command_delay,
-        servo=servo.Servo((no_torque,) * stages.servo_delay, no_torque if stages.dry_friction else ()),
+        servo=servo.begin(angles, stages),
         posture=angles if isinstance(controller.geometry, Chain) else (),
         reports=Reports(reported, no_torque) if reads_servos else (),
         joint_gains=tuple((factor,) * stages.command_delay for factor in factors),

@@ -177,20 +177,27 @@ def _accelerations(
     With all masses times s, s (H qdd + c) = f has the accelerations of H qdd + c = f / s: the engine is given the
     robot as its file says, and forces, armature and cargo over s.
     """
-    robot, parameters, torque = walk.robot, walk.parameters, drive.joint_torque
-    state, held, share = actual.state, actual.grip, 1 / parameters.mass_scale
+    parameters, state, held, share = walk.parameters, actual.state, actual.grip, 1 / walk.parameters.mass_scale
+    robot, torque = driven_robot(walk.robot, drive, state.joint_angles, walk.controller.hardware)
     if actual.turning is not None:
         torque = torque + jnp.vecmat(held.foot_moment, actual.turning.jacobian)
-    if walk.structure.stages.armature or walk.structure.stages.dry_friction or robot.armature is not None:
-        own: Any = jnp.zeros_like(robot.joint_lower) if robot.armature is None else robot.armature
-        own = own + drive.armature if walk.structure.stages.dry_friction else own
-        robot = dataclasses.replace(robot, armature=(own + jnp.asarray(parameters.armature)) * share)
-    if robot.spring is not None and robot.spring_rest is not None:
-        torque = torque - robot.spring * (state.joint_angles - robot.spring_rest)
     no_force, gravity = jnp.zeros_like(state.base_position), jnp.asarray(parameters.gravity)
     wrench = push + jnp.concatenate([no_force, held.foot_moment.sum(0)])
     loads = Loads(torque * share, held.foot_force * share, wrench * share, cargo * share, gravity)
     return ENGINES[walk.structure.engine](robot)(state, *loads)
+
+
+def driven_robot(robot: Robot, drive: servo.Drive, joint_angles: Array, hardware: Hardware) -> tuple[Robot, Array]:
+    """Return the robot with the armature of its drives, over `mass_scale`, and the torques (limb, joint) N m on it."""
+    parameters, torque, own = hardware.parameters, drive.joint_torque, robot.armature
+    if hardware.stages.armature or not isinstance(drive.armature, tuple) or own is not None:
+        armature: Any = jnp.zeros_like(robot.joint_lower) if own is None else own
+        armature = armature if isinstance(drive.armature, tuple) else armature + drive.armature
+        armature = (armature + jnp.asarray(parameters.armature)) / parameters.mass_scale
+        robot = dataclasses.replace(robot, armature=armature)
+    if robot.spring is not None and robot.spring_rest is not None:
+        torque = torque - robot.spring * (joint_angles - robot.spring_rest)
+    return robot, torque
 
 
 def _stability_margins(

@@ -1,0 +1,99 @@
+"""A robot on a stand: its base is held, its limbs move in the air by their servos, each limb a robot of its own.
+
+A step evaluates torques at the beginning and takes what damps them, the servo's kd and the viscous friction, at the
+mean of the rates before and after: rates stand half a step before angles, as in leapfrog, so that angles, and rates as
+`Recorded` has them, are right to second order in the time step. A walk's own step is right to first order.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from mjx_climb.dynamics.limb_engine import held_accelerations
+from mjx_climb.dynamics.state import Acceleration, State, integrate
+from mjx_climb.hardware import servo
+from mjx_climb.hardware.stages import Hardware
+from mjx_climb.robot.constants import Robot
+from mjx_climb.walk.step import driven_robot
+
+
+class Stand(NamedTuple):
+    """What stays the same from step to step."""
+
+    robot: Robot
+    hardware: Hardware
+
+
+class Moving(NamedTuple):
+    """What goes from one step to the next."""
+
+    state: State
+    servo: servo.Servo
+
+
+class Recorded(NamedTuple):
+    """What is there to record at the beginning of a step."""
+
+    position: Array  # (limb, joint) rad
+    velocity: Array  # (limb, joint) rad/s
+    effort: Array  # (limb, joint) N m, of the motors
+
+
+def begin(stand: Stand, angles: Array, rates: Array) -> Moving:
+    """Return a robot in its rest stance but for its joints, at angles (limb, joint) rad and rates rad/s."""
+    robot = stand.robot
+    still = jnp.zeros_like(angles, shape=3)
+    position, orientation = (jnp.asarray(v, angles.dtype) for v in (robot.stance_position, robot.stance_orientation))
+    state = State(position, orientation, still, still, angles, rates)
+    return Moving(state, servo.begin(angles, stand.hardware.stages))
+
+
+def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recorded]:
+    """Return the robot one time step later, and what is recorded of it; joint targets are (limb, joint) rad.
+
+    The targets are those that reach the servos, see `targets_of`: a delay of commands is the caller's.
+    """
+    hardware, state = stand.hardware, moving.state
+    parameters, step = hardware.parameters, hardware.time_step
+    gains = servo.JointGains(jnp.asarray(parameters.kp), jnp.asarray(parameters.kd))
+
+    def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, servo.Drive]]:
+        now = dataclasses.replace(state, joint_rates=rates)
+        after, drive = servo.joint_loop(moving.servo, targets, now, gains, hardware)
+        return drive.motor_torque, (after, drive)
+
+    rates = state.joint_rates
+    _, slope, (after, drive) = jax.jvp(driven, (rates,), (jnp.ones_like(rates),), has_aux=True)
+    damping = -slope + parameters.viscous_friction if hardware.stages.viscous_friction else -slope
+    own = 0.0 if isinstance(drive.armature, tuple) else drive.armature
+    drive = drive._replace(armature=own + damping * (step / 2))
+    robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
+    torque, gravity = torque / parameters.mass_scale, jnp.asarray(parameters.gravity)
+    still = jnp.zeros_like(state.base_position)
+    joints = held_accelerations(robot, state, torque, gravity)
+    later = integrate(state, Acceleration(still, still, joints), step)
+    change = (later.joint_rates - rates) / 2
+    return Moving(later, after), Recorded(state.joint_angles, rates + change, drive.motor_torque + slope * change)
+
+
+def targets_of(
+    time: Float[np.ndarray, " samples"], command: Float[np.ndarray, " samples"], at: np.ndarray, time_step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joint targets of steps that begin at times `at` (...) s, and their rates of change over time, rad/s.
+
+    Each command is held until the next one. A step stands for the time from half a step before its beginning to half a
+    step after: its target is the mean of the command there, so that a delay is a real number and has a derivative.
+    Before the first command that one holds.
+    """
+    total = np.concatenate([[0.0], np.cumsum(command[:-1] * np.diff(time))])  # integral of the command
+    ends = []
+    for moment in (at - time_step / 2, at + time_step / 2):
+        held = np.clip(np.searchsorted(time, moment, side="right") - 1, 0, len(time) - 1)
+        ends.append((total[held] + command[held] * (moment - time[held]), command[held]))
+    (before, first), (after, last) = ends
+    return (after - before) / time_step, (last - first) / time_step

@@ -1,0 +1,135 @@
+"""Logs of a robot on a stand by MuJoCo's C code alone: its own friction, actuators and integrator, base welded."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+
+from mjx_climb.robot.constants import load_robot, load_spec
+from tuning.identification.log import Log, Signal
+
+JOINTS = tuple(f"{limb}.{joint}" for limb in ("LF", "LH", "RH", "RF") for joint in ("coxa", "femur", "tibia"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Truth:
+    """The robot that recorded the log; numbers, or one for each of the 12 joints."""
+
+    armature: float = 0.012
+    friction: float = 0.05
+    damping: float = 0.03
+    kp: float = 40.0
+    kd: float = 0.3
+    delay: float = 0.0  # s, of the commands
+    gravity: tuple = (0.0, 0.0, -9.81)
+    stribeck: float = 0.0  # N m, friction at rest beside the rest of it
+    flexible: float = 0.0  # N m/rad, a joint between knee and link; 0: stiff
+    scale: dict = dataclasses.field(default_factory=dict)  # of the masses of bodies, by name
+
+
+TRUTH = Truth()
+
+
+def welded(name, truth):
+    """Return the model of a robot whose base is welded to the world, with position actuators."""
+    spec = load_spec(name)
+    spec.delete(next(joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE))
+    for key in list(spec.keys):
+        spec.delete(key)
+    robot = load_robot(name)
+    base = spec.bodies[1]
+    base.pos, base.quat = robot.stance_position, robot.stance_orientation
+    for joint in list(spec.joints):
+        actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=1.0)
+    if truth.flexible:
+        for body in [body for body in spec.bodies if body.name.endswith("tibia")]:
+            body.add_joint(
+                name=f"{body.name}_flex", axis=[0, 0, 1], stiffness=[truth.flexible, 0, 0], damping=[0.002, 0, 0]
+            )
+    for body in spec.bodies:
+        if body.name in truth.scale:
+            body.mass = body.mass * truth.scale[body.name]
+    spec.option.gravity = truth.gravity
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model = spec.compile()
+    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    model.dof_armature[dofs], model.dof_damping[dofs] = truth.armature, truth.damping
+    model.dof_frictionloss[dofs] = truth.friction
+    model.dof_solref[dofs], model.dof_solimp[dofs, :2] = (0.002, 1.0), 0.99  # as dry as a soft constraint gets
+    model.actuator_gainprm[:, 0] = truth.kp
+    model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2] = -np.asarray(truth.kp), -np.asarray(truth.kd)
+    return model
+
+
+def sines(duration, step, *, amplitude=0.25, top=4.0, seed=0):
+    """Return times (T,) and joint targets (T, 12): chirps from 0.2 Hz to `top`, each joint at its own phase."""
+    rng, robot = np.random.default_rng(seed), load_robot("hubrobo_v3_2")
+    time = np.arange(round(duration / step) + 1) * step
+    sweep = 2 * np.pi * (0.2 * time + (top - 0.2) * time**2 / (2 * max(duration, 1e-9)))
+    phase = rng.uniform(0, 2 * np.pi, 12)
+    shape = np.sin(sweep[:, None] + phase) - np.sin(phase)
+    return time, robot.stance_joints.ravel() + amplitude * shape
+
+
+def recorded(truth, time, targets, step=2.5e-4, name="hubrobo_v3_2"):
+    """Return positions, velocities and efforts (T, 12) at the times of targets (T, 12), which are held between them."""
+    model = welded(name, truth)
+    model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data = mujoco.MjData(model)
+    joints = model.actuator_trnid[:, 0]
+    places, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    data.qpos[places] = targets[0]
+    found = {"position": [], "velocity": [], "effort": []}
+    late = np.maximum(np.searchsorted(time, np.arange(round(time[-1] / step) + 1) * step - truth.delay + 1e-9) - 1, 0)
+    k = 0
+    for sample in range(len(time)):
+        while k < round(time[sample] / step):
+            data.ctrl[:] = targets[late[k]]
+            if truth.stribeck:
+                rate = data.qvel[dofs]
+                data.qfrc_applied[dofs] = -truth.stribeck * np.tanh(rate / 0.02) * np.exp(-((rate / 0.3) ** 2))
+            mujoco.mj_step(model, data)
+            k += 1
+        data.ctrl[:] = targets[late[k]]
+        mujoco.mj_forward(model, data)
+        for name_, value in (
+            ("position", data.qpos[places]),
+            ("velocity", data.qvel[dofs]),
+            ("effort", data.actuator_force),
+        ):
+            found[name_].append(value.copy())
+    return {name_: np.array(value) for name_, value in found.items()}
+
+
+NOISE = {"position": 1e-3, "velocity": 0.03, "effort": 0.02}
+
+
+def log_of(
+    truth,
+    duration=6.0,
+    rate=100.0,
+    *,
+    noise=NOISE,
+    jitter=0.0,
+    seed=0,
+    drop=(),
+    kinds=("position", "velocity"),
+    **motion,
+):
+    """Return a noisy log; `jitter` s moves the samples, `drop` are spans without any."""
+    rng = np.random.default_rng(seed)
+    time, targets = sines(duration, 1 / rate, **motion)
+    fine = np.arange(round(duration * 1000) + 1) / 1000
+    held = targets[np.minimum((fine * rate + 1e-6).astype(int), len(time) - 1)]
+    true = recorded(truth, fine, held)
+    when = np.clip(time + rng.normal(0, jitter, time.shape) if jitter else time, 0, duration)
+    when = np.maximum.accumulate(when + np.arange(len(when)) * 1e-9)
+    keep = np.all([(when < a) | (when > b) for a, b in drop], axis=0) if drop else np.ones(len(when), bool)
+    signals = {}
+    for j, joint in enumerate(JOINTS):
+        signals[f"{joint}.command"] = Signal(time, targets[:, j])
+        for kind in kinds:
+            value = np.interp(when, fine, true[kind][:, j]) + rng.normal(0, noise[kind], when.shape)
+            signals[f"{joint}.{kind}"] = Signal(when[keep], value[keep])
+    return Log(signals, "log.csv")
