@@ -228,14 +228,14 @@ class Simulation:
 
         Arguments:
             directions: rates of change of the gains, in their units and by their names: values (k, *batch, n), of
-                length 1 and for `kp` and `kd` (k, *batch), with batch axes that broadcast to the gains'. A gain of the
-                law without rates stays as it is.
+                length 1 and for `kp`, `kd` and `ki` (k, *batch), with batch axes that broadcast to the gains'. A gain
+                of the law without rates stays as it is.
 
         Returns:
             The metrics (*batch), and the tangents (k, *batch) of those that are real numbers.
 
         Raises:
-            ValueError: rates of a gain that the law does not have, or `kp` or `kd` in one of two `Gains` alone.
+            ValueError: rates of a gain that the law does not have, or `kp`, `kd` or `ki` in one of two `Gains` alone.
         """
         values, tangents = self._run(metrics_of_moved, gains, parameters, directions, **how)
         return values, tangents

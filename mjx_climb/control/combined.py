@@ -12,10 +12,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-import jax
-import jax.numpy as jnp
-
-from mjx_climb.control.law import Command, Law, Measurement, Reference, Start
+from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start
 from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply
 
 
@@ -83,7 +80,12 @@ class Sum(Law, metaclass=Made):
 
 def product(first: Any, second: Any) -> Any:
     """Return the factors of joint gains of two laws together; () is no factor."""
-    return jax.tree.map(jnp.multiply, first, second) if first and second else first or second
+    if not (first and second):
+        return first or second
+    both = dict(first.moved)
+    for name, factor in second.moved.items():
+        both[name] = both[name] * factor if name in both else factor
+    return JointGains(**both)
 
 
 def combined(first: Law, second: Law) -> Law:

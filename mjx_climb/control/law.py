@@ -53,6 +53,12 @@ class JointGains(NamedTuple):
 
     kp: Array  # (limb,) 1
     kd: Array  # (limb,) 1
+    ki: Any = ()  # (limb,) 1; (): as it is
+
+    @property
+    def moved(self) -> dict[str, Array]:
+        """The factors by name, of the gains that are not left alone."""
+        return {name: factor for name, factor in self._asdict().items() if not isinstance(factor, tuple)}
 
 
 class Command(NamedTuple):
@@ -152,7 +158,7 @@ class Law:
         dataclasses.dataclass(frozen=True, eq=False)(cls)
         fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # a dataclass from here on
         gains = {field.name: field.metadata["gain"] for field in fields if "gain" in field.metadata}
-        for name in {"kp", "kd"} & gains.keys():
+        for name in {"kp", "kd", "ki"} & gains.keys():
             raise ValueError(f"{cls.__name__}.{name}: expected another name, this one is the joint loop's")
         cls.GAINS = MappingProxyType(gains)
         cls.AXES = MappingProxyType({name: int(field.length > 1) for name, field in gains.items()})
@@ -218,7 +224,8 @@ def beginning(law: Law, start: Start) -> Beginning:
     measured = Measurement(*start.reference[:2], position, position, feet, six, support, joints, joints, joints)
     program, found = jax.make_jaxpr(law.step, return_shape=True)(state, measured, start.reference)
     one = jnp.ones_like(feet[:, 0])
-    gains = JointGains(one, one) if getattr(found[1], "joint_gains", ()) else ()
+    own = getattr(found[1], "joint_gains", ())
+    gains = JointGains(**dict.fromkeys(own.moved, one)) if isinstance(own, JointGains) else ()
     wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six, gains)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields

@@ -38,7 +38,7 @@ class Phased(Law, metaclass=Made):
 
     PART: ClassVar[Part]  # of the gains that are the same in all phases
     BY_PHASE: ClassVar[tuple[str, ...]] = ()
-    OF_JOINTS: ClassVar[tuple[str, ...]] = ()  # of kp and kd
+    OF_JOINTS: ClassVar[tuple[str, ...]] = ()  # of kp, kd and ki
 
     def init(self, start: Start) -> tuple[Any, ...]:
         """Return the law's state by the gains of each phase: the last is the one that moves."""
@@ -68,8 +68,9 @@ class Phased(Law, metaclass=Made):
         moved, command = law.step(jax.tree.unflatten(tree, mixed), measured, reference)
         after = [old if keeps else new for old, new, keeps in zip(leaves, jax.tree.leaves(moved), kept, strict=True)]
         if self.OF_JOINTS:
-            own = (self._factors(name, limbs) for name in JointGains._fields)
-            command = command._replace(joint_gains=product(JointGains(*own), command.joint_gains))
+            names = [name for name in JointGains._fields if name != "ki" or name in self.OF_JOINTS]
+            own = {name: self._factors(name, limbs) for name in names}
+            command = command._replace(joint_gains=product(JointGains(**own), command.joint_gains))
         return (*states[:-1], jax.tree.unflatten(tree, after)), command
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
@@ -131,8 +132,8 @@ def phased(law: Law, gains: Sequence[str], *, phase_time: Any = 0.2, phase_ramp:
 
     The gain `damping` becomes `damping_in_swing`, `damping_before_lift_off`, `damping_after_touchdown` and
     `damping_standing`, all of the law's own value at first. Gains that act on each limb (`Law.LIMBWISE`) follow the
-    phase of the limb, others that of the robot. `kp` and `kd` of the joint loop become factors of them in three phases,
-    `kp_in_swing` and so on, by the phase of the limb; standing, they are the joint loop's own.
+    phase of the limb, others that of the robot. `kp`, `kd` and `ki` of the joint loop become factors of them in three
+    phases, `kp_in_swing` and so on, by the phase of the limb; standing, they are the joint loop's own.
 
     Arguments:
         law: any law.

@@ -87,6 +87,15 @@ def missing_forces(robot: Robot, state: State, acceleration: Acceleration, loads
     )
 
 
+def load_torque(robot: Robot, state: State, loads: Loads) -> Array:
+    """Return what loads, gravity and the motion put on the joints, (limb, joint) N m: `-c + J^T f`.
+
+    It is what stands beside the servos' torques in `H qdd = tau - c + J^T f`, so without the inertia of base and links.
+    """
+    still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
+    return missing_forces(robot, state, still, loads).joint
+
+
 def _newton_euler(
     limb: Limb, pose: LinkPose, joints: list[AnyArray], base: BodyMotion, foot_force: Array
 ) -> tuple[Array, Array, Array, Array]:

@@ -1,10 +1,18 @@
 """The joints' servos: from joint targets to the torque that turns the joint.
 
-Dry friction is a bristle, a spring with a damper, that slips once it bears as much as the friction can (an elastic,
-perfectly plastic element, also called Jenkin's, damped as LuGre's bristles are): a joint at rest does not creep. A
-bristle that is not to ring is damped more than light links can bear in a step of explicit Euler. So what it bears in a
-step is taken at the rates after the step: `(H + A) qdd = f - borne(rates before)` with `A = h dborne/drate` on the
-joints' diagonal of H, where an armature is too. It then holds at any time step.
+A servo's loop is a PID, evaluated at its own rate. What it asks for is a torque, which the motor gives up to its
+torque-speed line, or a share of the supply voltage (PWM), of which the back EMF takes its part.
+
+Dry friction bears up to a bound (`friction_bound`) by a bristle, a spring with a damper, that slips once it bears as
+much as the friction can (an elastic, perfectly plastic element, also called Jenkin's, damped as LuGre's bristles are):
+a joint at rest does not creep. A bristle that is not to ring is damped more than light links can bear in a step of
+explicit Euler. So what it bears in a step is taken at the rates after the step: `(H + A) qdd = f - borne(rates
+before)` with `A = h dborne/drate` on the joints' diagonal of H, where an armature is too. It then holds at any time
+step.
+
+References:
+    M. Duclusaud, G. Passault, V. Padois, O. Ly, Extended Friction Models for the Physics Simulation of Servo Actuators,
+    2024: models M1 to M6 of the bound; its program is github.com/Rhoban/bam.
 """
 
 from typing import Any, NamedTuple
@@ -15,9 +23,20 @@ from jax import Array
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import signals
 from mjx_climb.hardware.stages import Hardware, Stages
+from mjx_climb.quantities.parameters import Parameters
 
 PRESLIDING = 5e-4  # rad, bend at which a bristle slips: a third of a count of a servo's encoder of 4096 counts
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
+
+
+class Loop(NamedTuple):
+    """What the joint loop remembers; empty where it has no such stage."""
+
+    goal: Any = ()  # (limb, joint) rad, on its way to the joint targets
+    goal_rate: Any = ()  # (limb, joint) rad/s
+    integral: Any = ()  # (limb, joint) rad s, of the error
+    asked: Any = ()  # (limb, joint) N m, what the loop asked for when it was evaluated last
+    age: Any = ()  # () 1, time steps since then
 
 
 class Servo(NamedTuple):
@@ -25,6 +44,9 @@ class Servo(NamedTuple):
 
     buffer: signals.Buffer  # of torques (limb, joint) N m
     bristle: Any  # (limb, joint) 1, see `dry_friction`
+    loop: Loop = Loop()
+    # (limb, joint) N m, torque of the load on the joints: who steps the dynamics puts it here before `joint_loop`
+    load: Any = ()
 
 
 class Drive(NamedTuple):
@@ -40,12 +62,26 @@ class JointGains(NamedTuple):
 
     kp: Array  # () or (limb, joint) N m/rad
     kd: Array  # () or (limb, joint) N m s/rad
+    ki: Any = ()  # () or (limb, joint) N m/(rad s); felt with the stage `integral` alone
+
+
+def gains_of(hardware: Hardware) -> JointGains:
+    """Return the gains of the joint loop that the hardware's parameters have."""
+    return JointGains(*(jnp.asarray(getattr(hardware.parameters, name)) for name in JointGains._fields))
 
 
 def begin(angles: Array, stages: Stages) -> Servo:
-    """Return servos that have always rested at joint angles (limb, joint) rad."""
-    no_torque = jnp.zeros_like(angles)
-    return Servo((no_torque,) * stages.servo_delay, no_torque if stages.dry_friction else ())
+    """Return servos that have always rested at joint angles (limb, joint) rad, under no torque."""
+    none = jnp.zeros_like(angles)
+    loop = Loop(
+        goal=angles if stages.profile else (),
+        goal_rate=none if stages.profile else (),
+        integral=none if stages.integral else (),
+        asked=none if stages.servo_rate else (),
+        age=jnp.zeros_like(angles, shape=()) if stages.servo_rate else (),
+    )
+    load = none if stages.load_torque else ()
+    return Servo((none,) * stages.servo_delay, none if stages.dry_friction else (), loop, load)
 
 
 def joint_loop(
@@ -53,33 +89,98 @@ def joint_loop(
 ) -> tuple[Servo, Drive]:
     """Return the servos after this step and what they do in it, for joint targets (limb, joint) rad.
 
-    The loop is `tau = kp (phi_des - phi) - kd phidot`: the desired rate is zero.
+    The loop is `tau = kp (phi_des - phi) + ki int(phi_des - phi) - kd phidot`: the desired rate is zero, D acts on the
+    measured rate. A voltage drive takes `tau` over the stall torque for its share of the voltage.
     """
+    stages, before = hardware.stages, servo.loop
+    loop, asked = pid(before, targets, state, gains, hardware)
+    if stages.servo_rate:
+        loop, asked = signals.held(before.age == 0, (loop, asked), (before, before.asked))
+        age = before.age + 1
+        loop = loop._replace(asked=asked, age=jnp.where(age < hardware.pace.servo_period - 0.5, age, 0.0))
+    return driven(servo._replace(loop=loop), asked, state.joint_rates, hardware)
+
+
+def pid(loop: Loop, targets: Array, state: State, gains: JointGains, hardware: Hardware) -> tuple[Loop, Array]:
+    """Return the loop once evaluated, and what it asks for, (limb, joint) N m, whatever the motor can give."""
+    stages, parameters, period = hardware.stages, hardware.parameters, hardware.servo_period
+    if stages.profile:
+        fastest = jnp.asarray(parameters.profile_velocity), jnp.asarray(parameters.profile_acceleration)
+        targets, goal_rate = profiled(loop.goal, loop.goal_rate, targets, *fastest, period)
+        loop = loop._replace(goal=targets, goal_rate=goal_rate)
     error = targets - state.joint_angles
-    if hardware.stages.backlash:  # the motor rests at its target; the link is free to move by half the play either way
-        play = hardware.parameters.backlash / 2
+    if stages.backlash:  # the motor rests at its target; the link is free to move by half the play either way
+        play = parameters.backlash / 2
         error = error - jnp.clip(error, -play, play)
-    return driven(servo, jnp.asarray(gains.kp * error - gains.kd * state.joint_rates), state.joint_rates, hardware)
+    asked = jnp.asarray(gains.kp * error - gains.kd * state.joint_rates)
+    if not stages.integral:
+        return loop, asked
+    integral = loop.integral + period * error
+    wanted = asked + gains.ki * integral
+    # no wind-up: an output on its limit does not grow
+    stuck = (jnp.abs(wanted) > largest_output(hardware)) & (wanted * error > 0)
+    integral = jnp.where(stuck, loop.integral, integral)
+    return loop._replace(integral=integral), asked + gains.ki * integral
+
+
+def largest_output(hardware: Hardware) -> Array:
+    """Return where the loop's output is cut, () or (limb, joint) N m: by PWM, or by current and torque limit."""
+    parameters = hardware.parameters
+    limit = jnp.asarray(parameters.torque_limit)
+    if hardware.stages.voltage:
+        return limit * parameters.pwm_limit
+    return jnp.minimum(limit, parameters.current_limit)
+
+
+def profiled(
+    goal: Array, rate: Array, target: Array, velocity: Array, acceleration: Array, period: float | Array
+) -> tuple[Array, Array]:
+    """Return a goal, rad, and its rate, rad/s, after a period in s on a trapezoid to a target that may move.
+
+    Its rate is at most the one from which it can still stop at the target: `v (v + a h) = 2 a d`, a way d in steps h.
+    """
+    way = target - goal
+    far, some = jnp.abs(way), jnp.isfinite(acceleration)
+    change = jnp.where(some, acceleration, 1.0) * period
+    stopping = (jnp.sqrt(change**2 + 8 * change / period * far) - change) / 2
+    most = jnp.minimum(jnp.minimum(velocity, far / period), jnp.where(some, stopping, jnp.inf))
+    wanted = jnp.sign(way) * most
+    rate = jnp.where(some, rate + jnp.clip(wanted - rate, -change, change), wanted)
+    return goal + period * rate, rate
 
 
 def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tuple[Servo, Drive]:
     """Return the servos after this step and what they do in it, asked for `torque` (limb, joint) N m."""
-    buffer, bristle = servo
+    buffer, bristle = servo.buffer, servo.bristle
     parameters, stages, time_step = hardware.parameters, hardware.stages, hardware.time_step
     if stages.servo_delay:
         buffer, torque = signals.delayed(buffer, torque, hardware.pace.servo)
-    if stages.torque_limit:
+    if stages.voltage:
+        torque = voltage_driven(torque, rates, parameters)
+    elif stages.torque_limit:
         torque = limited(torque, rates, jnp.asarray(parameters.torque_limit), jnp.asarray(parameters.no_load_speed))
+    if stages.current_limit:
+        torque = jnp.clip(torque, -parameters.current_limit, parameters.current_limit)
     joint_torque = torque
     armature: Any = ()
     if stages.dry_friction:
         # the gears rub under the torque that the motor gives, not under the one that it is asked for
-        most = jnp.asarray(parameters.coulomb_friction + parameters.load_friction * jnp.abs(torque))
+        most = friction_bound(torque, servo.load, rates, hardware)
         bristle, lost, armature = dry_friction(bristle, rates, most, time_step)
         joint_torque = joint_torque + lost
     if stages.viscous_friction:
         joint_torque = joint_torque - parameters.viscous_friction * rates
-    return Servo(buffer, bristle), Drive(torque, joint_torque, armature)
+    return servo._replace(buffer=buffer, bristle=bristle), Drive(torque, joint_torque, armature)
+
+
+def voltage_driven(asked: Array, rate: Array, parameters: Parameters) -> Array:
+    """Return the torque, N m, of motors that get a share of the supply voltage: the torque asked for over that at stall.
+
+    `kt / R V - kt^2 / R phidot`, with the stall torque `kt V / R` and the speed without load `V / kt`; no inductance.
+    """
+    stall = jnp.asarray(parameters.torque_limit)
+    most = stall * parameters.pwm_limit
+    return jnp.clip(asked, -most, most) - stall / parameters.no_load_speed * rate
 
 
 def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Array) -> Array:
@@ -92,6 +193,30 @@ def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Arra
     bound = jnp.where(limits, torque_limit, 0.0)
     upper, lower = bound * jnp.clip(1 - slowness, -1.0, 1.0), -bound * jnp.clip(1 + slowness, -1.0, 1.0)
     return jnp.where(limits, jnp.clip(torque, lower, upper), torque)
+
+
+def friction_bound(torque: Array, load: Any, rate: Array, hardware: Hardware) -> Array:
+    """Return what dry friction can bear, N m, under the motor's torque and that of the load, at a rate.
+
+    The gears carry `|k_e load - k_m torque|` of the two, which have opposite signs where one holds the other; what
+    there is at standstill alone falls as `exp(-|rate / velocity|^exponent)` (M1 to M6 of Duclusaud et al.).
+    """
+    stages, p = hardware.stages, hardware.parameters
+
+    def geared(of_motor: Any, of_load: Any) -> Array:
+        return jnp.abs(of_load * load - of_motor * torque) if stages.load_torque else of_motor * jnp.abs(torque)
+
+    most = jnp.asarray(p.coulomb_friction + geared(p.load_friction, p.external_load_friction))
+    if not stages.stribeck:
+        return most
+    still = p.stribeck_friction + geared(p.stribeck_load_friction, p.stribeck_external_load_friction)
+    if stages.load_torque:
+        weaker = jnp.abs(load) < jnp.abs(torque)  # the motor drives, and the load resists
+        square = jnp.where(weaker, p.quadratic_external_load_friction * load**2, p.quadratic_load_friction * torque**2)
+        still = still + jnp.where(load * torque < 0, square, 0.0)
+    slowness = jnp.abs(rate) / p.stribeck_velocity
+    moves = slowness > 0  # a power has no derivative at zero
+    return most + still * jnp.exp(-jnp.where(moves, jnp.where(moves, slowness, 1.0) ** p.stribeck_exponent, 0.0))
 
 
 def dry_friction(bristle: Array, rate: Array, most: Array, time_step: float) -> tuple[Array, Array, Array]:

@@ -15,6 +15,9 @@ from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
 
 _DELAYED = ("force", "base", "command", "servo")
+_QUADRATIC = ("quadratic_load_friction", "quadratic_external_load_friction")
+_STRIBECK = ("stribeck_friction", "stribeck_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
+_OF_LOAD = ("external_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
 
 
 class Stages(NamedTuple):
@@ -32,9 +35,17 @@ class Stages(NamedTuple):
     linear: bool = False  # joint targets move linearly between two periods
     command_delay: int = 0
     servo_delay: int = 0
+    servo_rate: bool = False
+    profile: bool = False
+    integral: bool = False
+    voltage: bool = False  # the servos' loops give shares of the supply voltage
+    supply_voltage: bool = False
     torque_limit: bool = False
+    current_limit: bool = False
     armature: bool = False
     dry_friction: bool = False
+    stribeck: bool = False
+    load_torque: bool = False  # the servos' friction depends on the torque of the load
     viscous_friction: bool = False
     backlash: bool = False
     capture: bool = False
@@ -58,12 +69,15 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
     for name, value in vars(parameters).items():
         if isinstance(value, jax.core.Tracer):
             raise TypeError(f"parameters.{name}: expected an array, got one that JAX traces")
-    step = scenario.time_step
+    step, voltage = scenario.time_step, scenario.hardware.servo.drive == "voltage"
+    if voltage:
+        _check_voltage(parameters)
     filtered, by_law = _finite(parameters.force_filter), scenario.hardware.force_sensor.filtered_by == "law"
     limited, dry, viscous = (
         robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
     )
     there = {name: given(value) for name, value in vars(parameters).items()}
+    of_load = any(there[name] for name in _OF_LOAD)
     simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
     found: dict[str, Any] = {name: there[name] for name in simple}
     found |= {f"{part}_delay": buffer_length(getattr(parameters, f"{part}_delay"), step) for part in _DELAYED}
@@ -73,12 +87,27 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
         sampled_filter=filtered and by_law,
         base_noise=there["position_noise"] or there["velocity_noise"],
         linear=there["control_period"] and scenario.hardware.interpolation == "linear",
+        servo_rate=_finite(parameters.servo_rate),
+        profile=_finite(parameters.profile_velocity),
+        integral=there["ki"],
+        voltage=voltage,
+        supply_voltage=_finite(parameters.supply_voltage),
         torque_limit=limited or _finite(parameters.torque_limit),
-        dry_friction=dry or there["coulomb_friction"] or there["load_friction"],
+        current_limit=(voltage and limited) or _finite(parameters.current_limit),
+        dry_friction=dry or any(there[name] for name in ("coulomb_friction", "load_friction", *_OF_LOAD, *_STRIBECK)),
+        stribeck=any(there[name] for name in _STRIBECK),
+        load_torque=of_load,
         viscous_friction=viscous or there["viscous_friction"],
         capture=_finite(parameters.capture_distance),
         rotational=there["rotational_stiffness"],
     )
+
+
+def _check_voltage(parameters: Parameters) -> None:
+    """Refuse by a ValueError motors on a voltage without a torque at standstill or a speed without load."""
+    for name in ("torque_limit", "no_load_speed"):
+        if not np.isfinite(np.asarray(getattr(parameters, name))).all():
+            raise ValueError(f"parameters.{name}: expected finite numbers with drive: voltage, got inf")
 
 
 def given(value: ArrayLike) -> bool:
@@ -99,6 +128,7 @@ class Pace(NamedTuple):
     servo: Buffer
     filter_share: Any  # () 1
     period: Any  # () time steps
+    servo_period: Any  # () time steps
 
 
 @jax.tree_util.register_dataclass
@@ -115,6 +145,11 @@ class Hardware:
     def law_period(self) -> float | Array:
         """Time from one step of the law to the next, s."""
         return self.time_step * self.pace.period if self.stages.control_period else self.time_step
+
+    @property
+    def servo_period(self) -> float | Array:
+        """Time from one evaluation of the servos' loops to the next, s."""
+        return self.time_step * self.pace.servo_period if self.stages.servo_rate else self.time_step
 
 
 def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot: Robot | None = None) -> Hardware:
@@ -134,12 +169,33 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     for part in _DELAYED:
         length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")
         late[part] = weights(jnp.asarray(seconds) / time_step, length) if length else ()
-    pace = Pace(**late, filter_share=share, period=period)
-    changes: dict[str, Any] = {}
+    servo_period: Any = ()
+    if stages.servo_rate:
+        servo_period = period_steps(1 / jnp.asarray(parameters.servo_rate), time_step)
+    pace = Pace(**late, filter_share=share, period=period, servo_period=servo_period)
+    parameters = _at_supply_voltage(parameters, stages)
+    # under a voltage the torque limit is the motor's own, at standstill
+    limit, stall = ("current_limit", "torque_limit") if stages.voltage else ("torque_limit", "")
     for name, own, combined in (
-        ("kp", "driven", jnp.multiply), ("kd", "driven", jnp.multiply), ("torque_limit", "torque_limit", jnp.minimum),
+        ("kp", "driven", jnp.multiply), ("kd", "driven", jnp.multiply), ("ki", "driven", jnp.multiply),
+        (stall, "driven", jnp.multiply), (limit, "torque_limit", jnp.minimum),
         ("coulomb_friction", "friction", jnp.add), ("viscous_friction", "damping", jnp.add),
     ):  # fmt: skip
-        if robot is not None and getattr(robot, own) is not None:
-            changes[name] = combined(getattr(parameters, name), getattr(robot, own))
-    return Hardware(dataclasses.replace(parameters, **changes), pace, stages, time_step)
+        if name and robot is not None and getattr(robot, own) is not None:
+            changed = combined(getattr(parameters, name), getattr(robot, own))
+            parameters = dataclasses.replace(parameters, **{name: changed})
+    return Hardware(parameters, pace, stages, time_step)
+
+
+def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
+    """Return parameters with what motors give and how fast they are at the supply voltage in place of the rated one.
+
+    A loop that gives a share of the voltage has gains in N m/rad that grow with it, one that asks for torques does not.
+    """
+    if not stages.supply_voltage:
+        return parameters
+    known = jnp.isfinite(parameters.supply_voltage) & jnp.isfinite(parameters.rated_voltage)
+    supply, rated = (jnp.where(known, getattr(parameters, f"{name}_voltage"), 1.0) for name in ("supply", "rated"))
+    names = ("torque_limit", "no_load_speed", *(("kp", "kd", "ki") if stages.voltage else ()))
+    scaled = {name: getattr(parameters, name) * (supply / rated) for name in names}
+    return dataclasses.replace(parameters, **scaled)

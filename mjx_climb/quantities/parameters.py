@@ -47,7 +47,7 @@ class Gains:
     """Gains of the admittance law (paper Eqs. 2 and 3): scalar, six axes, or a batch of six axes.
 
     Axes: three translations, then three rotations, about the axes of the walk (x ahead, z up). The end-effector law
-    uses the translations. `kp` and `kd` replace the scenario's joint gains where given.
+    uses the translations. `kp`, `kd` and `ki` replace the scenario's joint gains where given.
     """
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType({"inertia": 1, "damping": 1, "stiffness": 1})
@@ -57,6 +57,7 @@ class Gains:
     stiffness: _Gain = _of("control.stiffness", "N/m, N m/rad", "virtual stiffness K")
     kp: _JointGain | None = _of("control.kp", "N m/rad", "joint gain kp", default=None)
     kd: _JointGain | None = _of("control.kd", "N m s/rad", "joint gain kd", default=None)
+    ki: _JointGain | None = _of("control.ki", "N m/(rad s)", "joint gain ki", default=None)
 
 
 @jax.tree_util.register_dataclass
@@ -81,6 +82,7 @@ class Parameters:
     holding_limit: _Scalar = _of("contact.holding_limit", "N", "holding limit of a gripper")  # infinite: never torn off
     kp: _Scalar = _of("control.kp", "N m/rad", "joint gain kp")
     kd: _Scalar = _of("control.kd", "N m s/rad", "joint gain kd")
+    ki: _Scalar = _of("control.ki", "N m/(rad s)", "joint gain ki")
     stride: _Scalar = _of("gait.stride", "m", "stride")
     step_height: _Scalar = _of("gait.step_height", "m", "step height")
     cycle: _Scalar = _of("gait.cycle", "s", "gait cycle")
@@ -116,6 +118,27 @@ class Parameters:
     coulomb_friction: _Scalar = _of("hardware.servo.coulomb_friction", "N m", "dry friction")
     viscous_friction: _Scalar = _of("hardware.servo.viscous_friction", "N m s/rad", "viscous friction")
     load_friction: _Scalar = _of("hardware.servo.load_friction", "1", "friction under load")
+    external_load_friction: _Scalar = _of("hardware.servo.external_load_friction", "1", "friction under external load")
+    stribeck_friction: _Scalar = _of("hardware.servo.stribeck_friction", "N m", "friction of standstill")
+    stribeck_load_friction: _Scalar = _of("hardware.servo.stribeck_load_friction", "1", "load friction of standstill")
+    stribeck_external_load_friction: _Scalar = _of(
+        "hardware.servo.stribeck_external_load_friction", "1", "external load friction of standstill"
+    )
+    quadratic_load_friction: _Scalar = _of(
+        "hardware.servo.quadratic_load_friction", "1/(N m)", "quadratic load friction"
+    )
+    quadratic_external_load_friction: _Scalar = _of(
+        "hardware.servo.quadratic_external_load_friction", "1/(N m)", "quadratic external load friction"
+    )
+    stribeck_velocity: _Scalar = _of("hardware.servo.stribeck_velocity", "rad/s", "Stribeck velocity")
+    stribeck_exponent: _Scalar = _of("hardware.servo.stribeck_exponent", "1", "Stribeck exponent")
+    servo_rate: _Scalar = _of("hardware.servo.rate", "Hz", "rate of the servos' loop")  # infinite: every time step
+    profile_velocity: _Scalar = _of("hardware.servo.profile_velocity", "rad/s", "velocity of goals")  # infinite: any
+    profile_acceleration: _Scalar = _of("hardware.servo.profile_acceleration", "rad/s^2", "acceleration of goals")
+    pwm_limit: _Scalar = _of("hardware.servo.pwm_limit", "1", "limit of PWM")
+    current_limit: _Scalar = _of("hardware.servo.current_limit", "N m", "torque at the current limit")  # infinite: none
+    rated_voltage: _Scalar = _of("hardware.servo.rated_voltage", "V", "rated voltage")  # infinite: the supply's
+    supply_voltage: _Scalar = _of("hardware.servo.supply_voltage", "V", "supply voltage")  # infinite: the rated one
     backlash: _Scalar = _of("hardware.servo.backlash", "rad", "backlash")
     servo_delay: _Scalar = _of("hardware.servo.delay", "s", "delay of the servos")
     seed: _Scalar = _of("hardware.seed")  # whole, below 2^24 so that single precision holds it

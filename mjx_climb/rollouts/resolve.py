@@ -21,7 +21,7 @@ from mjx_climb.scenario.model import Scenario
 
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name
 
-_JOINT_LOOP = {"kp": 0.0, "kd": 0.0}
+_JOINT_LOOP = ("kp", "kd", "ki")
 _NUMBERS = {3: "three", 6: "six"}
 
 
@@ -207,7 +207,7 @@ def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
     if isinstance(value, jax.core.Tracer):
         return value
     known = np.asarray(value)
-    zero_is_fine = name == "gains.kd" or low == 0
+    zero_is_fine = name in ("gains.kd", "gains.ki") or low == 0
     wrong = ~np.isfinite(known) | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero_is_fine))))
     if wrong.any():
         expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero_is_fine else 'above 0'}"
@@ -219,7 +219,7 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
     """Return rates of gains (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number.
 
     Raises:
-        ValueError: in one line, `kp` or `kd` in one of two `Gains` alone, or a time of the gait that changes.
+        ValueError: in one line, `kp`, `kd` or `ki` in one of two `Gains` alone, or a time of the gait that changes.
     """
     if isinstance(gains, Gains) and isinstance(directions, Gains):
         for name, rates in vars(directions).items():
@@ -231,7 +231,11 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
     for key in TIMES:
         if np.any(given.pop(GAIT[key], 0.0)):
             raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
-    lengths = {"kp": 1, "kd": 1} | dict.fromkeys(GAIT.values(), 1) | {n: own.length for n, own in law.GAINS.items()}
+    lengths = (
+        dict.fromkeys(_JOINT_LOOP, 1)
+        | dict.fromkeys(GAIT.values(), 1)
+        | {n: own.length for n, own in law.GAINS.items()}
+    )
     for name in (name for name in given if name in lengths):
         value, own = np.asarray(given[name], dtype), (lengths[name],) if lengths[name] > 1 else ()
         (number, *batch) = value.shape[: value.ndim - len(own)]

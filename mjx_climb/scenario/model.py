@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from mjx_climb.hardware import dynamixel
 from mjx_climb.scenario import values as v
 from mjx_climb.scenario.messages import config_error, failure, refusal
 from mjx_climb.scenario.values import setting
@@ -22,6 +23,7 @@ MIN_LIMBS, MAX_LIMBS = 2, 8
 SHIPPED_LIMBS = ("LF", "LH", "RH", "RF")  # of the robots known by name
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 _ROUNDING = 1e-9
+_OF_REGISTERS = ("control.kp", "control.ki", "control.kd")
 
 AnySection = TypeVar("AnySection", bound=BaseModel)
 
@@ -143,6 +145,7 @@ class Control(v.Section):
     stiffness: v.Gain = setting(5.0e4, "virtual stiffness K, N/m (translations), N m/rad (rotations)")
     kp: v.Positive = setting(50.0, "proportional gain of the joint loop, N m/rad")
     kd: v.NonNegative = setting(0.2, "derivative gain of the joint loop, N m s/rad")
+    ki: v.NonNegative = setting(0.0, "integral gain of the joint loop, N m/(rad s); 0: no integral term")
     integration: Literal["exact", "semi_implicit"] = setting(
         "exact", "of the virtual mass: exact, or semi-implicit Euler in substeps of at most 2 ms, as on the robot"
     )
@@ -225,9 +228,48 @@ class BaseEstimate(v.Section):
     velocity_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m/s")
 
 
+class Registers(v.Section):
+    """Gains of the joint loop as the position PID registers of a Dynamixel X (protocol 2) hold them."""
+
+    p: v.Register = Field(description="Position P Gain, 1 or more")
+    i: v.Register = setting(0, "Position I Gain")
+    d: v.Register = setting(0, "Position D Gain")
+
+    @model_validator(mode="after")
+    def _holds(self) -> Registers:
+        if self.p == 0:
+            raise failure("a register of 1 or more, as control.kp is above 0", key="p", got=0)
+        return self
+
+
 class Servo(v.Section):
     """The joints' motors and gears, all alike."""
 
+    drive: Literal["torque", "voltage"] = setting(
+        "torque",
+        "what the joint loop asks for: a torque, given up to the torque-speed line, or a share of the supply voltage, "
+        "of which the motor's speed takes its part (back EMF)",
+    )
+    rate: v.PositiveOrNull = setting(
+        None, "rate of the servo's own loop, Hz; a period is a whole number of time steps; null: every time step"
+    )
+    registers: Registers | None = setting(
+        None, "P, I, D registers of a Dynamixel, taken in place of control.kp, ki, kd; null: none"
+    )
+    profile_velocity: v.PositiveOrNull = setting(
+        None, "speed at which the servo takes its goal to the joint target, rad/s; null: at once"
+    )
+    profile_acceleration: v.PositiveOrNull = setting(None, "acceleration of that goal, rad/s^2; null: any")
+    pwm_limit: v.Part = setting(1.0, "largest share of the supply voltage that a voltage drive gives, 1")
+    current_limit: v.PositiveOrNull = setting(
+        None, "torque of the motor at the largest current that the servo lets flow, N m; null: any"
+    )
+    rated_voltage: v.PositiveOrNull = setting(
+        None, "voltage of torque_limit, no_load_speed and the loop's gains, V; null: the supply's"
+    )
+    supply_voltage: v.PositiveOrNull = setting(
+        None, "measured voltage, V, by which torque_limit and no_load_speed scale; null: rated_voltage"
+    )
     torque_limit: v.PositiveOrNull = setting(None, "torque at standstill, N m; null: any")
     no_load_speed: v.PositiveOrNull = setting(
         None, "speed at which no torque is left, rad/s; null: the torque limit holds at any speed"
@@ -236,6 +278,18 @@ class Servo(v.Section):
     coulomb_friction: v.NonNegative = setting(0.0, "dry friction, N m")
     viscous_friction: v.NonNegative = setting(0.0, "friction that grows with the rate, N m s/rad")
     load_friction: v.NonNegative = setting(0.0, "dry friction as a share of the motor's torque, 1")
+    external_load_friction: v.NonNegative = setting(0.0, "dry friction as a share of the load's torque, 1")
+    stribeck_friction: v.NonNegative = setting(0.0, "dry friction at standstill beside coulomb_friction, N m")
+    stribeck_load_friction: v.NonNegative = setting(0.0, "load_friction at standstill beside that, 1")
+    stribeck_external_load_friction: v.NonNegative = setting(0.0, "external_load_friction at standstill beside that, 1")
+    quadratic_load_friction: v.NonNegative = setting(
+        0.0, "friction at standstill by the motor's torque squared, where the load drives, 1/(N m)"
+    )
+    quadratic_external_load_friction: v.NonNegative = setting(
+        0.0, "friction at standstill by the load's torque squared, where the motor drives, 1/(N m)"
+    )
+    stribeck_velocity: v.Positive = setting(0.1, "speed by which friction of standstill fell to 37 %, rad/s")
+    stribeck_exponent: v.Positive = setting(1.0, "how suddenly it falls there, 1")
     backlash: v.NonNegative = setting(0.0, "play of the gears from end to end, rad")
     delay: v.NonNegative = setting(0.0, "from the joint loop to the motor's torque, s")
 
@@ -243,6 +297,21 @@ class Servo(v.Section):
     def _line_has_two_ends(self) -> Servo:
         if self.no_load_speed is not None and self.torque_limit is None:
             raise failure("a number beside no_load_speed", key="torque_limit", got=None)
+        for key in ("torque_limit", "no_load_speed") if self.drive == "voltage" else ():
+            if getattr(self, key) is None:
+                raise failure("a number with drive: voltage", key=key, got=None)
+        for key, other in (
+            ("torque_limit", "registers"),
+            ("rated_voltage", "supply_voltage"),
+            ("torque_limit", "supply_voltage"),
+            ("profile_velocity", "profile_acceleration"),
+        ):
+            if getattr(self, key) is None and getattr(self, other) is not None:
+                raise failure(f"a number beside {other}", key=key, got=None)
+        if self.drive == "torque" and self.pwm_limit != 1:
+            raise failure(
+                "1 with drive: torque, which has no share of the voltage", key="pwm_limit", got=self.pwm_limit
+            )
         return self
 
 
@@ -371,6 +440,15 @@ class Scenario(v.Section):
     own: Own | None = setting(None, "law, metrics and objective of one's own: their files are run")
 
     @model_validator(mode="after")
+    def _gains_of_registers(self) -> Scenario:
+        servo = self.hardware.servo
+        if servo.registers is not None and servo.torque_limit is not None:
+            registers = dynamixel.Registers(**vars(servo.registers))
+            found = dynamixel.gains_of(registers, servo.torque_limit, servo.rate)._asdict()
+            self.__dict__["control"] = self.control.model_copy(update=found)  # frozen, but not read by anyone yet
+        return self
+
+    @model_validator(mode="after")
     def _whole_steps(self) -> Scenario:
         hardware, step = self.hardware, f"time steps of {self.time_step:g} s"
         spans = {"duration": self.duration, "gait.cycle": self.gait.cycle}
@@ -380,6 +458,10 @@ class Scenario(v.Section):
                 raise failure(f"at most {MAX_STEPS} {step}", key=key, got=span)
             if (not none and round(steps) < 1) or not math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9):
                 raise failure(f"a whole number of {step}{none}", key=key, got=span)
+        if (rate := hardware.servo.rate) is not None:
+            steps = 1 / (rate * self.time_step)
+            if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
+                raise failure(f"a rate whose period is a whole number of {step}", key="hardware.servo.rate", got=rate)
         delays = {f"{key}.delay": getattr(hardware, key).delay for key in ("force_sensor", "base_estimate", "servo")}
         for key, delay in {"command_delay": hardware.command_delay, **delays}.items():
             if delay / self.time_step > MAX_DELAY:
@@ -477,6 +559,8 @@ def overridden(scenario: Scenario, overrides: Sequence[str] | Mapping[str, Any],
     try:
         for key, value in pairs(overrides, source):
             assign(data, key, value, source)
+            if key in _OF_REGISTERS:  # what is set last holds
+                assign(data, "hardware.servo.registers", None, source)
     except RecursionError:
         raise config_error(source, "", "overrides of a few levels", "endless nesting") from None
     return validated(Scenario, data, source)

@@ -60,10 +60,14 @@ Number = Annotated[Finite, _expects("a finite number")]
 Positive = Annotated[Finite, Field(gt=0), _expects("a finite number above 0")]
 NonNegative = Annotated[Finite, Field(ge=0), _expects("a finite number, 0 or above")]
 Share = Annotated[Finite, Field(ge=0, lt=1), _expects("a number from 0 to below 1")]
+Part = Annotated[Finite, Field(gt=0, le=1), _expects("a number above 0, 1 at most")]
 Duty = Annotated[Finite, Field(gt=0, lt=1), _expects("a number above 0 and below 1")]
 Angle = Annotated[Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an angle in rad between -2 pi and 2 pi")]
 Limit = Annotated[NonNegative | None, _expects("a finite number, 0 or above, or null")]
 PositiveOrNull = Annotated[Positive | None, _expects("a finite number above 0, or null")]
+Register = Annotated[
+    int, Strict(), Field(ge=0, le=16383), _expects("a whole number from 0 to 16383, as the servo's register holds")
+]
 Seed = Annotated[int, Strict(), Field(ge=0, lt=2**24), _expects("a whole number from 0 to below 2^24")]
 Threshold = Annotated[
     NonNegative | tuple[NonNegative, NonNegative],

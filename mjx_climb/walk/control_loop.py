@@ -110,7 +110,7 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         servo=servo.begin(angles, stages),
         posture=angles if isinstance(controller.geometry, Chain) else (),
         reports=Reports(reported, no_torque) if reads_servos else (),
-        joint_gains=tuple((factor,) * stages.command_delay for factor in factors),
+        joint_gains=tuple((factor,) * stages.command_delay for factor in factors.moved.values()) if factors else (),
     )
 
 
@@ -150,22 +150,24 @@ def control(
         targets, late = signals.delayed(targets, joints.joint_angles, pace.command)
         joints = joints._replace(joint_angles=late)
 
-    late_gains, kp, kd = _joint_gains(hardware, memory.joint_gains, command.joint_gains)
-    servos, drive = servo.joint_loop(memory.servo, joints.joint_angles, state, servo.JointGains(kp, kd), hardware)
+    late_gains, gains = _joint_gains(hardware, memory.joint_gains, command.joint_gains)
+    servos, drive = servo.joint_loop(memory.servo, joints.joint_angles, state, gains, hardware)
     reports = memory.reports._replace(torque=drive.motor_torque) if memory.reports else ()
     memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture, reports=reports)
     return memory._replace(joint_gains=late_gains), command, joints, drive
 
 
-def _joint_gains(hardware: Hardware, buffers: Any, factors: Any) -> tuple[Any, Array, Array]:
-    """Return what is on its way to the joint loop, and kp and kd of a step: by the law's factors, if it has any."""
-    kp, kd = jnp.asarray(hardware.parameters.kp), jnp.asarray(hardware.parameters.kd)
+def _joint_gains(hardware: Hardware, buffers: Any, factors: Any) -> tuple[Any, servo.JointGains]:
+    """Return what is on its way to the joint loop, and its gains in a step: by the law's factors, if it has any."""
+    gains = servo.gains_of(hardware)
     if not factors:
-        return (), kp, kd
+        return (), gains
+    moved = factors.moved
     if hardware.stages.command_delay:  # by the bus that takes the joint targets
-        both = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, factors, strict=True)]
-        buffers, factors = zip(*both, strict=True)
-    return buffers, kp * factors[0][:, None], kd * factors[1][:, None]
+        both = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, moved.values(), strict=True)]
+        buffers, late = zip(*both, strict=True)
+        moved = dict(zip(moved, late, strict=True))
+    return buffers, gains._replace(**{name: getattr(gains, name) * each[:, None] for name, each in moved.items()})
 
 
 def _measure(

@@ -14,8 +14,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from mjx_climb.dynamics.inverse_dynamics import load_torque
 from mjx_climb.dynamics.limb_engine import held_accelerations
-from mjx_climb.dynamics.state import Acceleration, State, integrate
+from mjx_climb.dynamics.state import Acceleration, Loads, State, integrate
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.robot.constants import Robot
@@ -60,11 +61,20 @@ def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recor
     """
     hardware, state = stand.hardware, moving.state
     parameters, step = hardware.parameters, hardware.time_step
-    gains = servo.JointGains(jnp.asarray(parameters.kp), jnp.asarray(parameters.kd))
+    gains, gravity, still = (
+        servo.gains_of(hardware),
+        jnp.asarray(parameters.gravity),
+        jnp.zeros_like(state.base_position),
+    )
+    before = moving.servo
+    if hardware.stages.load_torque:
+        no_torque, no_forces = jnp.zeros_like(targets), jnp.zeros_like(targets, shape=(len(targets), 3))
+        loads = Loads(no_torque, no_forces, jnp.zeros_like(still, shape=6), jnp.zeros_like(still, shape=()), gravity)
+        before = before._replace(load=parameters.mass_scale * load_torque(stand.robot, state, loads))
 
     def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, servo.Drive]]:
         now = dataclasses.replace(state, joint_rates=rates)
-        after, drive = servo.joint_loop(moving.servo, targets, now, gains, hardware)
+        after, drive = servo.joint_loop(before, targets, now, gains, hardware)
         return drive.motor_torque, (after, drive)
 
     rates = state.joint_rates
@@ -73,9 +83,7 @@ def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recor
     own = 0.0 if isinstance(drive.armature, tuple) else drive.armature
     drive = drive._replace(armature=own + damping * (step / 2))
     robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
-    torque, gravity = torque / parameters.mass_scale, jnp.asarray(parameters.gravity)
-    still = jnp.zeros_like(state.base_position)
-    joints = held_accelerations(robot, state, torque, gravity)
+    joints = held_accelerations(robot, state, torque / parameters.mass_scale, gravity)
     later = integrate(state, Acceleration(still, still, joints), step)
     change = (later.joint_rates - rates) / 2
     return Moving(later, after), Recorded(state.joint_angles, rates + change, drive.motor_torque + slope * change)

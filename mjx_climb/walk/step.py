@@ -17,6 +17,7 @@ from jax import Array
 from mjx_climb import execution
 from mjx_climb.control import Law
 from mjx_climb.dynamics import ENGINES
+from mjx_climb.dynamics.inverse_dynamics import load_torque
 from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.dynamics.kinematics import (
     LimbFrames,
@@ -136,11 +137,14 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     if walk.structure.base_reference == "actual":  # a cycle starts where the base is, not where the last one ended
         cycle_start = start = jnp.where(now.cycle_phase == 0, state.base_position, carry.cycle_start)
     reference = gait.reference(walk.plan, now, start, actual.contact.grip_point, walk.structure.time_step)
-    memory, command, joints, drive = control_loop.control(
-        walk.controller, carry.memory, actual, reference, step, action
-    )
-
     cargo, push = disturbance.acting(parameters, walk.windows, step)
+    memory = carry.memory
+    if walk.structure.stages.load_torque:  # of all but the servos: what their gears carry
+        loads = _loads(walk, actual, jnp.zeros_like(state.joint_angles), push, cargo)
+        load = parameters.mass_scale * load_torque(walk.robot, state, loads)
+        memory = memory._replace(servo=memory.servo._replace(load=load))
+    memory, command, joints, drive = control_loop.control(walk.controller, memory, actual, reference, step, action)
+
     acceleration = _accelerations(walk, actual, drive, push, cargo)
     com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
     tsm, gia = _stability_margins(walk, actual, push, com, cargo)
@@ -172,19 +176,24 @@ def _standing(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) 
 def _accelerations(
     walk: Walk, actual: control_loop.Actual, drive: servo.Drive, push: Array, cargo: Array
 ) -> Acceleration:
-    """Return what the equations of motion give.
+    """Return what the equations of motion give."""
+    robot, torque = driven_robot(walk.robot, drive, actual.state.joint_angles, walk.controller.hardware)
+    loads = _loads(walk, actual, torque, push, cargo)
+    return ENGINES[walk.structure.engine](robot)(actual.state, *loads)
+
+
+def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, push: Array, cargo: Array) -> Loads:
+    """Return what acts on the robot, its servos with a torque (limb, joint) N m.
 
     With all masses times s, s (H qdd + c) = f has the accelerations of H qdd + c = f / s: the engine is given the
     robot as its file says, and forces, armature and cargo over s.
     """
     parameters, state, held, share = walk.parameters, actual.state, actual.grip, 1 / walk.parameters.mass_scale
-    robot, torque = driven_robot(walk.robot, drive, state.joint_angles, walk.controller.hardware)
     if actual.turning is not None:
         torque = torque + jnp.vecmat(held.foot_moment, actual.turning.jacobian)
     no_force, gravity = jnp.zeros_like(state.base_position), jnp.asarray(parameters.gravity)
     wrench = push + jnp.concatenate([no_force, held.foot_moment.sum(0)])
-    loads = Loads(torque * share, held.foot_force * share, wrench * share, cargo * share, gravity)
-    return ENGINES[walk.structure.engine](robot)(state, *loads)
+    return Loads(torque * share, held.foot_force * share, wrench * share, cargo * share, gravity)
 
 
 def driven_robot(robot: Robot, drive: servo.Drive, joint_angles: Array, hardware: Hardware) -> tuple[Robot, Array]:

@@ -50,7 +50,7 @@ def find(
     """Return up to where the loop is stable, by quantity.
 
     Arguments:
-        gains: those in question; kp and kd replace the scenario's where given.
+        gains: those in question; kp, kd and ki replace the scenario's where given.
         margins: of walks with these gains: they say how far to look.
         law: whose gains they are, the scenario's where None.
         progress: called with the number of quantities done and of all.

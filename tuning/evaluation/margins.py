@@ -26,7 +26,7 @@ FACTOR = 2  # by which hardware is to be better than where gains fail
 _LONGEST_DELAY, _LONGEST_PERIOD = 0.03, 0.05  # s
 _MOST_SAMPLES = 60  # of a delay: a buffer's length
 _WEAKEST = 0.05  # share of the joint gains
-_JOINT = ("kp", "kd")
+_JOINT = ("kp", "kd", "ki")
 _METRICS = mc.MetricTable(mc.METRICS[name] for name in ("force_variation", "detached_at", "diverged"))
 
 
@@ -87,7 +87,7 @@ def find(
 
     Arguments:
         scenario: its joint gains are pd's too.
-        gains: those in question; kp and kd replace the scenario's where given.
+        gains: those in question; kp, kd and ki replace the scenario's where given.
         law: whose gains they are, the scenario's where None.
         others: further ones to walk on the same hardware, by name, for the picture.
         walked: what `on_the_grid` gave of pd and others, by name, where it has walked already.
@@ -228,15 +228,15 @@ def whole_steps(periods: np.ndarray, step: float) -> np.ndarray:
 
 
 def joint_gains(scenario: mc.Scenario, gains: AnyGains) -> dict[str, float]:
-    """Return kp and kd that gains come with, the scenario's where they have none."""
+    """Return kp, kd and ki that gains come with, the scenario's where they have none."""
     values = by_name(gains)
     return {name: float(np.asarray(values.get(name, getattr(scenario.control, name)))) for name in _JOINT}
 
 
 def without_joint(gains: AnyGains) -> AnyGains:
-    """Return gains without kp and kd, which then are those of the walk's parameters."""
+    """Return gains without kp, kd and ki, which then are those of the walk's parameters."""
     if isinstance(gains, mc.Gains):
-        return dataclasses.replace(gains, kp=None, kd=None)
+        return dataclasses.replace(gains, kp=None, kd=None, ki=None)
     return {name: value for name, value in by_name(gains).items() if name not in _JOINT}
 
 

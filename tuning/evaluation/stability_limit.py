@@ -1,16 +1,17 @@
 """The discrete stability limit of a control law: which gains let a small disturbance grow.
 
 The closed loop (robot, contacts, joint loop, law, and the hardware between them: delays, filter, control period,
-armature, viscous friction) is linearised over one control period about stances of the gait, without gravity; small
-disturbances grow in a stance where the largest eigenvalue of that period leaves the unit circle. Between two moments at
-which some foot is lifted off or set down the same feet hold: the stances are those of the beginning, the middle and the
+armature, viscous friction, back EMF) is linearised over one control period about stances of the gait, without
+gravity; small disturbances grow in a stance where the largest eigenvalue of that period leaves the unit circle. Between
+two moments at which some foot is lifted off or set down the same feet hold: the stances are those of the beginning, the middle and the
 end of each such time in a cycle, on uneven ground in every cycle of the walk. The worst of them counts, not the product
 over the cycle: a disturbance that grows in one stance and dies out in the next is smaller after a cycle, and yet tears
 grippers off in between. This is the limit of the loop as it is simulated, not of the law by itself: the virtual model
 alone is stable for any positive gains.
 
-What has no linear part is left out: noise, bias, resolution, the limits of torque, offset and rate. So are dry
-friction, backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger
+What has no linear part is left out: noise, bias, resolution, the limits of torque, offset and rate, the profile of the
+servos' goals. The servos' own loop runs every time step here, whatever its rate. Left out are also dry friction,
+backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger
 motions, which slip.
 """
 
@@ -54,8 +55,8 @@ _ENTRIES_OF_A_CALL = 20_000
 _FINEST = 16  # values along an axis of a map
 _FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
 _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
-_NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "dry_friction",
-               "backlash", "capture")  # fmt: skip
+_NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "current_limit",
+               "dry_friction", "stribeck", "load_torque", "profile", "servo_rate", "backlash", "capture")  # fmt: skip
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
 _ALIVE = 1e-9  # N, what sensors say of no force
 _Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, parameters where they vary

@@ -1,8 +1,8 @@
-"""Gains files: what a search found, whole, as YAML: a law, its gains, kp and kd, and the gait.
+"""Gains files: what a search found, whole, as YAML: a law, its gains, kp, kd and ki, and the gait.
 
 The gains are inertia, damping and stiffness, or those of another law as it names them. `law` says whose they are: the
-name of a shipped law, or FILE.py:NAME; without it they are the config's law's. `kp`, `kd` and the keys of `gait` are
-the config's where they are not given.
+name of a shipped law, or FILE.py:NAME; without it they are the config's law's. `kp`, `kd`, `ki` and the keys of `gait`
+are the config's where they are not given.
 """
 
 import inspect
@@ -25,7 +25,7 @@ from tuning.gains import own_section
 from tuning.gains.ros2_control import commented
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
-OPTIONAL = ("kp", "kd")
+OPTIONAL = ("kp", "kd", "ki")
 LAW = "law"  # whose gains they are: the name of a shipped law, or FILE.py:NAME; the config's where there is none
 SECTION = "gait"
 _KEYS = [key.removeprefix("gait.") for key in GAIT]  # of the section

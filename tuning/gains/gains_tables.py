@@ -15,7 +15,7 @@ from mjx_climb.rollouts.gait_values import GAIT
 from tuning.gains.ros2_control import six
 
 AXES = {3: "three", 6: "six"}  # the dimension of a gain of so many axes
-JOINT_UNITS = {name: COORDINATES[name][0] for name in ("kp", "kd")}
+JOINT_UNITS = {name: COORDINATES[name][0] for name in ("kp", "kd", "ki")}
 
 
 Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]  # dimensions, values and attributes, as xarray takes them

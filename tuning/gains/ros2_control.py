@@ -123,7 +123,7 @@ def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutof
     lowest = math.ceil(lowest_rate(gains).max())
     filtered = "filter_coefficient 1 filters nothing" if cutoff is None else f"filter_coefficient: {cutoff:g} Hz"
     header = _HEADER.format(lowest=lowest, rate=rate, pole=np.abs(poles(gains, rate)).max(), filtered=filtered)
-    joint = {key: float(value) for key in ("kp", "kd") if (value := getattr(gains, key)) is not None}
+    joint = {key: float(value) for key in ("kp", "kd", "ki") if (value := getattr(gains, key)) is not None}
     if joint:
         header += "\nThe joint loop is the hardware's: " + ", ".join(f"{key} {value:g}" for key, value in joint.items())
     return commented(header, {name: {"ros__parameters": parameters}})

@@ -14,7 +14,7 @@ from tuning.evaluation import margins, stability_limit, verification
 from tuning.gains.gains_file import replaced
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import BY_GRADIENTS, Search
-from tuning.problem.spaces import JOINT
+from tuning.problem.spaces import INTEGRAL, JOINT
 from tuning.searches import retuned_pd
 from tuning.searches.result import Tuned
 from tuning.searches.sweep import Axes
@@ -62,7 +62,9 @@ def of_grid(problem: Problem, gains: AnyGains | None, axes: Axes, begin: Begin) 
 def of_search(problem: Problem, search: Search, begin: Begin, *, out: Path | None = None) -> OfSearch:
     """Begin what a search is compared with; `out` holds the rounds in which pd is retuned until the result is there."""
     scenario, law, engine = problem.scenario, problem.law, problem.engine
-    on_the_map = law is None and {*JOINT, *GAIT}.isdisjoint(problem.space.index)  # then one map serves all results
+    on_the_map = law is None and {*JOINT, INTEGRAL, *GAIT}.isdisjoint(
+        problem.space.index
+    )  # then one map serves all results
     return OfSearch(
         begin(retuned(problem, search, out)),
         {"pd": begin(one_walk(under_pd(scenario), None, engine)), "config": begin(one_walk(scenario, law, engine))},

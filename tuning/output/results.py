@@ -26,7 +26,7 @@ from tuning.output.comparisons import GIVEN, OfGrid, OfSearch, beside_retuned, o
 from tuning.output.folder import Contents, Folder, write_config
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal, Objective
-from tuning.problem.spaces import searches_gait
+from tuning.problem.spaces import INTEGRAL, JOINT, searches_gait
 from tuning.report import page, pages, pictures
 from tuning.report.comparison import Compared, differences, gains_of
 from tuning.report.explorer import axes_of
@@ -491,7 +491,8 @@ def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] |
     )
     if gains is None and gait:
         gains = {}
-    return None if gains is None else gains | {name: getattr(control, name) for name in ("kp", "kd")} | gait
+    joint = {name: getattr(control, name) for name in (*JOINT, *((INTEGRAL,) if control.ki else ()))}
+    return None if gains is None else gains | joint | gait
 
 
 def _scored(target: Goal, metrics: Metrics) -> dict[str, float]:

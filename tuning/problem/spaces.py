@@ -3,7 +3,7 @@
 A point theta holds natural logarithms, so every gain is positive. Names of its coordinates: `damping` and
 `stiffness` where all axes share a gain; `damping.translation`, `damping.rotation`; or `damping.x`, .. `damping.rz`;
 likewise any other gain of six axes; a gain of three has translations alone, a gain of one number is one coordinate. And
-`kp`, `kd`, and those of the gait: `gait.duty`, `gait.cycle`, `gait.step_height`, ....
+`kp`, `kd`, `ki`, and those of the gait: `gait.duty`, `gait.cycle`, `gait.step_height`, ....
 """
 
 import dataclasses
@@ -33,6 +33,9 @@ from tuning.problem.search import LAYOUTS, Search
 PARTS = ("translation", "rotation")
 JOINT = {"kp": (5.0, 4.0), "kd": (10.0, 10.0)}  # bounds: how many times below and above the scenario's own
 SEARCHED_GAIT = tuple(name for name in GAIT if name != "gait.stride")  # the speed of travel is held
+INTEGRAL = "ki"  # searched where the scenario has an integral term, or where asked for
+_INTEGRAL = (10.0, 10.0)  # bounds, as those of JOINT
+_PER_KP = 0.5  # 1/s, ki over kp, as registers of public robots have them: in place of a scenario's ki of zero
 _LONGEST_STANCE = 0.95  # duty, up to which searches look
 _SETTLING = (0.02, 0.5)  # shares of a swing
 _GAIT_FACTOR = 2.0  # cycle and step height: so many times below and above the scenario's own
@@ -136,15 +139,16 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     ideal = stages_of(scenario, own_parameters(scenario))._replace(capture=False) == IDEAL
     joint_gains = not ideal if search.joint_gains is None else search.joint_gains
     gait = [name for name in GAIT if name in search.also or name in search.pins]
-    if not law.GAINS and not joint_gains and gait_of(dict.fromkeys(search.also)) == {}:
+    if not law.GAINS and not joint_gains and INTEGRAL not in search.also and gait_of(dict.fromkeys(search.also)) == {}:
         raise ConfigError("control.controller: expected an admittance law, got pd, which has no gains to search")
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
-    if unknown := sorted({*search.also} - {*law.GAINS, *SEARCHED_GAIT}):
-        names = ", ".join([*law.GAINS, *SEARCHED_GAIT])
+    if unknown := sorted({*search.also} - {*law.GAINS, *SEARCHED_GAIT, INTEGRAL}):
+        names = ", ".join([*law.GAINS, INTEGRAL, *SEARCHED_GAIT])
         raise ConfigError(f"also: expected gains of the law, {names}, got {unknown[0]}")
     check_gait(scenario, search)
     defaults = default_bounds(scenario, law) | _gait_bounds(scenario)
-    joint = dict.fromkeys([*(JOINT if joint_gains else ()), *gait], 0.0)
+    integral = INTEGRAL in search.also or (joint_gains and scenario.control.ki > 0)
+    joint = dict.fromkeys([*(JOINT if joint_gains else ()), *((INTEGRAL,) if integral else ()), *gait], 0.0)
     own = own_values(scenario, law) | joint
     bounds: dict[str, tuple[float, float]] = {}
     known: set[str] = set()  # keys that the settings may name
@@ -208,7 +212,9 @@ def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float,
     if scaled and isinstance(scenario.robot, RobotFile):
         heavier = float(load_robot(scenario.robot).total_mass / load_robot(_BOUNDED_FOR).total_mass)
         bounds = {name: (low * heavier, high * heavier) for name, (low, high) in bounds.items()}
-    return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in JOINT.items()}
+    joint[INTEGRAL] = control.ki or _PER_KP * control.kp
+    around = JOINT | {INTEGRAL: _INTEGRAL}
+    return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in around.items()}
 
 
 def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
@@ -246,7 +252,7 @@ def check_gait(scenario: mc.Scenario, search: Search) -> None:
 
 def as_gains(values: Mapping[str, Any]) -> AnyGains:
     """Return gains by name as `mc.Gains` where they are the paper's and the gait is none of them, else as they are."""
-    return mc.Gains(**values) if set(values) - set(JOINT) == set(mc.Gains.AXES) else values
+    return mc.Gains(**values) if set(values) - {*JOINT, INTEGRAL} == set(mc.Gains.AXES) else values
 
 
 def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from tuning.gains.own_section import check_reference, reference
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Judge, Search
-from tuning.problem.spaces import JOINT, as_gains, to_gains64
+from tuning.problem.spaces import INTEGRAL, JOINT, as_gains, to_gains64
 
 if TYPE_CHECKING:
     from tuning.report.page import Origin
@@ -197,7 +197,9 @@ def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarra
     while True:
         best = best_of(arrays)
         gains = to_gains64(space, np.asarray(arrays["theta"][best], float))
-        joint = {f"control.{name}": float(value) for name, value in by_name(gains).items() if name in JOINT}
+        joint = {
+            f"control.{name}": float(value) for name, value in by_name(gains).items() if name in (*JOINT, INTEGRAL)
+        }
         steady = not joint or short_enough(scenario.with_overrides(joint))
         if steady or not np.isfinite(arrays["penalty"][best]):
             break

@@ -22,7 +22,7 @@ from mjx_climb.rollouts.walks import LINES, stretches
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.problem.evaluation import Problem
-from tuning.problem.spaces import JOINT
+from tuning.problem.spaces import INTEGRAL, JOINT
 from tuning.searches.parts import identity_of
 from tuning.searches.result import Result
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
@@ -214,7 +214,7 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
 def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_size: int | None = None) -> Grid:
     """Return what `sweep` walks, whose arguments and errors these are."""
     own = problem.law or law_of(problem.scenario)
-    known = [*own.GAINS, *JOINT]
+    known = [*own.GAINS, *JOINT, INTEGRAL]
     if not own.GAINS:
         raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
     if unknown := [name for name in axes if name not in known]:

@@ -221,7 +221,9 @@ def start_of(problem: Problem) -> np.ndarray:
     control, gait = problem.scenario.control, problem.scenario.gait
     own = spaces.own_values(problem.scenario, problem.law or law_of(problem.scenario))
     walked = {key: getattr(gait, name) for key, name in GAIT.items()}
-    return problem.space.from_gains({**own, **walked, "kp": control.kp, "kd": max(control.kd, 1e-12)})
+    return problem.space.from_gains(
+        {**own, **walked, "kp": control.kp, "kd": max(control.kd, 1e-12), "ki": max(control.ki, 1e-12)}
+    )
 
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
