@@ -1,7 +1,8 @@
 """What a robot recorded: signals in SI units, each at its own times.
 
 Names: `LF.coxa.command` and `.position` in rad, `.velocity` rad/s, `.effort` N m (limb and joint as `mjx-climb robot`
-prints them); `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m, `base.orientation.w` 1.
+prints them); `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m, `base.orientation.w` 1; `base.force.x` N
+and `base.moment.x` N m, world axes, what pushes the base from outside.
 """
 
 import dataclasses
@@ -11,10 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.robot.constants import Robot
+from tuning.identification.signals import Signals
 
 JOINT = ("command", "position", "velocity", "effort")
 UNITS = {"command": "rad", "position": "rad", "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1"}
-BASE = {"position": "m", "orientation": "1", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
+BASE = {
+    "position": "m", "orientation": "1", "linear_velocity": "m/s", "angular_velocity": "rad/s", "force": "N",
+    "moment": "N m",
+}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +37,7 @@ class Log:
     signals: Mapping[str, Signal]
     source: str  # the file, as the user named it
     warnings: tuple[str, ...] = ()  # what was found odd on reading, a line each
+    guessed: Signals | None = None  # where each signal was taken from, if the file's own names did not say
 
     @property
     def duration(self) -> float:
@@ -47,3 +53,9 @@ def names(robot: Robot) -> Iterator[str]:
         yield f"{limb}.support"
     for what in BASE:
         yield from (f"base.{what}.{axis}" for axis in ("wxyz" if what == "orientation" else "xyz"))
+
+
+def unit_of(name: str) -> str:
+    """Return the SI unit of a signal that a robot can record."""
+    first, *_, last = parts = name.split(".")
+    return BASE[parts[1]] if first == "base" else UNITS.get(last) or UNITS[parts[1]]

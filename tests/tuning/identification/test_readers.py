@@ -1,32 +1,207 @@
-"""Logs: each format read to the rounding of what was written, and what is odd about one is said."""
+"""Logs: each format read to the rounding of what was written, in three layouts of public drivers among them."""
+
+import shutil
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin
 
 import mjx_climb as mc
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.files import dataset
+from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
 from tuning.identification.readers import read_log, write_csv
+from tuning.identification.signals import Signals
 
-ROBOT = load_robot("hubrobo_v3_2")
+EPOCH = 1_764_000_000 * 10**9  # ns
 
 
 def test_csv_keeps_every_number_and_each_signal_has_its_own_times(tmp_path):
     time = np.arange(5) / 3
-    position, force = np.pi * time, np.where(np.arange(5) % 2, np.nan, np.sqrt(time + 2))
+    position, force = np.pi * time / 10, np.where(np.arange(5) % 2, np.nan, np.sqrt(time + 2))
     write_csv(tmp_path / "log.csv", {"time": time, "LF.coxa.position": position, "RH.force.z": force})
     log = read_log(tmp_path / "log.csv", ROBOT)
     np.testing.assert_array_equal(log.signals["LF.coxa.position"].value, position)
     np.testing.assert_array_equal(log.signals["RH.force.z"].time, time[::2])
     np.testing.assert_array_equal(log.signals["RH.force.z"].value, force[::2])
-    assert log.duration == time[-1]
+    assert (log.duration, log.guessed, log.warnings) == (time[-1], None, ())
 
 
 @pytest.mark.parametrize(("text", "expected"), [
     ("time,LF.coxa.position\n0,1\n1\n2,3\n", r"log.csv: line 3: expected 2 cells as in line 1, got 1"),
     ("time,LF.coxa.position\n0,1\n1,x\n2,3\n", r"log.csv: LF.coxa.position, line 3: expected a number or .*, got 'x'"),
     ("time,LF.coxa.position\n", r"log.csv: expected a line of names and two samples or more, got 1 lines"),
+    ("when,LF.coxa.position\n0,1\n1,2\n", r"log.csv: time: expected a column of times in .*, got time"),
+    ("time,colour\n0,1\n1,2\n", r"log.csv: expected signals such as LF.coxa.command, .*, got time, colour"),
 ])  # fmt: skip
 def test_a_broken_table_is_told_in_one_line(tmp_path, text, expected):
     (tmp_path / "log.csv").write_text(text)
     with pytest.raises(mc.ConfigError, match=expected):
         read_log(tmp_path / "log.csv", ROBOT)
+
+
+def test_a_walk_of_run_is_read_by_its_own_names(tmp_path):
+    walk = mc.rollout(mc.Scenario().with_overrides({
+        "duration": 0.1, "gait.cycle": 0.1,
+        "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "moment": [0.0, 0.0, 1.0], "start": 0.05, "stop": 0.08}],
+    }))  # fmt: skip
+    dataset.save(dataset.to_dataset(walk), tmp_path / "trajectory.nc")
+    log = read_log(tmp_path / "trajectory.nc", ROBOT, Signals(time="time", repeats="keep", signals={
+        name: {"column": name} for name in (
+            "RH.femur.command", "RH.femur.position", "RH.femur.velocity", "RH.femur.effort", "LH.force.z", "LF.support",
+            "base.orientation.w", "base.position.z", "base.linear_velocity.x", "base.force.x", "base.moment.z",
+        )
+    }))  # fmt: skip
+    for name, values in {
+        "RH.femur.command": walk.joint_targets[:, 2, 1], "RH.femur.position": walk.joint_angles[:, 2, 1],
+        "RH.femur.velocity": walk.joint_rates[:, 2, 1], "RH.femur.effort": walk.joint_torque[:, 2, 1],
+        "LH.force.z": walk.foot_force[:, 1, 2], "LF.support": walk.support[:, 0],
+        "base.orientation.w": walk.base_orientation[:, 0], "base.position.z": walk.base_position[:, 2],
+        "base.linear_velocity.x": walk.base_linear_velocity[:, 0], "base.force.x": walk.push[:, 0],
+        "base.moment.z": walk.push[:, 5],
+    }.items():  # fmt: skip
+        np.testing.assert_array_equal(log.signals[name].value, values.astype(float), err_msg=name)
+        np.testing.assert_array_equal(log.signals[name].time, walk.time)
+    assert read_log(tmp_path / "trajectory.nc", ROBOT).guessed is None
+
+
+@pytest.mark.parametrize("form", ["folder", ".mcap", ".db3"])
+def test_encoders_as_a_topic_each_at_ten_hertz_without_efforts(tmp_path, form):
+    columns = recorded(rate=10.0)
+    times = [EPOCH + round(1e9 * t) for t in columns["time"]]
+    topics = {
+        f"/{joint.split('.')[0]}/Joint{1 + place % 3}": (
+            "std_msgs/msg/Float64", [(t, number(v)) for t, v in zip(times, columns[f"{joint}.position"], strict=True)],
+        ) for place, joint in enumerate(JOINTS)
+    }  # fmt: skip
+    path = bag(tmp_path / "bag", topics, StoragePlugin.SQLITE3 if form == ".db3" else StoragePlugin.MCAP)
+    path = path if form == "folder" else next(path.glob(f"*{form}"))
+    log = read_log(path, ROBOT)
+    assert set(log.signals) == {f"{joint}.position" for joint in JOINTS}
+    for joint in JOINTS:
+        np.testing.assert_array_equal(log.signals[f"{joint}.position"].value, columns[f"{joint}.position"])
+        np.testing.assert_allclose(log.signals[f"{joint}.position"].time, columns["time"], atol=1e-9)
+    assert "  LF.coxa.position: {topic: /LF/Joint1}\n" in log.guessed.to_yaml()
+
+
+def states_and_wrenches():
+    """Joint states by number, whose recorder hears them late and unevenly, and wrenches at 60 Hz."""
+    columns = recorded()
+    generator = np.random.default_rng(1)
+    times = [EPOCH + round(1e9 * t) for t in columns["time"]]
+    late = np.sort(np.array(times) + generator.integers(0, 9_000_000, len(times)))
+    rows = np.column_stack([columns[f"{joint}.position"] for joint in JOINTS])
+    numbered = [f"joint_{place}" for place in range(12)]
+    forces = generator.standard_normal((4, 600, 3))
+    of_forces = [EPOCH + round(1e9 * place / 60) for place in range(600)]
+    topics = {
+        "/joint_states": ("sensor_msgs/msg/JointState", [
+            (int(heard), joint_state(t, numbered, row)) for heard, t, row in zip(late, times, rows, strict=True)
+        ]),
+        **{f"/{limb}/wrench": ("geometry_msgs/msg/WrenchStamped", [
+            (t, wrench(t, force)) for t, force in zip(of_forces, forces[place], strict=True)
+        ]) for place, limb in enumerate(ROBOT.limbs)},
+    }  # fmt: skip
+    return columns, forces, topics
+
+
+def test_joint_states_by_number_and_wrenches_at_sixty_hertz(tmp_path):
+    columns, forces, topics = states_and_wrenches()
+    log = read_log(bag(tmp_path / "bag", topics), ROBOT)
+    for joint in JOINTS:
+        np.testing.assert_array_equal(log.signals[f"{joint}.position"].value, columns[f"{joint}.position"])
+        np.testing.assert_allclose(log.signals[f"{joint}.position"].time, columns["time"], atol=1e-9)
+    for place, limb in enumerate(ROBOT.limbs):
+        for axis in range(3):
+            np.testing.assert_array_equal(log.signals[f"{limb}.force.{'xyz'[axis]}"].value, forces[place, :, axis])
+    assert "LF.coxa.position: {topic: /joint_states, field: position.joint_0}" in log.guessed.to_yaml()
+    assert [line for line in log.warnings if "taken as along world axes" in line]
+    again = Signals.parse(log.guessed.to_yaml())
+    assert again == log.guessed
+    assert set(read_log(tmp_path / "bag", ROBOT, again).signals) == set(log.signals)
+    # by the clock of the recorder there is jitter
+    assert not [line for line in log.warnings if "jitter" in line]
+    by_recorder = read_log(tmp_path / "bag", ROBOT, again.changed({"time": "log"}))
+    assert [line for line in by_recorder.warnings if "with a jitter of" in line and "time: header" in line]
+
+
+def test_one_cell_that_packs_28_joints_with_stale_repeats(tmp_path):
+    columns = recorded()
+    fresh = np.arange(len(columns["time"])) % 3 != 1  # the second of three repeats the first
+    read = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
+    packed = np.zeros((len(read), 28))
+    for place, joint in enumerate(JOINTS):
+        packed[:, 7 * (place // 3) + place % 3] = columns[f"{joint}.position"][read]
+    lines = [f'{t!r},"{row}"' for t, row in zip(columns["time"].tolist(), packed.tolist(), strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,joint_positions", *lines]))
+    log = read_log(tmp_path / "log.csv", ROBOT)
+    for joint in JOINTS:
+        np.testing.assert_array_equal(
+            log.signals[f"{joint}.position"].value, columns[f"{joint}.position"][fresh], err_msg=joint
+        )
+        np.testing.assert_array_equal(log.signals[f"{joint}.position"].time, columns["time"][fresh])
+    (said,) = [line for line in log.warnings if "stale" in line]
+    assert f"LF.coxa.position and 11 more: {(~fresh).sum()} of 1000 samples repeat" in said
+    assert [line for line in log.warnings if "28 numbers for 4 limbs of 3 joints, taken as 7 a limb" in line]
+    assert "LH.femur.position: {column: joint_positions.8}" in log.guessed.to_yaml()
+    kept = read_log(tmp_path / "log.csv", ROBOT, log.guessed.changed({"repeats": "keep"}))
+    assert len(kept.signals["LF.coxa.position"].time) == 1000
+
+
+def test_units_signs_and_counts_become_si(tmp_path):
+    columns = recorded()
+    angle, time = columns["LF.coxa.position"], columns["time"]
+    rate = np.gradient(angle, time)
+    write_csv(tmp_path / "log.csv", {
+        "t": 1e3 * time, "deg": -np.degrees(angle), "counts": 2048 + angle / (2 * np.pi) * 4096,
+        "rpm": rate * 30 / np.pi, "mA": 1e3 * rate / 0.8, "kgf": rate / 9.80665,
+    })  # fmt: skip
+    log = read_log(tmp_path / "log.csv", ROBOT, Signals.make({"time": "t", "time_unit": "ms", "signals": {
+        "LF.coxa.position": {"column": "deg", "unit": "deg", "sign": -1},
+        "LF.coxa.command": {"column": "counts", "unit": "counts", "counts_per_turn": 4096, "zero": 2048, "shift": -0.5},
+        "LF.coxa.velocity": {"column": "rpm", "unit": "rpm"},
+        "LF.coxa.effort": {"column": "mA", "unit": "mA", "torque_constant": 0.8},
+        "LF.force.z": {"column": "kgf", "unit": "kgf"},
+    }}))  # fmt: skip
+    for name, expected in {
+        "LF.coxa.position": angle, "LF.coxa.command": angle, "LF.coxa.velocity": rate, "LF.coxa.effort": rate,
+        "LF.force.z": rate,
+    }.items():  # fmt: skip
+        np.testing.assert_allclose(log.signals[name].value, expected, rtol=1e-12, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(log.signals["LF.coxa.position"].time, time + 0.5, atol=1e-12)
+    np.testing.assert_allclose(log.signals["LF.coxa.command"].time, time, atol=1e-12)
+
+
+@pytest.mark.parametrize(("source", "expected"), [
+    ("LF.cxa.position: {column: a}", r"LF.cxa.position: expected a signal of the robot, .*mean LF.coxa.position"),
+    ("LF.coxa.position: {column: b}", r"LF.coxa.position.column: expected a column of numbers in .*log.csv, got b"),
+    ("LF.coxa.position: {topic: /a}", r"LF.coxa.position.topic: expected a topic of .*log.csv, got /a"),
+    ("LF.coxa.position: {column: a, unit: N}", r"LF.coxa.position.unit: expected one of rad, deg, counts, got N"),
+    ("LF.coxa.position: {column: a, unit: counts}", r"LF.coxa.position: expected counts_per_turn with the unit counts"),
+    ("LF.coxa.position: {column: a, sign: 2}", r"LF.coxa.position.sign: expected 1 or -1, got 2"),
+    ("LF.coxa.position: {}", r"LF.coxa.position: expected a topic or a column, one of the two"),
+])  # fmt: skip
+def test_a_wrong_map_is_told_in_one_line(tmp_path, source, expected):
+    (tmp_path / "log.csv").write_text("time,a\n0,1\n1,2\n2,3\n")
+    (tmp_path / "signals.yaml").write_text(f"time: time\nsignals: {{{source}}}\n")
+    with pytest.raises(mc.ConfigError, match=rf"signals.yaml: signals.{expected}") as refused:
+        read_log(tmp_path / "log.csv", ROBOT, tmp_path / "signals.yaml")
+    assert "\n" not in str(refused.value)
+
+
+def test_what_is_no_recording_is_told_in_one_line(tmp_path):
+    _, _, topics = states_and_wrenches()
+    whole = next(bag(tmp_path / "bag", {"/joint_states": topics["/joint_states"]}).glob("*.mcap")).read_bytes()
+    for name, content, expected in (
+        ("log.mcap", whole[: len(whole) // 2], "expected a recording of ROS 2 .*, got 'File end magic is invalid'"),
+        ("text.mcap", b"no recording", "expected a recording of ROS 2 .*, got '"),
+        ("text.db3", b"no recording", "expected a recording of ROS 2 .*, got "),
+        ("log.mcap.zstd", whole, r"expected a log that is not packed \(unpack it before: zstd -d log.mcap.zstd\), got"),
+        ("log.txt", b"", "expected a log: .csv, .tsv, .nc, .mcap, .db3 or the folder of a bag, got .txt"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(mc.ConfigError, match=f"{name}: {expected}") as refused:
+            read_log(tmp_path / name, ROBOT)
+        assert "\n" not in str(refused.value)
+    shutil.rmtree(tmp_path / "bag")
+    with pytest.raises(mc.ConfigError, match="bag: expected a log, got no such file or folder"):
+        read_log(tmp_path / "bag", ROBOT)

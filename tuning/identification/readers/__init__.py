@@ -1,40 +1,194 @@
 """Logs of a robot, one file a format: text, netCDF, rosbags and MCAP."""
 
+import difflib
 import os
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from mjx_climb.robot.constants import Robot
-from mjx_climb.scenario.messages import ConfigError
-from tuning.identification.log import Log, Signal, names
-from tuning.identification.readers import csv_file
+from mjx_climb.scenario.messages import ConfigError, config_error
+from tuning.identification.doubts import doubts, several
+from tuning.identification.guess import guess
+from tuning.identification.log import BASE, JOINT, Log, Signal, names, unit_of
+from tuning.identification.readers import csv_file, netcdf_file, rosbag
 from tuning.identification.readers.csv_file import write_csv as write_csv
+from tuning.identification.readers.table import Recording, Table
+from tuning.identification.signals import SECONDS, UNITS, Signals, Source
 
-READERS = {".csv": csv_file.read}
+READERS = {
+    ".csv": csv_file.read, ".tsv": csv_file.read, ".nc": netcdf_file.read, ".mcap": rosbag.read, ".db3": rosbag.read,
+    "": rosbag.read,
+}  # fmt: skip
+_STALE = 5  # usual lengths of a run of equal samples: what stays the same for longer is at rest
+_SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
 
 
-def read_log(path: str | os.PathLike[str], robot: Robot, signals: None = None) -> Log:
-    """Return what a robot recorded.
+def read_log(
+    path: str | os.PathLike[str], robot: Robot, signals: Signals | str | os.PathLike[str] | None = None
+) -> Log:
+    """Return what a robot recorded, in SI units, with what seems odd about it.
+
+    Arguments:
+        path: CSV, netCDF, MCAP (.mcap), an sqlite bag (.db3), or the folder of a bag.
+        robot: whose limbs and joints the signals are named by.
+        signals: where each signal stands, or the file that says so. Without it columns are read by the names of
+            `tuning.identification.log`; where there are none, it is guessed from what names there are, and
+            `Log.guessed` says how.
 
     Raises:
-        ConfigError: no such file, another format, or no signal in it that a robot has; in one line.
+        ConfigError: no such file, another format, or no signal of this robot in it; a signal where there is none; in
+            one line.
+    """
+    recording = record(path)
+    place, guessed, notes = "signals", None, recording.warnings
+    if isinstance(signals, str | os.PathLike):
+        place, signals = os.fspath(signals), Signals.load(signals)
+    if signals is None:
+        signals, unknown = _by_own_names(recording, robot)
+        notes += unknown
+        if not signals.signals:
+            guessed, doubtful = guess(recording, robot)
+            signals, notes = guessed, notes + tuple(f"{recording.source}: {note}" for note in doubtful)
+    if not signals.signals:
+        raise ConfigError(
+            f"{recording.source}: expected signals such as {_some(names(robot))}, got {_columns(recording)}"
+        )
+    raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
+    read, said = _cleaned(raw, signals)
+    start = min(float(signal.time[0]) for signal in read.values())
+    read = {name: Signal(signal.time - start, signal.value) for name, signal in read.items()}
+    said += doubts(read, {name: signal for name, (signal, _) in raw.items()}, robot, signals)
+    return Log(read, recording.source, notes + tuple(f"{recording.source}: {line}" for line in said), guessed)
+
+
+def record(path: str | os.PathLike[str]) -> Recording:
+    """Return all numbers of a file by topic and field, or column.
+
+    Raises:
+        ConfigError: no such file, or another format.
     """
     path = Path(path)
-    reader = READERS.get(path.suffix.lower())
+    if path.suffix.lower() in (".zstd", ".zst", ".gz", ".bz2", ".xz", ".zip", ".lz4"):
+        how = "zstd -d" if path.suffix.lower() in (".zstd", ".zst") else "its program"
+        raise config_error(
+            str(path), "", f"a log that is not packed (unpack it before: {how} {path.name})", path.suffix
+        )
+    if not path.exists():
+        raise config_error(str(path), "", "a log", "no such file or folder")
+    reader = READERS.get("" if path.is_dir() else path.suffix.lower() or "none")
     if reader is None:
-        raise ConfigError(f"{path}: expected a log as {', '.join(READERS)}, got {path.suffix or 'no suffix'}")
-    recording = reader(path)
-    table = recording.tables[""]
-    if "time" not in table.times:
-        raise ConfigError(f"{path}: expected a column time, got {', '.join(table.fields)}")
-    known, time = set(names(robot)), table.times["time"]
-    found = {}
-    for name, values in table.fields.items():
-        recorded = np.isfinite(values) & np.isfinite(time)
-        if name in known and recorded.any():
-            found[name] = Signal(time[recorded], values[recorded])
-    if not found:
-        raise ConfigError(f"{path}: expected columns such as {next(names(robot))}, got {', '.join(table.fields)}")
-    start = min(float(signal.time[0]) for signal in found.values())
-    return Log({name: Signal(signal.time - start, signal.value) for name, signal in found.items()}, str(path))
+        expected = "a log: .csv, .tsv, .nc, .mcap, .db3 or the folder of a bag"
+        raise config_error(str(path), "", expected, path.suffix or "a name without suffix")
+    return reader(path)
+
+
+def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
+    """Return the columns that have the names of signals, and what seems to be one that is misspelt."""
+    table, known = recording.tables.get(""), list(names(robot))
+    if table is None or not set(known) & set(table.fields):
+        return Signals(), ()
+    said = []
+    for name in set(table.fields) - set(known):
+        *_, before, last = ("", *name.split("."))
+        if (last in JOINT or last == "support" or before in ("force", *BASE)) and name.count(".") in (1, 2):
+            said.append(f"{recording.source}: {name}: not read, the robot has no such signal{_nearest(name, known)}")
+    own = {name: Source(column=name) for name in known if name in table.fields}
+    return Signals(time="time", signals=own), tuple(sorted(said))
+
+
+def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, place: str) -> tuple[Signal, str]:
+    """Return what a file holds of a signal, in SI units, and what it was recorded with.
+
+    Raises:
+        ConfigError: a signal that the robot does not have, a unit of another kind, or a place that is not there.
+    """
+    source, key = signals.signals[name], f"signals.{name}"
+    if name not in names(robot):
+        raise config_error(place, key, "a signal of the robot", f"another name{_nearest(name, names(robot))}")
+    unit = unit_of(name)
+    if source.unit and UNITS[source.unit][0] not in (unit, _SLIDING.get(unit) if robot.sliding is not None else unit):
+        kind = [unit for unit, (si, _) in UNITS.items() if si == unit_of(name)]
+        raise config_error(place, f"{key}.unit", f"one of {', '.join(kind)}", source.unit)
+    topic, field = source.topic or "", source.column or source.field
+    if topic not in recording.tables:
+        got = f"{topic}{_nearest(topic, recording.tables)}" if topic else "a recording of topics"
+        raise config_error(place, f"{key}.topic", f"a topic of {recording.source}", got)
+    table = recording.tables[topic]
+    if field not in table.fields:
+        which = "field" if topic else "column"
+        where = f"a {which} of numbers in {topic or recording.source}"
+        raise config_error(place, f"{key}.{which}", where, f"{field}{_nearest(field, table.fields)}")
+    time, group = _times(table, source, signals, recording, f"{place}: {key}")
+    value = table.fields[field]
+    recorded = np.isfinite(time) & np.isfinite(value)
+    if recorded.sum() < 2:
+        raise config_error(place, key, "two samples or more", f"{recorded.sum()} in {field}")
+    return Signal(time[recorded], source.factor * (value[recorded] - source.zero)), group
+
+
+def _times(table: Table, source: Source, signals: Signals, recording: Recording, place: str) -> tuple[np.ndarray, str]:
+    """Return the times of a table's samples, s, and a name for what is recorded together."""
+    clock = source.time or signals.time
+    if table.topic:
+        clock = clock if clock in table.times else "log"
+        unit = 1.0
+    else:
+        unit = SECONDS[source.time_unit or signals.time_unit]
+        if clock not in table.times:
+            expected = f"a column of times in {recording.source} (time: NAME in signals.yaml)"
+            got = f"{clock}{_nearest(clock, table.times)}"
+            raise config_error(place if source.time else recording.source, "time", expected, got)
+    return unit * table.times[clock] + source.shift, f"{table.topic} {clock}"
+
+
+def _cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[dict[str, Signal], tuple[str, ...]]:
+    """Return signals with increasing times and without stale repeats, and what was left out."""
+    said: dict[str, list[str]] = {}
+    clean = {}
+    for name, (signal, _) in raw.items():
+        later = np.r_[True, signal.time[1:] > np.maximum.accumulate(signal.time)[:-1]]
+        if not later.all():
+            words = f"{(~later).sum()} of {len(later)} samples come no later than one before them: left out"
+            said.setdefault(words, []).append(name)
+        clean[name] = Signal(signal.time[later], signal.value[later])
+    if signals.repeats == "drop":
+        together: dict[tuple[str, str, int], list[str]] = {}
+        for name, (_, group) in raw.items():
+            if not name.endswith((".command", ".support")):
+                kind = "force" if ".force." in name else "base" if name.startswith("base.") else "joint"
+                together.setdefault((group, kind, len(clean[name].time)), []).append(name)
+        for some in together.values():
+            stale = _stale(np.column_stack([clean[name].value for name in some]))
+            if stale.any():
+                words = (
+                    f"{stale.sum()} of {len(stale)} samples repeat the one before to the last bit: suspected to be "
+                    "stale, dropped (repeats: keep in signals.yaml keeps them)"
+                )
+                said.setdefault(words, []).extend(some)
+                clean |= {name: Signal(clean[name].time[~stale], clean[name].value[~stale]) for name in some}
+    return clean, tuple(f"{several(some)}: {words}" for words, some in said.items())
+
+
+def _stale(values: np.ndarray) -> np.ndarray:
+    """Return which rows repeat the one before, but for rows at rest: runs far longer than most, and the first."""
+    changed = np.r_[True, (values[1:] != values[:-1]).any(1)]
+    runs = np.diff(np.r_[np.flatnonzero(changed), len(values)])
+    resting = runs > _STALE * np.median(runs)
+    resting[0] |= runs[0] > 2 * np.median(runs)  # it has not moved yet
+    return np.asarray(~changed & ~np.repeat(resting, runs))
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(known), 1, 0.5)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def _some(all_names: Iterator[str]) -> str:
+    return ", ".join(name for name, _ in zip(all_names, range(3), strict=False))
+
+
+def _columns(recording: Recording) -> str:
+    places = [f"{topic} {field}".strip() for topic, table in recording.tables.items() for field in table.fields]
+    return ", ".join(places[:12]) + (f" and {len(places) - 12} more" if len(places) > 12 else "") or "nothing"

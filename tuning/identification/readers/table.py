@@ -18,6 +18,7 @@ class Table:
     topic: str  # "" for a file that is one table
     times: Mapping[str, Float[np.ndarray, " samples"]]  # in the file's unit: by column, or `header` and `log`
     fields: Mapping[str, Float[np.ndarray, " samples"]]  # NaN: not recorded
+    frame: str = ""  # of the messages' header
 
 
 @dataclasses.dataclass(frozen=True)

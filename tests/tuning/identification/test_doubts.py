@@ -1,0 +1,123 @@
+"""What is wrong with a log is said in one line each, with how to say otherwise; of a sound log nothing is."""
+
+import re
+
+import numpy as np
+import pytest
+
+from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
+from tuning.identification.readers import read_log, write_csv
+from tuning.identification.signals import Signals
+
+POSITIONS = [f"{joint}.position" for joint in JOINTS]
+
+
+def gap(columns):
+    return {name: np.delete(values, np.s_[300:420]) for name, values in columns.items()}
+
+
+def flipped(columns):
+    return columns | {"RH.femur.position": -columns["RH.femur.position"]}
+
+
+def degrees(columns):
+    return columns | {name: np.degrees(columns[name]) for name in POSITIONS}
+
+
+def counts(columns):
+    return columns | {name: (2048 + columns[name] / (2 * np.pi) * 4096).round() for name in POSITIONS}
+
+
+def milliseconds(columns):
+    return columns | {"time": 1e3 * columns["time"]}
+
+
+def wrong_name(columns):
+    return {name.replace("LH.tibia.pos", "LH.tibja.pos"): values for name, values in columns.items()}
+
+
+def stuck(columns):
+    return columns | {"RF.coxa.position": np.full(1000, 0.25)}
+
+
+def swapped(columns):
+    limbs = {"LF": "RF", "RF": "LF"}
+    return {
+        f"{limbs.get(name[:2], name[:2])}{name[2:]}" if name.endswith("position") else name: values
+        for name, values in columns.items()
+    }
+
+
+def jitter(columns):
+    return columns | {"time": columns["time"] + 0.009 * np.random.default_rng(2).random(1000)}
+
+
+def early(columns):
+    rows = 25  # the position's clock is 0.25 s behind
+    return {
+        name: values[:-rows] if name == "time" or name.endswith("command") else values[rows:]
+        for name, values in columns.items()
+    }
+
+
+def rates(columns):
+    return columns | {
+        f"{joint}.velocity": np.degrees(np.gradient(columns[f"{joint}.position"], columns["time"])) for joint in JOINTS
+    }
+
+
+WRONG = {
+    gap: "LF.coxa.command and 23 more: 1 gaps, the longest from 2.99 to 4.2 s, where samples come every 0.01 s",
+    flipped: "RH.femur.position: goes against its command, .*sign: -1",
+    degrees: "LF.coxa.position and 11 more: .*suspected to be degrees .unit: deg",
+    counts: "LF.coxa.position and 11 more: .*suspected to be encoder counts .unit: counts",
+    milliseconds: "times: a sample every 10 s, suspected to be ms .time_unit: ms",
+    wrong_name: "LH.tibja.position: not read, the robot has no such signal .did you mean LH.tibia.position",
+    stuck: "RF.coxa.position: the same all the time while its command moves by 0.4 rad, suspected to be stuck",
+    swapped: "(LF: its positions follow the commands of RF|RF: its .* commands of LF), suspected to be swapped limbs",
+    jitter: "LF.coxa.command and 23 more: samples come every 0.0[0-9]* s with a jitter of 3. %",
+    early: "positions: come 0.22 s before their commands, suspected to be another clock .shift: 0.22",
+    rates: "LF.coxa.velocity and 11 more: 57 times the angle's rate, suspected to be deg/s .unit: deg/s",
+}
+ONLY = {swapped: 2, degrees: 1}
+
+
+def read(tmp_path, columns, signals=None):
+    write_csv(tmp_path / "log.csv", columns)
+    return read_log(tmp_path / "log.csv", ROBOT, signals)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+def test_of_a_sound_log_nothing_is_said(tmp_path, noise):
+    assert read(tmp_path, recorded(noise=noise)).warnings == ()
+    assert read(tmp_path, recorded(rate=10.0, duration=30.0, noise=noise)).warnings == ()
+
+
+@pytest.mark.parametrize("break_it", WRONG, ids=lambda function: function.__name__)
+def test_what_is_wrong_is_said_in_one_line(tmp_path, break_it):
+    columns = break_it(recorded())
+    log = read(tmp_path, columns)
+    assert len(log.warnings) == ONLY.get(break_it, 1), log.warnings
+    for line in log.warnings:
+        assert "\n" not in line and line.startswith(str(tmp_path / "log.csv")) and len(line) < 400
+    assert all(re.search(WRONG[break_it], line) for line in log.warnings), log.warnings
+    # never a silent correction
+    for name in set(log.signals) & set(columns):
+        np.testing.assert_array_equal(log.signals[name].value, columns[name])
+
+
+@pytest.mark.parametrize(("break_it", "answer", "top"), [
+    (flipped, {"RH.femur.position": {"sign": -1}}, {}),
+    (degrees, {name: {"unit": "deg"} for name in POSITIONS}, {}),
+    (counts, {name: {"unit": "counts", "counts_per_turn": 4096, "zero": 2048} for name in POSITIONS}, {}),
+    (milliseconds, {}, {"time_unit": "ms"}),
+    (early, {name: {"shift": 0.25} for name in POSITIONS}, {}),
+    (rates, {f"{joint}.velocity": {"unit": "deg/s"} for joint in JOINTS}, {}),
+    (gap, {}, {"longest_gap": 200}),
+    (swapped, {f"{a}.{joint}.position": {"column": f"{b}.{joint}.position"} for a, b in (("LF", "RF"), ("RF", "LF"))
+               for joint in ROBOT.joint_names}, {}),
+])  # fmt: skip
+def test_the_answer_that_a_line_asks_for_settles_it(tmp_path, break_it, answer, top):
+    columns = break_it(recorded())
+    sources = {name: {"column": name, **answer.get(name, {})} for name in columns if name != "time"}
+    assert read(tmp_path, columns, Signals.make({"time": "time", "signals": sources, **top})).warnings == ()

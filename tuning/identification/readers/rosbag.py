@@ -1,0 +1,93 @@
+"""Recordings of ROS 2: MCAP, sqlite, and folders with `metadata.yaml`, by `rosbags` and without ROS."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjx_climb.scenario.messages import config_error
+from tuning.identification.readers.table import Recording, Table
+
+_LARGEST = 65_536  # bytes of a message: beyond are pictures and point clouds
+_LONGEST = 256  # numbers of a list
+_NAMES = ("name", "names", "joint_names", "interface_names")
+
+
+def read(path: Path) -> Recording:
+    """Return the numbers in the messages of a recording, by topic.
+
+    Raises:
+        ConfigError: no recording of ROS 2, or a damaged one.
+    """
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.rosbag2 import ReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    expected = "a recording of ROS 2 (a folder with metadata.yaml, .mcap or .db3)"
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            return _read(reader, str(path))
+    except (AnyReaderError, ReaderError, OSError) as error:
+        reason = str(getattr(error, "strerror", None) or error).rstrip(".")
+        raise config_error(str(path), "", expected, f"'{reason}'") from None
+    except Exception as error:  # of a damaged file rosbags raises what its decoders do
+        raise config_error(str(path), "", f"{expected} that is whole", f"{type(error).__name__}: {error}") from None
+
+
+def _read(reader: Any, source: str) -> Recording:
+    known, start = reader.typestore.fielddefs, reader.start_time
+    unknown = sorted({each.topic for each in reader.connections if each.msgtype not in known})
+    stamps: dict[str, list[tuple[int, int]]] = {}
+    rows: dict[str, list[dict[str, float]]] = {}
+    frames: dict[str, str] = {}
+    for connection, time, raw in reader.messages([each for each in reader.connections if each.msgtype in known]):
+        if len(raw) > _LARGEST:
+            continue
+        message, topic = reader.deserialize(raw, connection.msgtype), connection.topic
+        header = getattr(message, "header", None)
+        stamp = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+        frames[topic] = "" if header is None else header.frame_id
+        stamps.setdefault(topic, []).append((time, stamp))
+        rows.setdefault(topic, []).append(dict(_numbers(message, "", {})))
+    tables = {topic: Table(topic, _times(stamps[topic], start), _columns(rows[topic]), frames[topic]) for topic in rows}
+    said = f"{source}: {', '.join(unknown)}: not read, the recording does not say what its messages hold"
+    return Recording(tables, source, (said,) if unknown else ())
+
+
+def _times(stamps: Sequence[tuple[int, int]], start: int) -> dict[str, np.ndarray]:
+    """Return when messages were recorded, and as their headers say where any does, s from `start`; stamps are in ns."""
+    log, header = zip(*stamps, strict=True)
+    found = {"header": header, "log": log} if any(header) else {"log": log}
+    return {name: 1e-9 * np.array([stamp - start for stamp in each], float) for name, each in found.items()}
+
+
+def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+    columns = {name: np.full(len(rows), np.nan) for row in rows for name in row}
+    for place, row in enumerate(rows):
+        for name, value in row.items():
+            columns[name][place] = value
+    return columns
+
+
+def _numbers(message: Any, path: str, names: Mapping[int, Sequence[str]]) -> Iterator[tuple[str, float]]:
+    """Yield the numbers in a message by their paths; `names` are those of lists, by their length."""
+    fields = {name: getattr(message, name) for name in message.__dataclass_fields__ if name != "__msgtype__"}
+    own = [value for name, value in fields.items() if name in _NAMES and isinstance(value, list)]
+    names = {**names, **{len(value): value for value in own}}
+    for name, value in fields.items():
+        if name == "header":
+            continue
+        yield from _entries(value, f"{path}.{name}" if path else name, names)
+
+
+def _entries(value: Any, path: str, names: Mapping[int, Sequence[str]]) -> Iterator[tuple[str, float]]:
+    if isinstance(value, bool | int | float | np.number):
+        yield path, float(value)
+    elif isinstance(value, list | tuple | np.ndarray) and len(value) <= _LONGEST:
+        labels = names.get(len(value), range(len(value)))
+        for label, entry in zip(labels, value, strict=True):
+            label = getattr(entry, "child_frame_id", label)
+            yield from _entries(entry, f"{path}.{label}", names)
+    elif hasattr(value, "__msgtype__"):
+        yield from _numbers(value, path, names)

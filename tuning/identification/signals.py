@@ -1,0 +1,85 @@
+"""`signals.yaml`: where in a log each signal stands, and what stands there."""
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from mjx_climb.scenario.messages import failure
+from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
+
+UNITS: dict[str, tuple[str, float]] = {  # the SI unit, and how many of it one of these is
+    "rad": ("rad", 1.0), "deg": ("rad", math.pi / 180), "counts": ("rad", 2 * math.pi), "m": ("m", 1.0),
+    "mm": ("m", 1e-3), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", math.pi / 180), "rpm": ("rad/s", math.pi / 30),
+    "counts/s": ("rad/s", 2 * math.pi), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "N m": ("N m", 1.0),
+    "mN m": ("N m", 1e-3), "kgf cm": ("N m", 0.0980665), "A": ("N m", 1.0), "mA": ("N m", 1e-3), "N": ("N", 1.0),
+    "mN": ("N", 1e-3), "kgf": ("N", 9.80665), "1": ("1", 1.0),
+}  # fmt: skip
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+Unit = Literal[
+    "rad", "deg", "counts", "m", "mm", "rad/s", "deg/s", "rpm", "counts/s", "m/s", "mm/s", "N m", "mN m", "kgf cm",
+    "A", "mA", "N", "mN", "kgf", "1",
+]  # fmt: skip
+TimeUnit = Literal["s", "ms", "us", "ns"]
+
+
+class Source(Settings):
+    """Where one signal stands, and how its numbers become SI: sign * (number - zero) * unit."""
+
+    topic: str | None = setting(None, "topic of a bag")
+    field: str = setting("data", "path in the message, with dots; an entry of a list by its name or its number")
+    column: str | None = setting(None, "column of a table; of a cell with a list: name.0, name.1 ...")
+    unit: Unit | None = setting(None, "unit of the numbers; null: SI")
+    sign: Literal[1, -1] = setting(1, "-1: the axis is the other way round")
+    zero: Finite = setting(0.0, "number at zero, in the unit")
+    counts_per_turn: Positive | None = setting(None, "encoder counts of one turn, 1")
+    torque_constant: Positive | None = setting(None, "torque at the joint of one ampere, N m/A")
+    time: str | None = setting(None, "column of its times; header or log of a topic; null: the file's")
+    time_unit: TimeUnit | None = setting(None, "unit of its times; null: the file's")
+    shift: Finite = setting(0.0, "added to its times, s: where its clock is late, a negative number")
+    rate: Positive | None = setting(None, "samples per second that it was recorded at, Hz; null: found")
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if (self.topic is None) == (self.column is None):
+            raise failure("a topic or a column, one of the two", got=f"topic {self.topic}, column {self.column}")
+        for units, key in (("counts counts/s", "counts_per_turn"), ("A mA", "torque_constant")):
+            if self.unit in units.split(" ") and getattr(self, key) is None:
+                raise failure(f"{key} with the unit {self.unit}", got=None)
+        return self
+
+    @property
+    def factor(self) -> float:
+        """How many SI units one of its numbers is."""
+        factor = UNITS[self.unit][1] if self.unit else 1.0
+        turns = self.counts_per_turn if self.unit in ("counts", "counts/s") else None
+        current = self.torque_constant if self.unit in ("A", "mA") else None
+        return self.sign * factor / (turns or 1.0) * (current or 1.0)
+
+
+class Signals(Settings):
+    """All that is said of a log. Immutable."""
+
+    time: str = setting("header", "column of the times; of topics header, the stamp where there is one, or log")
+    time_unit: TimeUnit = setting("s", "unit of the times in columns")
+    repeats: Literal["drop", "keep"] = setting(
+        "drop", "what is done with measured samples that repeat the one before to the last bit, all of one message"
+    )
+    longest_gap: Annotated[NonNegative, Field(gt=1)] = setting(
+        5.0, "spacing that is called a gap, in usual spacings, 1"
+    )
+    signals: dict[str, Source] = setting({}, "where each signal stands, by its name")
+
+    def to_yaml(self) -> str:
+        """Return the settings as YAML without what is as by default, a line a signal; loading it gives equal ones."""
+        import yaml
+
+        data: dict[str, Any] = self.model_dump(mode="json", exclude_defaults=True)
+        rows = data.pop("signals", {})
+        head = yaml.safe_dump({"time": self.time, **data}, sort_keys=False)
+        lines = [
+            f"  {name}: {yaml.safe_dump(source, default_flow_style=True, sort_keys=False, width=10_000).strip()}\n"
+            for name, source in rows.items()
+        ]
+        return head + "signals:\n" + "".join(lines)
