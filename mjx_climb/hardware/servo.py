@@ -174,7 +174,7 @@ def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tup
 
 
 def voltage_driven(asked: Array, rate: Array, parameters: Parameters) -> Array:
-    """Return the torque, N m, of motors that get a share of the supply voltage: the torque asked for over that at stall.
+    """Return the torque, N m, of motors on a share of the supply voltage: the torque asked for over that at stall.
 
     `kt / R V - kt^2 / R phidot`, with the stall torque `kt V / R` and the speed without load `V / kt`; no inductance.
     """

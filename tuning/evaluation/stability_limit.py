@@ -6,13 +6,13 @@ gravity; small disturbances grow in a stance where the largest eigenvalue of tha
 two moments at which some foot is lifted off or set down the same feet hold: the stances are those of the beginning, the
 middle and the end of each such time in a cycle, on uneven ground in every cycle of the walk. The worst of them counts,
 not the product over the cycle: a disturbance that grows in one stance and dies out in the next is smaller after a
-cycle, and yet tears grippers off in between. This is the limit of the loop as it is simulated, not of the law by itself: the virtual model
-alone is stable for any positive gains.
+cycle, and yet tears grippers off in between. This is the limit of the loop as it is simulated, not of the law by
+itself: the virtual model alone is stable for any positive gains.
 
 What has no linear part is left out: noise, bias, resolution, the limits of torque, offset and rate, the profile of the
 servos' goals. The servos' own loop runs every time step here, whatever its rate. Left out are also dry friction,
-backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger
-motions, which slip.
+backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger motions,
+which slip.
 """
 
 import dataclasses
