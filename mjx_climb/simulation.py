@@ -216,7 +216,7 @@ class Simulation:
             These are the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the
             state stopped being finite.
         """
-        return together(self._run(histories_of, gains, parameters, **how))
+        return together(self._run(histories_of, gains, parameters, over_time=True, **how))
 
     def jvp(
         self, gains: AnyGains, directions: AnyGains, parameters: Parameters | None = None, **how: Unpack[How]

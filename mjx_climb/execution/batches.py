@@ -55,6 +55,7 @@ def run(
     batch_size: int | None = None,
     progress: Progress | None = None,
     compile_briefly: bool = False,
+    over_time: bool = False,
 ) -> Any:
     """Carry out a function of one robot for a batch of them, on all devices: where there is a GPU, few on the CPU.
 
@@ -67,6 +68,7 @@ def run(
             core of a CPU.
         progress: called with the number of robots that are done and the number in all, after each call.
         compile_briefly: at a low level of optimisation, for large programs that run once.
+        over_time: whether the function returns something of each step, which a GPU's kernel cannot.
 
     Returns:
         The results with the batch axes in front; with `directions` a pair of these and of the tangents (*shape, k, ...)
@@ -89,7 +91,8 @@ def run(
 
     tangents = 0 if directions is None else jax.tree.leaves(directions)[0].shape[len(shape)]
     double = any(leaf.dtype == np.float64 for leaf in flat)
-    on = paths.device_for(count, tangents, double=double)
+    kernel = not (double or over_time)  # in double precision its values do not find room in the registers
+    on = paths.device_for(count, tangents, kernel=kernel)
     call = _Call(function, structure, tuple(batched), tangents=directions is not None)
     enable_cache()
 
@@ -112,7 +115,7 @@ def run(
 
         return devices.spread(of_rows, count, share, progress, on)
 
-    found = first_possible(by, paths.path_for(on, double=double), (call, tree))
+    found = first_possible(by, paths.path_for(on, kernel=kernel), (call, tree))
     found = {name: value.reshape((*shape, *value.shape[1:])) for name, value in found.items()}
     if directions is None:
         return found
@@ -134,12 +137,12 @@ def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> An
         with devices.on_host(), jax.enable_x64(double):
             return jax.tree.map(np.asarray, _program(path, 1, "cpu", False)(call._replace(path=path), *arguments))
 
-    return first_possible(by, paths.path_for("cpu", double=double), (call, jax.tree.structure(arguments)))
+    return first_possible(by, paths.path_for("cpu", kernel=False), (call, jax.tree.structure(arguments)))
 
 
 def walking_with(robots: range, whole: int) -> range:
     """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits."""
-    return devices.walking_with(robots, whole, in_regions=paths.path_for(None, double=False) == "regions")
+    return devices.walking_with(robots, whole, in_regions=paths.path_for(None, kernel=True) == "regions")
 
 
 def flattened(value: Any, own: int, shape: Sequence[int]) -> Any:

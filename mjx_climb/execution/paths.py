@@ -56,13 +56,10 @@ def fast_path(device: str | None = None) -> str | None:
     return "regions" if backend == "cpu" else None
 
 
-def path_for(device: str | None, *, double: bool) -> str:
-    """Return "regions", "kernel", or "plain".
-
-    In double precision the values of a kernel do not find room in the registers.
-    """
+def path_for(device: str | None, *, kernel: bool) -> str:
+    """Return "regions", "kernel", or "plain"; `kernel` says whether a GPU's kernel can do what is asked for."""
     path = fast_path(device)
-    if path is None or (path == "kernel" and double) or not works(path):
+    if path is None or (path == "kernel" and not kernel) or not works(path):
         return "plain"
     return path
 
@@ -72,7 +69,7 @@ def many_at_once(dtype: DTypeLike) -> bool:
     return np.dtype(dtype) == np.float32 and fast_path() == "kernel"
 
 
-def device_for(robots: int, tangents: int, *, double: bool) -> str | None:
+def device_for(robots: int, tangents: int, *, kernel: bool) -> str | None:
     """Return "cpu" where so many robots, each with so many tangents, are done sooner there although there is a GPU.
 
     A step of any few takes a GPU as long as one of thousands. The environment variable `ON_CPU` sets another limit.
@@ -89,7 +86,7 @@ def device_for(robots: int, tangents: int, *, double: bool) -> str | None:
     elif robots * (1 + tangents) > _AS_LAUNCHES:
         few = False
     else:
-        few = bool(tangents) or robots <= _AS_THE_KERNEL or path_for(None, double=double) != "kernel"
+        few = bool(tangents) or robots <= _AS_THE_KERNEL or path_for(None, kernel=kernel) != "kernel"
     return "cpu" if few else None
 
 

@@ -108,8 +108,8 @@ def test_the_kernel_is_for_new_gpus(monkeypatch, backend, capability, paid):
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     monkeypatch.setattr(jax, "devices", lambda: [device])
     monkeypatch.setattr(paths, "works", lambda path: path == "kernel")
-    assert (paths.path_for(None, double=False) == "kernel") == paid
-    assert paths.path_for(None, double=True) != "kernel"
+    assert (paths.path_for(None, kernel=True) == "kernel") == paid
+    assert paths.path_for(None, kernel=False) != "kernel"
 
 
 # robots, tangents, double precision, limit, whether on the CPU; in single precision nine go by the kernel
@@ -124,17 +124,17 @@ FEW = [
 def test_few_robots_walk_on_the_cpu(monkeypatch, robots, tangents, double, limit, there):
     """Although there is a GPU, up to a number that differs for what walks, or that the environment gives."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(paths, "path_for", lambda device, double: "plain" if double else "kernel")
+    monkeypatch.setattr(paths, "path_for", lambda device, kernel: "kernel" if kernel else "plain")
     monkeypatch.setenv(paths.ON_CPU, limit)
-    assert (paths.device_for(robots, tangents, double=double) == "cpu") == there
+    assert (paths.device_for(robots, tangents, kernel=not double) == "cpu") == there
 
 
 def test_a_limit_that_is_no_number_is_refused(monkeypatch):
     monkeypatch.setenv(paths.ON_CPU, "few")
-    assert paths.device_for(1, 0, double=False) is None  # where there is no GPU nothing is asked
+    assert paths.device_for(1, 0, kernel=True) is None  # where there is no GPU nothing is asked
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     with pytest.raises(mc.ConfigError, match=r"^MJX_CLIMB_ON_CPU: expected a number of robots, got 'few'$"):
-        paths.device_for(1, 0, double=False)
+        paths.device_for(1, 0, kernel=True)
 
 
 def test_without_nvrtc_the_reason_is_told(monkeypatch):

@@ -66,7 +66,7 @@ def test_a_trial_that_was_begun_is_the_one_asked_for(fresh, trial, monkeypatch):
 def test_a_path_that_does_not_work_is_left_with_a_word(fresh, trial, program, seen, lasts):
     trial(program)
     with pytest.warns(UserWarning, match=f"the CPU's regions cannot be used here .*{seen}") as said:
-        assert not any(paths.path_for("cpu", double=False) == "regions" for _ in range(2))
+        assert not any(paths.path_for("cpu", kernel=True) == "regions" for _ in range(2))
     assert len(said) == 1
     assert fresh.exists() == lasts
 
@@ -74,7 +74,7 @@ def test_a_path_that_does_not_work_is_left_with_a_word(fresh, trial, program, se
 def test_a_trial_that_cannot_start_is_no_verdict_for_ever(fresh, monkeypatch):
     monkeypatch.setattr(paths.sys, "executable", "/nowhere")
     with pytest.warns(UserWarning, match="no trial: FileNotFoundError"):
-        assert not paths.path_for("cpu", double=True) == "regions"
+        assert not paths.path_for("cpu", kernel=False) == "regions"
     assert not fresh.exists()
 
 

@@ -284,10 +284,10 @@ class Grid(Options):
 
         from mjx_climb.execution.paths import device_for
         from tuning.command_line.session import duration
-        from tuning.searches.sweep import expected_duration
+        from tuning.searches.sweep import HISTORIES, expected_duration
 
         steps, sizes = work.walked.scenario.steps, " x ".join(f"{len(each)} {name}" for name, each in work.axes.items())
-        device = jax.devices(device_for(work.rows, 0, double=False))[0]  # too few for a GPU
+        device = jax.devices(device_for(work.rows, 0, kernel=work.rows > HISTORIES))[0]  # too few for a GPU
         said = [f"{work.rows} walks ({sizes}) of {steps} steps on {device.device_kind}"]
         seconds = expected_duration(here - there, steps, device.platform)
         if seconds > 600:  # of shorter sweeps progress says enough
