@@ -12,6 +12,7 @@ from mjx_climb.hardware.sensors import normal
 from mjx_climb.robot.constants import load_model
 
 PRESLIDING, RELAXATION = 5e-4, 5e-3  # rad, s: dry friction
+PLUS_MINUS = np.array([-1, 1])
 Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -169,26 +170,74 @@ class Servos:
 
     def __init__(self, scenario, model, joints):
         self.servo, self.step = scenario.hardware.servo, scenario.time_step
-        self.kp, self.kd = scenario.control.kp, scenario.control.kd
+        servo, control = self.servo, scenario.control
+        self.voltage, self.period = servo.drive == "voltage", round(1 / (number(servo.rate, 1 / self.step) * self.step))
+        richer = servo.supply_voltage / servo.rated_voltage if servo.supply_voltage else 1.0
+        self.kp, self.ki, self.kd = (g * (richer if self.voltage else 1) for g in (control.kp, control.ki, control.kd))
+        self.stall, self.fast = (number(v) * richer for v in (servo.torque_limit, servo.no_load_speed))
+        self.current = number(servo.current_limit)
         own = np.where(model.jnt_actfrclimited[1:], model.jnt_actfrcrange[1:, 1], np.inf).reshape(joints.shape)
-        self.limit = np.minimum(own, number(self.servo.torque_limit))
+        self.limit = np.minimum(own, self.stall)
+        if self.voltage:
+            self.current = np.minimum(own, self.current)
         self.driven = (model.jnt_group[1:] == 0).reshape(joints.shape)
         self.dry = self.servo.coulomb_friction + model.dof_frictionloss[6:].reshape(joints.shape)
         self.asked, self.bend = [np.zeros_like(joints)], np.zeros_like(joints)
+        self.goal, self.speed, self.integral, self.wound = joints, np.zeros_like(joints), np.zeros_like(joints), False
 
-    def turn(self, target, angles, rates):
-        """Return the motors' torques, those on the joints, and the armature of joints that stick."""
-        play, h = self.servo.backlash / 2, self.step
-        error = target - angles
+    def follow(self, target, h):
+        """Return the servos' goals a period later."""
+        way, a = target - self.goal, self.servo.profile_acceleration
+        most = np.minimum(np.abs(way) / h, number(self.servo.profile_velocity))
+        if a:
+            most = np.minimum(most, a * h * (np.sqrt(1 + 8 * np.abs(way) / (a * h * h)) - 1) / 2)
+            self.speed = np.clip(np.sign(way) * most, self.speed - a * h, self.speed + a * h)
+        else:
+            self.speed = np.sign(way) * most
+        self.goal = self.goal + h * self.speed
+        return self.goal
+
+    def ask(self, target, angles, rates):
+        """Return what the loops ask for, where they are evaluated."""
+        play, h = self.servo.backlash / 2, self.step * self.period
+        error = (self.follow(target, h) if self.servo.profile_velocity else target) - angles
         error = error - np.clip(error, -play, play)
-        self.asked.append(self.driven * (self.kp * error - self.kd * rates))
+        more = self.integral + h * error
+        asked = self.kp * error + self.ki * more - self.kd * rates
+        most = self.servo.pwm_limit * self.stall if self.voltage else np.minimum(self.limit, self.current)
+        full = (np.abs(asked) > most) & (asked * error > 0)
+        self.wound |= (full & (self.ki > 0)).any()
+        self.integral = np.where(full, self.integral, more)
+        return self.driven * (self.kp * error + self.ki * self.integral - self.kd * rates)
+
+    def bears(self, torque, load, rates):
+        """Return what dry friction bears: M6, of which the other models are parts."""
+        s = self.servo
+        still = np.exp(-((np.abs(rates) / s.stribeck_velocity) ** s.stribeck_exponent))
+        found = self.dry + still * s.stribeck_friction
+        found = found + np.abs(s.external_load_friction * load - s.load_friction * torque)
+        found = found + still * np.abs(s.stribeck_external_load_friction * load - s.stribeck_load_friction * torque)
+        drives = (np.sign(load) != np.sign(torque)) & (np.abs(torque) > np.abs(load))
+        driven = (np.sign(load) != np.sign(torque)) & (np.abs(torque) < np.abs(load))
+        return found + still * (
+            drives * s.quadratic_external_load_friction * load**2 + driven * s.quadratic_load_friction * torque**2
+        )
+
+    def turn(self, step, target, angles, rates, load):
+        """Return the motors' torques, those on the joints, and the armature of joints that stick."""
+        h = self.step
+        self.asked.append(self.ask(target, angles, rates) if step % self.period == 0 else self.asked[-1])
         torque = late(self.asked, self.servo.delay / h)
-        slow = rates / number(self.servo.no_load_speed)
+        slow = rates / self.fast
         top, bottom = np.minimum(1, 1 - slow), np.minimum(1, 1 + slow)
         most = np.where(np.isfinite(self.limit), self.limit, 0)
         limited = np.clip(torque, -most * np.maximum(bottom, -1), most * np.maximum(top, -1))
         torque = np.where(np.isfinite(self.limit), limited, torque)
-        bears = self.dry + self.servo.load_friction * np.abs(torque)
+        if self.voltage:
+            share = np.clip(late(self.asked, self.servo.delay / h) / self.stall, *(self.servo.pwm_limit * PLUS_MINUS))
+            torque = self.driven * self.stall * (share - rates / self.fast)
+        torque = np.clip(torque, -self.current, self.current)
+        bears = self.bears(torque, load, rates)
         self.bend = np.clip(self.bend + h * rates / PRESLIDING, -1, 1)
         ahead = self.bend + (RELAXATION + h) * rates / PRESLIDING
         armature = np.where(np.abs(ahead) < 1, h * (RELAXATION + h) * bears / PRESLIDING, 0)
@@ -245,6 +294,16 @@ class Body:
             own = [columns[limb][:, 3 * limb : 3 * limb + 3] for limb in range(self.limbs)]
             angles = angles + np.array([np.linalg.solve(j, e) for j, e in zip(own, errors, strict=True)])
         return angles
+
+    def loads(self, held):
+        """Return what all but the servos does at the joints: the bias, and the forces of the grips."""
+        mujoco.mj_fwdVelocity(self.model, self.data)
+        acting = -self.data.qfrc_bias
+        for columns, force, moment in zip(
+            self.jacobians(self.data), held["foot_force"], held["foot_moment"], strict=True
+        ):
+            acting = acting + force @ columns[0] + moment @ columns[1]
+        return acting[6:].reshape(self.shape)
 
     def accelerations(self, rotation, torque, held, push, cargo, armature):
         model, data = self.model, self.data
@@ -347,7 +406,7 @@ def again(walk, law=None):
         into = (step % period + 1) / period if hardware.interpolation == "linear" else 1.0
         commands.append(before + into * (said - before))
         goal = late(commands, hardware.command_delay / h)
-        torque, turning, armature = servos.turn(goal, angles, rates)
+        torque, turning, armature = servos.turn(step, goal, angles, rates, body.loads(held))
         cargo, push = windows(scenario, step)
         body.model.body_mass[1] = body.mass[1] + cargo
         mass = body.model.body_mass.sum()

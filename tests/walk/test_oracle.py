@@ -51,6 +51,31 @@ WALKS = {  # changes, and what is to happen
         },
         lambda walk: walk.missed.any() and (np.abs(walk.joint_torque) == 0.3).any(),
     ),
+    "servos on a voltage": (
+        PD | {
+            "control.ki": 60.0, "control.kp": 60.0,
+            "hardware.servo": {
+                "drive": "voltage", "torque_limit": 0.5, "no_load_speed": 6.0, "pwm_limit": 0.8, "rate": 500.0,
+                "rated_voltage": 12.0, "supply_voltage": 10.5, "profile_velocity": 1.5, "profile_acceleration": 60.0,
+                "current_limit": 0.45, "armature": 0.002, "coulomb_friction": 0.005, "viscous_friction": 0.01,
+                "load_friction": 0.1, "external_load_friction": 0.05, "stribeck_friction": 0.01,
+                "stribeck_load_friction": 0.07, "stribeck_external_load_friction": 0.03, "stribeck_velocity": 0.5,
+                "stribeck_exponent": 0.8, "quadratic_load_friction": 0.3, "quadratic_external_load_friction": 0.2,
+                "delay": 0.0013, "backlash": 0.001,
+            },
+        },
+        lambda walk: (np.abs(walk.joint_torque) > 0.3).any(),
+    ),
+    "servos of limited current": (
+        PD | {
+            "control.ki": 400.0, "hardware.servo": {
+                "current_limit": 0.25, "torque_limit": 0.6, "no_load_speed": 5.0, "rated_voltage": 12.0,
+                "supply_voltage": 13.0, "profile_velocity": 0.8, "stribeck_friction": 0.02,
+                "stribeck_load_friction": 0.1,
+            },
+        },
+        lambda walk: (np.abs(walk.joint_torque) == 0.25).any(),
+    ),
     "measured pose": (
         {
             # h D / M is not 1: the measured rate counts

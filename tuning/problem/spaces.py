@@ -34,7 +34,7 @@ PARTS = ("translation", "rotation")
 JOINT = {"kp": (5.0, 4.0), "kd": (10.0, 10.0)}  # bounds: how many times below and above the scenario's own
 SEARCHED_GAIT = tuple(name for name in GAIT if name != "gait.stride")  # the speed of travel is held
 INTEGRAL = "ki"  # searched where the scenario has an integral term, or where asked for
-_INTEGRAL = (10.0, 10.0)  # bounds, as those of JOINT
+_INTEGRAL = 10.0  # bounds: how many times below and above
 _PER_KP = 0.5  # 1/s, ki over kp, as registers of public robots have them: in place of a scenario's ki of zero
 _LONGEST_STANCE = 0.95  # duty, up to which searches look
 _SETTLING = (0.02, 0.5)  # shares of a swing
@@ -146,7 +146,7 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         names = ", ".join([*law.GAINS, INTEGRAL, *SEARCHED_GAIT])
         raise ConfigError(f"also: expected gains of the law, {names}, got {unknown[0]}")
     check_gait(scenario, search)
-    defaults = default_bounds(scenario, law) | _gait_bounds(scenario)
+    defaults = default_bounds(scenario, law) | _integral_bounds(scenario) | _gait_bounds(scenario)
     integral = INTEGRAL in search.also or (joint_gains and scenario.control.ki > 0)
     joint = dict.fromkeys([*(JOINT if joint_gains else ()), *((INTEGRAL,) if integral else ()), *gait], 0.0)
     own = own_values(scenario, law) | joint
@@ -212,9 +212,13 @@ def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float,
     if scaled and isinstance(scenario.robot, RobotFile):
         heavier = float(load_robot(scenario.robot).total_mass / load_robot(_BOUNDED_FOR).total_mass)
         bounds = {name: (low * heavier, high * heavier) for name, (low, high) in bounds.items()}
-    joint[INTEGRAL] = control.ki or _PER_KP * control.kp
-    around = JOINT | {INTEGRAL: _INTEGRAL}
-    return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in around.items()}
+    return bounds | {name: (joint[name] / below, joint[name] * above) for name, (below, above) in JOINT.items()}
+
+
+def _integral_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
+    """Return where searches look for ki, where they do."""
+    ki = scenario.control.ki or _PER_KP * scenario.control.kp
+    return {INTEGRAL: (ki / _INTEGRAL, ki * _INTEGRAL)}
 
 
 def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
