@@ -100,14 +100,21 @@ class Pictures(Options):
         return files
 
 
+class Recording(Options):
+    """What is written beside the pictures."""
+
+    mcap: bool = setting(False, "write the walk to walk.mcap too, which Foxglove, Rerun and PlotJuggler open")
+
+
 @command("results/<config>-<controller>")
-def run(walk: Walk, output: Output, pictures: Pictures) -> None:
+def run(walk: Walk, output: Output, pictures: Pictures, recording: Recording) -> None:
     """Walk one robot through a scenario, in double precision.
 
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
     (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json), pictures
     over time (walk) and of the feet's paths on the ground (feet), with --compare the plots of both walks (comparison);
-    each picture in the formats of --figures.
+    each picture in the formats of --figures. With --mcap the walk is there as messages of ROS 2 (joint states and
+    commands, foot forces, poses, transforms), as a robot would have recorded it.
 
     In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
     pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
@@ -122,6 +129,7 @@ def run(walk: Walk, output: Output, pictures: Pictures) -> None:
       mjx-climb run case_2 --video --compare pd
       mjx-climb run case_2 --law my_law.py:Filtered --gains best.yaml
       mjx-climb run case_1_2 --snapshots --at 2.5,4.6
+      mjx-climb run case_1_2 --mcap
     """
     with output.session() as shell:
         from mjx_climb import rendering
@@ -133,16 +141,19 @@ def run(walk: Walk, output: Output, pictures: Pictures) -> None:
         load_robot(scenario.robot)
         pictures.check(scenario)
         shell.claim("trajectory.nc", walk.config.stem, name)
-        walks, metrics = _walked(loaded, name, shell, pictures)
+        walks, metrics = _walked(loaded, name, shell, pictures, recording)
         if pictures.view:
             rendering.view(*walks.values(), until=interruption.requested)
         if metrics["detached_limb"] is not None or metrics["diverged"]:
             raise typer.Exit(1)
 
 
-def _walked(loaded: "Problem", name: str, shell: "Session", pictures: Pictures) -> tuple[Walks, dict[str, Any]]:
+def _walked(
+    loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording
+) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
     from mjx_climb.files import dataset, scenario_files
+    from mjx_climb.files.recording import save_mcap
     from tuning.output.folder import write_config
     from tuning.report.numbers import to_json
 
@@ -169,6 +180,9 @@ def _walked(loaded: "Problem", name: str, shell: "Session", pictures: Pictures) 
             plots.save_figure(figure, out / stem, shell.output.figures)
     drawn = [f"{stem}.{kind}" for stem in figures for kind in shell.output.figures]
     files = ["trajectory.nc", "config.yaml", "metrics.json", *drawn, *pictures.write(walks, out, shell.stage)]
+    if recording.mcap:
+        with shell.stage("walk.mcap", compiles=False):
+            files.append(save_mcap(walks[name], out / "walk.mcap").name)
     _show(walks, metrics, loaded, shell)
     shell.written(", ".join(files), text)
     return walks, metrics[name]

@@ -67,13 +67,14 @@ class _Place:
 def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
     """Return where the signals of a recording seem to stand, and what is doubtful about that, a line each."""
     time, unit, notes = _clock(recording)
-    places = [place for table in recording.tables.values() for place in _places(table, robot, time)]
+    ordered = sorted(recording.tables.values(), key=lambda table: "transforms" in next(iter(table.fields), ""))
+    places = [place for table in ordered for place in _places(table, robot, time)]
     found: dict[str, Source] = {}
-    for name, place in (*_named(places, robot), *_numbered(places, robot, notes)):
+    for name, place in (*_named(places), *_numbered(places, robot, notes)):
         if name not in found:
             found[name] = place.source
-        elif found[name].topic != place.source.topic:
-            notes.append(f"{name}: taken from {found[name].topic}, and not from {place.source.topic}")
+        elif (first := found[name].topic) != place.source.topic and "transforms" not in place.words:
+            notes.append(f"{place.source.topic}: not read where {first} has the same signal")
     frames = {
         recording.tables[source.topic].frame for name, source in found.items() if source.topic and "force" in name
     }
@@ -82,8 +83,8 @@ def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]
             f"forces: taken as along world axes, their frame is {', '.join(sorted(map(repr, frames)))}; turn them "
             "before, if it is not the world's"
         )
-    ordered = {name: found[name] for name in names(robot) if name in found}
-    return Signals(time=time, time_unit=unit, signals=ordered), tuple(dict.fromkeys(notes))
+    in_order = {name: found[name] for name in names(robot) if name in found}
+    return Signals(time=time, time_unit=unit, signals=in_order), tuple(dict.fromkeys(notes))
 
 
 def words_of(text: str) -> tuple[str, ...]:
@@ -148,7 +149,7 @@ def _quantity(words: Sequence[str]) -> str:
     return "command" if "command" in meanings else last
 
 
-def _named(places: Sequence[_Place], robot: Robot) -> Iterator[tuple[str, _Place]]:
+def _named(places: Sequence[_Place]) -> Iterator[tuple[str, _Place]]:
     """Yield what names say outright: of joints, foot forces, supports and the base."""
     for place in places:
         words, limb = place.words, place.limb
@@ -161,7 +162,7 @@ def _named(places: Sequence[_Place], robot: Robot) -> Iterator[tuple[str, _Place
             yield f"{limb}.support", place
         elif not limb and "push" in words and axis in ("x", "y", "z"):
             yield f"base.{'moment' if 'torque' in words else 'force'}.{axis}", place
-        elif not limb and {*words} & _BASE and words.count("twist") < 2:  # an odometry's twist has the body's axes
+        elif not limb and {*words} & _BASE and "twist.twist" not in place.source.field:  # that has the body's axes
             what = next((what for key, what in _OF_BASE.items() if _within(key, words)), None)
             if what and axis in (*"xyz", *("w" if what == "orientation" else "")):
                 yield f"base.{what}.{axis}", place

@@ -17,11 +17,13 @@ import mjx_climb as mc
 import tuning
 from mjx_climb import plots
 from mjx_climb.execution import devices
+from mjx_climb.robot.constants import load_robot
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning.command_line import main, options, searches, session
 from tuning.command_line.from_models import made
 from tuning.command_line.program import InputError, user_error
 from tuning.gains import gains_file
+from tuning.identification.readers import read_log
 from tuning.output import comparisons
 from tuning.report import numbers, page
 from tuning.searches import sweep as sweeps
@@ -149,11 +151,11 @@ def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):
 
 
 def test_run_writes_and_prints(call, tmp_path):
-    code, out, err = call("run", CONFIG, *SHORT, "--controller", "pd", "--out", tmp_path)
+    code, out, err = call("run", CONFIG, *SHORT, "--controller", "pd", "--mcap", "--out", tmp_path)
     assert code == 0
     assert "peak foot force" in out and "N m" in out and out.rstrip().endswith("held all the way")
     assert "compil" in err and str(tmp_path) in err
-    written = {"trajectory.nc", "config.yaml", "metrics.json", "walk.png", "feet.png"}
+    written = {"trajectory.nc", "config.yaml", "metrics.json", "walk.png", "feet.png", "walk.mcap"}
     assert {path.name for path in tmp_path.iterdir()} == written
     scenario = mc.load_scenario(tmp_path / "config.yaml")
     assert scenario == mc.load_scenario(CONFIG, ["duration=0.2", "control.controller=pd"])
@@ -162,6 +164,8 @@ def test_run_writes_and_prints(call, tmp_path):
     walk = xr.load_dataset(tmp_path / "trajectory.nc", engine="h5netcdf")
     assert walk.sizes["time"] == 200
     assert np.linalg.norm(walk["foot_force"], axis=-1).max() == pytest.approx(metrics["peak_foot_force"])
+    log = read_log(tmp_path / "walk.mcap", load_robot(scenario.robot))
+    np.testing.assert_array_equal(log.signals["RH.femur.position"].value, walk["joint_angles"].values[:, 2, 1])
 
 
 def test_run_takes_metrics_of_ones_own_and_a_gains_file_in_place_of_the_configs_gains(call, tmp_path):

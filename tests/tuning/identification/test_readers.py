@@ -8,11 +8,22 @@ from rosbags.rosbag2 import StoragePlugin
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.files.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
-from tuning.identification.readers import read_log, write_csv
+from tuning.identification.log import names
+from tuning.identification.readers import read_log, record, write_csv
 from tuning.identification.signals import Signals
 
 EPOCH = 1_764_000_000 * 10**9  # ns
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A short walk with a push."""
+    return mc.rollout(mc.Scenario().with_overrides({
+        "duration": 0.3, "gait.cycle": 0.1, "gait.stride": 0.005, "gait.step_height": 0.005,
+        "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "moment": [0.0, 0.0, 1.0], "start": 0.05, "stop": 0.08}],
+    }))  # fmt: skip
 
 
 def test_csv_keeps_every_number_and_each_signal_has_its_own_times(tmp_path):
@@ -39,11 +50,8 @@ def test_a_broken_table_is_told_in_one_line(tmp_path, text, expected):
         read_log(tmp_path / "log.csv", ROBOT)
 
 
-def test_a_walk_of_run_is_read_by_its_own_names(tmp_path):
-    walk = mc.rollout(mc.Scenario().with_overrides({
-        "duration": 0.1, "gait.cycle": 0.1,
-        "disturbance.pushes": [{"force": [-5.0, 0.0, 0.0], "moment": [0.0, 0.0, 1.0], "start": 0.05, "stop": 0.08}],
-    }))  # fmt: skip
+def test_a_walk_of_run_is_read_by_its_own_names(pushed, tmp_path):
+    walk = pushed
     dataset.save(dataset.to_dataset(walk), tmp_path / "trajectory.nc")
     log = read_log(tmp_path / "trajectory.nc", ROBOT, Signals(time="time", repeats="keep", signals={
         name: {"column": name} for name in (
@@ -205,3 +213,40 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path):
     shutil.rmtree(tmp_path / "bag")
     with pytest.raises(mc.ConfigError, match="bag: expected a log, got no such file or folder"):
         read_log(tmp_path / "bag", ROBOT)
+
+
+def test_a_walk_is_read_back_from_its_mcap_to_the_last_digit(pushed, tmp_path):
+    log = read_log(save_mcap(pushed, tmp_path / "walk.mcap"), ROBOT)
+    expected = {
+        f"{joint}.{what}": values.reshape(len(pushed.time), 12)[:, place]
+        for what, values in {
+            "command": pushed.joint_targets, "position": pushed.joint_angles, "velocity": pushed.joint_rates,
+            "effort": pushed.joint_torque,
+        }.items()
+        for place, joint in enumerate(JOINTS)
+    }  # fmt: skip
+    for place, limb in enumerate(ROBOT.limbs):
+        expected |= {f"{limb}.force.{axis}": pushed.foot_force[:, place, n] for n, axis in enumerate("xyz")}
+        expected[f"{limb}.support"] = pushed.support[:, place].astype(float)
+    for what, values in {
+        "position": pushed.base_position, "linear_velocity": pushed.base_linear_velocity,
+        "angular_velocity": pushed.base_angular_velocity, "force": pushed.push[:, :3], "moment": pushed.push[:, 3:],
+    }.items():  # fmt: skip
+        expected |= {f"base.{what}.{axis}": values[:, n] for n, axis in enumerate("xyz")}
+    expected |= {f"base.orientation.{axis}": pushed.base_orientation[:, n] for n, axis in enumerate("wxyz")}
+    assert set(log.signals) == set(expected) == set(names(ROBOT))
+    for name, values in expected.items():
+        np.testing.assert_array_equal(log.signals[name].value, values, err_msg=name)
+        np.testing.assert_allclose(log.signals[name].time, pushed.time, rtol=0, atol=1e-9, err_msg=name)
+    assert log.guessed is not None and log.warnings == ()
+
+
+def test_the_same_walk_gives_the_same_mcap_with_base_and_feet_as_transforms(pushed, tmp_path):
+    one, other = save_mcap(pushed, tmp_path / "a.mcap"), save_mcap(pushed, tmp_path / "b.mcap")
+    assert one.read_bytes() == other.read_bytes()
+    table = record(one).tables["/tf"]
+    rows = np.round(table.times["log"] / pushed.scenario.time_step).astype(int)
+    np.testing.assert_array_equal(np.diff(rows), 10)  # 100 in a second
+    for child, values in {"base": pushed.base_position, "RH_foot": pushed.foot_position[:, 2]}.items():
+        found = np.column_stack([table.fields[f"transforms.{child}.transform.translation.{axis}"] for axis in "xyz"])
+        np.testing.assert_array_equal(found, values[rows])

@@ -156,11 +156,14 @@ def _cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[d
     if signals.repeats == "drop":
         together: dict[tuple[str, str, int], list[str]] = {}
         for name, (_, group) in raw.items():
-            if not name.endswith((".command", ".support")):
+            if not (name.endswith((".command", ".support")) or name.startswith(("base.force.", "base.moment."))):
                 kind = "force" if ".force." in name else "base" if name.startswith("base.") else "joint"
                 together.setdefault((group, kind, len(clean[name].time)), []).append(name)
         for some in together.values():
-            stale = _stale(np.column_stack([clean[name].value for name in some]))
+            values = np.column_stack([clean[name].value for name in some])
+            stale = _stale(values)
+            if ".force." in some[0]:
+                stale &= values.any(1)  # a foot in the air measures nothing, again and again
             if stale.any():
                 words = (
                     f"{stale.sum()} of {len(stale)} samples repeat the one before to the last bit: suspected to be "

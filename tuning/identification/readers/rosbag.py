@@ -63,7 +63,7 @@ def _times(stamps: Sequence[tuple[int, int]], start: int) -> dict[str, np.ndarra
 
 
 def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
-    columns = {name: np.full(len(rows), np.nan) for row in rows for name in row}
+    columns = {name: np.full(len(rows), np.nan) for name in dict.fromkeys(name for row in rows for name in row)}
     for place, row in enumerate(rows):
         for name, value in row.items():
             columns[name][place] = value
@@ -72,21 +72,24 @@ def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
 
 def _numbers(message: Any, path: str, names: Mapping[int, Sequence[str]]) -> Iterator[tuple[str, float]]:
     """Yield the numbers in a message by their paths; `names` are those of lists, by their length."""
-    fields = {name: getattr(message, name) for name in message.__dataclass_fields__ if name != "__msgtype__"}
-    own = [value for name, value in fields.items() if name in _NAMES and isinstance(value, list)]
-    names = {**names, **{len(value): value for value in own}}
+    fields = vars(message)
+    own = [fields[name] for name in _NAMES if isinstance(fields.get(name), list)]
+    names = {**names, **{len(value): value for value in own}} if own else names
     for name, value in fields.items():
-        if name == "header":
-            continue
-        yield from _entries(value, f"{path}.{name}" if path else name, names)
+        place = f"{path}.{name}" if path else name
+        if isinstance(value, float):
+            yield place, value
+        elif name != "header":
+            yield from _entries(value, place, names)
 
 
 def _entries(value: Any, path: str, names: Mapping[int, Sequence[str]]) -> Iterator[tuple[str, float]]:
     if isinstance(value, bool | int | float | np.number):
         yield path, float(value)
     elif isinstance(value, list | tuple | np.ndarray) and len(value) <= _LONGEST:
-        labels = names.get(len(value), range(len(value)))
-        for label, entry in zip(labels, value, strict=True):
+        if isinstance(value, np.ndarray):
+            value = value.tolist()
+        for label, entry in zip(names.get(len(value), range(len(value))), value, strict=True):
             label = getattr(entry, "child_frame_id", label)
             yield from _entries(entry, f"{path}.{label}", names)
     elif hasattr(value, "__msgtype__"):
