@@ -1,9 +1,9 @@
 """Is the time step short enough for this robot's contacts and joints? Answered before anything is walked.
 
-Held by contact springs, joint loop and the joints' friction alone (no admittance law, no gravity, no delays), the robot
-is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D
-v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a law
-adds is in `tuning.evaluation.stability_limit`.
+Held by contact springs, joint loop, back EMF and the joints' friction alone (no admittance law, no gravity, no delays),
+the robot is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K
+x - D v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a
+law adds is in `tuning.evaluation.stability_limit`.
 """
 
 import functools
@@ -62,6 +62,7 @@ def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     """
     spans = [scenario.duration, scenario.gait.cycle]
     spans += [scenario.hardware.control_period] if scenario.hardware.control_period else []
+    spans += [1 / scenario.hardware.servo.rate] if scenario.hardware.servo.rate else []
     for step in _STEPS:
         whole = all(math.isclose(span / step, round(span / step), rel_tol=1e-9) and round(span / step) >= 1
                     for span in spans)  # fmt: skip
@@ -101,11 +102,12 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
 def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield mass, stiffness and damping matrix (18, 18) at stance and on the way of every swing, by steps of `h`."""
     model = load_model(scenario.robot)
-    contact, control, walk, servo = scenario.contact, scenario.control, scenario.gait, scenario.hardware.servo
+    contact, walk, servo = scenario.contact, scenario.gait, scenario.hardware.servo
     feet, joint = np.arange(model.nsite), np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
     driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
-    dry = servo.coulomb_friction + model.dof_frictionloss
+    dry = servo.coulomb_friction + servo.stribeck_friction + model.dof_frictionloss
+    kp, kd = _of_loop(scenario)
     swings = itertools.product(feet, ((walk.stride / 2, walk.step_height), (walk.stride, 0.0), (-walk.stride, 0.0)))
     for limb, away in ((None, (0.0, 0.0)), *swings):
         mass, *jacobians = _at(scenario.robot, limb, *away)
@@ -116,12 +118,23 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
             resisted += contact.rotational_damping * turns.T @ turns
         for bristle in (0 * dry, dry / PRESLIDING) if dry.any() else (0 * dry,):  # slipping, sticking
             damping = bristle * (RELAXATION + h)
-            viscous = control.kd * driven + servo.viscous_friction + model.dof_damping + damping
+            viscous = kd * driven + servo.viscous_friction + model.dof_damping + damping
             yield (
                 mass + np.diag((servo.armature + h * damping) * joint),
-                np.diag((control.kp * driven + spring + bristle) * joint) + held,
+                np.diag((kp * driven + spring + bristle) * joint) + held,
                 np.diag(viscous * joint) + resisted,
             )
+
+
+def _of_loop(scenario: Scenario) -> tuple[float, float]:
+    """Return stiffness, N m/rad, and damping, N m s/rad, of the joint loop and of the back EMF under a voltage."""
+    control, servo = scenario.control, scenario.hardware.servo
+    if servo.drive == "torque" or servo.torque_limit is None or servo.no_load_speed is None:
+        return control.kp, control.kd
+    richer = 1.0
+    if servo.supply_voltage is not None and servo.rated_voltage is not None:
+        richer = servo.supply_voltage / servo.rated_voltage
+    return richer * control.kp, richer * control.kd + servo.torque_limit / servo.no_load_speed
 
 
 @functools.lru_cache(maxsize=256)
