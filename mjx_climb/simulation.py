@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 from numpy.typing import DTypeLike
 
 from mjx_climb import execution
@@ -45,7 +46,15 @@ from mjx_climb.rollouts.resolve import (
     resolved_directions,
 )
 from mjx_climb.rollouts.trajectory import Trajectory
-from mjx_climb.rollouts.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of, together
+from mjx_climb.rollouts.walks import (
+    Metrics,
+    histories_of,
+    metrics_of,
+    metrics_of_moved,
+    samples_of,
+    samples_under,
+    together,
+)
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.control_loop import Action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
@@ -146,7 +155,12 @@ class Simulation:
         return structure(self.scenario, self.engine, parameters, law=self.law, metrics=self.table, smooth=self.smooth)
 
     def rollout(
-        self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, dtype: DTypeLike = np.float64
+        self,
+        gains: AnyGains | None = None,
+        parameters: Parameters | None = None,
+        *,
+        dtype: DTypeLike = np.float64,
+        targets: Float[np.ndarray, "time limb joint"] | None = None,
     ) -> Trajectory:
         """Walk one robot, on the CPU, and return the full time histories.
 
@@ -154,23 +168,31 @@ class Simulation:
             gains: in place of the law's own.
             parameters: in place of the scenario's.
             dtype: precision of the simulation; float64 needs no setting of JAX's.
+            targets: of the joints in each step, rad, in place of what the law commands, as `JointTargets`.
 
         Raises:
             ConfigError: a time step too long for the scenario's contacts and joints.
-            ValueError: batched gains or parameters, or gains that the law does not have.
+            ValueError: batched gains or parameters, gains that the law does not have, or targets of another shape.
         """
         resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
         if resolved.shape != ():
             raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
         check_time_step(self.scenario, parameters=resolved.parameters)
         shape = self._structure(resolved.parameters)
-        samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters)
+        if targets is None:
+            samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters)
+        else:
+            robot = load_robot(self.scenario.robot)
+            if np.shape(targets) != (expected := (shape.steps, len(robot.limbs), robot.joints)):
+                raise ValueError(f"targets: expected shape {expected}, got {np.shape(targets)}")
+            own = np.asarray(targets, dtype)
+            samples = execution.run_one(samples_under, shape, resolved.law, resolved.parameters, own)
         return Trajectory(
             scenario=scenario_with_gait(self.scenario, {} if gains is None else by_name(gains)),
             gains=recorded(self.scenario, gains, resolved),
             parameters=jax.tree.map(functools.partial(np.asarray, dtype=dtype), resolved.own),
             limbs=load_robot(self.scenario.robot).limbs,
-            law=self.law_name,
+            law=self.law_name if targets is None else "JointTargets",
             **{name: np.asarray(value) for name, value in samples._asdict().items()},
         )
 

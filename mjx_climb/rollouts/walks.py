@@ -20,6 +20,7 @@ from mjx_climb.dynamics.spatial import norm
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
+from mjx_climb.walk.control_loop import JointTargets
 from mjx_climb.walk.metrics import Context, Running, accumulate, finish, start
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, advance, begin, prepare
@@ -60,6 +61,19 @@ def samples_of(structure: Structure, law: Law, parameters: Parameters) -> Sample
     """Return every sample of a walk, stacked over time."""
     walk = prepare(structure, law, parameters)
     samples: Sample = jax.lax.scan(functools.partial(advance, walk), begin(walk), jnp.arange(structure.steps))[1]
+    return samples
+
+
+def samples_under(
+    structure: Structure, law: Law, parameters: Parameters, targets: Float[Array, "time limb joint"]
+) -> Sample:
+    """Return every sample of a walk whose joint targets, rad, take the law's place, stacked over time."""
+    walk = prepare(structure, law, parameters)
+
+    def step(carry: Carry, now: tuple[Array, Array]) -> tuple[Carry, Sample]:
+        return advance(walk, carry, now[0], JointTargets(now[1]))
+
+    samples: Sample = jax.lax.scan(step, begin(walk), (jnp.arange(structure.steps), targets))[1]
     return samples
 
 

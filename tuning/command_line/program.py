@@ -27,6 +27,7 @@ ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # 
 NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
 COMMANDS = {  # what each does
     "run": "Walk one robot through a scenario.",
+    "replay": "Set a robot's log beside the simulation.",
     "sweep": "Walk a grid of stiffness and damping, and map it.",
     "merge": "Put shards of sweep or judge together.",
     "tune": "Search the gains of the controller.",
@@ -44,7 +45,8 @@ COMMANDS = {  # what each does
     "doctor": "Examine this installation.",
 }
 _MODULES = {  # and the commands in each
-    "run": ("run",), "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
+    "run": ("run",), "replay": ("replay",),
+    "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
     "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
 }  # fmt: skip
 _LONGEST = 1000  # characters of a line

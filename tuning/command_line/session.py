@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from tuning.searches.rounds import Progress as Rounds
 
 WIDTH = 100  # of tables in a file
-WORDS = ("", "metric", "unit", "measure", "command", "goal on two cores")  # columns that hold no numbers
+WORDS = ("", "metric", "unit", "measure", "signal", "command", "goal on two cores")  # columns that hold no numbers
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
 WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers

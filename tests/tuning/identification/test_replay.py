@@ -1,0 +1,147 @@
+"""Replay: a walk's own log gives the walk again, and a stand is MuJoCo's with the base welded."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.files import dataset
+from mjx_climb.files.recording import save_mcap
+from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.constants import load_model
+from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
+from tests.tuning.identification.stand_in_mujoco import TRUTH, sines
+from tests.tuning.identification.stand_in_mujoco import recorded as on_a_stand
+from tuning.identification.log import Signal
+from tuning.identification.readers import read_log, write_csv
+from tuning.identification.replay import replay
+from tuning.identification.replay_picture import plot_replay
+
+SCENARIO = mc.Scenario().with_overrides({
+    "duration": 0.4, "gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.005,
+    "hardware.control_period": 0.004, "hardware.servo.coulomb_friction": 0.02,
+    "disturbance.pushes": [
+        {"force": [-5.0, 0.0, 0.0], "moment": [0.0, 0.0, 1.0], "start": 0.05, "stop": 0.08},
+        {"force": [0.0, 3.0, 0.0], "start": 0.07, "stop": 0.2},
+    ],
+})  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return mc.rollout(SCENARIO)
+
+
+@pytest.fixture(scope="module")
+def log(walk, tmp_path_factory):
+    return read_log(save_mcap(walk, tmp_path_factory.mktemp("log") / "walk.mcap"), ROBOT)
+
+
+def test_the_log_of_a_walk_gives_the_walk_again_with_its_pushes(walk, log):
+    quiet = SCENARIO.with_overrides({"disturbance.pushes": [], "control.stiffness": 1.0})
+    found = replay(log, quiet)
+    assert (found.base, len(found.scenario.disturbance.pushes)) == ("free", 3)  # of two that overlap
+    np.testing.assert_array_equal(found.walk.push, walk.push)
+    np.testing.assert_allclose(found.walk.joint_angles, walk.joint_angles, atol=1e-12)
+    np.testing.assert_allclose(found.walk.foot_force, walk.foot_force, atol=1e-8)
+    without = (".command", ".support", "base.force", "base.moment")  # what is sent, or acts
+    assert set(found.errors) == {name for name in log.signals if not any(part in name for part in without)}
+    assert found.warnings == ("3 pushes are those of the log",)
+    np.testing.assert_allclose(found.logged().foot_position, walk.foot_position, atol=1e-12)
+
+
+def test_errors_are_those_of_each_signal(walk, log):
+    late = {name: Signal(s.time, s.value + 0.01 * s.time if name == "RH.femur.position" else s.value)
+            for name, s in log.signals.items()}  # fmt: skip
+    found = replay(dataclasses.replace(log, signals=late), SCENARIO)
+    error, time = found.errors["RH.femur.position"], walk.time
+    assert error.rms == pytest.approx(np.sqrt(np.mean((0.01 * time) ** 2)), rel=1e-9)
+    assert (error.largest, error.at, error.samples) == (pytest.approx(0.01 * time[-1]), time[-1], len(time))
+    assert max(e.largest for n, e in found.errors.items() if n != "RH.femur.position" and ".position" in n) < 1e-12
+
+
+def test_a_log_of_another_start_and_gait_says_so(log):
+    signals = {name: Signal(s.time, s.value + 0.2 if name == "LF.tibia.position" else 1.0 - s.value
+                            if name == "RF.support" else s.value) for name, s in log.signals.items()}  # fmt: skip
+    start, gait, _ = sorted(replay(dataclasses.replace(log, signals=signals), SCENARIO).warnings, reverse=True)
+    assert start.startswith("the walk begins in its rest stance, 0.2 rad from where LF.tibia")
+    assert gait.startswith("grippers shut and open as the config's gait has it, other than in the log for 100 %")
+
+
+def test_without_base_and_forces_the_robot_is_on_a_stand_as_in_mujoco(tmp_path):
+    time, targets = sines(1.0, 0.001)
+    truth = dataclasses.replace(TRUTH, friction=0.0)
+    of_mujoco = on_a_stand(truth, time, targets, step=5e-5)
+    columns = {"time": time} | {f"{joint}.command": targets[:, n] for n, joint in enumerate(JOINTS)}
+    for what in ("position", "velocity", "effort"):
+        columns |= {f"{joint}.{what}": of_mujoco[what][:, n] for n, joint in enumerate(JOINTS)}
+    write_csv(tmp_path / "log.csv", columns)
+    servo = {"armature": truth.armature, "viscous_friction": truth.damping}
+    scenario = mc.load_scenario("configs/case_1_1.yaml", {
+        "control.kp": truth.kp, "control.kd": truth.kd, **{f"hardware.servo.{k}": v for k, v in servo.items()}
+    })  # fmt: skip
+    found = replay(read_log(tmp_path / "log.csv", ROBOT), scenario)
+    assert found.base == "held" and found.warnings == ()
+    bounds = {"position": 4e-4, "velocity": 1e-2, "effort": 0.15}
+    for name, error in found.errors.items():
+        assert error.largest < bounds[name.rpartition(".")[2]], (name, error)
+    wrong = replay(read_log(tmp_path / "log.csv", ROBOT), scenario.with_overrides({"hardware.servo.armature": 0.0}))
+    assert max(error.largest for error in wrong.errors.values()) > 0.15
+    model = load_model(scenario.robot)  # feet by MuJoCo's kinematics
+    data, row = mujoco.MjData(model), 700
+    data.qpos[:] = np.concatenate(
+        [ROBOT.stance_position, ROBOT.stance_orientation, found.walk.joint_angles[row].ravel()]
+    )
+    mujoco.mj_kinematics(model, data)
+    np.testing.assert_allclose(found.walk.foot_position[row], data.site_xpos[:4], atol=1e-12)
+
+
+def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path):
+    columns = recorded()
+    write_csv(tmp_path / "log.csv", {name: values for name, values in columns.items() if not name.endswith("command")})
+    with pytest.raises(
+        mc.ConfigError, match=r"log.csv: expected commands of joints, such as LF.coxa.command, got none"
+    ):
+        replay(read_log(tmp_path / "log.csv", ROBOT), SCENARIO)
+    noise = np.random.default_rng(0).standard_normal(1000)
+    write_csv(tmp_path / "log.csv", columns | {"base.force.x": noise})
+    with pytest.raises(
+        mc.ConfigError, match=r"log.csv: base.force, .*: expected .* in 500 constant pieces .*, got 1000"
+    ):
+        replay(read_log(tmp_path / "log.csv", ROBOT), SCENARIO)
+
+
+def test_the_picture_shows_what_was_commanded_logged_and_simulated(log):
+    figure = plot_replay(replay(log, SCENARIO))
+    assert len(figure.axes) == 16
+    lines = [line.get_ydata() for line in figure.axes[0].lines]
+    np.testing.assert_array_equal(lines[0], log.signals["LF.coxa.command"].value)
+    np.testing.assert_array_equal(lines[1], log.signals["LF.coxa.position"].value)
+    assert len(figure.axes[12].lines) == 6
+
+
+def test_at_the_shell(walk, tmp_path, capsys):
+    from tuning.command_line import program
+
+    config, out = tmp_path / "walk.yaml", tmp_path / "out"
+    config.write_text(SCENARIO.to_yaml())
+    save_mcap(walk, tmp_path / "walk.mcap")
+    typed = ["replay", str(config), "--log", str(tmp_path / "walk.mcap"), "--out", str(out)]
+    assert program.run([*typed, "--judge", "--json"]) == 0
+    printed = capsys.readouterr()
+    written = json.loads((out / "replay.json").read_text())
+    assert json.loads(printed.out) == written
+    assert written["base"] == "free" and written["signals"]["LF.coxa.position"]["largest"] < 1e-12
+    assert written["judged"]["law"]["peak_foot_force"] == pytest.approx(mc.metrics(walk)["peak_foot_force"], rel=1e-6)
+    assert "LF.coxa.position: {topic: /joint_states, field: position.LF_coxa}" in printed.err
+    files = {"replay.json", "replay.png", "simulation.nc", "signals.yaml", "config.yaml"}
+    assert {path.name for path in out.iterdir()} == files
+    again = dataset.load_trajectory(out / "simulation.nc")
+    np.testing.assert_allclose(again.joint_angles, walk.joint_angles, atol=1e-12)
+    assert program.run([*typed, "--signals", str(out / "signals.yaml")]) == 0  # into the same folder
+    assert "guessed" not in capsys.readouterr().err
+    write_csv(tmp_path / "log.csv", recorded())
+    assert program.run([*typed[:2], "--log", str(tmp_path / "log.csv"), "--judge"]) == 2
+    assert "--judge: expected pushes in" in capsys.readouterr().err

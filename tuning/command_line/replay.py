@@ -1,0 +1,139 @@
+"""`mjx-climb replay`: what a robot recorded beside what the simulation does under the same commands."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import mjx_climb as mc
+from tuning.command_line.from_models import command
+from tuning.command_line.options import Output, Walk
+from tuning.command_line.program import InputError
+from tuning.command_line.run import Pictures
+from tuning.problem.settings import Options, setting
+
+if TYPE_CHECKING:
+    from tuning.command_line.session import Session
+    from tuning.identification.log import Log
+    from tuning.identification.replay import Replay
+    from tuning.problem.evaluation import Problem
+
+
+class Recorded(Options):
+    """What was recorded, and how it is read."""
+
+    log: Path = setting(..., "log of the robot: .csv, .nc, .mcap, .db3, or the folder of a bag", metavar="FILE")
+    signals: Path | None = setting(
+        None, "where each signal stands in it, YAML; null: by the names of its columns, or guessed", metavar="FILE"
+    )
+
+    def read(self, scenario: "mc.Scenario", shell: "Session") -> "Log":
+        """Return the log, and say how its signals were found, and what seems wrong with it."""
+        from mjx_climb.robot.constants import load_robot
+        from tuning.identification.readers import read_log
+
+        log = read_log(self.log, load_robot(scenario.robot), self.signals)
+        if log.guessed is not None:
+            how = "guessed where each signal stands (save this as signals.yaml, correct it, --signals signals.yaml):"
+            shell.say(f"{self.log}: {how}", log.guessed.to_yaml().rstrip())
+        shell.say(*(f"warning: {line}" for line in log.warnings))
+        return log
+
+
+class Replayed(Options):
+    """How it is simulated."""
+
+    base: Literal["held", "free"] | None = setting(
+        None, "base on a stand, or on its grippers; null: held where neither base nor foot forces were logged"
+    )
+    judge: bool = setting(False, "walk under the config's law too, with the pushes that were logged, and compare")
+
+
+@command("results/<config>-replay")
+def replay(
+    walk: Annotated[Walk, "-metrics"],
+    recorded: Recorded,
+    replayed: Replayed,
+    output: Output,
+    pictures: Annotated[Pictures, "video", "size"],
+) -> None:
+    """Send the commands of a robot's log to the simulated robot, and show how far the two are apart.
+
+    The commands drive the servos of the config (gains of its joint loop, hardware) in place of the law. With the base
+    held the robot begins where the log does; else it begins in its rest stance, and its grippers shut and open as the
+    config's gait has it, under the pushes that were logged, where any were. Prints the error of each signal. Writes
+    replay.json (errors), replay (angles commanded, logged and simulated, and foot forces), simulation.nc, config.yaml
+    and, where it was guessed, signals.yaml.
+
+    With --judge the law of the config, or of --gains, walks under the pushes that were logged, too.
+
+    \b
+    Examples:
+      mjx-climb replay case_1_2 --log walk.mcap
+      mjx-climb replay case_1_2 --hardware dynamixel_x --log excitation.csv --base held
+      mjx-climb replay case_2 --log walk.db3 --signals signals.yaml --video
+      mjx-climb replay case_2 --log walk.mcap --gains best.yaml --judge
+    """
+    with output.session() as shell:
+        from tuning.identification import replay as replays
+        from tuning.output.folder import write_config
+
+        loaded = walk.load_with_gains()
+        pictures.check(loaded.scenario)
+        log = recorded.read(loaded.scenario, shell)
+        if replayed.judge and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
+            raise InputError(f"--judge: expected pushes in {log.source} (base.force.x ...), got none")
+        shell.claim("replay.json", walk.config.stem, "replay")
+        shell.opening()
+        with shell.stage("replay"):
+            found = replays.replay(log, loaded.scenario, replayed.base, loaded.engine)
+        write_config(found.scenario, shell.out, loaded.law)
+        _write(found, _judged(found, loaded, shell) if replayed.judge else {}, shell, pictures)
+
+
+def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:
+    """Walk under the law with the pushes that were logged, and print and return the metrics of both walks."""
+    from tuning.command_line.run import verdict
+    from tuning.command_line.session import plain_table
+    from tuning.report import numbers
+
+    with shell.stage("law on the logged pushes"):
+        pushes = [push.model_dump() for push in found.scenario.disturbance.pushes]
+        changes: dict[str, Any] = {"disturbance.pushes": pushes, "duration": found.scenario.duration}
+        walked = mc.rollout(loaded.scenario.with_overrides(changes), law=loaded.law, engine=loaded.engine)
+    walks = {"law": walked, "logged commands": found.walk}
+    metrics = {name: dict(mc.metrics(walk, loaded.metrics)) for name, walk in walks.items()}
+    table = plain_table("metric", *metrics, "unit")
+    for name in metrics["law"]:
+        cells = (numbers.number(values[name]) for values in metrics.values())
+        table.add_row(loaded.metrics.in_words(name), *cells, numbers.unit(name, loaded.metrics))
+    shell.show(table, *(f"{name}: {verdict(walks[name], values)}" for name, values in metrics.items()))
+    return metrics
+
+
+def _write(found: "Replay", judged: Mapping[str, Any], shell: "Session", pictures: Pictures) -> None:
+    """Write a replay and print its errors."""
+    from mjx_climb import plots
+    from mjx_climb.files import dataset
+    from tuning.command_line.session import plain_table
+    from tuning.identification.log import unit_of
+    from tuning.identification.replay_picture import plot_replay
+    from tuning.report import numbers
+
+    table = plain_table("signal", "rms error", "largest", "at s", "moved", "unit")
+    for name, error in found.errors.items():
+        table.add_row(name, *(numbers.number(value) for value in error[:4]), unit_of(name))
+    shell.show(table, *found.warnings, f"base {found.base}; moved: standard deviation of what was logged")
+    by_signal = {name: {**error._asdict(), "unit": unit_of(name)} for name, error in found.errors.items()}
+    whole = {"base": found.base, "signals": by_signal, "warnings": [*found.log.warnings, *found.warnings]}
+    text = numbers.to_json({**whole, "judged": judged} if judged else whole)
+    out, files = shell.out, ["replay.json", "simulation.nc", "config.yaml"]
+    dataset.write_text_atomically(out / "replay.json", text + "\n")
+    dataset.save(dataset.to_dataset(found.walk), out / "simulation.nc")
+    if found.log.guessed is not None:
+        dataset.write_text_atomically(out / "signals.yaml", found.log.guessed.to_yaml())
+        files.append("signals.yaml")
+    with shell.stage("drawing", compiles=False):
+        plots.save_figure(plot_replay(found), out / "replay", shell.output.figures)
+    files += [f"replay.{kind}" for kind in shell.output.figures]
+    files += pictures.write({"logged": found.logged(), "simulated": found.walk}, out, shell.stage)
+    shell.written(", ".join(files), text)

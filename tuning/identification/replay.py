@@ -1,0 +1,267 @@
+"""A log's commands sent to the simulated robot: what it does beside what the real one did, and how far they differ."""
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import mjx_climb as mc
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.execution import devices
+from mjx_climb.hardware.stages import hardware_of, stages_of
+from mjx_climb.quantities.parameters import Parameters, own_parameters
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk import stand
+from tuning.identification.log import Log, Signal
+
+Base = Literal["held", "free"]
+
+_MOST_PUSHES = 500  # of a scenario: each is looked at in every step
+_FAR = 0.05  # rad, of a joint from where the simulation begins
+
+
+class Error(NamedTuple):
+    """How far the simulation is from a logged signal, in the signal's unit."""
+
+    rms: float
+    largest: float
+    at: float  # s, where it is largest
+    moved: float  # standard deviation of what was logged
+    samples: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """A log and the walk that its commands make."""
+
+    log: Log
+    scenario: mc.Scenario  # as it was simulated: as long as the log, with its pushes
+    base: Base
+    walk: mc.Trajectory
+    errors: Mapping[str, Error]  # by signal
+    warnings: tuple[str, ...]  # what the comparison rests on, a line each
+
+    def logged(self) -> mc.Trajectory:
+        """Return what was logged as a walk, to be shown: what was not logged is as simulated."""
+        walk, robot = self.walk, load_robot(self.scenario.robot)
+        found: dict[str, Any] = {}
+        for field, by_name in _fields(robot).items():
+            values = np.array(getattr(walk, field))
+            for name, place in by_name.items():
+                if (signal := self.log.signals.get(name)) is not None:
+                    values[(..., *place)] = np.interp(walk.time, signal.time, signal.value)
+            found[field] = values
+        if not any(".force." in name for name in self.log.signals):
+            found["foot_force"] = np.zeros_like(walk.foot_force)
+        found["base_orientation"] /= np.linalg.norm(found["base_orientation"], axis=1, keepdims=True)
+        base = (found["base_position"], found["base_orientation"], found["joint_angles"])
+        return dataclasses.replace(walk, foot_position=_feet(robot, *base), **found)
+
+
+def replay(log: Log, scenario: mc.Scenario, base: Base | None = None, engine: str = "limb") -> Replay:
+    """Return a log beside the simulation that its commands drive.
+
+    Commands go to the servos as they were logged: `hardware.control_period` has no part in it, `command_delay` and the
+    servos have. With the base held it is a robot on a stand that begins where the log does; else a walk from the rest
+    stance, whose grippers shut and open as the scenario's gait has it, under the pushes of the log, where it has any.
+
+    Arguments:
+        base: held or free; None: held where the log has neither base nor foot forces.
+
+    Raises:
+        ConfigError: a log without commands, or shorter than a time step.
+    """
+    robot, signals = load_robot(scenario.robot), log.signals
+    sent = [name for name in signals if name.endswith(".command")]
+    if not sent:
+        raise ConfigError(f"{log.source}: expected commands of joints, such as LF.coxa.command, got none")
+    steps = int(log.duration / scenario.time_step + 1e-6) + 1
+    if steps < 2:
+        raise ConfigError(f"{log.source}: expected a log of more than one time step, got {log.duration:g} s")
+    chosen: Base = base or ("free" if any(n.startswith("base.") or ".force." in n for n in signals) else "held")
+    scenario = scenario.with_overrides({
+        "duration": steps * scenario.time_step, "hardware.control_period": 0.0, "hardware.interpolation": "hold",
+    })  # fmt: skip
+    scenario, said = _with_pushes(scenario, log) if chosen == "free" else (scenario, [])
+    targets = _targets(log, robot, scenario, held=chosen == "held")
+    if len(sent) < targets.shape[1] * targets.shape[2]:
+        said.append(f"{len(sent)} joints of {targets[0].size} have commands, the others are sent where they began")
+    if chosen == "held":
+        walk = _on_a_stand(scenario, robot, log, targets)
+    else:
+        walk = mc.Simulation(scenario, engine=engine).rollout(targets=targets)
+        said += _of_a_walk(walk, log, robot)
+    return Replay(log, scenario, chosen, walk, _errors(walk, log, robot), tuple(said))
+
+
+def _targets(log: Log, robot: Robot, scenario: mc.Scenario, held: bool) -> Float[np.ndarray, "time limb joint"]:
+    """Return the joint targets of every step, each command held until the next; of a stand as they reach the servos."""
+    at, delay = scenario.time_step * np.arange(scenario.steps), scenario.hardware.command_delay
+    targets = np.empty((len(at), len(robot.limbs), robot.joints))
+    for row, limb in enumerate(robot.limbs):
+        for column, joint in enumerate(robot.joint_names):
+            command, position = (log.signals.get(f"{limb}.{joint}.{what}") for what in ("command", "position"))
+            if command is None:
+                began = robot.stance_joints[row, column] if position is None else position.value[0]
+                targets[:, row, column] = began
+            elif held:
+                time = command.time + delay
+                targets[:, row, column], _ = stand.targets_of(time, command.value, at, scenario.time_step)
+            else:
+                last = np.searchsorted(command.time, at + 1e-6 * scenario.time_step, side="right") - 1
+                targets[:, row, column] = command.value[np.maximum(last, 0)]
+    return targets
+
+
+def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str]]:
+    """Return the scenario with the pushes that were logged in place of its own, and what is to be said of that."""
+    named = {name: log.signals[name] for name in log.signals if name.startswith(("base.force.", "base.moment."))}
+    if not named:
+        own = scenario.disturbance.pushes
+        return scenario, ["the log has no pushes: those of the config act"] if own else []
+    times = np.unique(np.concatenate([signal.time for signal in named.values()]))
+    wrench = np.zeros((len(times), 6))
+    for name, signal in named.items():
+        _, what, axis = name.split(".")
+        held = np.searchsorted(signal.time, times, side="right") - 1
+        column = "xyz".index(axis) + (3 if what == "moment" else 0)
+        wrench[:, column] = np.where(held < 0, 0.0, signal.value[np.maximum(held, 0)])
+    begins = np.flatnonzero(np.r_[True, (np.diff(wrench, axis=0) != 0).any(1)])
+    ends = [*times[begins[1:]].tolist(), float(times[-1]) + scenario.time_step]
+    pushes: list[dict[str, Any]] = [
+        {"force": wrench[row, :3].tolist(), "moment": wrench[row, 3:].tolist(), "start": float(times[row]), "stop": end}
+        for row, end in zip(begins, ends, strict=True)
+        if wrench[row].any()
+    ]
+    if len(pushes) > _MOST_PUSHES:
+        expected = f"pushes on the base in {_MOST_PUSHES} constant pieces at most (smooth or thin out what is noise)"
+        raise ConfigError(f"{log.source}: base.force, base.moment: expected {expected}, got {len(pushes)}")
+    changed = scenario.with_overrides({"disturbance.pushes": pushes})
+    return changed, [f"{len(pushes)} pushes are those of the log"]
+
+
+def _of_a_walk(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
+    """Yield what a walk's comparison rests on."""
+    begins = {
+        f"{limb}.{joint}": abs(signal.value[0] - walk.joint_angles[0, row, column])
+        for row, limb in enumerate(robot.limbs)
+        for column, joint in enumerate(robot.joint_names)
+        if (signal := log.signals.get(f"{limb}.{joint}.position")) is not None
+    }
+    if begins and (far := max(begins.values())) > _FAR:
+        joint = max(begins, key=lambda name: begins[name])
+        yield f"the walk begins in its rest stance, {far:.3g} rad from where {joint} was logged first"
+    differ = [
+        float(np.mean(np.interp(walk.time, signal.time, signal.value).round() != walk.support[:, row]))
+        for row, limb in enumerate(robot.limbs)
+        if (signal := log.signals.get(f"{limb}.support")) is not None
+    ]
+    if not differ:
+        yield "grippers shut and open as the config's gait has it: the log does not say when"
+    elif max(differ) > 0.01:
+        share = f"{100 * max(differ):.0f} % of the time"
+        yield f"grippers shut and open as the config's gait has it, other than in the log for {share}"
+
+
+def _on_a_stand(
+    scenario: mc.Scenario, robot: Robot, log: Log, targets: Float[np.ndarray, "time limb joint"]
+) -> mc.Trajectory:
+    """Return the motion of a robot whose base is held, in the form of a walk: no foot touches anything."""
+    begin = targets[0].copy()
+    for row, limb in enumerate(robot.limbs):
+        for column, joint in enumerate(robot.joint_names):
+            if (signal := log.signals.get(f"{limb}.{joint}.position")) is not None:
+                begin[row, column] = signal.value[0]
+    own = own_parameters(scenario)
+    with devices.on_host(), jax.enable_x64(True):
+        held = stand.Stand(robot, hardware_of(own, stages_of(scenario, own, robot), scenario.time_step, robot))
+
+        def moved(begin: jax.Array, targets: jax.Array) -> stand.Recorded:
+            start = stand.begin(held, begin, jnp.zeros_like(begin))
+            recorded: stand.Recorded = jax.lax.scan(functools.partial(stand.advance, held), start, targets)[1]
+            return recorded
+
+        recorded = [np.asarray(values) for values in jax.jit(moved)(jnp.asarray(begin), jnp.asarray(targets))]
+    return _as_walk(scenario, robot, own, targets, recorded)
+
+
+def _as_walk(
+    scenario: mc.Scenario, robot: Robot, own: Parameters, targets: np.ndarray, recorded: Sequence[np.ndarray]
+) -> mc.Trajectory:
+    """Return what moves on a stand as a walk: what is not defined there is NaN, and what does not act is 0."""
+    angles, rates, torque = recorded
+    steps, limbs = targets.shape[:2]
+    time, none = scenario.time_step * np.arange(steps), np.zeros((steps, limbs), bool)
+    position = np.broadcast_to(robot.stance_position, (steps, 3))
+    turned = np.broadcast_to(robot.stance_orientation, (steps, 4))
+    feet = _feet(robot, position, turned, angles)
+    speed, later = (np.gradient(values, scenario.time_step, axis=0) for values in (feet, rates))
+    still, wrench, of_feet = np.zeros((steps, 3)), np.zeros((steps, 6)), np.zeros((steps, limbs, 3))
+    undefined = np.full(steps, np.nan)
+    return mc.Trajectory(
+        scenario=scenario, gains={}, parameters=own, limbs=robot.limbs, law="JointTargets", time=time,
+        base_position=position, base_orientation=turned, base_linear_velocity=still, base_angular_velocity=still,
+        base_linear_acceleration=still, base_angular_acceleration=still, joint_angles=angles,
+        joint_rates=rates, joint_accelerations=later, joint_targets=targets,
+        joint_torque=torque, foot_position=feet, foot_velocity=speed, foot_target=feet, foot_force=of_feet,
+        foot_moment=of_feet, grip_point=feet, support=none, contact=none, detached=none, torn_off=none, missed=none,
+        reachable=~none, base_reference=position, base_displacement=wrench, base_wrench=wrench, push=wrench,
+        cargo_mass=np.zeros(steps), center_of_mass=np.full((steps, 3), np.nan), tsm=undefined, gia_margin=undefined,
+    )  # fmt: skip
+
+
+def _feet(
+    robot: Robot,
+    position: Float[np.ndarray, "time 3"],
+    orientation: Float[np.ndarray, "time 4"],
+    angles: Float[np.ndarray, "time limb joint"],
+) -> Float[np.ndarray, "time limb 3"]:
+    """Return where the feet are, m, world axes."""
+    w, v = orientation[:, None, :1], orientation[:, None, 1:]
+    feet = np.asarray(limb_frames(robot, None, angles).foot)
+    turned = feet + 2 * np.cross(v, np.cross(v, feet) + w * feet)  # by a quaternion
+    return np.asarray(position[:, None] + turned)
+
+
+def _fields(robot: Robot) -> dict[str, dict[str, tuple[Any, ...]]]:
+    """Return the fields of a walk that a robot can log: by the name of a signal, its place behind time."""
+    joints = {
+        f"{limb}.{joint}": (row, column)
+        for row, limb in enumerate(robot.limbs)
+        for column, joint in enumerate(robot.joint_names)
+    }
+    what = {"joint_angles": "position", "joint_rates": "velocity", "joint_torque": "effort"}
+    found: dict[str, dict[str, tuple[Any, ...]]] = {
+        field: {f"{joint}.{of}": place for joint, place in joints.items()} for field, of in what.items()
+    }
+    limbs = enumerate(robot.limbs)
+    found["foot_force"] = {f"{limb}.force.{axis}": (row, n) for row, limb in limbs for n, axis in enumerate("xyz")}
+    for of in ("position", "linear_velocity", "angular_velocity"):
+        found[f"base_{of}"] = {f"base.{of}.{axis}": (n,) for n, axis in enumerate("xyz")}
+    found["base_orientation"] = {f"base.orientation.{axis}": (n,) for n, axis in enumerate("wxyz")}
+    return found
+
+
+def _errors(walk: mc.Trajectory, log: Log, robot: Robot) -> dict[str, Error]:
+    """Return how far the simulation is from every logged signal that it has, at the times of the log."""
+    found = {}
+    for field, by_name in _fields(robot).items():
+        for name, place in by_name.items():
+            signal = log.signals.get(name)
+            if signal is not None:
+                simulated = getattr(walk, field)[(..., *place)]
+                found[name] = _error(signal, np.interp(signal.time, walk.time, simulated))
+    return {name: found[name] for name in log.signals if name in found}
+
+
+def _error(signal: Signal, simulated: Float[np.ndarray, " samples"]) -> Error:
+    off = np.abs(simulated - signal.value)
+    worst = int(np.argmax(off))
+    rms = float(np.sqrt(np.mean(off**2)))
+    return Error(rms, float(off[worst]), float(signal.time[worst]), float(np.std(signal.value)), len(off))
