@@ -130,6 +130,8 @@ class Grips:
 class Law:
     """The paper's Eqs. 2 and 3 in the ways of docs/physics.md, and pd."""
 
+    lost = np.zeros((), bool)  # sensors that it does without
+
     def __init__(self, scenario, reference, limbs):
         self.control, self.reference = scenario.control, reference
         self.period = scenario.hardware.control_period or scenario.time_step
@@ -386,6 +388,9 @@ def again(walk, law=None):
             force = sensor.resolution * np.round(force / sensor.resolution)
         if not by_law:
             force = filtered = filtered + share * (force - filtered)
+        instants = dict(sensor.dead.items()) if sensor.dead is not None else {}
+        dead = [step * h > instants.get(limb, np.inf) - h / 2 for limb in walk.limbs]
+        force = np.where(np.array(dead)[:, None], 0.0, force)
         sampled = np.concatenate([force.ravel(), wrench_of(force)])
         if not by_law or step % period == 0:
             read = read + share * (sampled - read) if by_law else sampled
@@ -424,6 +429,7 @@ def again(walk, law=None):
         rows.append(row | held | {
             "base_linear_acceleration": found[0], "base_angular_acceleration": found[1],
             "joint_accelerations": found[2], "joint_targets": goal, "joint_torque": torque, "foot_target": command[2],
+            "sensor_lost": law.lost,
             "base_reference": wanted, "base_displacement": command[3],
             "base_wrench": wrench, "push": push, "cargo_mass": cargo, "center_of_mass": com, "tsm": tsm,
             "gia_margin": gia,

@@ -63,16 +63,33 @@ class OfFeet:
 
     def __init__(self, scenario, reference, limbs):
         self.reference, self.period = reference, scenario.hardware.control_period or scenario.time_step
-        self.offset = np.zeros((limbs, 3))
+        self.offset, self.heard, self.doubt = np.zeros((limbs, 3)), np.zeros((limbs, 3)), np.zeros(limbs)
+
+    def trusted(self, force, support):
+        """Return which sensors of feet that stand have read something within 0.1 s; all by rules of docs/laws.md."""
+        for limb, own in enumerate(force):
+            if np.isfinite(own).all() and np.abs(own).sum() > 1e-6:
+                self.heard[limb], self.doubt[limb] = own, -0.1
+            elif not support[limb]:
+                self.heard[limb] = 0.0
+        for limb, own in enumerate(force):
+            silent = support[limb] and not (np.isfinite(own).all() and np.abs(own).sum() > 1e-6)
+            if silent and (np.abs(self.heard).sum() > 1 or self.doubt[limb] >= 0):
+                self.doubt[limb] = min(self.doubt[limb] + self.period, 0.1)
+        return support & (self.doubt < 0)
+
+    @property
+    def lost(self):
+        return self.doubt >= 0.1
 
     def say(self, position, base, force, wrench, support, feet, times):
         """Return where base, its attitude and the feet shall be, and the shift of the base."""
         where, quaternion, *_ = base
         into = self.reference.inv()
-        levers, own = into.apply(feet - where), into.apply(force)
+        trusted = self.trusted(force, support)
+        levers, own = into.apply(feet - where), into.apply(self.heard)
         turn = (into * Rotation.from_quat(quaternion, scalar_first=True)).as_quat(canonical=True)
         error = np.concatenate([into.apply(where - position), 2 * turn[:3] * turn[3]])
-        trusted = support & np.isfinite(own).all(1) & own.any(1)
         self.move(levers, np.where(trusted[:, None], own, 0), error, support, trusted, times)
         return position, self.reference, feet + self.reference.apply(self.offset), np.zeros(6)
 

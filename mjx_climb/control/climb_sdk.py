@@ -54,11 +54,11 @@ class ClimbSDK(Law):
 
     def step(self, state: Clocked, measured: Measurement, reference: Reference) -> tuple[Clocked, Command]:
         """Integrate, where an update is due, and shift the feet; the offset of an open gripper fades."""
-        (before, period), support = state.offsets, measured.support
-        due = state.since > self.update_period - period / 2
+        support = measured.support
+        due = state.since > self.update_period - state.offsets.period / 2
         rotation = quaternion_to_matrix(reference.base_orientation)
         lever = (reference.foot_position - measured.base_position) @ rotation
-        force, trusted = trusted_forces(measured, rotation)
+        offsets, (force, trusted, lost) = trusted_forces(state.offsets, measured, rotation)
         weight = jnp.where(support, jnp.where(trusted, 1.0, LEAST), 0.0)
         wanted = of_largest_margin(sharing(net_wrench(lever, force), lever, weight), trusted, self.force_cost)
         pushed = jnp.where(trusted[:, None], force - wanted, 0.0)
@@ -66,12 +66,11 @@ class ClimbSDK(Law):
         change = self.force_gain * pushed + self.body_gain * moved_rigidly(
             lever, base_error(measured, reference, rotation)
         )
-        moved = bounded(before + jnp.where(due, change, 0.0), self.max_offset)
-        displacement = jnp.where(support[:, None], moved, released(state.offsets, 0.0))
-        offsets = state.offsets._replace(displacement=displacement)
-        return Clocked(offsets, jnp.where(due, 0.0, state.since) + period), feet_shifted(
-            reference, displacement, rotation
-        )
+        moved = bounded(offsets.displacement + jnp.where(due, change, 0.0), self.max_offset)
+        displacement = jnp.where(support[:, None], moved, released(offsets, 0.0))
+        since = jnp.where(due, 0.0, state.since) + offsets.period
+        command = feet_shifted(reference, displacement, rotation, lost)
+        return Clocked(offsets._replace(displacement=displacement), since), command
 
 
 def of_largest_margin(share: Sharing, bears: Array, cost: Array) -> Array:

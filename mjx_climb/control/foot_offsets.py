@@ -10,25 +10,32 @@ from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply
 
 RELEASE = 0.05  # s, in which an offset fades once its gripper has opened
 LEAST = 0.02  # weight of a foot that stands: three of them can always take the wrench
+SILENCE = 0.1  # s without a reading, after which a sensor is not believed; after as much again it is said to be lost
+_NOTHING = 1e-6  # N, finer than any sensor tells
+_LOADED = 1.0  # N in all, with which a robot stands so firmly that a foot has something to bear
 
 
 class Offsets(NamedTuple):
-    """How far the feet are from where the gait wants them."""
+    """How far the feet are from where the gait wants them, and what their sensors said."""
 
     displacement: Array  # (limb, 3) m, axes of the base reference
     period: Array  # () s, of the law
+    heard: Array  # (limb, 3) N, world axes: the last reading of a foot's sensor since it stands, 0 without one
+    doubt: Array  # (limb,) s, from -SILENCE, as a sensor reads something, up to SILENCE; from 0 on it is not believed
 
     @staticmethod
     def begin(start: Start) -> "Offsets":
-        """Return no offsets."""
-        return Offsets(jnp.zeros_like(start.reference.foot_position), jnp.asarray(start.period))
+        """Return no offsets, of feet whose sensors have not read anything yet."""
+        none = jnp.zeros_like(start.reference.foot_position)
+        return Offsets(none, jnp.asarray(start.period), none, none[:, 0])
 
 
 class Sensed(NamedTuple):
     """Forces that can be trusted."""
 
     force: Array  # (limb, 3) N, axes of the base reference; 0 of other feet
-    trusted: Array  # (limb,) bool: the foot stands, and its sensor says something
+    trusted: Array  # (limb,) bool: the foot stands, and its sensor is not dead
+    lost: Array  # (limb,) bool: the sensor has been dead for a while
 
 
 def released(offsets: Offsets, aim: Array | float) -> Array:
@@ -36,15 +43,24 @@ def released(offsets: Offsets, aim: Array | float) -> Array:
     return aim + (offsets.displacement - aim) * jnp.exp(-offsets.period / RELEASE)
 
 
-def trusted_forces(measured: Measurement, rotation: Array) -> Sensed:
+def trusted_forces(offsets: Offsets, measured: Measurement, rotation: Array) -> tuple[Offsets, Sensed]:
     """Return the forces of feet that stand, along the columns of `rotation`, where the sensor is not dead.
 
-    A dead sensor says exactly nothing, or what is no number: its foot is then left as it is.
+    A sensor reads nothing where it says exactly 0, or what is no number. Its last reading since the foot stands then
+    takes the place, 0 where there is none: a sensor with a resolution reads 0 of a foot that bears next to nothing.
+    Once a foot that stands among others that bear something has read nothing for `SILENCE`, its sensor is dead, also
+    in later stances, until it reads something. So it is at the start, until it first does.
     """
-    size = jnp.abs(measured.foot_force).sum(1)
-    trusted = measured.support & (size > 0) & jnp.isfinite(size)
+    size, support = jnp.abs(measured.foot_force).sum(1), measured.support
+    reads = (size > _NOTHING) & jnp.isfinite(size)
+    heard = jnp.where(reads[:, None], measured.foot_force, jnp.where(support[:, None], offsets.heard, 0.0))
+    counts = support & ((jnp.abs(heard).sum() > _LOADED) | (offsets.doubt >= 0))
+    grown = jnp.where(counts, jnp.minimum(offsets.doubt + offsets.period, SILENCE), offsets.doubt)
+    doubt = jnp.where(reads, -SILENCE, grown)
+    trusted = support & (doubt < 0)
     # of rows: each row times R is R^T times it
-    return Sensed(jnp.where(trusted[:, None], measured.foot_force, 0.0) @ rotation, trusted)
+    sensed = Sensed(jnp.where(trusted[:, None], heard, 0.0) @ rotation, trusted, doubt >= SILENCE)
+    return offsets._replace(heard=heard, doubt=doubt), sensed
 
 
 def base_error(measured: Measurement, reference: Reference, rotation: Array) -> Array:
@@ -53,8 +69,8 @@ def base_error(measured: Measurement, reference: Reference, rotation: Array) -> 
     return jnp.concatenate([(measured.base_position - reference.base_position) @ rotation, 2 * turn[1:] * turn[0]])
 
 
-def feet_shifted(reference: Reference, displacement: Array, rotation: Array) -> Command:
+def feet_shifted(reference: Reference, displacement: Array, rotation: Array, lost_sensors: Array) -> Command:
     """Return the reference with its feet shifted by `displacement` (limb, 3) m along the axes of the reference."""
     feet = reference.foot_position + displacement @ rotation.T
     no_shift = jnp.zeros_like(reference.base_position, shape=6)
-    return Command(reference.base_position, reference.base_orientation, feet, no_shift)
+    return Command(reference.base_position, reference.base_orientation, feet, no_shift, lost_sensors=lost_sensors)

@@ -33,10 +33,10 @@ class InternalForce(Law):
         offsets, kept = state
         rotation = quaternion_to_matrix(reference.base_orientation)
         lever = (reference.foot_position - measured.base_position) @ rotation
-        force, trusted = trusted_forces(measured, rotation)
+        offsets, (force, trusted, lost) = trusted_forces(offsets, measured, rotation)
         weight = jnp.where(measured.support, jnp.where(trusted, 1.0, LEAST), 0.0)
         internal = jnp.where(trusted[:, None], force - least_forces(net_wrench(lever, force), lever, weight), 0.0)
         moved = bounded(kept * offsets.displacement + (1 - kept) * internal / self.stiffness, self.max_offset)
         displacement = jnp.where(measured.support[:, None], moved, released(offsets, 0.0))
         offsets = offsets._replace(displacement=displacement)
-        return (offsets, kept), feet_shifted(reference, displacement, rotation)
+        return (offsets, kept), feet_shifted(reference, displacement, rotation, lost)

@@ -69,6 +69,8 @@ class Command(NamedTuple):
     foot_position: Array  # (limb, 3) m
     base_displacement: Array  # (6,) m, rad: the law's shift of the base, reference axes
     joint_gains: JointGains | tuple[()] = ()  # (): the joint loop's own
+    # (limb,) bool: feet whose force sensor the law has done without for a while; (): it does not look after them
+    lost_sensors: Array | tuple[()] = ()
 
 
 class Start(NamedTuple):
@@ -198,6 +200,7 @@ class Beginning(NamedTuple):
     state: Any
     reads_servos: bool  # whether its step looks at what the joints' servos report
     joint_gains: JointGains | tuple[()]  # of its first command: ones, () of a law that leaves them alone
+    lost_sensors: Array | tuple[()]  # of its first command: none, () of a law that does not look after them
 
 
 def begin(law: Law, start: Start) -> Any:
@@ -226,7 +229,8 @@ def beginning(law: Law, start: Start) -> Beginning:
     one = jnp.ones_like(feet[:, 0])
     own = getattr(found[1], "joint_gains", ())
     gains = JointGains(**dict.fromkeys(own.moved, one)) if isinstance(own, JointGains) else ()
-    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six, gains)}
+    lost = () if isinstance(getattr(found[1], "lost_sensors", ()), tuple) else ~support
+    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six, gains, lost)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields
         own, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
@@ -235,4 +239,4 @@ def beginning(law: Law, start: Start) -> Beginning:
     last = len(jax.tree.leaves((state, measured)))
     servos = program.jaxpr.invars[last - 3 : last]
     read = [*program.jaxpr.outvars, *(variable for equation in program.jaxpr.eqns for variable in equation.invars)]
-    return Beginning(state, any(variable is servo for variable in read for servo in servos), gains)
+    return Beginning(state, any(variable is servo for variable in read for servo in servos), gains, lost)

@@ -51,7 +51,7 @@ class LoadTransfer(Law):
         """Let the feet that stand give way towards the wanted forces; the offset of an open gripper fades."""
         rotation = quaternion_to_matrix(reference.base_orientation)
         lever = (reference.foot_position - measured.base_position) @ rotation
-        sensed = trusted_forces(measured, rotation)
+        offsets, sensed = trusted_forces(offsets, measured, rotation)
         weight = jnp.where(sensed.trusted, self.weights(reference), LEAST) * jnp.where(measured.support, 1.0, 0.0)
         wanted = distributed(net_wrench(lever, sensed.force), lever, weight, self.pull_limit)
         pushed = jnp.where(sensed.trusted[:, None], sensed.force - wanted, 0.0)
@@ -69,7 +69,8 @@ class LoadTransfer(Law):
         moved = bounded(before + offsets.period * yielding, self.max_offset)
         lands = -self.landing * moved_rigidly(lever, base_error(measured, reference, rotation))
         displacement = jnp.where(measured.support[:, None], moved, released(offsets, lands))
-        return offsets._replace(displacement=displacement), feet_shifted(reference, displacement, rotation)
+        command = feet_shifted(reference, displacement, rotation, sensed.lost)
+        return offsets._replace(displacement=displacement), command
 
     def weights(self, reference: Reference) -> Array:
         """Return the shares (limb,) that the gait wants the feet to have, if they stand."""

@@ -13,6 +13,7 @@ from mjx_climb.dynamics.spatial import quaternion_normalize
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import signals
 from mjx_climb.hardware.stages import Hardware
+from mjx_climb.quantities.parameters import whole_steps
 
 BASE_CHANNELS = 1000  # of the noise of the base estimate, the first; the force sensors have those before
 _PARTS = 8  # of 16 bits each, two to a word
@@ -31,7 +32,7 @@ class ForceSensor(NamedTuple):
 def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Hardware) -> tuple[ForceSensor, Array]:
     """Return the sensors after this step and what they read of `force` (limb, 3) N.
 
-    The order is that of a real sensor's chain: delay, bias, noise, resolution, filter.
+    The order is that of a real sensor's chain: delay, bias, noise, resolution, filter; one that is dead reads 0.
     """
     buffer, filtered = sensor
     parameters, stages = hardware.parameters, hardware.stages
@@ -47,6 +48,9 @@ def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Har
         force = signals.rounded(force, jnp.asarray(parameters.force_resolution))
     if stages.force_filter:
         force = filtered = filtered + hardware.pace.filter_share * (force - filtered)
+    if stages.force_dead:
+        dead = step >= whole_steps(jnp.asarray(parameters.force_dead), hardware.time_step)
+        force = jnp.where(dead[:, None], 0.0, force)
     return ForceSensor(buffer, filtered), force
 
 

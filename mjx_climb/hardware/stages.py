@@ -28,6 +28,7 @@ class Stages(NamedTuple):
     force_bias: bool = False
     force_resolution: bool = False
     force_filter: bool = False
+    force_dead: bool = False
     sampled_filter: bool = False  # the law filters what it samples
     base_delay: int = 0
     base_noise: bool = False
@@ -54,7 +55,8 @@ class Stages(NamedTuple):
     @property
     def force(self) -> bool:
         """Whether the law reads other foot forces than act."""
-        return any((self.force_delay, self.force_noise, self.force_bias, self.force_resolution, self.force_filter))
+        chain = self.force_delay, self.force_noise, self.force_bias, self.force_resolution, self.force_filter
+        return any((*chain, self.force_dead))
 
 
 IDEAL = Stages()
@@ -84,6 +86,7 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
     return Stages(
         **found,
         force_filter=filtered and not by_law,
+        force_dead=_finite(parameters.force_dead),
         sampled_filter=filtered and by_law,
         base_noise=there["position_noise"] or there["velocity_noise"],
         linear=there["control_period"] and scenario.hardware.interpolation == "linear",

@@ -20,9 +20,10 @@ from mjx_climb.dynamics.spatial import namespace
 from mjx_climb.execution import check_process
 from mjx_climb.quantities.ground import foothold_heights
 from mjx_climb.quantities.swing import swing_path
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.messages import section
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.scenario.values import Number, Positive
+from mjx_climb.scenario.values import Limit, Number, Positive
 
 # batch axes of one gain need not be those of another: they broadcast
 _Values = Array | np.ndarray
@@ -33,7 +34,7 @@ _Pushes = Real[_Values, "... pushes 3"]
 _PushTimes = Real[_Values, "... pushes"]
 _PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
 ROUNDING = 2.0**-21  # of a number of steps: what single precision may be off
-_TIMES = ("cycle", "cargo_start", "cargo_stop", "push_start", "push_stop", "control_period")
+_TIMES = ("cycle", "cargo_start", "cargo_stop", "push_start", "push_stop", "control_period", "force_dead")
 
 
 def _of(key: str | None, unit: str = "", long_name: str = "", **default: Any) -> Any:
@@ -70,8 +71,8 @@ class Parameters:
     """
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType(
-        {"gravity": 1, "foothold_height": 2, "swing_path": 3, "push_force": 2, "push_moment": 2, "push_start": 1,
-         "push_stop": 1}
+        {"gravity": 1, "foothold_height": 2, "swing_path": 3, "force_dead": 1, "push_force": 2, "push_moment": 2,
+         "push_start": 1, "push_stop": 1}
     )  # fmt: skip
 
     gravity: Real[_Values, "... 3"] = _of("gravity")  # (3,) m/s^2
@@ -109,6 +110,7 @@ class Parameters:
     force_bias: _Scalar = _of("hardware.force_sensor.bias", "N", "offset of the force sensors")
     force_resolution: _Scalar = _of("hardware.force_sensor.resolution", "N", "resolution of the force sensors")
     force_filter: _Scalar = _of("hardware.force_sensor.filter", "Hz", "cut-off of the force filter")  # infinite: none
+    force_dead: Real[_Values, "... limbs"] = _of(None)  # (limb,) s, from when on the sensors read 0; infinite: never
     base_delay: _Scalar = _of("hardware.base_estimate.delay", "s", "delay of the base estimate")
     position_noise: _Scalar = _of("hardware.base_estimate.position_noise", "m", "noise of the base's position")
     velocity_noise: _Scalar = _of("hardware.base_estimate.velocity_noise", "m/s", "noise of the base's velocity")
@@ -167,6 +169,9 @@ def own_parameters(scenario: Scenario) -> Parameters:
     check_process()
     values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
     values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
+    dead = scenario.hardware.force_sensor.dead
+    instants = dict(dead.items()) if dead is not None else {}
+    values["force_dead"] = [instants.get(limb, math.inf) for limb in load_robot(scenario.robot).limbs]
     arrays = {name: np.asarray(value, float) for name, value in values.items()}
     pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     return Parameters(**arrays | pushes)
@@ -223,10 +228,11 @@ def check_ranges(parameters: Parameters) -> None:
 def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
     """Return the type of the key that a parameter comes from, and what validates its values."""
     if name not in KEYS:
-        return float, TypeAdapter(Positive if name == "mass_scale" else Number)
+        kind: Any = {"mass_scale": Positive, "force_dead": Limit}.get(name, Number)
+        return float | None if kind is Limit else float, TypeAdapter(kind)
     *place, key = KEYS[name].split(".")
     field = section(Scenario, place).model_fields[key]
-    kind: Any = Annotated[field.annotation, *field.metadata]
+    kind = Annotated[field.annotation, *field.metadata]
     return field.annotation, TypeAdapter(kind)
 
 

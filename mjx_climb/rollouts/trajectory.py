@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mjx_climb.control.foot_offsets import SILENCE
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.scenario.model import Scenario
 
@@ -53,6 +54,7 @@ class Trajectory:
     torn_off: Bool[np.ndarray, "time limb"] = _history("1", "the gripper is torn off in this step")
     missed: Bool[np.ndarray, "time limb"] = _history("1", "the gripper shuts out of reach in this step")
     reachable: Bool[np.ndarray, "time limb"] = _history("1", "the foot target is within reach")
+    sensor_lost: Bool[np.ndarray, "time limb"] = _history("1", "the law does without the foot's force sensor")
     base_reference: Float[np.ndarray, "time 3"] = _history("m", "base position that the gait asks for")
     base_displacement: Float[np.ndarray, "time 6"] = _history(
         "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law"
@@ -66,6 +68,12 @@ class Trajectory:
     tsm: Float[np.ndarray, " time"] = _history("m", "tumble stability margin")
     gia_margin: Float[np.ndarray, " time"] = _history("m/s^2", "gravito-inertial acceleration margin")
     law: str = ""  # name of the control law, where it is not the scenario's
+
+    @property
+    def lost_sensors(self) -> dict[str, float]:
+        """From when on, s, the law did without the force sensors of some feet, by limb."""
+        each = zip(self.limbs, self.sensor_lost.T, strict=True)
+        return {limb: max(float(self.time[own.argmax()]) - SILENCE, 0.0) for limb, own in each if own.any()}
 
 
 def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:

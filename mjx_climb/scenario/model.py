@@ -207,6 +207,12 @@ class Disturbance(v.Section):
     pushes: tuple[Push, ...] = setting((), "pushes on the base; they add up where they overlap")
 
 
+class DeadFrom(_ByName):
+    """From when on the force sensors of some limbs read exactly 0, s, by the limb's name."""
+
+    __pydantic_extra__: dict[str, v.NonNegative]
+
+
 class ForceSensor(v.Section):
     """Force sensors of the feet, a sample every time step."""
 
@@ -217,6 +223,9 @@ class ForceSensor(v.Section):
     filter: v.PositiveOrNull = setting(None, "first-order low pass, cut-off, Hz; null: none")
     filtered_by: Literal["sensor", "law"] = setting(
         "sensor", "forces of each foot every time step, or the law's own samples of them and of the wrench"
+    )
+    dead: DeadFrom | None = setting(
+        None, "instants from which sensors read exactly 0, s, by the limb's name; null: none does"
     )
 
 
@@ -482,6 +491,11 @@ class Scenario(v.Section):
         for name in dict(self.ground.footholds.items()) if self.ground.footholds is not None else ():
             if name not in limbs:
                 raise failure(f"one of the limbs {', '.join(limbs)}", key=f"ground.footholds.{name}", got=name)
+        dead = self.hardware.force_sensor.dead
+        for name in dict(dead.items()) if dead is not None else ():
+            if name not in limbs:
+                key = f"hardware.force_sensor.dead.{name}"
+                raise failure(f"one of the limbs {', '.join(limbs)}", key=key, got=name)
         # one limb stands at any time
         least, swing = 1 - 1 / len(gait.sequence), 1 - gait.duty
         if gait.phases is None and gait.duty < least - _ROUNDING:

@@ -93,10 +93,10 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
     hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
     stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
     no_wrench = jnp.zeros_like(state.base_position, shape=6)
-    law, reads_servos, factors = beginning(controller.law, Start(hardware.law_period, reference, angles))
+    law, reads_servos, factors, lost = beginning(controller.law, Start(hardware.law_period, reference, angles))
     held: Any = ()
     if stages.control_period:
-        command = Command(state.base_position, state.base_orientation, feet, no_wrench, factors)
+        command = Command(state.base_position, state.base_orientation, feet, no_wrench, factors, lost)
         held = Held(command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else ())
     base = sensors.true_base(state) if stages.base_delay else ()
     reported = tuple((value,) * stages.command_delay for value in (angles, state.joint_rates, no_torque))
@@ -131,7 +131,8 @@ def control(
     if action is not None:
         displacement = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(actual.wrench)
         own = jax.tree.map(jnp.ones_like, command.joint_gains)
-        law_state, command = memory.law, shifted(reference, displacement)._replace(joint_gains=own)
+        law_state, lost = memory.law, command.lost_sensors
+        command = shifted(reference, displacement)._replace(joint_gains=own, lost_sensors=lost)
     joints, posture = _solve(controller.geometry, memory.posture, command, reference)
     if isinstance(action, JointTargets):
         joints = joints._replace(joint_angles=action.angles)

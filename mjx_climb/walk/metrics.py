@@ -17,12 +17,14 @@ import numpy as np
 from jax import Array
 from jax.lax import stop_gradient
 
+from mjx_climb.control.foot_offsets import SILENCE
 from mjx_climb.dynamics.spatial import norm
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk.sample import Sample
 
 PREFIX = "smooth_"  # of the name of a companion
-FAILURES = ("detached_at", "detached_limb", "missed_grips", "diverged")  # how a walk failed: nothing to better
+# how a walk failed, or its law: nothing to better
+FAILURES = ("detached_at", "detached_limb", "missed_grips", "diverged", "sensor_lost_at", "sensor_lost_limb")
 _SQUARINGS = 5  # the order of a power mean is 2**5
 _SHARPNESS = 100.0
 Value = Callable[[Sample, "Context"], Array]  # of one sample
@@ -66,7 +68,7 @@ class Metric:
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
         """A shipped one is pickled by its name, as its functions have none; one's own by its fields."""
-        own = all(metric is not self for metric in METRICS.with_companions)
+        own = all(metric is not self for metric in (*METRICS.with_companions, *SENSORS))
         return super().__reduce_ex__(protocol) if own else (_shipped, (self.name,))
 
 
@@ -280,11 +282,11 @@ def _more_variation(running: tuple[Array, Array], sample: Sample, context: Conte
     return total + jnp.where(context.first, 0.0, jnp.abs(force - last)), force
 
 
-def _first_limb(limb: Array, sample: Sample, _: Context) -> Array:
-    """Return the limb that was torn off first, of several in one step the first in their order; -1 for none."""
-    limbs = len(sample.torn_off)
-    torn = jnp.min(jnp.where(sample.torn_off, jnp.arange(limbs, dtype=limb.dtype), limbs))
-    return jnp.where((limb < 0) & (torn < limbs), torn, limb)
+def _first_limb(limb: Array, happens: Array) -> Array:
+    """Return the limb that something happens to first, of several in one step the first in their order; -1: none."""
+    limbs = len(happens)
+    one = jnp.min(jnp.where(happens, jnp.arange(limbs, dtype=limb.dtype), limbs))
+    return jnp.where((limb < 0) & (one < limbs), one, limb)
 
 
 METRICS = MetricTable(
@@ -315,7 +317,8 @@ METRICS = MetricTable(
         ),
         Metric(  # its place among the limbs
             "detached_limb", "1", "detached limb", larger_is_better=False,
-            init=lambda zero: jnp.full((), -1, jnp.int32), update=_first_limb,
+            init=lambda zero: jnp.full((), -1, jnp.int32),
+            update=lambda limb, sample, _: _first_limb(limb, sample.torn_off),
         ),
         Metric(
             "missed_grips", "1", "missed grips", larger_is_better=False,
@@ -331,8 +334,27 @@ METRICS = MetricTable(
 )  # fmt: skip
 
 
+# of laws that look after their force sensors: the first that one does without, and from when on
+SENSORS = MetricTable(
+    (
+        Metric(
+            "sensor_lost_at", "s", "force sensor lost at", larger_is_better=True,
+            init=lambda zero: zero + jnp.nan,
+            update=lambda at, sample, _: jnp.where(
+                jnp.isnan(at) & sample.sensor_lost.any(), jnp.maximum(sample.time - SILENCE, 0.0), at
+            ),
+        ),
+        Metric(
+            "sensor_lost_limb", "1", "limb without force sensor", larger_is_better=False,
+            init=lambda zero: jnp.full((), -1, jnp.int32),
+            update=lambda limb, sample, _: _first_limb(limb, sample.sensor_lost),
+        ),
+    )
+)  # fmt: skip
+
+
 def _shipped(name: str) -> Metric:
-    return METRICS.with_companions[name]
+    return (METRICS.with_companions + SENSORS)[name]
 
 
 # --- metrics of a walk under way: they take in one sample after the other, up to the last one that is finite

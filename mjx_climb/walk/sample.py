@@ -32,6 +32,7 @@ class Sample(NamedTuple):
     torn_off: Array  # (limb,) bool: it is torn off in this step
     missed: Array  # (limb,) bool: it shuts out of reach in this step
     reachable: Array  # (limb,) bool: the target was within the limb's reach
+    sensor_lost: Array  # (limb,) bool: the law does without the foot's force sensor
     base_reference: Array  # (3,) m
     base_displacement: Array  # (6,) m, rad: shift of the base by the control law, reference axes
     base_wrench: Array  # (6,) N, N m: `J_b^T F_e`

@@ -14,7 +14,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
-from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
+from mjx_climb.walk.metrics import METRICS, SENSORS, Metric, MetricTable
 
 _PACKAGE = __name__.split(".")[0] + "."
 
@@ -53,7 +53,7 @@ def structure(
         ValueError: two metrics of one name.
     """
     table = MetricTable(metrics)
-    own: list[Any] = [metric for metric in table if metric not in METRICS]
+    own: list[Any] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]
     own += [] if ENGINES[engine].__module__.startswith(_PACKAGE) else [ENGINES[engine]]
     try:

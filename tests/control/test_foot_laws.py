@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.control import ClimbSDK, InternalForce, LoadTransfer, Start, begin
+from mjx_climb.control import ClimbSDK, InternalForce, LoadTransfer, Start, begin, combined
+from mjx_climb.control.foot_offsets import Offsets, trusted_forces
 from tests import oracle, oracle_laws
 
 STEP = 5e-3
@@ -82,10 +83,12 @@ def started(law, measured, reference, steps=12):
 @kinds
 @pytest.mark.parametrize("control_period", [0.0, 0.005])
 def test_a_walk_worked_out_again(kind, control_period):
-    """Every history to 5e-12, with lift-offs, touchdowns and pulls beyond the limit."""
+    """Every history to 5e-12, with lift-offs, touchdowns, pulls beyond the limit, and a sensor that dies in a swing."""
     changes = WALK | {"hardware.control_period": control_period, "gait.sequence": ["LH", "LF", "RH", "RF"]}
+    changes |= {"hardware.force_sensor.dead": {"LH": 0.02}} if control_period else {}
     scenario = mc.load_scenario("case_1_2", changes)
     walk = mc.rollout(scenario, law=kind.law)
+    assert walk.lost_sensors == ({"LH": pytest.approx(0.18, abs=2 * control_period)} if control_period else {})
     offset = np.linalg.norm(walk.foot_target - walk.grip_point, axis=2)[walk.support]
     assert np.ptp(walk.support.sum(1)) and offset.max() > 1e-4
     twin = type("Twin", (kind.twin,), {"gains": {name: float(getattr(kind.law, name)) for name in kind.law.GAINS}})
@@ -145,6 +148,57 @@ def test_a_foot_whose_sensor_is_dead_goes_back_to_where_the_gait_wants_it(kind, 
     none = dead._replace(foot_force=jnp.full((4, 3), value))
     _, shift = after(kind.law, state, none, reference, 4000)
     np.testing.assert_allclose(shift, 0, atol=1e-6)
+
+
+def heard(readings, support=True, others=2.0):
+    """Return whether the first sensor is trusted and lost, step by step, as it reads newtons along z; others stand."""
+    reference, measured = scene()
+    offsets, found = Offsets.begin(Start(STEP, reference)), []
+    for reading, stands in np.broadcast(readings, support):
+        force = jnp.full((4, 3), others / 3).at[0].set(jnp.array([0.0, 0.0, reading]))
+        own = measured._replace(foot_force=force, support=measured.support.at[0].set(bool(stands)))
+        offsets, sensed = trusted_forces(offsets, own, jnp.eye(3))
+        found.append((bool(sensed.trusted[0]), bool(sensed.lost[0]), float(sensed.force[0, 2])))
+    return tuple(np.array(each) for each in zip(*found, strict=True))
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
+def test_a_sensor_is_dead_after_a_tenth_of_a_second_without_a_reading(nothing):
+    """Until then its last reading holds; it is said to be lost after as much again, and forgotten when it reads."""
+    trusted, lost, force = heard([3.0] * 2 + [nothing] * 60 + [1.0])
+    assert trusted[:20].all() and (force[:20] == 3).all() and not trusted[24:62].any()
+    assert not lost[:40].any() and lost[44:62].all() and not force[24:62].any()
+    assert (trusted[62], lost[62], force[62]) == (True, False, 1.0)
+
+
+def test_a_sensor_that_flickers_or_has_just_touched_down_is_no_dead_one():
+    """Of nine in ten samples without a reading none is missed; a foot in the air is told to bear nothing."""
+    trusted, lost, _ = heard(np.tile([2.0] + [0.0] * 9, 20))
+    assert trusted.all() and not lost.any()
+    trusted, lost, force = heard([5.0] + [0.0] * 69, [True] * 2 + [False] * 50 + [True] * 18)
+    assert trusted[52:].all() and not lost.any() and not force[2:].any()
+
+
+def test_a_dead_sensor_stays_dead_over_a_swing_and_one_that_never_read_anything_is_dead():
+    trusted, lost, _ = heard([5.0] + [0.0] * 119, [True] * 60 + [False] * 20 + [True] * 40)
+    assert not trusted[30:].any() and lost[80:].all()
+    trusted, lost, _ = heard([0.0] * 30)
+    assert not trusted.any() and not lost[:18].any() and lost[22:].all()
+
+
+def test_where_nothing_bears_anything_no_reading_says_nothing():
+    """Without weight, of sensors that tell a tenth of a newton."""
+    trusted, lost, _ = heard([0.1] + [0.0] * 60, others=0.2)
+    assert trusted.all() and not lost.any()
+
+
+def test_a_sum_has_lost_what_either_of_its_laws_has():
+    reference, measured = scene()
+    dead = measured._replace(foot_force=measured.foot_force.at[2].set(0.0))
+    for law in (combined(mc.control.PD(), LoadTransfer()), combined(InternalForce(), LoadTransfer())):
+        state, _ = started(law, measured, reference)
+        state, _ = after(law, state, dead, reference, 60)
+        assert law.step(state, dead, reference)[1].lost_sensors.tolist() == [False, False, True, False]
 
 
 # --- Load transfer alone

@@ -146,6 +146,8 @@ BAD_FILES = [
     ("gait: {heading: 90}", "gait.heading: expected an angle in rad"),
     ("gait: {swing: calm}", "gait.swing: expected 'cubic' or 'low_reaction', got \"calm\""),
     ("gait: {base_reference: sagged}", "gait.base_reference: expected 'nominal' or 'actual', got \"sagged\""),
+    ("hardware: {force_sensor: {dead: {LX: 1.0}}}", "hardware.force_sensor.dead.LX: expected one of the limbs LF, LH,"),
+    ("hardware: {force_sensor: {dead: {LF: -1.0}}}", "hardware.force_sensor.dead.LF: expected a finite number, 0 or"),
     ("contact: {holding_limit: -1}", "contact.holding_limit: expected a finite number, 0 or above, or null, got -1"),
     ("control: {controller: lqr}", "control.controller: expected 'pd', 'base_admittance' or 'end_effector_admittance'"),
     ("control: {damping: 0}", "control.damping: expected a finite number above 0, or a list of six, got 0"),

@@ -87,7 +87,10 @@ WALKS = {  # changes, and what is to happen
         lambda walk: np.ptp(walk.base_displacement),
     ),
     "end effector": (
-        {"control.controller": "end_effector_admittance", "gravity": [0.0, 0.0, 0.0]},
+        {
+            "control.controller": "end_effector_admittance", "gravity": [0.0, 0.0, 0.0],
+            "hardware.force_sensor.dead": {"LH": 0.0, "RF": 0.05},
+        },
         lambda walk: np.isinf(walk.tsm).any(),
     ),
     "a robot of its own": (

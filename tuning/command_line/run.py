@@ -194,6 +194,7 @@ def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Probl
     from tuning.command_line.session import comparison_table, plain_table
     from tuning.report import numbers
     from tuning.report.comparison import gains_of
+    from tuning.searches.judge import without_sensors
 
     (name, *rivals), about, law = metrics, loaded.metrics, loaded.law
     verdicts = {name: verdict(walks[name], values) for name, values in metrics.items()}
@@ -206,6 +207,7 @@ def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Probl
         compared = {name: (gains_of(walks[name]), values) for name, values in metrics.items()}
         shell.show(comparison_table(compared, rivals[0], shell.tables.width, about, law))
         shell.show(*(f"{name}: {verdict}" for name, verdict in verdicts.items()))
+    shell.show(*(f"{name} {lost}" for name, walked in walks.items() if (lost := without_sensors(walked.lost_sensors))))
     shell.show(*numbers.weightless(metrics))
     if metrics[name]["detached_limb"] is not None:
         with shell.stage("what would help", compiles=False):

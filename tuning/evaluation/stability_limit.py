@@ -58,7 +58,7 @@ _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the g
 _NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "current_limit",
                "dry_friction", "stribeck", "load_torque", "profile", "servo_rate", "backlash", "capture")  # fmt: skip
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
-_ALIVE = 1e-9  # N, what sensors say of no force
+_ALIVE = 1e-3  # N, what sensors say of no force
 _Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, parameters where they vary
 
 

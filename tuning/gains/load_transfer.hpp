@@ -63,7 +63,7 @@ template <std::size_t Limbs>
 struct LoadTransferInput {
   Vector3 base_position;                    ///< m, of the base's centre of mass, as estimated
   Quaternion base_orientation;              ///< base to world, as estimated
-  Feet<Limbs> foot_force;                   ///< N, of the ground on the foot; exactly 0 or no number: a dead sensor
+  Feet<Limbs> foot_force;                   ///< N, of the ground on the foot; exactly 0 or no number: no reading
   std::array<bool, Limbs> support{};        ///< whether the gripper is shut and holds
   std::array<double, Limbs> peak_torque{};  ///< N m, largest magnitude among the limb's servos; 0 where not known
   Vector3 base_position_reference;          ///< m, of the base's centre of mass
@@ -77,6 +77,9 @@ struct LoadTransferInput {
 template <std::size_t Limbs>
 struct LoadTransferState {
   Feet<Limbs> offset{};  ///< m, axes of the base reference
+  Feet<Limbs> heard{};   ///< N, last reading of a foot's sensor since it stands
+  /// s, from -0.1, as a sensor reads something, up to 0.1, of one that is lost; from 0 on it is not believed
+  std::array<double, Limbs> doubt{};
 };
 
 namespace detail {
@@ -85,6 +88,9 @@ using Vector6 = std::array<double, 6>;  ///< a wrench (force, moment) or a twist
 using Matrix6 = std::array<Vector6, 6>;
 
 constexpr double kRelease = 0.05;       // s, in which an offset fades once its gripper has opened
+constexpr double kSilence = 0.1;         // s without a reading, after which a sensor is not believed
+constexpr double kNothing = 1e-6;        // N, finer than any sensor tells
+constexpr double kLoaded = 1.0;          // N in all, with which a robot stands firmly
 constexpr double kLeast = 0.02;         // weight of a foot that stands: three of them can always take the wrench
 constexpr double kRegularization = 8.0; // in units of rounding: feet on a line cannot take any wrench
 constexpr double kSoftness = 0.1;       // of a limit on pulls, in units of a weight
@@ -269,13 +275,41 @@ constexpr double weight_of(const LoadTransferGains& gains, double until_lift_off
   return share > kLeast ? share : kLeast;
 }
 
-/// Return whether a sensor says something: a dead one says exactly nothing, or what is no number.
-inline bool is_alive(const Vector3& force) {
-  const double size = std::abs(force.x) + std::abs(force.y) + std::abs(force.z);
-  return size > 0.0 && std::isfinite(size);
+inline double size_of(const Vector3& v) { return std::abs(v.x) + std::abs(v.y) + std::abs(v.z); }
+
+/// Take in what the sensors read. One that reads exactly 0, or no number, is believed to read what it last did since its
+/// foot stands. After 0.1 s of it on a foot that stands, while feet bear something, it is dead until it reads something.
+template <std::size_t Limbs>
+void listen(LoadTransferState<Limbs>& state, const LoadTransferInput<Limbs>& input, double period) {
+  std::array<bool, Limbs> reads{};
+  double loads = 0.0;
+  for (std::size_t limb = 0; limb < Limbs; ++limb) {
+    const double size = size_of(input.foot_force[limb]);
+    reads[limb] = size > kNothing && std::isfinite(size);
+    if (reads[limb]) {
+      state.heard[limb] = input.foot_force[limb];
+    } else if (!input.support[limb]) {
+      state.heard[limb] = Vector3{};
+    }
+    loads += size_of(state.heard[limb]);
+  }
+  for (std::size_t limb = 0; limb < Limbs; ++limb) {
+    double& doubt = state.doubt[limb];
+    if (reads[limb]) {
+      doubt = -kSilence;
+    } else if (input.support[limb] && (loads > kLoaded || doubt >= 0.0)) {
+      doubt = doubt + period < kSilence ? doubt + period : kSilence;
+    }
+  }
 }
 
 }  // namespace detail
+
+/// Return whether the law does without the force sensor of a limb: tell whoever runs the robot.
+template <std::size_t Limbs>
+bool sensor_lost(const LoadTransferState<Limbs>& state, std::size_t limb) {
+  return state.doubt[limb] >= detail::kSilence;
+}
 
 /// Advance the state by one period and return where the inverse kinematics should put the feet, (limb) m, world axes.
 template <std::size_t Limbs>
@@ -283,6 +317,7 @@ Feet<Limbs> step(const LoadTransferGains& gains, LoadTransferState<Limbs>& state
                  const LoadTransferInput<Limbs>& input) {
   using namespace detail;
   const Rotation axes(input.base_orientation_reference);
+  listen(state, input, gains.period);
   Feet<Limbs> force{}, lever{};
   std::array<bool, Limbs> trusted{};
   std::array<double, Limbs> standing{}, weight{};
@@ -291,10 +326,10 @@ Feet<Limbs> step(const LoadTransferGains& gains, LoadTransferState<Limbs>& state
     if (!input.support[limb]) continue;
     standing[limb] = 1.0;
     weight[limb] = kLeast;
-    trusted[limb] = is_alive(input.foot_force[limb]);
+    trusted[limb] = state.doubt[limb] < 0.0;
     if (!trusted[limb]) continue;
     weight[limb] = weight_of(gains, input.until_lift_off[limb], input.since_touchdown[limb]);
-    force[limb] = axes.from_world(input.foot_force[limb]);
+    force[limb] = axes.from_world(state.heard[limb]);
   }
   const Feet<Limbs> wanted = distributed(net_wrench(lever, force), lever, weight, gains.pull_limit);
   // what of the offsets only turns and shifts the base has its own way back

@@ -26,8 +26,8 @@ Gains of load transfer, written by mjx-climb export for the law in load_transfer
 - The times until lift-off and since touchdown are those of the gait that the robot is going to walk.
 - pull_limit is soft: feet that cannot bear the wrench otherwise pull harder. Keep it well below what grippers hold.
 - max_offset and max_rate bound the targets of standing feet. Whether a limb can reach its target is yours to check.
-- A sensor that reads exactly 0, or no number, counts as dead. The offset of its foot then fades, and the other feet
-  share what is still measured. A sensor that is stuck or biased is not noticed: give 0 in its place.
+- A sensor that reads exactly 0, or no number, for 0.1 s counts as dead (sensor_lost says so). The offset of its foot
+  then fades, the others share what is still measured. One that is stuck or biased is not noticed: give 0 in its place.
 - Begin with offsets of zero, in the air; then one foot, then all feet, standing; then walk."""
 _CPP = """\
 {comment}

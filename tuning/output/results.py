@@ -65,9 +65,10 @@ def judge(found: judging.Judged, folder: Folder, _: None = None) -> Contents:
     found, metrics = folder.found(found), found.problem.metrics
     summed = judging.summary(found.data)
     sentence = f"{ensemble.members} walks each; {judging.failed_in_words(summed)}"
+    outcome = [sentence, *judging.lost_in_words(found.data)]
     summary = to_json(judging.plain(summed, pages.shown(metrics)))
     return Contents(
-        Written(data=found.data, summed=summed, outcome=[sentence], summary=summary),
+        Written(data=found.data, summed=summed, outcome=outcome, summary=summary),
         {"summary.json": summary + "\n"},
         {"judged": (SHARES, lambda: pictures.plot_judged(found.data))},
         lambda origin: page.Page(
@@ -151,7 +152,7 @@ def compare(found: Comparison, folder: Folder, _: None = None) -> Contents:
         for law, own in found.tuned.items()
     }  # fmt: skip
     summary = to_json({"verdict": said.in_words, "best": said.best, "laws": searched, "table": rows})
-    notes = pages.notes_of_laws(found, table)
+    notes = [*pages.notes_of_laws(found, table), *judging.lost_in_words(found.data)]
     return Contents(
         Written(data=found.data, summed=table, outcome=[*notes, said.in_words], summary=summary),
         {**gains, "compared.csv": pages.to_csv(rows), "summary.json": summary + "\n"},
@@ -219,6 +220,7 @@ def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Datas
     broken, scores = judging.broken(walks, goal), judging.scores(walks, goal)
     summed = judging.summary(walks).assign(objective=scores, broken=broken)
     outcome = [f"{found.judges} walks each that the search never saw; {judging.failed_in_words(summed)}"]
+    outcome += judging.lost_in_words(walks)
     worth = None
     if retuned is not None:
         means = judging.plain(summed, pages.shown(problem.metrics))

@@ -260,6 +260,7 @@ def run(
     each = [data.sel(gains=[name]) for name, data in zip(draws, walks, strict=True)]
     each.append(walks[0].sel(gains=[judging.PD]))  # every draw has walked it
     data = xr.concat(each, "gains", data_vars="minimal", coords="minimal", compat="override", combine_attrs="override")
+    data.attrs[judging.LOST] = "; ".join(text for own in walks if (text := own.attrs[judging.LOST]))
     return Comparison(data, base, asked, base.ensemble, tuned=found)
 
 

@@ -19,10 +19,11 @@ from mjx_climb.execution.contents import identity
 from mjx_climb.files import dataset
 from mjx_climb.quantities.batches import own_axes
 from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.gait_values import GAIT, gait_of
 from mjx_climb.rollouts.resolve import AnyGains, resolve_in
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.walk.metrics import FAILURES
+from mjx_climb.walk.metrics import FAILURES, SENSORS
 from tuning.gains import gains_file
 from tuning.gains.gains_file import Whole, by_name
 from tuning.problem import ensemble as ensembles
@@ -39,6 +40,7 @@ MEMBERS = Judge().members
 WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that no search sees
 PD = "pd"
+LOST = "lost_sensors"  # of a dataset: in words, which laws did without a force sensor
 DRAWN = {  # said of each member: unit and words
     "cargo_mass": ("kg", "mass of the cargo"),
     "contact_stiffness": ("N/m", "contact stiffness"),
@@ -153,9 +155,10 @@ class Draw:
             batch |= {name: getattr(one.parameters, name)[None] for name in joint}
             if gait_of(by_name(gains)):
                 batch |= {key: getattr(one.own, name)[None] for key, name in GAIT.items()}
-            how = {**self.problem.walks, "law": whose, "dtype": np.float32, "smooth": True}
+            table = self.problem.metrics + SENSORS
+            how = {**self.problem.walks, "law": whose, "metrics": table, "dtype": np.float32, "smooth": True}
             found.append(mc.rollout_metrics(place, batch, parameters, **how))
-        return {name: np.concatenate([each[name] for each in found], axis=1) for name in self.problem.metrics.names}
+        return {name: np.concatenate([each[name] for each in found], axis=1) for name in table.names}
 
     def name(self, row: int) -> str:
         return f"member {row}"
@@ -176,7 +179,10 @@ class Draw:
         attrs: dict[str, Any] = {"title": "gains on the walks of an ensemble", **dataset.provenance(scenario)}
         attrs["ensemble"] = ensemble.to_yaml()
         attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
-        return xr.Dataset(data, {"gains": [*self.gains, *self.pd, PD], "member": np.arange(members)}, attrs)
+        names, limbs = [*self.gains, *self.pd, PD], load_robot(scenario.robot).limbs
+        lost = {name: _lost(arrays, number, limbs) for number, name in enumerate(names)}
+        attrs[LOST] = "; ".join(f"{name} {text}" for name, text in lost.items() if text)
+        return xr.Dataset(data, {"gains": names, "member": np.arange(members)}, attrs)
 
     def result(self, arrays: Mapping[str, np.ndarray]) -> Judged:
         return Judged(self.dataset(arrays), self.problem, ensemble=self.ensemble)
@@ -239,6 +245,22 @@ def through(
     return Draw(walked, gains, pd, asked, members, default_batch_size(members, problem.scenario.steps))
 
 
+def _lost(arrays: Mapping[str, np.ndarray], number: int, limbs: tuple[str, ...]) -> str:
+    """Return in words in how many walks of the gains of this number the law did without a force sensor, "" for none."""
+    at, limb = (arrays[name][:, number] for name in SENSORS.names)
+    there = limb >= 0
+    if not there.any():
+        return ""
+    earliest = {limbs[one]: float(at[there & (limb == one)].min()) for one in np.unique(limb[there])}
+    return f"{without_sensors(earliest)} in {there.sum()} of {len(limb)} walks"
+
+
+def without_sensors(lost: Mapping[str, float]) -> str:
+    """Return in words which force sensors a law did without, and from when on, s, by limb, "" for none."""
+    each = ", ".join(f"{limb} from {at:.2f} s" for limb, at in lost.items())
+    return f"ran without the force sensor of {each}" if each else ""
+
+
 def plain(summed: xr.Dataset, metrics: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return the share of walks that failed, mean and worst of some metrics by the names of the gains."""
     found: dict[str, dict[str, Any]] = {}
@@ -254,6 +276,12 @@ def failed_in_words(summed: xr.Dataset) -> str:
     """Return "would lose a gripper, or diverge: mine 0%, pd 3%"."""
     lost = zip(summed["gains"].values.tolist(), summed["failed"].values, strict=True)
     return "would lose a gripper, or diverge: " + ", ".join(f"{name} {share:.0%}" for name, share in lost)
+
+
+def lost_in_words(walks: xr.Dataset) -> list[str]:
+    """Return a warning that laws did without force sensors in some walks, none where none did."""
+    text = walks.attrs.get(LOST)
+    return [f"warning: {text}"] if text else []
 
 
 def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:

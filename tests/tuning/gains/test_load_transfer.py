@@ -48,6 +48,7 @@ def scenes(limbs):
     base = position + random.normal(0, 0.01, (STEPS, 3)), quaternions(random, orientation, 0.02)
     for dead in (0.0, np.nan, np.inf):
         force[random.random(support.shape) < 0.02] = dead
+    force[50:90, 0] = force[120:, 1] = 0.0  # for a while, and for good
     unread, torque = np.zeros(STEPS), random.normal(0, 1, (STEPS, limbs, 3))
     measured = Measurement(*base, unread, unread, force, unread, support, unread, unread, torque)
     return measured, Reference(position, orientation, foot, *times)

@@ -11,6 +11,7 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
+from mjx_climb.walk.metrics import SENSORS
 from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble, Worst, draw, worst_mean
 from tuning.problem.evaluation import Problem, pd_of
@@ -212,6 +213,21 @@ def test_search_and_judgement(scenario):
     variation = judged["force_variation"].sel(gains="pd").values
     assert summed["force_variation"].sel(gains="pd", statistic="worst").item() == pytest.approx(variation.max())
     assert summed["failed"].values.tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
+def test_a_draw_says_in_how_many_walks_a_law_did_without_a_sensor(scenario):
+    ensemble = Ensemble.make({"members": 3, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}})
+    draw = judge.through(Problem(scenario), {"mine": mc.Gains(1.0, 5e3, 2e4)}, ensemble)
+    names = [*draw.problem.metrics.names, *SENSORS.names]
+    arrays = {name: np.zeros((3, 2)) for name in names}
+    arrays["sensor_lost_limb"] = np.array([[-1, -1], [3, -1], [3, -1]])
+    arrays["sensor_lost_at"] = np.array([[np.nan, np.nan], [0.5, np.nan], [0.24, np.nan]])
+    found = draw.dataset(arrays)
+    assert judge.lost_in_words(found) == [
+        "warning: mine ran without the force sensor of RF from 0.24 s in 2 of 3 walks"
+    ]
+    arrays["sensor_lost_limb"][:] = -1
+    assert judge.lost_in_words(draw.dataset(arrays)) == []
 
 
 def judgement(**metrics):
