@@ -29,11 +29,12 @@ from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE, checked_engine
 from mjx_climb.dynamics.state import State
 from mjx_climb.execution.batches import Progress
+from mjx_climb.quantities.base import check_base
 from mjx_climb.quantities.batches import axes_behind, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.stance import check_stance
-from mjx_climb.rollouts.gait_values import gait_of, scenario_with_gait
+from mjx_climb.rollouts.gait_values import check_compiled, gait_of, moving_stages, scenario_with_gait
 from mjx_climb.rollouts.resolve import (
     AnyGains,
     by_name,
@@ -140,6 +141,7 @@ class Simulation:
         """
         checked_engine(engine)
         check_stance(scenario)
+        check_base(scenario)
         vars(self).update(  # frozen from here on
             scenario=scenario,
             law=law_of(scenario) if law is None else checked(law),
@@ -278,6 +280,7 @@ class Simulation:
         if directions is None:
             return execution.run(function, shape, execution.Robots(arguments, axes, batch), **how)
         along = resolved_directions(resolved, gains, directions)
+        shape = shape._replace(stages=moving_stages(shape.stages, along))
         moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in along}
         of_moving = {name: law.AXES.get(name, 0) for name in along}
         robots = execution.Robots((moving, *arguments), (of_moving, *axes), batch, along)
@@ -303,6 +306,7 @@ class Simulation:
         leaves = jax.tree.leaves(self.law if gains is None else gains)
         dtypes = [leaf.dtype for leaf in leaves if hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)]
         resolved = resolve(self.scenario, self.law, gains, parameters, jnp.result_type(*(dtypes or [float])))
+        check_compiled(self.scenario, self.structure.stages, {} if gains is None else by_name(gains))
         walk = _carried_out(metrics_of, self.structure)
         found: Metrics = over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
         return found

@@ -5,6 +5,7 @@ Each row starts from the state that the walk has there; the state of the next ro
 
 import mujoco
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -48,7 +49,23 @@ class Gait:
         self.actual, self.start = gait.base_reference == "actual", None
         given = dict(scenario.ground.footholds.items()) if scenario.ground.footholds is not None else {}
         self.heights = [given.get(limb, (0.0,)) for limb in walk.limbs]
+        self.base = self.base * [1, 1, gait.height]
+        self.sway, self.landing = (
+            self.swaying(gait, walk.limbs, (self.feet - self.base) * [1, 1, 0]),
+            gait.landing_speed,
+        )
+        self.moves = (1 - gait.settling) * self.swing * scenario.time_step  # s, a foot in a swing
         self.path = gait.step_height * turn.apply(np.moveaxis(walk.parameters.swing_path, 1, 2))
+
+    def swaying(self, gait, limbs, feet):
+        """Return the sway over the phase of a cycle: a spline at rest in the middle of each swing, as on the docs."""
+        begins = [np.array([gait.lift_off[limb] for limb in limbs]) + n for n in (-2, -1, 0, 1, 2)]
+        ends = [begin + 1 - gait.duty for begin in begins]
+        knots = np.unique(np.concatenate([begin + (1 - gait.duty) / 2 for begin in begins]).round(12))
+        up = np.array([[any(b[k] < t < e[k] for b, e in zip(begins, ends, strict=True)) for k in range(len(limbs))]
+                       for t in knots])  # fmt: skip
+        points = np.array([gait.sway * feet[~row].mean(0) for row in up])
+        return CubicHermiteSpline(knots, points, np.zeros_like(points))
 
     def height(self, foothold):
         """Return the heights (L,) of the limbs' footholds of these numbers; the last goes on for ever."""
@@ -63,17 +80,20 @@ class Gait:
         ground = self.height(cycle + (within - self.offset >= self.swing / 2))
         old, new = self.height(cycle), self.height(cycle + 1)
         if within == 0 or not self.actual:
-            self.start = base if self.actual else self.base + cycle * self.advance + old.mean() * Z
+            self.start = base - self.sway(0) if self.actual else self.base + cycle * self.advance + old.mean() * Z
         way = self.advance + (new.mean() - old.mean()) * Z
         phase = np.where(shut, 0, np.minimum(since / self.swing / (1 - self.settling), 1))
         feet = self.feet + cycle * self.advance + rest_to_rest(phase)[:, None] * self.advance
         end = np.where(phase < 0.5, old, new)
         top = np.maximum(old, new) + self.step_height
         feet[:, 2] += end + (top - end) * rest_to_rest(np.minimum(2 * phase, 2 - 2 * phase))
+        lands = CubicHermiteSpline([self.moves / 2, self.moves], [0, 0], [0, -self.landing])
+        feet[:, 2] += np.where(phase > 0.5, lands(phase * self.moves), 0)
         for limb, c in enumerate(2 * phase - 1):
             for k, added in enumerate(self.path[limb]):
                 feet[limb] += added * (1 - c**2) ** 3 * c ** (k + np.array([0, 0, 1]))
-        return shut, ground, self.start + rest_to_rest(within / self.cycle) * way, feet
+        swayed = self.start + self.sway(within / self.cycle)
+        return shut, ground, swayed + rest_to_rest(within / self.cycle) * way, feet
 
     def times(self, step):
         """Return how many steps until each gripper opens, and since it shut; a cycle more before its first swing."""
@@ -130,10 +150,8 @@ class Grips:
 class Law:
     """The paper's Eqs. 2 and 3 in the ways of docs/physics.md, and pd."""
 
-    lost = np.zeros((), bool)  # sensors that it does without
-
     def __init__(self, scenario, reference, limbs):
-        self.control, self.reference = scenario.control, reference
+        self.control, self.reference, self.lost = scenario.control, reference, np.zeros(limbs, bool)  # sensors
         self.period = scenario.hardware.control_period or scenario.time_step
         axes = 3 if self.control.controller == "end_effector_admittance" else 6
         names = ("inertia", "damping", "stiffness")
@@ -345,7 +363,7 @@ def again(walk, law=None):
     angles = stance[7:].reshape(body.shape)
     body.place(body.data, stance[:3], stance[3:7], angles)
     gait = Gait(walk, body.data.site_xpos.copy(), stance[:3])
-    _, ground, start, feet = gait.at(0, gait.base)
+    _, ground, start, feet = gait.at(0, gait.base + gait.sway(0))
     feet = gait.feet + ground[:, None] * Z
     three = angles.shape[1] == 3 and (body.model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE).all()
     angles = body.joints_for(start, reference, feet, angles) if three else angles

@@ -51,6 +51,9 @@ class Stages(NamedTuple):
     backlash: bool = False
     capture: bool = False
     rotational: bool = False  # grips transmit moments
+    height: bool = False  # the base stands higher or lower than in the rest stance
+    sway: bool = False
+    landing_speed: bool = False
 
     @property
     def force(self) -> bool:
@@ -103,6 +106,9 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
         viscous_friction=viscous or there["viscous_friction"],
         capture=_finite(parameters.capture_distance),
         rotational=there["rotational_stiffness"],
+        height=given(np.asarray(parameters.height) - 1),
+        sway=there["sway"],
+        landing_speed=there["landing_speed"],
     )
 
 

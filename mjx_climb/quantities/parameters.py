@@ -89,6 +89,9 @@ class Parameters:
     cycle: _Scalar = _of("gait.cycle", "s", "gait cycle")
     duty: _Scalar = _of("gait.duty", "1", "duty")
     settling: _Scalar = _of("gait.settling", "1", "share of a swing in which the foot waits")
+    height: _Scalar = _of("gait.height", "1", "height of the base as a share of the rest stance's")
+    sway: _Scalar = _of("gait.sway", "1", "sway of the base")
+    landing_speed: _Scalar = _of("gait.landing_speed", "m/s", "landing speed")
     heading: _Scalar = _of("gait.heading", "rad", "heading")
     foothold_height: Real[_Values, "... limbs N"] = _of(None)  # (limb, N) m, in order; N = 0: flat ground
     swing_path: Real[_Values, "... limbs 3 K"] = _of(

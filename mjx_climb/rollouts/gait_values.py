@@ -7,6 +7,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from mjx_climb.hardware.stages import Stages
+from mjx_climb.quantities.base import check_base
 from mjx_climb.quantities.parameters import KEYS, Parameters, whole_steps
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
@@ -55,6 +57,21 @@ def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, Any]) ->
     return walked
 
 
+def moving_stages(stages: Stages, names: Iterable[str]) -> Stages:
+    """Return the stages of a walk with derivatives along parameters by name: some have one where there is no stage."""
+    there = {name: True for name in names if name in GAIT.values() and name in stages._fields}
+    return stages._replace(**there)
+
+
+def check_compiled(scenario: Scenario, stages: Stages, gains: Mapping[str, Any]) -> None:
+    """Raise a ValueError for values of the gait for which a walk of these stages is not compiled."""
+    for key, value in gait_of(gains).items():
+        own = getattr(scenario.gait, GAIT[key])
+        if not getattr(stages, GAIT[key], True) and (isinstance(value, jax.core.Tracer) or np.any(value != own)):
+            expected = f"expected a scenario whose own is not {own:g}, so that the walk is compiled with it"
+            raise ValueError(f"gains.{key}: {expected}")
+
+
 def scenario_with_gait(scenario: Scenario, gains: Mapping[str, Any]) -> Scenario:
     """Return a scenario with the gait among the gains of one robot in place of its own, as `with_gait` has it.
 
@@ -75,6 +92,6 @@ def _check(scenario: Scenario, values: Mapping[str, np.ndarray]) -> None:
     extremes = {int(end) for value in (*rows.values(), swing) for end in (value.argmin(), value.argmax())}
     for place in extremes:
         try:
-            scenario.with_overrides({key: float(value[place]) for key, value in rows.items()})
+            check_base(scenario.with_overrides({key: float(value[place]) for key, value in rows.items()}))
         except ConfigError as error:
             raise ValueError(f"gains.{str(error).removeprefix('scenario: ')}") from None

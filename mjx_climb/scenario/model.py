@@ -57,6 +57,11 @@ class Gait(v.Section):
     settling: v.Share = setting(
         0.0, "share of a swing, at its end, in which the foot waits over its new foothold for the gripper to shut, 1"
     )
+    height: v.Height = setting(1.0, "height of the base over its feet, as a share of that in the rest stance, 1")
+    sway: v.Share = setting(
+        0.0, "share of the way to the centroid of the other feet that the base sways in the middle of each swing, 1"
+    )
+    landing_speed: v.NonNegative = setting(0.0, "speed along the ground's normal at which a swing ends, m/s")
     sequence: v.Swings = setting(
         ("LH", "LF", "RH", "RF"),
         "order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",
@@ -69,6 +74,13 @@ class Gait(v.Section):
         "nominal", "where each cycle's base reference starts: where planned, or where the base is"
     )
     heading: v.Angle = setting(0.0, "direction of walking and initial yaw about world z, rad")
+
+    @model_validator(mode="after")
+    def _low_reaction_is_of_the_plain_way(self) -> Gait:
+        for key, plain in (("height", 1.0), ("sway", 0.0), ("landing_speed", 0.0)):
+            if self.swing == "low_reaction" and (value := getattr(self, key)) != plain:
+                raise failure(f"{plain:g} with swing: low_reaction, which is worked out for that", key=key, got=value)
+        return self
 
     @property
     def places(self) -> list[tuple[str, ...]]:

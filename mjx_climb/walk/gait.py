@@ -1,12 +1,14 @@
 """Periodic gait: which gripper is open, where the base and the feet should be (ClimbLab's default gait)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.control import Reference
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
+from mjx_climb.hardware.stages import IDEAL, Stages
+from mjx_climb.quantities.base import Sway, sway_of, swayed
 from mjx_climb.quantities.parameters import Parameters, stance_steps, whole_steps
 from mjx_climb.quantities.swing import added_shapes, lift, rest_to_rest
 from mjx_climb.robot.constants import Robot
@@ -26,6 +28,8 @@ class Plan(NamedTuple):
     cycle_steps: Array  # () steps
     swing_steps: Array  # () steps
     swing_offset: Array  # (limb,) steps after the start of a cycle at which a limb lifts off
+    sway: Sway | tuple[()] = ()
+    landing: Array | tuple[()] = ()  # () m, speed of landing times the time that a foot moves in a swing
 
 
 class Schedule(NamedTuple):
@@ -41,19 +45,35 @@ class Schedule(NamedTuple):
 
 
 def plan(
-    robot: Robot, stance_feet: Array, parameters: Parameters, lift_off: tuple[tuple[str, float], ...], time_step: float
+    robot: Robot,
+    stance_feet: Array,
+    parameters: Parameters,
+    lift_off: tuple[tuple[str, float], ...],
+    time_step: float,
+    stages: Stages = IDEAL,
 ) -> Plan:
     """Return the walk of a robot whose feet stand at `stance_feet` (limb, 3) m in world axes at heading zero.
 
-    `lift_off` has the limbs' names, each with the share of the cycle at which it lifts off.
+    `lift_off` has the limbs' names, each with the share of the cycle at which it lifts off. `stages` say whether the
+    base has a height of its own or sways, and whether feet land with a speed.
     """
     zero = jnp.zeros_like(parameters.heading)
     heading = quaternion_from_rotation_vector(jnp.stack([zero, zero, parameters.heading]))
     turned, step_height = quaternion_to_matrix(heading), jnp.asarray(parameters.step_height)
     cycle_steps = whole_steps(parameters.cycle, time_step)
-    shares = jnp.asarray([dict(lift_off)[limb] for limb in robot.limbs], cycle_steps.dtype)
+    lifts = [dict(lift_off)[limb] for limb in robot.limbs]
+    shares, start = jnp.asarray(lifts, cycle_steps.dtype), jnp.asarray(robot.stance_position)
+    swing_steps = cycle_steps - stance_steps(parameters.duty, cycle_steps)
+    sway: Any = ()
+    if stages.sway:
+        sway = sway_of((stance_feet - start) @ turned.T, lifts, parameters.duty, parameters.sway)
+    landing: Any = ()
+    if stages.landing_speed:
+        landing = parameters.landing_speed * (1 - parameters.settling) * swing_steps * time_step
+    if stages.height:
+        start = start * jnp.stack([zero + 1, zero + 1, parameters.height])
     return Plan(
-        base_start=turned @ robot.stance_position,
+        base_start=turned @ start,
         base_orientation=quaternion_multiply(heading, jnp.asarray(robot.stance_orientation)),
         footholds=stance_feet @ turned.T,
         advance=turned @ jnp.stack([parameters.stride, zero, zero]),
@@ -62,8 +82,10 @@ def plan(
         swing_path=step_height * (turned @ parameters.swing_path),
         settling=jnp.asarray(parameters.settling),
         cycle_steps=cycle_steps,
-        swing_steps=cycle_steps - stance_steps(parameters.duty, cycle_steps),
+        swing_steps=swing_steps,
         swing_offset=whole_steps(shares * cycle_steps, 1),
+        sway=sway,
+        landing=landing,
     )
 
 
@@ -133,11 +155,17 @@ def reference(plan: Plan, now: Schedule, start: Array, grip_point: Array, time_s
 def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:
     """Return where the base should be, (3,) m in world axes: one cubic a cycle, rest to rest, from `start`.
 
-    On uneven ground the base rises and sinks with the mean height of the footholds.
+    On uneven ground the base rises and sinks with the mean height of the footholds. The sway comes on top.
     """
     old, new = (foothold_height(plan, cycle).mean() for cycle in (now.cycle, now.cycle + 1))
     way = _raised(plan.advance, new - old)
-    return start + rest_to_rest(now.cycle_phase) * way
+    position = start + rest_to_rest(now.cycle_phase) * way
+    return position + swayed(plan.sway, now.cycle_phase) if isinstance(plan.sway, Sway) else position
+
+
+def unswayed(plan: Plan, now: Schedule, position: Array) -> Array:
+    """Return where a base at `position` (3,) m would be without its sway."""
+    return position - swayed(plan.sway, now.cycle_phase) if isinstance(plan.sway, Sway) else position
 
 
 def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
@@ -145,7 +173,8 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
 
     A shut gripper stays where it grips. A swing is the same curve whatever came before: from the cycle's planned
     foothold to the next, even where a sagging robot touched down short of it; up to the step height above the higher
-    of both. What is added to the cubics is zero, with zero slope, at both ends.
+    of both. What is added to the cubics is zero, with zero slope, at both ends; but for a landing speed v of a swing
+    that takes T: `v T x^2 (1 - x) / 2` over its second half, x from 0 to 1.
     """
     # a limb on the ground has no swing: its phase runs past one
     phase = jnp.where(now.closed, 0.0, jnp.minimum(now.swing_phase / (1 - plan.settling), 1.0))
@@ -153,6 +182,9 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
     old, new = foothold_height(plan, now.cycle), foothold_height(plan, now.cycle + 1)
     end = jnp.where(phase < 0.5, old, new)
     height = end + (jnp.maximum(old, new) + plan.step_height - end) * lift(phase)
+    if not isinstance(plan.landing, tuple):
+        half = jnp.clip(2 * phase - 1, 0.0, 1.0)
+        height = height + plan.landing * (half * half * (1 - half) / 2)
     if plan.swing_path.shape[2]:
         horizontal, vertical = (jnp.stack(shapes) for shapes in added_shapes(phase))  # (K, limb)
         shapes = jnp.stack([horizontal, horizontal, vertical])  # (3, K, limb)

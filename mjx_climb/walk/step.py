@@ -79,7 +79,7 @@ def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
         law=law,
         parameters=parameters,
         hardware=hardware_of(parameters, structure.stages, structure.time_step, robot),
-        plan=gait.plan(robot, feet, parameters, structure.lift_off, structure.time_step),
+        plan=gait.plan(robot, feet, parameters, structure.lift_off, structure.time_step, structure.stages),
         windows=disturbance.windows(parameters, structure.time_step),
     )
 
@@ -110,7 +110,7 @@ def begin(walk: Walk) -> Carry:
     start, feet = gait.planned_start(plan, now.cycle), gait.first_footholds(plan)
     reference = gait.reference(plan, now, start, feet, walk.structure.time_step)._replace(foot_position=feet)
     rotation, joints = quaternion_to_matrix(reference.base_orientation), jnp.asarray(robot.stance_joints)
-    if plan.heights.size:  # uneven ground: the rest stance is none
+    if plan.heights.size or stages.height or stages.sway:  # the rest stance is none
         target = (reference.foot_position - reference.base_position) @ rotation
         joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     still = jnp.zeros_like(reference.base_position)
@@ -121,7 +121,7 @@ def begin(walk: Walk) -> Carry:
         frames = limb_frames(robot, rotation, joints)
         contact = contact._replace(attitude=Attitude(frames.rotation[:, -1], ~shut))
     memory = control_loop.begin(walk.controller, state, reference)
-    return Carry(state, contact, reference.base_position, memory)
+    return Carry(state, contact, gait.unswayed(plan, now, reference.base_position), memory)
 
 
 def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action = None) -> tuple[Carry, Sample]:
@@ -135,7 +135,8 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
 
     cycle_start, start = carry.cycle_start, gait.planned_start(walk.plan, now.cycle)
     if walk.structure.base_reference == "actual":  # a cycle starts where the base is, not where the last one ended
-        cycle_start = start = jnp.where(now.cycle_phase == 0, state.base_position, carry.cycle_start)
+        here = gait.unswayed(walk.plan, now, state.base_position)
+        cycle_start = start = jnp.where(now.cycle_phase == 0, here, carry.cycle_start)
     reference = gait.reference(walk.plan, now, start, actual.contact.grip_point, walk.structure.time_step)
     cargo, push = disturbance.acting(parameters, walk.windows, step)
     memory = carry.memory

@@ -1,9 +1,11 @@
 """The gait among the gains: the walk is that of a scenario with these values; what no gait could have is refused."""
 
+import jax
 import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.hardware.stages import IDEAL
 
 SHORT = mc.load_scenario("case_1_2", {"duration": 0.6, "gait.cycle": 1.0, "gait.stride": 0.02})
 GAIT = {"gait.duty": 0.8, "gait.cycle": 0.76, "gait.step_height": 0.02}
@@ -48,6 +50,36 @@ def test_the_step_height_has_a_derivative_and_times_have_none():
         mc.rollout_jvp(SHORT, {"gait.duty": 0.8}, {"gait.duty": np.ones(1)})
 
 
+@pytest.mark.slow
+def test_height_sway_and_landing_speed_have_derivatives():
+    """Of the sway and the landing speed also where there are none."""
+    simulation, h = mc.Simulation(SHORT, metrics=(mc.METRICS["cost_of_transport"], mc.METRICS["base_deviation"])), 1e-5
+    gains = {"damping": 5e3, "gait.height": 0.95, "gait.sway": 0.05, "gait.landing_speed": 0.02}
+    still = {"damping": np.zeros((1, 6))}
+    for values, key in [(gains, name) for name in [*gains][1:]] + [({**gains, "gait.sway": 0.0}, "gait.sway")]:
+        _, slopes = simulation.jvp(values, still | {key: np.ones(1)}, dtype=np.float64)
+        ends = [simulation.metrics(values | {key: values[key] + e}, dtype=np.float64) for e in (2 * h, h, 0.0)]
+        if values[key]:
+            ends = [simulation.metrics(values | {key: values[key] + e}, dtype=np.float64) for e in (h, -h)]
+        for name, (slope,) in slopes.items():
+            if len(ends) == 2:
+                expected = (ends[0][name] - ends[1][name]) / (2 * h)
+            else:  # from above alone
+                expected = (4 * ends[1][name] - ends[0][name] - 3 * ends[2][name]) / (2 * h)
+            np.testing.assert_allclose(slope, expected, rtol=1e-3, err_msg=f"{key} {name}")
+
+
+def test_what_a_walk_is_not_compiled_for_is_refused_where_it_is_traced():
+    simulation = mc.Simulation(SHORT)
+    assert simulation.structure.stages == IDEAL
+    with pytest.raises(
+        ValueError, match=r"^gains\.gait\.sway: expected a scenario whose own is not 0, so that the walk"
+    ):
+        jax.jvp(lambda sway: simulation.simulate({"gait.sway": sway})["travel"], (0.1,), (1.0,))
+    with pytest.raises(ValueError, match=r"^parameters: expected the stages of hardware"):
+        simulation.reset({"gait.height": 0.9})
+
+
 @pytest.mark.parametrize(
     ("gains", "message"),
     [
@@ -58,6 +90,8 @@ def test_the_step_height_has_a_derivative_and_times_have_none():
         ({"gait.step_height": -0.1}, r"gains\.gait\.step_height: expected finite numbers of 0 or more, got -0\.1"),
         ({"gait.cycle": np.nan}, r"gains\.gait\.cycle: expected finite numbers of 0 or more, got nan"),
         ({"gait.step_height": 0.0}, r"gains\.gait\.step_height: expected a number above 0, 100 at most, got 0"),
+        ({"gait.height": [1.0, 2.5]}, r"gains\.gait\.height: expected at most 1\.\d+, with which all feet are within"),
+        ({"gait.height": 1.7, "gait.sway": 0.9}, r"gains\.gait\.sway: expected at most 0\.\d+, with which all feet"),
         ({"gait.heading": 0.1}, r"gains\.gait\.heading: expected one of inertia, damping, stiffness, kp, kd, the"),
     ],
 )  # fmt: skip

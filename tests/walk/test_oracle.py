@@ -86,6 +86,14 @@ WALKS = {  # changes, and what is to happen
         },
         lambda walk: np.ptp(walk.base_displacement),
     ),
+    "a base that sways, low over feet that land fast": (
+        {
+            "gait.sway": 0.4, "gait.height": 0.92, "gait.landing_speed": 0.05, "gait.heading": 0.7,
+            "gait.settling": 0.1, "gait.phases": {"LF": 0.03, "LH": 0.2, "RH": 0.52, "RF": 0.75},
+            "gait.base_reference": "actual", "gait.duty": 0.77,
+        },
+        lambda walk: np.ptp(walk.base_reference[:, 1]) > 1e-3,
+    ),
     "end effector": (
         {
             "control.controller": "end_effector_admittance", "gravity": [0.0, 0.0, 0.0],

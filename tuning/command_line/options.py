@@ -208,6 +208,7 @@ def scenario_from(
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     from mjx_climb.checks.time_step import check_time_step
     from mjx_climb.execution import paths
+    from mjx_climb.quantities.base import check_base
     from mjx_climb.quantities.ground import check_reach
     from mjx_climb.robot.stance import check_stance
     from mjx_climb.scenario.load import load_hardware, with_hardware
@@ -220,7 +221,7 @@ def scenario_from(
         scenario = overridden(with_hardware(scenario, load_hardware(hardware), hardware), changes, str(config))
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
-    for check in (check_stance, check_time_step, check_reach):
+    for check in (check_stance, check_base, check_time_step, check_reach):
         check(scenario, str(config))
     return scenario
 

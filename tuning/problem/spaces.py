@@ -21,6 +21,7 @@ import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
 from mjx_climb.hardware.stages import IDEAL, stages_of
+from mjx_climb.quantities.base import check_base
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.gait_values import GAIT, TIMES, gait_of, scenario_with_gait, why_fixed
@@ -37,7 +38,9 @@ INTEGRAL = "ki"  # searched where the scenario has an integral term, or where as
 _INTEGRAL = 10.0  # bounds: how many times below and above
 _PER_KP = 0.5  # 1/s, ki over kp, as registers of public robots have them: in place of a scenario's ki of zero
 _LONGEST_STANCE = 0.95  # duty, up to which searches look
-_SETTLING = (0.02, 0.5)  # shares of a swing
+_SHARES = (0.02, 0.5)  # of a swing in which a foot waits, of the way that the base sways
+_HEIGHT = (0.85, 1.15)  # of that of the rest stance
+_LANDING = (1e-3, 0.2)  # m/s
 _GAIT_FACTOR = 2.0  # cycle and step height: so many times below and above the scenario's own
 _DAMPED = 0.004  # s, kd over kp of the paper's joint loop: in place of a scenario's kd of zero
 _BOUNDED_FOR = "hubrobo_v3_2"  # the robot that bounds of the paper's gains are for
@@ -136,7 +139,8 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     """
     law = law_of(scenario) if law is None else law
     # with a late force sensor or a servo with friction, which admittance is best depends on the joint loop
-    ideal = stages_of(scenario, own_parameters(scenario))._replace(capture=False) == IDEAL
+    of_gait = {"height": False, "sway": False, "landing_speed": False}
+    ideal = stages_of(scenario, own_parameters(scenario))._replace(capture=False, **of_gait) == IDEAL
     joint_gains = not ideal if search.joint_gains is None else search.joint_gains
     gait = [name for name in GAIT if name in search.also or name in search.pins]
     if not law.GAINS and not joint_gains and INTEGRAL not in search.also and gait_of(dict.fromkeys(search.also)) == {}:
@@ -227,7 +231,13 @@ def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
     least = gait.duty if gait.phases is not None else 1 - 1 / len(gait.sequence)
     bounds = {name: getattr(gait, GAIT[name]) for name in SEARCHED_GAIT}
     spans = {name: (own / _GAIT_FACTOR, own * _GAIT_FACTOR) for name, own in bounds.items()}
-    return spans | {"gait.duty": (least, max(_LONGEST_STANCE, (1 + least) / 2)), "gait.settling": _SETTLING}
+    spans["gait.duty"] = least, max(_LONGEST_STANCE, (1 + least) / 2)
+    return (
+        spans
+        | {"gait.height": _HEIGHT}
+        | dict.fromkeys(("gait.settling", "gait.sway"), _SHARES)
+        | {"gait.landing_speed": _LANDING}
+    )
 
 
 def refuse_gait(search: Search) -> None:
@@ -249,7 +259,7 @@ def check_gait(scenario: mc.Scenario, search: Search) -> None:
         raise ConfigError(f"also: {why}")
     for ends in itertools.product(*each.values()):
         try:
-            scenario_with_gait(scenario, dict(zip(each, ends, strict=True)))
+            check_base(scenario_with_gait(scenario, dict(zip(each, ends, strict=True))))
         except ConfigError as error:
             raise ConfigError(f"bounds.{str(error).removeprefix('scenario: ')}") from None
 

@@ -15,6 +15,7 @@ from scipy.linalg import expm
 
 import mjx_climb as mc
 from mjx_climb.control.virtual_mass import Motion, advance, at_rest
+from mjx_climb.rollouts import gait_values
 from mjx_climb.scenario.load import load_hardware
 from mjx_climb.scenario.shipped import config_path
 from tuning.evaluation import margins, stability_limit
@@ -353,7 +354,7 @@ def test_a_file_holds_law_joint_gains_and_gait(law, tmp_path):
     whole = gains_file.whole(path, scenario)
     assert type(whole.law) is type(law)
     kept = {name: value for name, value in gains.items() if name not in mc.Gains.AXES or law.GAINS}
-    assert set(whole.gains) == {*kept, "gait.stride", "gait.settling"}
+    assert set(whole.gains) == {*kept, *gait_values.GAIT}
     for name, value in kept.items():
         np.testing.assert_array_equal(whole.gains[name], value)
     place, own = gains_file.walker(path, scenario)
@@ -378,7 +379,7 @@ def test_a_file_that_names_a_shipped_law_with_its_module_still_reads(tmp_path):
     [
         ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, got another"),
         ("law: mine.py:Mine\nkp: 1", "law: expected gains of the config's law, got those of mine.py:Mine"),
-        ("law: PD\ngait: 3", "gait: expected a mapping with keys stride, step_height, cycle, duty, settling, got 3"),
+        ("law: PD\ngait: 3", "gait: expected a mapping with keys stride, step_height, cycle, duty, settling, height, "),
         ("law: PD\ngait: {speed: 3}", "gait.speed: expected only the keys stride, "),
         ("law: PD\ngait: {duty: high}", "gait.duty: expected a number, got 'high'"),
         ("law: PD\ngait: {duty: 0.6}", "gait.duty: expected a number from 0.75 to below 1, so that one swing"),

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 import mjx_climb as mc
+from mjx_climb.rollouts import gait_values
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains import gains_file
 from tuning.problem import spaces
@@ -92,7 +93,7 @@ def test_pd_with_its_gait_retuned_is_better_and_walks_again_from_its_file(found,
     found.write_found(tmp_path)
     text = yaml.safe_load((tmp_path / "gains.yaml").read_text())
     assert text["law"] == "PD" and set(text) == {"law", "kp", "kd", "gait"}
-    assert set(text["gait"]) == {"duty", "cycle", "step_height", "stride", "settling"}
+    assert set(text["gait"]) == {key.removeprefix("gait.") for key in gait_values.GAIT}
     assert text["gait"]["stride"] / text["gait"]["cycle"] == pytest.approx(0.01 / 0.8)  # as fast
     expected = mc.metrics(mc.rollout(PD, found.gains))
     (tmp_path / "config.yaml").write_text(SHORT.to_yaml())  # under another law: the file has its own
