@@ -59,7 +59,7 @@ def test_what_the_scenario_allows_is_allowed(numbers):
     """The ends of ranges, batches, and what nobody knows yet."""
     ends = {"holding_limit": np.array([0.0, np.inf]), "kd": 0.0, "duty": np.nextafter(1, 0), "seed": 2.0**24 - 1}
     check_ranges(dataclasses.replace(numbers, **{name: np.asarray(value) for name, value in ends.items()}))
-    assert set(KEYS) | {"mass_scale", "foothold_height", "swing_path"} == set(vars(numbers))
+    assert set(KEYS) | {"mass_scale", "foothold_height", "swing_path", "force_dead"} == set(vars(numbers))
     jax.eval_shape(lambda kp: check_ranges(dataclasses.replace(numbers, kp=kp)), -1.0)
 
 
