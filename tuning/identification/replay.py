@@ -212,7 +212,8 @@ def _as_walk(
         joint_torque=torque, foot_position=feet, foot_velocity=speed, foot_target=feet, foot_force=of_feet,
         foot_moment=of_feet, grip_point=feet, support=none, contact=none, detached=none, torn_off=none, missed=none,
         reachable=~none, sensor_lost=none, base_reference=position, base_displacement=wrench, base_wrench=wrench,
-        push=wrench, cargo_mass=np.zeros(steps), center_of_mass=np.full((steps, 3), np.nan), tsm=undefined, gia_margin=undefined,
+        push=wrench, cargo_mass=np.zeros(steps), center_of_mass=np.full((steps, 3), np.nan),
+        tsm=undefined, gia_margin=undefined,
     )  # fmt: skip
 
 
