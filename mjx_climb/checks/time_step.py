@@ -90,10 +90,12 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     if grows <= 1 + _ROUNDING:
         return
     contact, control, friction = scenario.contact, scenario.control, scenario.hardware.servo.coulomb_friction
+    emf = _of_loop(scenario)[1] - control.kd
+    driven = f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
     sticking = f", hardware.servo.coulomb_friction {friction:g}" if friction else ""
     raise ConfigError(
         f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with contact.stiffness "
-        f"{contact.stiffness:g}, contact.damping {contact.damping:g}{sticking}, control.kp {control.kp:g} and "
+        f"{contact.stiffness:g}, contact.damping {contact.damping:g}{sticking}{driven}, control.kp {control.kp:g} and "
         f"control.kd {control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
         f"{largest_time_step(scenario, source):g} would do"
     )

@@ -131,6 +131,11 @@ def test_joint_gains_are_multiplied_by_the_phase_of_the_limb(scene):
     found = walked(combined(law, inner), measured, reference).joint_gains
     np.testing.assert_allclose(found.kp, (np.array([1, 3, 1, 1]) @ SHARES) * (np.array([0.5, 1, 1, 1]) @ SHARES))
     np.testing.assert_allclose(found.kd, np.array([1, 1, 2, 1]) @ SHARES)
+    own = dataclasses.replace(phased(PD(), ["ki"], phase_time=TIME, phase_ramp=RAMP), ki_in_swing=0.25)
+    both = walked(combined(own, inner), measured, reference).joint_gains
+    np.testing.assert_allclose(both.ki, np.array([0.25, 1, 1, 1]) @ SHARES, rtol=1e-12)
+    np.testing.assert_allclose(both.kp, command.joint_gains.kp, rtol=1e-12)
+    assert command.joint_gains.ki == () and found.ki == ()
     assert law.search_bounds(STEP)["kp_in_swing"] == (0.1, 10.0) and "kp_standing" not in law.GAINS
 
 

@@ -210,7 +210,8 @@ def test_a_filter_is_the_sensors_or_the_laws():
 
 STAGE_OF = {name: name for name in IDEAL._fields if name in vars(mc.parameters(mc.Scenario()))} | {
     "position_noise": "base_noise", "velocity_noise": "base_noise", "coulomb_friction": "dry_friction",
-    "load_friction": "dry_friction", "capture_distance": "capture", "rotational_stiffness": "rotational",
+    "load_friction": "dry_friction", "ki": "integral", "profile_velocity": "profile",
+    "capture_distance": "capture", "rotational_stiffness": "rotational",
 }  # fmt: skip
 
 

@@ -100,12 +100,19 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
     )
 
 
-def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutoff: float | None = None) -> str:
+def write(
+    gains: mc.Gains,
+    rate: int,
+    name: str = "admittance_controller",
+    cutoff: float | None = None,
+    registers: str = "",
+) -> str:
     """Return the parameter file of a controller called `name`.
 
     Arguments:
         gains: that `check` lets through at this update rate, Hz.
         cutoff: of the first-order low pass on the forces with which the gains were walked, Hz; None: none.
+        registers: of the servos that hold the gains of the joint loop, in words.
     """
     inertia, damping, stiffness = six(gains)
     parameters = {
@@ -126,6 +133,7 @@ def write(gains: mc.Gains, rate: int, name: str = "admittance_controller", cutof
     joint = {key: float(value) for key in ("kp", "kd", "ki") if (value := getattr(gains, key)) is not None}
     if joint:
         header += "\nThe joint loop is the hardware's: " + ", ".join(f"{key} {value:g}" for key, value in joint.items())
+    header += f"\nIn {registers}" if registers else ""
     return commented(header, {name: {"ros__parameters": parameters}})
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import dataclasses
 import json
 import math
 import re
@@ -235,6 +236,28 @@ def test_filter_and_rate_are_those_that_were_walked(export, judged):
     assert "filter_coefficient: 30 Hz" in text
 
 
+def test_gains_of_the_joint_loop_are_written_as_registers(export, judged):
+    """They stand for the gains to half a unit of a register; a register that cannot hold its gain says so."""
+    gains = dataclasses.replace(SPLIT, kp=41.0, kd=0.3, ki=12.0)
+    config = mc.load_scenario("case_1_2").with_overrides({
+        "hardware.servo": {
+            "drive": "voltage", "torque_limit": 8.0, "no_load_speed": 7.0, "rate": 500.0, "armature": 0.01,
+        },
+    })  # fmt: skip
+    code, text, err = export(gains, config=config)
+    assert code == 0, err
+    (line,) = [line for line in text.splitlines() if "registers" in line]
+    p, i, d = map(int, re.search(r"P Gain (\d+), I Gain (\d+), D Gain (\d+)$", line).groups())
+    count = 8.0 / 885 * 4096 / (2 * np.pi)  # N m/rad, of an output of one per count
+    assert line.split("In ")[1] in err
+    assert (
+        p == round(41.0 / count * 128) and i == round(12.0 * 0.002 / count * 65536) and d == round(0.15e3 / count * 16)
+    )
+    _, text, _ = export(dataclasses.replace(gains, kd=30.0), config=config)
+    assert f"D Gain 16383 (kd {16383 / 16 * count / 500:.3g} in place of 30)" in text
+    assert "registers" not in "".join(export(gains, config=mc.load_scenario("case_1_2"))[1:])
+
+
 def test_what_the_sensors_filter_is_not_filtered_once_more(export, judged):
     config = mc.load_scenario("case_1_2", {"hardware.force_sensor.filter": 30.0})
     _, text, err = export(SPLIT, config=config)
@@ -329,7 +352,7 @@ def test_gains_file_returns_what_went_in(gains, tmp_path):
         ("inertia: 1\ndamping: -1\nstiffness: 1", ": damping: expected a finite number above 0"),
         ("inertia: 1\ndamping: [1, 2]\nstiffness: 1", ": damping: expected"),
         ("inertia: 1\ndamping: {x: 1}\nstiffness: 1", ": damping"),
-        ("inertia: 1\ndamping: 1\nstiffness: 1\nki: 3", "ki: expected only the keys"),
+        ("inertia: 1\ndamping: 1\nstiffness: 1\nkx: 3", "kx: expected only the keys"),
         ("inertia: 1\ndamping: 1\nstiffness: 1\nkd: null", ": kd: expected"),
         ("inertia: [", "valid YAML"),
     ],
@@ -377,7 +400,7 @@ def test_a_file_that_names_a_shipped_law_with_its_module_still_reads(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, got another"),
+        ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, ki, got another"),
         ("law: mine.py:Mine\nkp: 1", "law: expected gains of the config's law, got those of mine.py:Mine"),
         ("law: PD\ngait: 3", "gait: expected a mapping with keys stride, step_height, cycle, duty, settling, height, "),
         ("law: PD\ngait: {speed: 3}", "gait.speed: expected only the keys stride, "),

@@ -63,6 +63,16 @@ def test_pins_bounds_and_joint_gains(scenario):
     assert space.on_bound(space.lower) == list(space.names)
 
 
+def test_an_integral_gain_is_searched_where_there_is_one_or_it_is_asked_for(scenario):
+    names = lambda changes, **wanted: spaces.space(scenario.with_overrides(changes), search.Search.make(wanted)).names  # noqa: E731
+    assert "ki" not in names({}, joint_gains=True) and "ki" not in names({"control.ki": 20.0}, joint_gains=False)
+    assert "ki" in names({"control.ki": 20.0}, joint_gains=True)
+    space = spaces.space(scenario, search.Search.make({"also": ["ki"], "joint_gains": True}))
+    assert float(space.to_gains(jnp.asarray(space.upper)).ki) == pytest.approx(10 * 0.5 * scenario.control.kp, rel=1e-5)
+    start = space.from_gains({"ki": 7.0, "kp": 40.0})
+    assert float(space.to_gains(jnp.asarray(start)).ki) == pytest.approx(7.0 if 7.0 > 2.5 else 2.5, rel=1e-5)
+
+
 def test_joint_gains_that_shake_at_the_time_step_are_no_result(scenario):
     """One walk may seem well with them; nobody could walk with what was found."""
     settings = search.Search.make({"joint_gains": True})
