@@ -38,6 +38,20 @@ iterations: 2
 seed: 3
 precision: float64
 """
+LOG = "time,LF.coxa.command,LF.coxa.position,LH.force.z,comment,packed\n" + "".join(
+    f'{n / 100},{n / 1000},{n / 1000 - 0.01},{"" if n % 2 else n / 7},word,"[{n}, 1.0]"\n' for n in range(30)
+)
+SIGNALS = """\
+time: time
+time_unit: s
+repeats: keep
+longest_gap: 4.0
+signals:
+  LF.coxa.command: {column: LF.coxa.command, unit: deg, sign: -1}
+  LF.coxa.position: {column: LF.coxa.position, unit: counts, counts_per_turn: 4096, zero: 2048, shift: 0.01}
+  LF.femur.command: {column: packed.0, unit: deg, rate: 100.0}
+  LH.force.z: {column: LH.force.z, unit: kgf, time: time, time_unit: ms}
+"""
 ENSEMBLE = (CONFIGS / "ensemble.yaml").read_text()
 
 RANGES = ["--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2"]
@@ -46,6 +60,7 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "--snapshots --at 0.5,1 --size 640x480 --json",
     "sweep": "{config} --stiffness 1e3:1e5:3 --damping 1e2:1e3:2 --gains {gains} --batch-size 4 --shard 2/3 "
     "--set control.kd=0.1",
+    "replay": "{config} --log {log} --signals {signals} --base held --judge --size 640x480 --set control.kd=0.1",
     "merge": "taken",
     "plot": "taken --metric min_tsm --figures png,pdf --size 60x60 --dpi 100 --style ggplot",
     "robot": "taken --gravity 1.6 --base base --limbs a,b",
@@ -69,7 +84,10 @@ USES = {
     "gains": ("run", "sweep", "tune", "margins", "export"),
     "search": ("tune", "pareto", "schedule"),
     "ensemble": ("tune",),
+    "log": ("replay",),
+    "signals": ("replay",),
 }
+ENDINGS = {"log": "csv"}  # of others yaml
 NUMBERS = (
     "nan", ".nan", ".inf", "-.inf", "inf", "1e999", "-1e999", "1e308", "-1e308", "1e-320", "0", "-0.0", "-1", "1e300",
     "9" * 400, "0x10", "1_000", "1,5", "0.1e", "--1", "1e-30", "1e18", "3.5", "\u0661\u0662", "1:2", "1/0", "1e400/3",
@@ -109,11 +127,13 @@ def case(number: int) -> Case:
         "gains.yaml": GAINS.encode(),
         "search.yaml": SEARCH.encode(),
         "ensemble.yaml": ENSEMBLE.encode(),
+        "log.csv": LOG.encode(),
+        "signals.yaml": SIGNALS.encode(),
         "taken": b"a file",
     }
     if rng.random() < 0.6:
-        kind = rng.choice(["config", "config", "config", "gains", "search", "ensemble"])
-        name = f"{kind}.yaml"
+        kind = rng.choice(["config", "config", "config", "gains", "search", "ensemble", "log", "signals"])
+        name = f"{kind}.{ENDINGS.get(kind, 'yaml')}"
         files[name] = _damaged(rng, files[name])
         if rng.random() < 0.04:
             files[name] = None
@@ -127,7 +147,8 @@ def _call(command: str, kind: str) -> list[str]:
     """Return a valid call of a command on a file of this kind."""
     if command == "export":
         return ["export", "{folder}/gains.yaml"]
-    other = [] if kind == "config" else [f"--{kind}", f"{{folder}}/{kind}.yaml"]
+    other = [] if kind == "config" else [f"--{kind}", f"{{folder}}/{kind}.{ENDINGS.get(kind, 'yaml')}"]
+    other += ["--log", "{folder}/log.csv"] if kind == "signals" else []
     return [command, "{folder}/config.yaml", *other, *(RANGES if command == "sweep" else ())]
 
 
@@ -136,7 +157,7 @@ def _muddled(rng: random.Random) -> list[str]:
     command = rng.choice(list(COMMANDS))
     words = COMMANDS[command]
     for kind in USES:
-        words = words.replace(f"{{{kind}}}", f"{{folder}}/{kind}.yaml")
+        words = words.replace(f"{{{kind}}}", f"{{folder}}/{kind}.{ENDINGS.get(kind, 'yaml')}")
     words = words.split()
     if command not in ("bench", "doctor", "robot"):
         words += ["--out", "{folder}/out"]

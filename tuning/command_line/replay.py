@@ -26,17 +26,19 @@ class Recorded(Options):
         None, "where each signal stands in it, YAML; null: by the names of its columns, or guessed", metavar="FILE"
     )
 
-    def read(self, scenario: "mc.Scenario", shell: "Session") -> "Log":
-        """Return the log, and say how its signals were found, and what seems wrong with it."""
+    def read(self, scenario: "mc.Scenario") -> "Log":
+        """Return the log."""
         from mjx_climb.robot.constants import load_robot
         from tuning.identification.readers import read_log
 
-        log = read_log(self.log, load_robot(scenario.robot), self.signals)
+        return read_log(self.log, load_robot(scenario.robot), self.signals)
+
+    def say(self, log: "Log", shell: "Session") -> None:
+        """Say how the signals of the log were found, and what seems wrong with it."""
         if log.guessed is not None:
             how = "guessed where each signal stands (save this as signals.yaml, correct it, --signals signals.yaml):"
             shell.say(f"{self.log}: {how}", log.guessed.to_yaml().rstrip())
         shell.say(*(f"warning: {line}" for line in log.warnings))
-        return log
 
 
 class Replayed(Options):
@@ -79,13 +81,15 @@ def replay(
 
         loaded = walk.load_with_gains()
         pictures.check(loaded.scenario)
-        log = recorded.read(loaded.scenario, shell)
+        log = recorded.read(loaded.scenario)
         if replayed.judge and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
             raise InputError(f"--judge: expected pushes in {log.source} (base.force.x ...), got none")
+        prepared = replays.prepare(log, loaded.scenario, replayed.base)
         shell.claim("replay.json", walk.config.stem, "replay")
+        recorded.say(log, shell)
         shell.opening()
         with shell.stage("replay"):
-            found = replays.replay(log, loaded.scenario, replayed.base, loaded.engine)
+            found = replays.simulate(prepared, loaded.engine)
         write_config(found.scenario, shell.out, loaded.law)
         _write(found, _judged(found, loaded, shell) if replayed.judge else {}, shell, pictures)
 

@@ -17,6 +17,7 @@ from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import MAX_STEPS
 from mjx_climb.walk import stand
 from tuning.identification.log import Log, Signal
 
@@ -64,8 +65,23 @@ class Replay:
         return dataclasses.replace(walk, foot_position=_feet(robot, *base), **found)
 
 
+class Prepared(NamedTuple):
+    """All that is needed to simulate a log."""
+
+    log: Log
+    scenario: mc.Scenario  # as long as the log, with its pushes
+    base: Base
+    targets: Float[np.ndarray, "time limb joint"]  # rad
+    warnings: tuple[str, ...]
+
+
 def replay(log: Log, scenario: mc.Scenario, base: Base | None = None, engine: str = "limb") -> Replay:
-    """Return a log beside the simulation that its commands drive.
+    """Return a log beside the simulation that its commands drive; see `prepare`."""
+    return simulate(prepare(log, scenario, base), engine)
+
+
+def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepared:
+    """Return what a log's commands do to the servos, and the scenario in which they do it.
 
     Commands go to the servos as they were logged: `hardware.control_period` has no part in it, `command_delay` and the
     servos have. With the base held it is a robot on a stand that begins where the log does; else a walk from the rest
@@ -75,29 +91,37 @@ def replay(log: Log, scenario: mc.Scenario, base: Base | None = None, engine: st
         base: held or free; None: held where the log has neither base nor foot forces.
 
     Raises:
-        ConfigError: a log without commands, or shorter than a time step.
+        ConfigError: a log without commands, or shorter than a time step, or with pushes that are noise.
     """
     robot, signals = load_robot(scenario.robot), log.signals
     sent = [name for name in signals if name.endswith(".command")]
     if not sent:
         raise ConfigError(f"{log.source}: expected commands of joints, such as LF.coxa.command, got none")
     steps = int(log.duration / scenario.time_step + 1e-6) + 1
-    if steps < 2:
-        raise ConfigError(f"{log.source}: expected a log of more than one time step, got {log.duration:g} s")
+    if not 2 <= steps <= MAX_STEPS:
+        expected = f"a log of two to {MAX_STEPS} time steps of {scenario.time_step:g} s"
+        raise ConfigError(f"{log.source}: expected {expected}, got {log.duration:g} s")
     chosen: Base = base or ("free" if any(n.startswith("base.") or ".force." in n for n in signals) else "held")
     scenario = scenario.with_overrides({
         "duration": steps * scenario.time_step, "hardware.control_period": 0.0, "hardware.interpolation": "hold",
     })  # fmt: skip
     scenario, said = _with_pushes(scenario, log) if chosen == "free" else (scenario, [])
     targets = _targets(log, robot, scenario, held=chosen == "held")
-    if len(sent) < targets.shape[1] * targets.shape[2]:
-        said.append(f"{len(sent)} joints of {targets[0].size} have commands, the others are sent where they began")
-    if chosen == "held":
+    if len(sent) < (joints := targets[0].size):
+        said.append(f"{len(sent)} joints of {joints} have commands, the others are sent where they began")
+    return Prepared(log, scenario, chosen, targets, tuple(said))
+
+
+def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
+    """Return a log beside the simulation that its commands drive."""
+    log, scenario, base, targets, said = prepared
+    robot = load_robot(scenario.robot)
+    if base == "held":
         walk = _on_a_stand(scenario, robot, log, targets)
     else:
         walk = mc.Simulation(scenario, engine=engine).rollout(targets=targets)
-        said += _of_a_walk(walk, log, robot)
-    return Replay(log, scenario, chosen, walk, _errors(walk, log, robot), tuple(said))
+        said = (*said, *_of_a_walk(walk, log, robot))
+    return Replay(log, scenario, base, walk, _errors(walk, log, robot), said)
 
 
 def _targets(log: Log, robot: Robot, scenario: mc.Scenario, held: bool) -> Float[np.ndarray, "time limb joint"]:

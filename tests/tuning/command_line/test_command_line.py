@@ -51,6 +51,7 @@ def files(tmp_path_factory):
     (folder / "file").write_text("")
     law = "from mjx_climb.control import VirtualModelAdmittance\nclass Mine(VirtualModelAdmittance): pass"
     (folder / "law.py").write_text(law)
+    (folder / "log.csv").write_text("time,LF.coxa.command\n" + "".join(f"{n / 100},0.1\n" for n in range(20)))
     for name in ("trajectory.nc", "sweep.nc", "search.nc", "parts"):  # of other commands, the last one's unfinished
         (folder / f"with_{name}").mkdir()
         (folder / f"with_{name}" / name).write_text("")
