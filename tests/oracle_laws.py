@@ -97,11 +97,13 @@ class OfFeet:
 class LoadTransfer(OfFeet):
     def move(self, levers, force, error, support, trusted, times):
         gains, h = self.gains, self.period
-        ramps = np.minimum(times[0] / gains["unloading"], 1) * np.minimum(times[1] / gains["loading"], 1)
+        before, after = np.ravel(gains["unloading"]), np.ravel(gains["loading"])  # of all limbs, or of each
+        ramps = np.minimum(times[0] / before, 1) * np.minimum(times[1] / after, 1)
         weight = support * np.where(trusted, np.maximum(ramps, 0.02), 0.02)
         wanted = shared(grasp(levers) @ force.ravel(), levers, weight, gains["pull_limit"])
         whole = rigid(levers, self.offset, support * 1.0)
-        damping = np.array([*[gains["tangential_damping"]] * 2, gains["normal_damping"]])
+        damping = np.ones((len(force), 1)) * gains["tangential_damping"] * [1, 1, 0]
+        damping = damping + np.ones((len(force), 1)) * gains["normal_damping"] * [0, 0, 1]
         rate = trusted[:, None] * (force - wanted) / damping
         rate = rate - gains["leak"] * (self.offset - whole) - gains["leveling"] * whole
         moved = bounded(self.offset + h * bounded(rate, 0.1), 0.02)

@@ -19,7 +19,7 @@ class Offsets(NamedTuple):
     """How far the feet are from where the gait wants them, and what their sensors said."""
 
     displacement: Array  # (limb, 3) m, axes of the base reference
-    period: Array  # () s, of the law
+    period: Array  # () s, of the law; (limb, 1) where gains have the phases of limbs
     heard: Array  # (limb, 3) N, world axes: the last reading of a foot's sensor since it stands, 0 without one
     doubt: Array  # (limb,) s, from -SILENCE, as a sensor reads something, up to SILENCE; from 0 on it is not believed
 
@@ -55,7 +55,7 @@ def trusted_forces(offsets: Offsets, measured: Measurement, rotation: Array) -> 
     reads = (size > _NOTHING) & jnp.isfinite(size)
     heard = jnp.where(reads[:, None], measured.foot_force, jnp.where(support[:, None], offsets.heard, 0.0))
     counts = support & ((jnp.abs(heard).sum() > _LOADED) | (offsets.doubt >= 0))
-    grown = jnp.where(counts, jnp.minimum(offsets.doubt + offsets.period, SILENCE), offsets.doubt)
+    grown = jnp.where(counts, jnp.minimum(offsets.doubt + jnp.ravel(offsets.period), SILENCE), offsets.doubt)
     doubt = jnp.where(reads, -SILENCE, grown)
     trusted = support & (doubt < 0)
     # of rows: each row times R is R^T times it

@@ -5,6 +5,8 @@ the base sag. Each foot that stands is moved by `D dx' + K dx = F_int`. A virtua
 and nothing else, since the closed chain of limbs is stiff against internal forces.
 """
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jax import Array
 
@@ -21,6 +23,8 @@ class InternalForce(Law):
     damping: Array = gain("N s/m", length=3, bounds=(1e0, 1e5), default=5e2, long_name="virtual damping D")
     stiffness: Array = gain("N/m", length=3, bounds=(1e1, 1e6), default=1e3, long_name="virtual stiffness K")
     max_offset: float = 0.02  # m
+
+    LIMBWISE: ClassVar[frozenset[str]] = frozenset({"damping", "stiffness"})
 
     def init(self, start: Start) -> tuple[Offsets, Array]:
         """Return no offsets, and the share (3,) of them that a step leaves."""

@@ -11,6 +11,7 @@ and leaks away; of servos at their `torque_limit` it gets the reports, and lets 
 """
 
 import math
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -43,6 +44,10 @@ class LoadTransfer(Law):
     max_rate: float = 0.1  # m/s
     torque_limit: float = math.inf  # N m, of the servos: from there on more offset makes no more force
 
+    LIMBWISE: ClassVar[frozenset[str]] = frozenset(
+        {"normal_damping", "tangential_damping", "leak", "leveling", "unloading", "loading", "landing"}
+    )
+
     def init(self, start: Start) -> Offsets:
         """Return no offsets."""
         return Offsets.begin(start)
@@ -59,7 +64,8 @@ class LoadTransfer(Law):
         # what of the offsets only turns and shifts the base: its way back, and where a swinging foot finds the ground
         before = offsets.displacement
         rigid = rigid_part(lever, before, jnp.where(measured.support, 1.0, 0.0))
-        damping = jnp.stack([self.tangential_damping, self.tangential_damping, self.normal_damping])
+        along, normal = jnp.atleast_1d(self.tangential_damping), jnp.atleast_1d(self.normal_damping)
+        damping = jnp.concatenate(jnp.broadcast_arrays(along, along, normal), axis=-1)
         back = -self.leak * (before - rigid) - self.leveling * rigid
         yielding = bounded(pushed / damping + back, self.max_rate)
         if self.torque_limit < math.inf:
@@ -74,6 +80,6 @@ class LoadTransfer(Law):
 
     def weights(self, reference: Reference) -> Array:
         """Return the shares (limb,) that the gait wants the feet to have, if they stand."""
-        until = jnp.clip(reference.until_lift_off / self.unloading, 0.0, 1.0)
-        since = jnp.clip(reference.since_touchdown / self.loading, 0.0, 1.0)
+        until = jnp.clip(reference.until_lift_off / jnp.ravel(self.unloading), 0.0, 1.0)
+        since = jnp.clip(reference.since_touchdown / jnp.ravel(self.loading), 0.0, 1.0)
         return jnp.maximum(until * since, LEAST)

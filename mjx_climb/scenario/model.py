@@ -431,10 +431,17 @@ class OwnGains(_ByName):
     __pydantic_extra__: dict[str, v.Numbers]
 
 
+class OwnLimits(_ByName):
+    """Limits by the names that a law of one's own gives them: numbers that are none of its gains."""
+
+    __pydantic_extra__: dict[str, v.Positive]
+
+
 class OwnLaw(OwnObject):
     """A control law of one's own, in place of the control section's."""
 
     gains: OwnGains = setting(OwnGains(), "in place of its own, SI units")
+    limits: OwnLimits = setting(OwnLimits(), "in place of its own, SI units; a walk is compiled for them")
 
 
 class Own(v.Section):

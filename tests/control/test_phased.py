@@ -13,6 +13,7 @@ import mjx_climb as mc
 from mjx_climb.control import (
     PD,
     EndEffectorAdmittance,
+    LoadTransfer,
     MeasuredPoseAdmittance,
     Start,
     VirtualModelAdmittance,
@@ -23,6 +24,7 @@ from mjx_climb.control import (
 from mjx_climb.control.phased import PHASES, limb_shares, robot_shares
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.execution.jax_internals import scan_sizes
+from tests import oracle_laws
 from tests.control.test_laws import STEP, measured_of, reference_of
 
 TIME, RAMP = 0.2, 0.05
@@ -117,6 +119,31 @@ def test_each_foot_has_the_gains_of_its_own_phase(scene):
         rate = rate + STEP * (force - damping * rate - 900 * shift) / 1.5
         shift = shift + STEP * rate
     np.testing.assert_allclose(command.foot_position - reference.foot_position, turn.apply(shift), rtol=1e-9)
+
+
+def test_each_foot_hands_its_load_over_by_the_gains_of_its_own_phase(scene):
+    """Under load transfer, against NumPy with gains of each foot."""
+    reference, measured = scene
+    names, values = ["normal_damping", "leak", "unloading"], np.array([20.0, 80.0, 40.0, 30.0])
+    scales = dict(zip(names, (1.0, 0.05, 0.02), strict=True))
+    law = phased(LoadTransfer(tangential_damping=90.0, pull_limit=0.1), names, phase_time=TIME, phase_ramp=RAMP)
+    law = dataclasses.replace(law, **{k: v for n in names for k, v in values_of(n, values * scales[n]).items()})
+    law = dataclasses.replace(law, **{name: jnp.asarray(getattr(law, name), float) for name in law.GAINS})
+    command = walked(law, measured, reference, steps=5)
+
+    axes = Rotation.from_quat(reference.base_orientation, scalar_first=True)
+    twin = oracle_laws.LoadTransfer(mc.load_scenario("case_1_2", {"time_step": STEP}), axes, 4)
+    whole = {name: np.asarray(getattr(LoadTransfer, name)) for name in LoadTransfer.GAINS}
+    of_each = {name: (values * scale @ SHARES)[:, None] for name, scale in scales.items()}
+    twin.gains = whole | {"tangential_damping": 90.0, "pull_limit": 0.1} | of_each
+    base = np.array(measured.base_position), np.array(measured.base_orientation)
+    for _ in range(5):
+        feet = twin.say(
+            np.array(reference.base_position), base, np.array(measured.foot_force), None, np.array(measured.support),
+            np.array(reference.foot_position), np.array([UNTIL, SINCE]),
+        )[2]  # fmt: skip
+    np.testing.assert_allclose(command.foot_position, feet, rtol=0, atol=1e-12)
+    assert np.abs(command.foot_position - reference.foot_position).max() > 1e-4
 
 
 def test_joint_gains_are_multiplied_by_the_phase_of_the_limb(scene):

@@ -105,6 +105,8 @@ class Walk(Options):
         scenario = without(scenario_from(Path(source), changes, self.hardware, self.controller))
         if self.gains is not None and self.law is None:
             scenario, law = self._of_file(self.gains, scenario, law, changes)
+        elif self.gains is not None and law is not None:
+            law = gains_file.limited(self.gains, law)
         return Problem(scenario, law=law, metrics=metrics, engine=self.engine)
 
     def _of_file(

@@ -335,7 +335,7 @@ class Export(Options):
             raise InputError(
                 f"--format: expected none with gains of LoadTransfer, which have one form, got {self.form}"
             )
-        return LoadTransfer()
+        return gains_file.limited(self.gains, LoadTransfer())
 
     def scenario(self, law: "mc.Law | None") -> "mc.Scenario | None":
         """Return the scenario in which the gains of a law (None: the scenario's) must hold, at the update rate.
@@ -471,9 +471,10 @@ def _load_transfer(
 ) -> tuple[dict[str, str], list[str]]:
     """Return the files for a robot under load transfer, by name, and notes on them; values of a whole gains file."""
     from mjx_climb.control import LoadTransfer
+    from mjx_climb.rollouts.resolve import with_gains
     from tuning.gains import gains_file, load_transfer
 
-    law = LoadTransfer(**{name: values[name] for name in LoadTransfer.GAINS})
+    law = LoadTransfer(**vars(with_gains(asked.load_transfer() or LoadTransfer(), values)))
     if scenario is None:
         others = {name: value for name, value in values.items() if name not in LoadTransfer.GAINS}
         return load_transfer.texts(law, 1 / (asked.rate or 1000), given=others), []

@@ -1,4 +1,4 @@
-"""Gains files: what a search found, whole, as YAML: a law, its gains, kp, kd and ki, and the gait.
+"""Gains files: what a search found, whole, as YAML: a law, its gains and limits, kp, kd and ki, the gait.
 
 The gains are inertia, damping and stiffness, or those of another law as it names them. `law` says whose they are: the
 name of a shipped law, or FILE.py:NAME; without it they are the config's law's. `kp`, `kd`, `ki` and the keys of `gait`
@@ -28,6 +28,7 @@ REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translat
 OPTIONAL = ("kp", "kd", "ki")
 LAW = "law"  # whose gains they are: the name of a shipped law, or FILE.py:NAME; the config's where there is none
 SECTION = "gait"
+LIMITS = "limits"  # of a law: numbers beside its gains, for which a walk is compiled
 _KEYS = [key.removeprefix("gait.") for key in GAIT]  # of the section
 
 
@@ -54,6 +55,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
         own_section.check_reference(law, stored, source)
     required = REQUIRED if law is None and name != PD.__name__ else tuple((law or PD()).GAINS)
     gait, keys = _gait(data.pop(SECTION, {}), source), (*required, *OPTIONAL)
+    _limits(data.pop(LIMITS, {}), PD() if law is None else law, source)
     for key in (*data, *required):
         if key not in keys:
             raise config_error(source, key, f"only the keys {', '.join(keys)}", "another")
@@ -80,16 +82,44 @@ def walker(
 ) -> tuple[mc.Scenario, mc.Law | None]:
     """Return scenario and law (None: the scenario's) with the shipped law that a gains file names, as they are without.
 
+    A law has the limits of the file, where it has some.
+
     Raises:
         ConfigError: the file cannot be read.
     """
     name = shipped_law(path)
     if name is None or name == own_section.reference(law or law_of(scenario)):
-        return scenario, law
+        return scenario, None if law is None else limited(path, law)
     if not of_scenarios(name):
-        return scenario, own_section.load_law(name)
+        return scenario, limited(path, own_section.load_law(name))
     controller, reading = next(key for key, own in LAWS.items() if own.__name__ == name)
     return scenario.with_overrides({"control.controller": controller, "control.reading": reading}), None
+
+
+def limited(path: str | os.PathLike[str], law: mc.Law) -> mc.Law:
+    """Return a law with the limits of a gains file, as it is where the file is of another law, or says none.
+
+    Raises:
+        ConfigError: the file cannot be read, or a limit that the law does not have.
+    """
+    data = _data(path)
+    if LIMITS not in data or own_section.reference(law) not in (data.get(LAW), _shipped(data.get(LAW))):
+        return law
+    return own_section.with_limits(law, _limits(data[LIMITS], law, os.fsdecode(path)))
+
+
+def _limits(section: Any, law: mc.Law, source: str) -> dict[str, float]:
+    """Return the limits of a file, checked."""
+    known = own_section.limits_of(law)
+    if not isinstance(section, dict):
+        raise config_error(source, LIMITS, "a mapping of numbers", repr(section))
+    for key, value in section.items():
+        if key not in known:
+            expected = f"only the keys {', '.join(known)}" if known else "none, as the law has no limits of its own"
+            raise config_error(source, f"{LIMITS}.{key}", expected, "another")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+            raise config_error(source, f"{LIMITS}.{key}", "a number above 0", repr(value))
+    return {key: float(value) for key, value in section.items()}
 
 
 def shipped_law(path: str | os.PathLike[str]) -> str | None:
@@ -160,6 +190,8 @@ def text(gains: AnyGains, comment: str = "", law: mc.Law | None = None) -> str:
     values = {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
     gait, left = gait_of(values), REQUIRED if isinstance(law, PD) else ()  # pd has none of these
     plain |= {key: value for key, value in values.items() if key not in gait and key not in left}
+    if law is not None and type(law) not in LAWS.values() and (limits := own_section.limits_of(law)):
+        plain[LIMITS] = limits
     plain |= {SECTION: {key.removeprefix("gait."): value for key, value in gait.items()}} if gait else {}
     return commented(comment, plain)
 

@@ -108,6 +108,20 @@ def reference(law: mc.Law) -> str:
     return f"{Path(files[0]).name}:{kind.__qualname__}" if files else kind.__qualname__
 
 
+def limits_of(law: mc.Law) -> dict[str, float]:
+    """Return the fields of a law that are plain numbers and none of its gains: a walk is compiled for them."""
+    others = [field.name for field in dataclasses.fields(law) if field.name not in law.GAINS]  # type: ignore[arg-type]
+    values = {name: getattr(law, name) for name in others}
+    return {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+
+
+def with_limits(law: mc.Law, limits: Mapping[str, float]) -> mc.Law:
+    """Return a law with some of its `limits_of` replaced, as it is where it has them already."""
+    changes = {name: value for name, value in limits.items() if value != getattr(law, name)}
+    changed: mc.Law = dataclasses.replace(law, **changes) if changes else law  # type: ignore[type-var]
+    return changed
+
+
 def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None:
     """Raise ConfigError where something was stored for another law."""
     own = None if law is None else reference(law)
@@ -121,6 +135,10 @@ def section(law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: An
     if law is not None:
         gains = {name: np.asarray(getattr(law, name), float).tolist() for name in law.GAINS}
         found["law"] = _named(law, type(law).__qualname__) | ({"gains": gains} if gains else {})
+        if is_shipped(name := reference(law)):  # by name alone it would have its own
+            before = limits_of(load_law(name))
+            if changed := {key: value for key, value in limits_of(law).items() if value != before.get(key)}:
+                found["law"]["limits"] = changed
     if own := [_named(metric, metric.name) for metric in metrics if metric not in mc.METRICS]:
         found["metrics"] = own
     if objective is not None:
@@ -146,6 +164,9 @@ def taken(
         law = load_law(own.law.name if by_name else _text(own.law, "law", source))
         try:
             law = of_one(law, dict(own.law.gains.items()))
+            if unknown := [key for key, _ in own.law.limits.items() if key not in limits_of(law)]:
+                raise ValueError(f"limits.{unknown[0]}: expected one of {', '.join(limits_of(law)) or 'none'}")
+            law = with_limits(law, dict(own.law.limits.items()))
         except (TypeError, ValueError) as error:
             raise ConfigError(f"{source}: own.law: {error}") from None
     if metrics == mc.METRICS:

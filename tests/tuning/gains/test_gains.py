@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import mjx_climb as mc
+from mjx_climb.control import LoadTransfer
 from mjx_climb.control.virtual_mass import Motion, advance, at_rest
 from mjx_climb.rollouts import gait_values
 from mjx_climb.scenario.load import load_hardware
 from mjx_climb.scenario.shipped import config_path
 from tuning.evaluation import margins, stability_limit
-from tuning.gains import admittance_control, gains_file, gains_tables, ros2_control
+from tuning.gains import admittance_control, gains_file, gains_tables, own_section, ros2_control
 
 SIX = [1.0, 2.0, 0.5, 0.1, 0.3, 0.02]
 GAINS = mc.Gains(np.array(SIX), np.array([90.0, 120, 33, 2, 5, 1.5]), np.array([3e3, 2e3, 1e3, 7.5, 30, 11]))
@@ -389,6 +390,27 @@ def test_a_file_holds_law_joint_gains_and_gait(law, tmp_path):
     assert gains_file.whole(path, walked).law is None  # the scenario's
 
 
+def test_a_file_holds_the_limits_of_its_law_and_a_config_too(tmp_path):
+    """Beside --law as well; what a config.yaml does not say is the law's own."""
+    scenario, law = mc.load_scenario("case_1_2"), LoadTransfer(max_offset=0.01, torque_limit=1.5)
+    path = gains_file.save(law, tmp_path / "g.yaml", law=law)
+    assert "limits: {max_offset: 0.01, max_rate: 0.1, torque_limit: 1.5}" in path.read_text()
+    read = gains_file.whole(path, scenario).law
+    found = [read, gains_file.walker(path, scenario)[1], gains_file.limited(path, LoadTransfer())]
+    named = own_section.section(law)
+    assert named["law"]["limits"] == {"max_offset": 0.01, "torque_limit": 1.5}
+    found.append(own_section.taken(scenario.with_overrides({"own": named}))[1])
+    for own in found:
+        assert (own.max_offset, own.max_rate, own.torque_limit) == (0.01, 0.1, 1.5)
+    assert gains_file.whole(path, scenario, read).law is read
+    other = mc.control.InternalForce()
+    assert gains_file.limited(path, other) is other  # which `load` refuses
+    assert "limits" not in own_section.section(LoadTransfer())["law"]
+    assert "limits" not in gains_file.text(mc.Gains(1.0, 1.0, 1.0), law=mc.control.MeasuredPoseAdmittance())
+    with pytest.raises(mc.ConfigError, match=r"^scenario: own\.law: limits\.reach: expected one of max_offset"):
+        own_section.taken(scenario.with_overrides({"own": {"law": {"name": "LoadTransfer", "limits": {"reach": 1.0}}}}))
+
+
 def test_a_file_that_names_a_shipped_law_with_its_module_still_reads(tmp_path):
     (tmp_path / "g.yaml").write_text(
         "law: admittance.py:VirtualModelAdmittance\ninertia: 1\ndamping: 2\nstiffness: 3\n"
@@ -402,6 +424,7 @@ def test_a_file_that_names_a_shipped_law_with_its_module_still_reads(tmp_path):
     [
         ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, ki, got another"),
         ("law: mine.py:Mine\nkp: 1", "law: expected gains of the config's law, got those of mine.py:Mine"),
+        ("law: PD\nlimits: {max_offset: 1}", "limits.max_offset: expected none, as the law has no limits of its own"),
         ("law: PD\ngait: 3", "gait: expected a mapping with keys stride, step_height, cycle, duty, settling, height, "),
         ("law: PD\ngait: {speed: 3}", "gait.speed: expected only the keys stride, "),
         ("law: PD\ngait: {duty: high}", "gait.duty: expected a number, got 'high'"),

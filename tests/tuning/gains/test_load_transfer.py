@@ -119,8 +119,11 @@ def export(tmp_path, call, monkeypatch):
 def test_what_is_written_is_what_the_file_has_to_the_last_digit(export, tmp_path):
     """In YAML and in C++, beside the law as it is here; times and joint gains are those of the walk."""
     digits = {"leak": 0.1 + 0.2, "pull_limit": 1e-7 / 3, "normal_damping": 1e22, "kp": 34.5}
+    limits = {"max_offset": 0.013, "torque_limit": 1.7}
     folder = tmp_path / "robot"
-    code, out, err, checked = export("--config", "case_1_2", "--hardware", "dynamixel_x", "--out", folder, **digits)
+    code, out, err, checked = export(
+        "--config", "case_1_2", "--hardware", "dynamixel_x", "--out", folder, limits=limits, **digits
+    )
     assert (code, out, err) == (0, "", "")
     assert {file.name for file in folder.iterdir()} == {
         "load_transfer.yaml",
@@ -128,9 +131,10 @@ def test_what_is_written_is_what_the_file_has_to_the_last_digit(export, tmp_path
         "load_transfer.hpp",
     }
     (((scenario, gains, _), how),) = checked
-    assert isinstance(how["law"], LoadTransfer) and scenario.hardware.control_period == 0.005
+    assert isinstance(how["law"], LoadTransfer) and how["law"].max_offset == 0.013
+    assert scenario.hardware.control_period == 0.005
     written = yaml.safe_load((folder / "load_transfer.yaml").read_text())
-    own = {name: getattr(LoadTransfer, name) for name in ("max_offset", "max_rate", "torque_limit")}
+    own = {"max_offset": 0.013, "max_rate": 0.1, "torque_limit": 1.7}
     expected = {"period": 0.005} | {name: getattr(LAW, name) for name in LAW.GAINS} | own | digits
     assert expected.pop("kp") == written["walked"]["kp"] == gains["kp"]
     assert written["load_transfer"] == expected
@@ -170,6 +174,8 @@ def test_a_filter_that_the_law_had_is_said(export, tmp_path):
         (("--format", "json"), {}, "--format: expected none with gains of LoadTransfer"),
         ((), {"leak": -1.0}, "leak: expected"),
         ((), {"leak": None}, "leak: expected a value, got none"),
+        ((), {"limits": {"max_pull": 1}}, "limits.max_pull: expected only the keys max_offset, max_rate, torque_limit"),
+        ((), {"limits": {"max_rate": 0}}, "limits.max_rate: expected a number above 0, got 0"),
         ((), {"law": [1]}, "law: expected gains of the config's law, got those of [1]"),
         ((), {"law": "mine.py:Law"}, "law: expected gains of the config's law, got those of mine.py:Law"),
     ],
