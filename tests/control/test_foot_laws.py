@@ -136,7 +136,7 @@ def test_a_batch_moves_as_each_of_its_robots(kind):
 @kinds
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
 def test_a_foot_whose_sensor_is_dead_goes_back_to_where_the_gait_wants_it(kind, value):
-    """Alone it leaves the others at work; with all sensors dead the robot walks as under pd."""
+    """Alone it leaves the others at work; with all sensors dead no foot stays off its target (landing still would)."""
     reference, measured = scene()
     state, before = started(kind.law, measured, reference, 100)
     assert np.linalg.norm(before, axis=1).min() > 1e-4

@@ -80,6 +80,7 @@ KNOWN = {
     "rem": lambda v, m, n: (lax.rem(v, 0.7), jnp.mod(v, 0.7), jnp.maximum(v, 0.1), jnp.minimum(v, v[1])),
     "norm": lambda v, m, n: (jnp.linalg.norm(v), jnp.cross(v, m[0]), jnp.linalg.norm(m, axis=1)),
     "convolve": lambda v, m, n: jnp.diff(m, axis=0),
+    "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),
 }
 # what no kernel does: it may be refused, not wrong
 OTHERS = {
@@ -121,7 +122,6 @@ OTHERS = {
     "a long loop": lambda v, m, n: lax.scan(lambda c, _: (c * 0.9, c), v, length=100)[1],
     "other random bits": lambda v, m, n: jax.random.uniform(jax.random.key(1, impl="rbg"), (3,)) + v,
     "associative_scan": lambda v, m, n: lax.associative_scan(jnp.add, m),
-    "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),
     "copy": lambda v, m, n: jnp.array(v, copy=True),
 }
 EVERY = KNOWN | OTHERS

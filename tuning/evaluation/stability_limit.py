@@ -18,7 +18,7 @@ which slip.
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -30,6 +30,9 @@ from jax import Array
 from jax.extend.core import jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from threadpoolctl import threadpool_limits
 
 import mjx_climb as mc
 from mjx_climb import execution
@@ -149,8 +152,8 @@ def _radii_of(walk: Structure, robots: _Robots, axes: Any, periods: np.ndarray, 
     count, matrices = len(periods), max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
     still, columns = np.zeros((matrices, states)), np.broadcast_to(np.eye(states), (matrices, states, states))
 
-    def jacobians(start: int) -> np.ndarray:
-        """Return the Jacobians (kinds, matrices, states, states) of the steps of a period, the last ones repeated."""
+    def jacobians(start: int) -> list[np.ndarray]:
+        """Return the transposed Jacobians (matrices, states, states) of the steps of a period, the last repeated."""
         rows, found = np.minimum(np.arange(start, start + matrices), count - 1), []
         some = jax.tree.map(lambda value, own: value[rows] if value.ndim > own else value, robots, axes)
         for kind in range(kinds):
@@ -158,10 +161,11 @@ def _radii_of(walk: Structure, robots: _Robots, axes: Any, periods: np.ndarray, 
             linearised = execution.Robots((still, *some, step), (1, *axes, 0), (matrices,), columns)
             size = max(1, _ENTRIES_OF_A_CALL // states**2)
             _, tangents = execution.run(_moved, walk, linearised, batch_size=size, compile_briefly=True)
-            found.append(np.swapaxes(tangents["after"], 1, 2))
-        return np.stack(found)
+            found.append(np.asarray(tangents["after"]))
+        return found
 
-    with ThreadPoolExecutor(1) as beside:  # eigenvalues of these while the next are made
+    # eigenvalues of these while the next are made; threads of BLAS would only wait for a core
+    with ThreadPoolExecutor(1) as beside, threadpool_limits(1, "blas"):
         parts = [
             beside.submit(_radii, jacobians(start), periods[start : start + matrices])
             for start in range(0, count, matrices)
@@ -184,17 +188,16 @@ def linearised_at(scenario: mc.Scenario, periods: np.ndarray, *, uneven: bool) -
     return np.asarray(np.concatenate([np.minimum(first, last), middle, last], axis=1) * period)
 
 
-def _radii(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
-    """Return radii (B,) of matrices (k, B or more, s, s) of the steps of a period, the last for all others."""
-    steps = steps[:, : len(periods)]
+def _radii(steps: Sequence[np.ndarray], periods: np.ndarray) -> np.ndarray:
+    """Return radii (B,) of transposed matrices (B or more, s, s) of each step of a period, the last for all others."""
+    steps = [step[: len(periods)] for step in steps]
     radius = np.full(len(periods), np.inf)
-    finite = np.isfinite(steps).all((0, 2, 3))
+    finite = np.all([np.isfinite(step).all((1, 2)) for step in steps], axis=0)
     if not finite.any():
         return radius
-    matrices = steps[:, finite]
-    core = _coupled((matrices != 0).any((0, 1)))
-    alone = np.diagonal(matrices, axis1=2, axis2=3)[..., ~core]
-    matrices = matrices[:, :, core][..., core]
+    core = _coupled(np.any([(step[finite] != 0).any(0) for step in steps], axis=0))
+    alone = np.stack([np.diagonal(step[finite], axis1=1, axis2=2)[:, ~core] for step in steps])
+    matrices = np.stack([step[np.ix_(finite, core, core)] for step in steps])
     values = np.empty(matrices.shape[1])
     for period in np.unique(periods[finite]):
         rows = periods[finite] == period
@@ -202,7 +205,7 @@ def _radii(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
         whole, single = np.eye(int(core.sum())), np.ones(alone.shape[-1])
         for k in range(kinds):
             times = int(period) - k if k == len(matrices) - 1 else 1
-            whole = np.linalg.matrix_power(matrices[k, rows], times) @ whole
+            whole = whole @ np.linalg.matrix_power(matrices[k, rows], times)
             single = single * alone[k, rows] ** times
         sizes = np.abs(np.concatenate([np.linalg.eigvals(whole), single], axis=-1))
         values[rows] = sizes.max(-1) ** (1 / period)
@@ -215,11 +218,8 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
 
     The eigenvalues are those of these states together and of each other state by itself.
     """
-    reach = acts | np.eye(len(acts), dtype=bool)
-    farther = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
-    while (farther != reach).any():
-        reach, farther = farther, (farther.astype(np.float32) @ farther.astype(np.float32)) > 0
-    return np.asarray((reach & reach.T).sum(1) > 1)
+    _, group = connected_components(csr_array(acts), connection="strong")
+    return np.asarray(np.bincount(group)[group] > 1)
 
 
 def over_axes(

@@ -46,7 +46,9 @@ _EXPECTED = {  # by pydantic's type of an error
 def explained(invalid: ValidationError) -> tuple[str, str]:
     """Return the dotted key of the first error of a model, empty for none, and what is wrong there."""
     error = invalid.errors(include_url=False)[0]
-    key, context = ".".join(map(str, error["loc"])), error.get("ctx", {})
+    parts = [str(part) for part in error["loc"]]
+    key = ".".join(part for part in parts if not part.startswith("literal["))  # by which pydantic tells a union's kinds
+    context = error.get("ctx", {})
     if error["type"] in _EXPECTED:
         expected = _EXPECTED[error["type"]].format(**context)
         return key, f"expected {expected}, got {context.get('got', error['input'])!r}"

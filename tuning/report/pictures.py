@@ -254,8 +254,9 @@ def plot_front(front: xr.Dataset) -> Figure:
 def plot_schedule(table: xr.Dataset) -> Figure:
     """Draw the gains over gravity, a line for each cargo, and the force variation that they leave of pd's.
 
-    Solid lines are translations, dashed ones rotations where they differ; gains that differ within either appear as
-    their geometric mean. Hollow marks break a limit.
+    Solid lines of gains are translations, dotted ones rotations where they differ; gains that differ within either
+    appear as their geometric mean. Below, solid lines are the tuned gains, dotted ones the config's, dashed ones pd
+    retuned. Hollow marks break a limit.
     """
     gravity, kinds = table["gravity"].values, table.attrs["searched"].split()
     colors = dict(zip(table["cargo"].values, itertools.cycle(_LOADS), strict=False))

@@ -57,7 +57,7 @@ class Parts:
         elif stored != wanted:
             differs = ", ".join(differences(stored, wanted)) or "its keys"
             raise OutputError(
-                f"{out}: expected no unfinished sweep but this one, got another that differs in {differs} "
+                f"{out}: expected no unfinished computation but this one, got another that differs in {differs} "
                 f"(repeat its command to finish it, remove {self.folder}, or choose another --out)"
             )
 

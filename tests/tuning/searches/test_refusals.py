@@ -53,7 +53,7 @@ def draw(**hardware):
         (search(bounds={"damping": [2, 1]}), "search: bounds.damping: expected low < high, got 2, 1"),
         (search(metrics=(OWN,)), "metrics: expected the shipped peak_foot_force among them"),
         (search(method="grid", space="diagonal"), "method: expected a space of at most 4 gains for a grid, got 12"),
-        (search(method="magic"), "expected 'gradient', 'lbfgs', 'grid', 'cmaes' or 'optuna', got 'magic'"),
+        (search(method="magic"), "method: expected 'gradient', 'lbfgs', 'grid', 'cmaes' or 'optuna', got 'magic'"),
         (search(method="own"), "method: expected the method itself"),
         (search(method=3.0), "method: expected a name, a Method, or a function"),
         (method(np.zeros((2, 2))), "method: expected a Request of finite theta (B, 2), got a ndarray"),

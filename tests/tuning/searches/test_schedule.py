@@ -91,7 +91,9 @@ def test_rounds_of_other_operating_points_are_refused(scenario, tmp_path, monkey
     for _ in range(2):
         with pytest.raises(pytest.fail.Exception, match="begun"):
             schedule.schedule(scenario, **points, out=tmp_path)
-    with pytest.raises(OutputError, match="differs in operating_points "):
+    with pytest.raises(
+        OutputError, match="no unfinished computation but this one, got another that differs in operating_points "
+    ):
         schedule.schedule(scenario, **(points | other), out=tmp_path)
 
 
