@@ -289,7 +289,7 @@ class Servo(v.Section):
         None, "voltage of torque_limit, no_load_speed and the loop's gains, V; null: the supply's"
     )
     supply_voltage: v.PositiveOrNull = setting(
-        None, "measured voltage, V, by which torque_limit and no_load_speed scale; null: rated_voltage"
+        None, "measured voltage, by which torque_limit and no_load_speed scale, V; null: rated_voltage"
     )
     torque_limit: v.PositiveOrNull = setting(None, "torque at standstill, N m; null: any")
     no_load_speed: v.PositiveOrNull = setting(

@@ -74,9 +74,11 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
         else:
             rows = [[f"{key} {axis}", units[i // 3], *(each[i] for each in cells)] for i, axis in enumerate(SIX)]
         sections.append(("", rows))
-    joint = [name for name in JOINT_UNITS if held and all(name in gains for gains in held.values())]
+    # where some have an integral term those without one have none
+    told = {"kp": all, "kd": all, "ki": any}
+    joint = [name for name in JOINT_UNITS if held and told[name](name in gains for gains in held.values())]
     if joint:
-        both = [[name, JOINT_UNITS[name], *(number(gains[name]) for gains in held.values())] for name in joint]
+        both = [[name, JOINT_UNITS[name], *(number(gains.get(name)) for gains in held.values())] for name in joint]
         sections.append(("", both))
     return Table("Gains by axis", ["gain", "unit", *held], sections)
 
