@@ -93,6 +93,18 @@ def test_of_a_sound_log_nothing_is_said(tmp_path, noise):
     assert read(tmp_path, recorded(rate=10.0, duration=30.0, noise=noise)).warnings == ()
 
 
+def test_slow_motion_between_the_steps_of_an_encoder_is_not_stale(tmp_path):
+    time, step = np.arange(3000) / 100, 2 * np.pi / 4096
+    slow = 0.05 * np.sin(2 * np.pi * 0.2 * time)
+    columns = {"time": time, "LF.coxa.command": slow, "LF.coxa.position": np.round(slow / step) * step}
+    log = read(tmp_path, columns)
+    assert (np.diff(columns["LF.coxa.position"]) == 0).mean() > 0.5
+    np.testing.assert_array_equal(log.signals["LF.coxa.position"].value, columns["LF.coxa.position"])
+    held = {**columns, "LF.coxa.position": columns["LF.coxa.position"][np.arange(3000) // 20 * 20]}  # read at 5 Hz
+    (said,) = [line for line in read(tmp_path, held).warnings if "stale" in line]
+    assert int(re.search(r"(\d+) of 3000", said)[1]) > 2000
+
+
 @pytest.mark.parametrize("break_it", WRONG, ids=lambda function: function.__name__)
 def test_what_is_wrong_is_said_in_one_line(tmp_path, break_it):
     columns = break_it(recorded())

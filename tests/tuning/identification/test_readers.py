@@ -1,5 +1,6 @@
 """Logs: each format read to the rounding of what was written, in three layouts of public drivers among them."""
 
+import dataclasses
 import shutil
 
 import numpy as np
@@ -69,7 +70,12 @@ def test_a_walk_of_run_is_read_by_its_own_names(pushed, tmp_path):
     }.items():  # fmt: skip
         np.testing.assert_array_equal(log.signals[name].value, values.astype(float), err_msg=name)
         np.testing.assert_array_equal(log.signals[name].time, walk.time)
-    assert read_log(tmp_path / "trajectory.nc", ROBOT).guessed is None
+    whole = read_log(tmp_path / "trajectory.nc", ROBOT)
+    assert (whole.guessed, whole.warnings) == (None, ())
+    late = dataclasses.replace(walk, scenario=walk.scenario.with_overrides({"hardware.command_delay": 0.004}))
+    dataset.save(dataset.to_dataset(late), tmp_path / "late.nc")
+    (said,) = read_log(tmp_path / "late.nc", ROBOT).warnings
+    assert "commands are those that reached the servos, 0.004 s after they were sent" in said
 
 
 @pytest.mark.parametrize("form", ["folder", ".mcap", ".db3"])

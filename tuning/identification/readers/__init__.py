@@ -22,6 +22,7 @@ READERS = {
     "": rosbag.read,
 }  # fmt: skip
 _STALE = 5  # usual lengths of a run of equal samples: what stays the same for longer is at rest
+_STEPS = 2.5  # of an encoder's smallest: by less it moves within a sample, or within two
 _SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
 
 
@@ -175,11 +176,20 @@ def _cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[d
 
 
 def _stale(values: np.ndarray) -> np.ndarray:
-    """Return which rows repeat the one before, but for rows at rest: runs far longer than most, and the first."""
+    """Return which rows repeat the one before, but for those of a robot that may not have moved further.
+
+    Such are the first rows, runs far longer than most, and those after which it moves by a step or two of its encoders:
+    without them slow motion would seem to be ahead of itself by half a step.
+    """
     changed = np.r_[True, (values[1:] != values[:-1]).any(1)]
-    runs = np.diff(np.r_[np.flatnonzero(changed), len(values)])
-    resting = runs > _STALE * np.median(runs)
-    resting[0] |= runs[0] > 2 * np.median(runs)  # it has not moved yet
+    starts = np.flatnonzero(changed)
+    if len(starts) < 3:
+        return np.zeros(len(values), bool)
+    runs, moved = np.diff(np.r_[starts, len(values)]), np.abs(np.diff(values[starts], axis=0))
+    step = np.where(moved > 0, moved, np.inf).min(0)
+    onwards = (moved > _STEPS * step).any(1)
+    resting = (runs > _STALE * np.median(runs)) | ~np.r_[onwards, onwards[-1]]
+    resting[0] |= runs[0] > 2 * np.median(runs)
     return np.asarray(~changed & ~np.repeat(resting, runs))
 
 

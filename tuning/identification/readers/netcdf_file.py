@@ -4,6 +4,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import config_error
@@ -36,7 +37,20 @@ def read(path: Path) -> Recording:
         for place, column in zip(itertools.product(*labels), values.T, strict=True):
             fields[_signal(str(name), place)] = column
     time = {"time": data["time"].values.astype(float)}
-    return Recording({"": Table("", time, fields)}, str(path))
+    return Recording({"": Table("", time, fields)}, str(path), _late(data, str(path)))
+
+
+def _late(data: xr.Dataset, source: str) -> tuple[str, ...]:
+    """Return what to know of the commands of a walk: they were recorded behind the bus, not before."""
+    delay = dataset.scenario_of(data).hardware.command_delay if "scenario" in data.attrs else 0.0
+    return (
+        (
+            f"{source}: commands are those that reached the servos, {delay:g} s after they were sent (a scenario that "
+            "sends them again takes hardware.command_delay=0)",
+        )
+        if delay
+        else ()
+    )
 
 
 def _signal(variable: str, place: tuple[str, ...]) -> str:
