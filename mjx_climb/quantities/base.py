@@ -31,7 +31,7 @@ class Sway(NamedTuple):
     spans: tuple[float, ...]  # (K,) cycles, from each point to the next, the last to the first
 
 
-def sway_of(feet: Any, lift_off: Sequence[float], duty: Any, share: Any) -> Sway:
+def sway_of(feet: Any, lift_off: Sequence[float] | np.ndarray, duty: Any, share: Any) -> Sway:
     """Return the sway of a base whose feet stand at `feet` (limb, 3) m from it, in axes whose z is up.
 
     `lift_off` are the shares of the cycle at which the limbs lift off, `share` is that of the way to the centroid.
@@ -58,9 +58,9 @@ def swayed(sway: Sway, phase: Any) -> Any:
     return found
 
 
-def base_height(name: str | RobotFile) -> float:
-    """Return how high a robot's base, its centre of mass, is over the ground in its rest stance, m."""
-    return float(load_robot(name).stance_position[2])
+def raised(name: str | RobotFile, gait: Gait) -> np.ndarray:
+    """Return how far the gait has a robot's base from where it is in the rest stance, (3,) m, but for its sway."""
+    return (gait.height - 1) * load_robot(name).stance_position * [0, 0, 1]
 
 
 def check_base(scenario: Scenario, source: str = "scenario") -> None:
@@ -93,5 +93,5 @@ def _missed(name: str | RobotFile, gait: Gait) -> bool:
     rotation = quaternion_to_matrix(robot.stance_orientation)
     feet = np.asarray(limb_frames(robot, rotation, robot.stance_joints).foot)
     places = sway_of(feet, [gait.lift_off[limb] for limb in robot.limbs], gait.duty, gait.sway).points
-    places = np.vstack([np.zeros(3), places]) + np.array([0.0, 0.0, (gait.height - 1) * base_height(name)])
+    places = np.vstack([np.zeros(3), places]) + raised(name, gait)
     return any(limb_joints(robot, (feet - at) @ rotation, robot.stance_joints).errors.max() > MET for at in places)

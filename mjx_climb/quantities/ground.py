@@ -10,6 +10,7 @@ import numpy as np
 
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.quantities.base import raised, sway_of, swayed
 from mjx_climb.quantities.swing import rest_to_rest
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.robot.stance import MET, limb_joints
@@ -65,7 +66,7 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
     _check_stride(scenario, source)
     robot, heights = load_robot(scenario.robot), foothold_heights(scenario)[:, : _foothold_count(scenario)]
     for n in np.sort(np.unique(heights, axis=1, return_index=True)[1]) if heights.size else ():
-        height, feet = heights[:, n], _stance_feet(robot)
+        height, feet = heights[:, n], _stance_feet(robot) - raised(scenario.robot, scenario.gait)
         feet[:, 2] += (above := height - height.mean())
         missed = limb_joints(robot, feet).errors
         if missed.max() > MET:
@@ -84,11 +85,14 @@ def _check_stride(scenario: Scenario, source: str) -> None:
     """
     gait, robot = scenario.gait, load_robot(scenario.robot)
     lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
-    feet = _stance_feet(robot)
+    feet = _stance_feet(robot) - raised(scenario.robot, gait)
+    sway = sway_of(feet, lift_off, gait.duty, gait.sway)
+    swung = [np.array([swayed(sway, at) for at in moments]) for moments in (lift_off, lift_off + 1 - gait.duty)]
     extremes = -rest_to_rest(lift_off), 1 - rest_to_rest(lift_off + 1 - gait.duty)  # strides from foot to base, ahead
 
     def missed(stride: float) -> np.ndarray:
-        planned = [feet + stride * np.outer(along, [1, 0, 0]) for along in extremes]
+        each = zip(extremes, swung, strict=True)
+        planned = [feet - base + stride * np.outer(along, [1, 0, 0]) for along, base in each]
         errors = [limb_joints(robot, each, robot.stance_joints).errors for each in planned]
         return np.asarray(np.array(errors).max(0) > MET)
 

@@ -22,7 +22,7 @@ from tuning.searches.pareto import pareto
 from tuning.searches.result import load
 from tuning.searches.schedule import schedule
 from tuning.searches.shards import Kept, Shard
-from tuning.searches.tune import for_this_machine, problem_of, tune
+from tuning.searches.tune import for_this_machine, problem_of, start_of, tune
 
 SHORT = mc.load_scenario("case_1_2", {"duration": 0.8, "gait.cycle": 0.8, "gait.stride": 0.01})
 PD = SHORT.with_overrides(["control.controller=pd"])
@@ -49,13 +49,27 @@ def test_the_default_bounds_keep_the_order_of_the_swings():
     assert [gains[name] for name in ("gait.duty", "gait.stride", "gait.cycle")] == pytest.approx([0.8, 0.01, 1.0])
 
 
+def test_sway_height_and_landing_speed_are_searched_by_gradients_too():
+    """From the nearest bound where the scenario has none; with ideal hardware the joint gains stay."""
+    moving = ("gait.sway", "gait.height", "gait.landing_speed")
+    problem = problem_of(SHORT, Search.make({"also": moving, "method": "gradient"}))
+    space = problem.space
+    assert space.names == ("damping", "stiffness", "gait.height", "gait.sway", "gait.landing_speed")
+    assert space.smooth.all()
+    ends = np.exp([space.lower, space.upper])[:, 2:].T
+    np.testing.assert_allclose(ends, [[0.85, 1.15], [0.02, 0.5], [1e-3, 0.2]])
+    np.testing.assert_allclose(np.exp(start_of(problem))[2:], [1.0, 0.02, 1e-3])
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"also": ("gait.stride",)}, "also: expected gains of the law, inertia, damping, stiffness, gait."),
+        ({"also": ("gait.stride",)}, "also: expected gains of the law, inertia, damping, stiffness, ki, gait."),
         ({"bounds": {"gait.duty": (0.7, 0.9)}}, "bounds.gait.duty: expected a number from 0.75 to below 1, so that"),
         ({"bounds": {"gait.duty": (0.8, 1.2)}}, "bounds.gait.duty: expected a number above 0 and below 1, got 1.2"),
         ({"pins": {"gait.cycle": 0.001}}, "bounds.gait.duty: expected a swing, (1 - duty) cycle, of two time steps"),
+        ({"also": ("gait.height",), "bounds": {"gait.height": (0.9, 3.0)}}, "bounds.gait.height: expected at most 1."),
+        ({"also": ("gait.sway",), "bounds": {"gait.sway": (0.1, 1.2)}}, "bounds.gait.sway: expected a number from 0"),
         ({"pins": {"gait.step_height": 200.0}}, "bounds.gait.step_height: expected a number above 0, 100 at most"),
         ({"method": "gradient"}, "method: expected cmaes, grid or optuna to search gait.cycle, gait.duty in whole"),
         ({"method": "lbfgs", "also": ("gait.duty",)}, "optuna to search gait.duty in whole steps, got lbfgs"),
