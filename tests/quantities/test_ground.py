@@ -141,6 +141,6 @@ def test_limbs_that_cannot_follow_a_base_are_not_asked_to(tmp_path):
 def test_the_height_and_the_sway_of_the_base_count_for_how_far_a_stride_may_be():
     """Half the sway takes the base off a foot that lifts off or lands, here sideways, where it has more room ahead."""
     for changes, longest in (({"stride": 0.135}, "0.13"), ({"stride": 0.1, "height": 1.9}, "0.052")):
-        with pytest.raises(ConfigError, match=rf"^scenario: gait\.stride: expected at most {longest} m"):
+        with pytest.raises(mc.ConfigError, match=rf"^scenario: gait\.stride: expected at most {longest} m"):
             check_reach(mc.load_scenario("case_1_1", {"gait": changes}))
     check_reach(mc.load_scenario("case_1_1", {"gait": {"stride": 0.135, "sway": 0.6}}))
