@@ -24,6 +24,7 @@ SHAPES = {
     "eight of three": (8, 3, (), 0.0),
 }
 QUICK = ("three of four, one slides", "four of three with armature")
+OF_MJX = ("three of four, one slides", "four of seven, armature, two slide")  # MuJoCo's own: slow to compile
 
 
 def numbers(values):
@@ -67,9 +68,10 @@ def mjcf(limbs, joints, slides=(), armature=0.0, seed=0):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in SHAPES]
+    ("engine", "name"),
+    [pytest.param("limb", name, marks=() if name in QUICK else pytest.mark.slow) for name in SHAPES]
+    + [pytest.param("mjx", name, marks=pytest.mark.slow if name in OF_MJX else pytest.mark.nightly) for name in SHAPES],
 )
-@pytest.mark.parametrize("engine", ["limb", pytest.param("mjx", marks=pytest.mark.slow)])
 def test_accelerations_are_those_of_mujoco(engine, name):
     """A hundred random states under torques, foot forces and a push: each acceleration to 1e-9 of its vector."""
     limbs, joints, slides, armature = SHAPES[name]

@@ -58,7 +58,7 @@ class Showing(PD):
         return state, super().step(state, measured, reference)[1]._replace(base_displacement=seen[:, 1, :2].ravel())
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.0024])
+@pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.slow), 0.0024])
 def test_a_law_is_told_of_the_joints_by_the_bus(delay):
     """Angles and rates of this step and the motors' torque of the one before, late as the targets, once a period."""
     scenario = mc.load_scenario("case_1_2", EVERYTHING | {"duration": 0.05})
@@ -91,8 +91,12 @@ class Softening(PD):
 
 @pytest.mark.parametrize(
     "hardware",
-    [{"control.ki": 30.0}, {"hardware.control_period": 0.005, "hardware.command_delay": 0.0024, "control.ki": 30.0}],
-    ids=["ideal", "bus"],
+    [
+        pytest.param({"control.ki": 30.0}, marks=pytest.mark.slow, id="ideal"),
+        pytest.param(
+            {"hardware.control_period": 0.005, "hardware.command_delay": 0.0024, "control.ki": 30.0}, id="bus"
+        ),
+    ],
 )
 def test_joint_gains_that_a_law_commands_come_by_the_bus(hardware):
     scenario = mc.load_scenario("case_1_2", {"duration": 0.05, "gait.cycle": 0.4} | hardware)

@@ -36,6 +36,7 @@ def alone(env, walked):
     return walked(env.reset())
 
 
+@pytest.mark.slow
 def test_one_robot_walks_as_in_a_rollout(scenario, alone):
     trajectory = mc.rollout(scenario)
     for name in HISTORIES:
@@ -43,6 +44,7 @@ def test_one_robot_walks_as_in_a_rollout(scenario, alone):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_simulation_steps_one_robot(scenario, alone):
     """And `vmap` makes a batch of it, as `Environment` does."""
     simulation, first = mc.Simulation(scenario), alone[1].joint_torque[0]
@@ -107,9 +109,8 @@ def test_derivatives_by_an_action(env):
     @jax.jit
     def velocity(angle):
         state = env.reset()
-        targets = state.carry.state.joint_angles.at[0, 1].add(angle)
-        for _ in range(2):
-            state, _ = env.step(state, mc.JointTargets(targets))
+        action = mc.JointTargets(state.carry.state.joint_angles.at[0, 1].add(angle))
+        state, _ = jax.lax.scan(lambda state, _: env.step(state, action), state, length=2)
         return state.robot.base_linear_velocity[2]
 
     forward, reverse = jax.jacfwd(velocity)(0.01), jax.grad(velocity)(0.01)
@@ -132,6 +133,7 @@ def test_hardware_that_is_not_compiled_is_refused(scenario, env):
         env.reset(None, late)
 
 
+@pytest.mark.slow
 def test_equal_environments_are_compiled_once(scenario, env):
     env.step(env.reset())
     compiled = []
@@ -168,6 +170,7 @@ def test_stepping_by_hand_is_nearly_as_fast_as_a_rollout(case):
     assert theirs > 0.6 * mine
 
 
+@pytest.mark.slow
 def test_gains_change_in_mid_walk(env, walked):
     """From then on it walks as a robot that began with them and was brought to this state; what is not given stays."""
     state, _ = walked(env.reset({"stiffness": 1e3, "kp": 40.0}))

@@ -23,12 +23,13 @@ def test_the_walk_is_that_of_the_scenario_with_these_values():
     np.testing.assert_array_equal(walk.base_position, again.base_position)
 
 
+@pytest.mark.slow
 def test_a_batch_of_gaits_is_walked_side_by_side():
     """A cycle between two time steps counts as the nearer one; a stride that is given is kept."""
     pd = SHORT.with_overrides(["control.controller=pd"])
     cycle, height = np.array([0.76, 0.7603, 1.0]), np.array([0.02, 0.02, 0.03])
     found = mc.rollout_metrics(pd, {**PAPER, "gait.cycle": cycle, "gait.step_height": height})
-    kept = mc.rollout_metrics(pd, {"gait.cycle": cycle, "gait.stride": 0.02, "gait.step_height": height})
+    kept = mc.rollout_metrics(pd, {**PAPER, "gait.cycle": cycle, "gait.stride": 0.02, "gait.step_height": height})
     for name in ("travel", "peak_foot_force", "force_variation"):
         assert found[name][0] == found[name][1] != found[name][2]
         assert kept[name][0] != found[name][0]
@@ -39,34 +40,32 @@ def test_a_batch_of_gaits_is_walked_side_by_side():
             np.testing.assert_allclose(found[name][row], value, rtol=1e-4, atol=1e-5, err_msg=name)
 
 
-def test_the_step_height_has_a_derivative_and_times_have_none():
-    gains = {"damping": 5e3, "gait.step_height": 0.02}
-    rates = {"damping": np.zeros((1, 6)), "gait.step_height": np.ones(1)}
-    _, slopes = mc.rollout_jvp(SHORT, gains, rates, dtype=np.float64)
-    ends = [mc.rollout_metrics(SHORT, gains | {"gait.step_height": 0.02 + h}, dtype=np.float64) for h in (1e-6, -1e-6)]
-    for name in ("force_variation", "cost_of_transport"):
-        np.testing.assert_allclose(slopes[name][0], (ends[0][name] - ends[1][name]) / 2e-6, rtol=1e-4)
+def test_times_have_no_derivative():
     with pytest.raises(ValueError, match=r"^directions\.gait\.duty: expected none, as it is counted in whole time"):
         mc.rollout_jvp(SHORT, {"gait.duty": 0.8}, {"gait.duty": np.ones(1)})
 
 
+LENGTHS = {"gait.step_height": 0.02, "gait.height": 0.95, "gait.sway": 0.05, "gait.landing_speed": 0.02}
+
+
 @pytest.mark.slow
-def test_height_sway_and_landing_speed_have_derivatives():
-    """Of the sway and the landing speed also where there are none."""
-    simulation, h = mc.Simulation(SHORT, metrics=(mc.METRICS["cost_of_transport"], mc.METRICS["base_deviation"])), 1e-5
-    gains = {"damping": 5e3, "gait.height": 0.95, "gait.sway": 0.05, "gait.landing_speed": 0.02}
-    still = {"damping": np.zeros((1, 6))}
-    for values, key in [(gains, name) for name in [*gains][1:]] + [({**gains, "gait.sway": 0.0}, "gait.sway")]:
-        _, slopes = simulation.jvp(values, still | {key: np.ones(1)}, dtype=np.float64)
-        ends = [simulation.metrics(values | {key: values[key] + e}, dtype=np.float64) for e in (2 * h, h, 0.0)]
-        if values[key]:
-            ends = [simulation.metrics(values | {key: values[key] + e}, dtype=np.float64) for e in (h, -h)]
-        for name, (slope,) in slopes.items():
-            if len(ends) == 2:
-                expected = (ends[0][name] - ends[1][name]) / (2 * h)
-            else:  # from above alone
-                expected = (4 * ends[1][name] - ends[0][name] - 3 * ends[2][name]) / (2 * h)
-            np.testing.assert_allclose(slope, expected, rtol=1e-3, err_msg=f"{key} {name}")
+def test_heights_sway_and_landing_speed_have_derivatives():
+    """Of the sway also where there is none, from above."""
+    every = ("cost_of_transport", "base_deviation", "force_variation")
+    simulation = mc.Simulation(SHORT, metrics=tuple(mc.METRICS[name] for name in every))
+    along = {"damping": np.zeros((len(LENGTHS), 6)), **dict(zip(LENGTHS, np.eye(len(LENGTHS)), strict=True))}
+    for key, sway in [*((name, 0.05) for name in LENGTHS), ("gait.sway", 0.0)]:
+        values = {"damping": 5e3, **LENGTHS, "gait.sway": sway}
+        slopes = {
+            name: slope[[*LENGTHS].index(key)]
+            for name, slope in simulation.jvp(values, along, dtype=np.float64)[1].items()
+        }
+        h, rtol, other = (1e-6, 1e-4, 2) if key == "gait.step_height" else (1e-5, 1e-3, 1)
+        weights = {h: 1.0, -h: -1.0} if values[key] else {2 * h: -1.0, h: 4.0, 0.0: -3.0}
+        ends = {e: simulation.metrics(values | {key: values[key] + e}, dtype=np.float64) for e in weights}
+        for name in ("cost_of_transport", every[other]):
+            expected = sum(weight * ends[e][name] for e, weight in weights.items()) / (2 * h)
+            np.testing.assert_allclose(slopes[name], expected, rtol=rtol, err_msg=f"{key} {name}")
 
 
 def test_what_a_walk_is_not_compiled_for_is_refused_where_it_is_traced():

@@ -65,14 +65,9 @@ def test_a_walk_is_climblabs_and_calmer(case, walk, recording):
     assert np.median(ours["gia_margin"]) == pytest.approx(np.median(theirs["gia_margin"]), rel=0.0045)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("law", "within"),
-    [
-        ("virtual_model", 4e-4),
-        pytest.param("pd", 4e-4, marks=pytest.mark.slow),
-        pytest.param("measured_pose", 3e-3, marks=pytest.mark.slow),
-        pytest.param("end_effector", 3e-3, marks=pytest.mark.slow),
-    ],
+    ("law", "within"), [("virtual_model", 4e-4), ("pd", 4e-4), ("measured_pose", 3e-3), ("end_effector", 3e-3)]
 )
 def test_single_precision_is_good_enough(case, gains, numbers, walk, law, within):
     """Over 8 s of each case, walked as one batch, metrics in float32, as in sweeps, are those in float64."""

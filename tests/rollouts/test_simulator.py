@@ -82,6 +82,7 @@ def variation(case):
     return one, jax.jit(jax.vmap(lambda damping: jax.jvp(one, (damping,), (1.0,))))
 
 
+@pytest.mark.slow
 def test_forward_derivatives_are_central_differences(variation):
     (below, _, above), (_, tangent, _) = variation[1](1e4 * jnp.array([0.99, 1.0, 1.01]))
     assert above != below

@@ -215,6 +215,7 @@ def scenario(case):
     return case("case_1_2", "virtual_model", tuple(changes.items()))
 
 
+@pytest.mark.slow
 def test_own_metrics_of_a_walk_and_of_a_batch(scenario):
     walk = mc.rollout(scenario, mc.Gains(1.0, 100.0, STIFFNESS[0]))
     batch = mc.rollout_metrics(scenario, mc.Gains(1.0, 100.0, STIFFNESS), metrics=OWN, dtype=np.float64, smooth=True)

@@ -254,6 +254,7 @@ def swept(tmp_path_factory):
     return out, *finish("sweep", CONFIG, *SHORT, *GRID, "--out", out, "--json")
 
 
+@pytest.mark.slow
 def test_sweep_prints_json_alone_on_stdout_and_writes_grid_maps_and_config(swept):
     folder, out, err = swept
     found = strict_json(out)

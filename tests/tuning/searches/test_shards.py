@@ -140,6 +140,7 @@ def scenario():
     return mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.2"])
 
 
+@pytest.mark.slow
 def test_a_sweep_in_shards_is_the_sweep(scenario, tmp_path):
     """Every array and attribute; the law's inertia, given as further gains, comes back from the shards too."""
     gains = mc.Gains(2.0, 1e2, 1e3)

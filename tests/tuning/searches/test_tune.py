@@ -155,6 +155,7 @@ def test_gradients_agree_with_central_differences(scenario, layout):
     np.testing.assert_allclose(slopes, differences, rtol=1e-3, atol=1e-6 * np.abs(slopes).max())
 
 
+@pytest.mark.slow
 def test_an_ensemble_scores_the_mean_of_its_members(scenario):
     problem = dataclasses.replace(problem_of(scenario, search.Search()), dtype=np.float64)
     theta = problem.space.draw(np.random.default_rng(1), 3)
