@@ -17,6 +17,7 @@ from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
+from tuning.evaluation.stability_limit import spectral_radius
 
 STEP = 1e-3
 MOTOR = {"drive": "voltage", "torque_limit": 8.0, "no_load_speed": 6.0}
@@ -399,3 +400,18 @@ def test_robots_of_a_batch_walk_with_servos_as_they_do_alone():
     for name, values in together.items():
         np.testing.assert_allclose(alone[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
     assert len(np.unique(together["peak_joint_torque"])) == 6
+
+
+@pytest.mark.slow
+def test_the_linear_limit_has_back_emf_and_integral_term_in_the_loop():
+    """Of motors on a voltage it is that of torques with as much more damping; an integral term changes it."""
+    base = mc.load_scenario("case_1_2", {"control.kp": 40.0, "control.kd": 0.1, "hardware.servo.armature": 0.01})
+    volts = {"rated_voltage": 12.0, "supply_voltage": 15.0, "pwm_limit": 0.9, "rate": 500.0, "profile_velocity": 1.0}
+    motors = base.with_overrides({"hardware.servo": MOTOR | volts | {"external_load_friction": 0.1}})
+    alike = base.with_overrides({"control.kp": 50.0, "control.kd": 0.125 + 8 / 6})
+    ours, expected = (float(spectral_radius(each, {})) for each in (motors, alike))
+    assert ours == pytest.approx(expected, rel=1e-9) and ours != pytest.approx(
+        float(spectral_radius(base, {})), rel=1e-6
+    )
+    pulled = float(spectral_radius(motors.with_overrides({"control.ki": 1e4}), {}))
+    assert pulled > 1.0001 > ours
