@@ -13,8 +13,8 @@ import numpy as np
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import Robot
 from tuning.identification.log import names
-from tuning.identification.readers.table import Recording, Table
 from tuning.identification.signals import Signals, Source, TimeUnit
+from tuning.identification.table import Recording, Table
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 _MEANING = {

@@ -11,9 +11,11 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.files.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
+from tuning.identification.guess import guess
 from tuning.identification.log import names
 from tuning.identification.readers import read_log, record, write_csv
 from tuning.identification.signals import Signals
+from tuning.identification.table import Recording, Table
 
 EPOCH = 1_764_000_000 * 10**9  # ns
 
@@ -256,3 +258,29 @@ def test_the_same_walk_gives_the_same_mcap_with_base_and_feet_as_transforms(push
     for child, values in {"base": pushed.base_position, "RH_foot": pushed.foot_position[:, 2]}.items():
         found = np.column_stack([table.fields[f"transforms.{child}.transform.translation.{axis}"] for axis in "xyz"])
         np.testing.assert_array_equal(found, values[rows])
+
+
+def test_times_that_do_not_increase_are_left_out_and_counted(tmp_path):
+    (tmp_path / "log.csv").write_text(
+        "time;LF.coxa.position\n0;0.1\n1e-2;0.2\n5e-3;0.9\n1e-2;0.8\n2e-2;0.3\n3e-2;0.4\n"
+    )
+    log = read_log(tmp_path / "log.csv", ROBOT)
+    np.testing.assert_array_equal(log.signals["LF.coxa.position"].value, [0.1, 0.2, 0.3, 0.4])
+    assert "LF.coxa.position: 2 of 6 samples come no later than one before them: left out" in log.warnings[0]
+
+
+def test_a_foot_in_the_air_measures_nothing_again_and_again(tmp_path):
+    force = np.random.default_rng(0).standard_normal(100)
+    force[40:43] = 0.0
+    write_csv(tmp_path / "log.csv", {"time": np.arange(100) / 100, "LF.force.z": force})
+    log = read_log(tmp_path / "log.csv", ROBOT)
+    assert log.warnings == () and len(log.signals["LF.force.z"].value) == 100
+
+
+def test_the_twist_of_an_odometry_has_the_axes_of_the_body_and_is_not_taken():
+    time = {"log": np.arange(5.0)}
+    fields = {f"{part}.{what}": time["log"] for part, what in (
+        ("pose.pose.position", "x"), ("twist.twist.linear", "x"), ("twist.twist.angular", "z"),
+    )}  # fmt: skip
+    found, _ = guess(Recording({"/base/odom": Table("/base/odom", time, fields)}, "log"), ROBOT)
+    assert list(found.signals) == ["base.position.x"]

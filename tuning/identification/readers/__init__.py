@@ -14,8 +14,8 @@ from tuning.identification.guess import guess
 from tuning.identification.log import BASE, JOINT, Log, Signal, names, unit_of
 from tuning.identification.readers import csv_file, netcdf_file, rosbag
 from tuning.identification.readers.csv_file import write_csv as write_csv
-from tuning.identification.readers.table import Recording, Table
 from tuning.identification.signals import SECONDS, UNITS, Signals, Source
+from tuning.identification.table import Recording, Table
 
 READERS = {
     ".csv": csv_file.read, ".tsv": csv_file.read, ".nc": netcdf_file.read, ".mcap": rosbag.read, ".db3": rosbag.read,
