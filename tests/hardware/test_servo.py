@@ -17,6 +17,7 @@ from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
+from tests import derivatives
 from tuning.evaluation.stability_limit import spectral_radius
 
 STEP = 1e-3
@@ -362,23 +363,7 @@ MOVED = (
 
 @pytest.fixture(scope="module")
 def tangents():
-    """Tangents of the cost of transport by each parameter: forward, and by central differences; a robot for each."""
-    scenario = mc.Scenario().with_overrides(SERVOS)
-    own, simulate = mc.parameters(scenario), mc.simulator(scenario)
-    at = {name: jnp.full(len(MOVED), float(getattr(own, name))) for name in MOVED}
-    along = {name: jnp.asarray(np.array(MOVED) == name, float) for name in MOVED}
-
-    def cost(varied):
-        return simulate(parameters=dataclasses.replace(own, **varied))["cost_of_transport"]
-
-    _, forward = jax.jit(lambda: jax.jvp(cost, (at,), (along,)))()
-    sides = []
-    for sign in (1, -1):
-        moved = {name: np.asarray(at[name] * (1 + sign * 1e-6 * along[name])) for name in MOVED}
-        changed = dataclasses.replace(own_parameters(scenario), **moved)
-        sides.append(mc.rollout_metrics(scenario, parameters=changed, dtype=np.float64)["cost_of_transport"])
-    widths = np.array([2e-6 * float(getattr(own, name)) for name in MOVED])
-    return dict(zip(MOVED, zip(np.asarray(forward), (sides[0] - sides[1]) / widths, strict=True), strict=True))
+    return derivatives.by_each(mc.Scenario().with_overrides(SERVOS), MOVED, "cost_of_transport")
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD, JointGains
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.scenario.load import load_hardware, with_hardware
+from tests import derivatives
 
 PUSH = {"start": 0.01, "stop": 0.1, "force": [3.0, 1.0, 1.0], "moment": [0.0, 0.5, 0.0]}
 EVERYTHING = {
@@ -175,24 +176,8 @@ DIFFERENTIATED = (
 
 @pytest.fixture(scope="module")
 def tangents(scenario):
-    """Tangents of the peak joint torque by each parameter: forward, and by central differences; a robot for each."""
     gentle = scenario.with_overrides({"contact.capture_distance": None, "hardware.force_sensor.resolution": 0.0})
-    own, simulate = mc.parameters(gentle), mc.simulator(gentle)
-    at = {name: jnp.full(len(DIFFERENTIATED), float(getattr(own, name))) for name in DIFFERENTIATED}
-    along = {name: jnp.asarray(np.array(DIFFERENTIATED) == name, float) for name in DIFFERENTIATED}
-
-    def torque(varied):
-        return simulate(parameters=dataclasses.replace(own, **varied))["peak_joint_torque"]
-
-    _, forward = jax.jit(lambda: jax.jvp(torque, (at,), (along,)))()
-    sides = []
-    for sign in (1, -1):
-        moved = {name: np.asarray(at[name] * (1 + sign * 1e-6 * along[name])) for name in DIFFERENTIATED}
-        changed = dataclasses.replace(own_parameters(gentle), **moved)
-        sides.append(mc.rollout_metrics(gentle, parameters=changed, dtype=np.float64)["peak_joint_torque"])
-    widths = np.array([2e-6 * float(getattr(own, name)) for name in DIFFERENTIATED])
-    central = (sides[0] - sides[1]) / widths
-    return dict(zip(DIFFERENTIATED, zip(np.asarray(forward), central, strict=True), strict=True))
+    return derivatives.by_each(gentle, DIFFERENTIATED, "peak_joint_torque")
 
 
 @pytest.mark.slow
