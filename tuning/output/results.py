@@ -73,7 +73,8 @@ def judge(found: judging.Judged, folder: Folder, _: None = None) -> Contents:
         {"judged": (SHARES, lambda: pictures.plot_judged(found.data))},
         lambda origin: page.Page(
             title=f"Gains on the walks of {origin.name}", origin=origin, verdict=f"{sentence}.",
-            scenario=found.scenario, tables=[pages.judged_table(summed, metrics)], facts={"seed": ensemble.seed},
+            scenario=found.scenario, notes=outcome[1:], tables=[pages.judged_table(summed, metrics)],
+            facts={"seed": ensemble.seed},
         ),
     )  # fmt: skip
 

@@ -242,7 +242,9 @@ def made_up(monkeypatch):
         level = (1 + 0.3 * off + 0.1 * np.log(np.asarray(parameters.coulomb_friction) / 0.09) + 0.1 * walk).astype("f4")
         asked.append(level.shape)
         found = {name: level for name in metrics.names}
-        return found | {"detached_limb": np.full(level.shape, -1), "diverged": np.zeros(level.shape, bool)}
+        found |= {"detached_limb": np.full(level.shape, -1), "diverged": np.zeros(level.shape, bool)}
+        lost = np.full(level.shape, -1 if law is None else 1)
+        return found | {"sensor_lost_limb": lost, "sensor_lost_at": np.full(level.shape, 0.25)}
 
     monkeypatch.setattr(mc, "rollout_metrics", rollout_metrics)
     return asked
@@ -289,6 +291,8 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     gain = (walks.sel(gains="half the friction") - walks.sel(gains="retuned_pd")).values
     np.testing.assert_allclose(gain, 0.1 * np.log(0.5), rtol=1e-3)
     assert "half the friction would be worth" in written.outcome[-1]
+    lost = "warning: Shared ran without the force sensor of LH from 0.25 s in 40 of 40 walks"
+    assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()
 
 
 def test_commas_are_between_laws_and_between_gains_by_phase():
