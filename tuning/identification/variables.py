@@ -1,0 +1,288 @@
+"""What is fitted: keys of a scenario and of its robot, each with nominal value, prior, bounds and coordinate.
+
+A fit moves in coordinates: the logarithm of what is positive, the value itself of what may be zero or negative. A
+link's inertia moves in log-Cholesky coordinates of its mass distribution: with mass m, centre c and an upper
+triangular A (diagonal exp(d)), `A A^T` is the second moment about the centre over m, so that every point is a body that
+can exist (Rucker and Wensing, Smooth Parameterization of Rigid-Body Inertia, 2022).
+"""
+
+import dataclasses
+import difflib
+import fnmatch
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, NamedTuple, get_args
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import mjx_climb as mc
+from mjx_climb.dynamics.spatial import (
+    AnyArray,
+    quaternion_from_rotation_vector,
+    quaternion_to_matrix,
+    turn_about_z,
+)
+from mjx_climb.quantities.parameters import COORDINATES, KEYS, Parameters, own_parameters
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.scenario.messages import ConfigError, section
+
+FACTOR = 1.0  # prior sd of the logarithm of what is positive: a factor of e, 7 at two sd
+_SCALES = {  # prior sd by unit, of what may be zero; the nominal value where that is larger
+    "kg m^2": 0.02, "N m": 0.2, "N m s/rad": 0.2, "rad": 0.02, "s": 0.01, "N": 1.0, "1": 0.3, "N s/m": 50.0, "m": 0.01,
+}  # fmt: skip
+_LONGEST = 0.02  # s, bound of a delay that is fitted, where the nominal one is not near it
+_TILT = 0.1  # rad
+_JOINT = {"armature": "kg m^2", "friction": "N m", "damping": "N m s/rad", "zero": "rad"}
+_CENTER = ("center.x", "center.y", "center.z")
+_INERTIA = ("xx", "yy", "zz", "xy", "xz", "yz")
+_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of these in A and in the inertia
+_STILL = ("gait.", "disturbance.", "contact.capture_distance", "hardware.control_period", "hardware.seed")
+_OF_LAW = ("hardware.base_estimate", "force_sensor.noise", "force_sensor.resolution", "force_sensor.filter")
+ON_GROUND = ("contact.", "hardware.force_sensor.", "robot.base.")  # a robot on a stand does not tell them
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """One number that is fitted; SI units but for `mean` and `sd`, which are of the coordinate."""
+
+    key: str
+    unit: str
+    nominal: float
+    mean: float  # of the prior
+    sd: float
+    lower: float
+    upper: float
+    log: bool = False  # the coordinate is the logarithm
+    frozen: bool = False  # held at the nominal value
+    limb: int | None = None  # the one limb that it moves, where there is one
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the coordinate."""
+        with np.errstate(divide="ignore"):
+            low, high = np.log([self.lower, self.upper]) if self.log else (self.lower, self.upper)
+        return float(low), float(high)
+
+
+class Place(NamedTuple):
+    """What a compiled fit depends on of a variable."""
+
+    key: str
+    log: bool
+
+
+def variables(
+    scenario: mc.Scenario, asked: Sequence[str], *, held: bool, changes: Mapping[str, Mapping[str, Any]] | None = None
+) -> tuple[Variable, ...]:
+    """Return the variables of the keys that are asked for, in their order, each once.
+
+    Arguments:
+        scenario: its values are nominal; its robot's file is the prior of the robot's.
+        asked: keys, or patterns of keys as `robot.*.armature`; `robot.LF.femur` stands for all of this link.
+        held: whether the base was held.
+        changes: fields of a `Variable` that replace its own, by key.
+
+    Raises:
+        ConfigError: no such key, with the nearest ones; or one that such a log cannot tell.
+    """
+    known = {each.key: each for each in _all(scenario)}
+    found: dict[str, Variable] = {}
+    for key in asked:
+        keys = [k for k in known if fnmatch.fnmatchcase(k, key) or k.startswith(f"{key}.")]
+        if not keys:
+            near = difflib.get_close_matches(key, [*known, *(k.rpartition(".")[0] for k in known)], 3, 0.5)
+            meant = f" (did you mean {' or '.join(dict.fromkeys(near))}?)" if near else ""
+            raise ConfigError(f"--fit {key}: expected a key that can be fitted, got an unknown one{meant}")
+        if held and (grounded := [k for k in keys if k.startswith(ON_GROUND)]):
+            raise ConfigError(
+                f"--fit {key}: expected a key that a robot on a stand can tell, got {grounded[0]}; a log with base or "
+                "foot forces of a gripped robot tells it (--base free)"
+            )
+        found |= {k: known[k] for k in keys}
+    for key, how in (changes or {}).items():
+        if key not in found:
+            raise ConfigError(f"{key}: expected one of the keys that are fitted, {', '.join(found)}")
+        found[key] = dataclasses.replace(found[key], **how)
+    for each in found.values():
+        if not math.isfinite(each.nominal):
+            raise ConfigError(
+                f"--fit {each.key}: expected a value in the config to begin at, got null (--set {each.key}=NUMBER)"
+            )
+    return tuple(each for each in found.values() if not each.frozen)
+
+
+def _all(scenario: mc.Scenario) -> Iterator[Variable]:
+    own, robot = own_parameters(scenario), load_robot(scenario.robot)
+    for field, key in KEYS.items():
+        unit = COORDINATES.get(field, ("",))[0]
+        if unit and not key.startswith(_STILL) and not any(part in key for part in _OF_LAW):
+            yield _of_scenario(key, unit, float(np.asarray(getattr(own, field))), scenario.time_step)
+    for axis in "xy":
+        yield Variable(f"gravity.tilt_{axis}", "rad", 0.0, 0.0, _TILT, -1.0, 1.0)
+    yield _positive("robot.base.mass", "kg", float(robot.base_mass), 0.3)
+    for n, limb in enumerate(robot.limbs):
+        for j, joint in enumerate(robot.joint_names):
+            for each in (*_of_joint(robot, n, j), *_of_link(robot, n, j)):
+                yield dataclasses.replace(each, key=f"robot.{limb}.{joint}.{each.key}", limb=n)
+
+
+def _positive(key: str, unit: str, nominal: float, sd: float = FACTOR) -> Variable:
+    mean = math.log(nominal) if 0 < nominal < math.inf else 0.0
+    return Variable(key, unit, nominal, mean, sd, nominal * 1e-3, nominal * 1e3, log=True)
+
+
+def _linear(key: str, unit: str, nominal: float, lower: float, upper: float = math.inf) -> Variable:
+    return Variable(key, unit, nominal, nominal, max(abs(nominal), _SCALES.get(unit, 1.0)), lower, upper)
+
+
+def _of_scenario(key: str, unit: str, nominal: float, time_step: float) -> Variable:
+    *place, name = key.split(".")
+    field = section(mc.Scenario, place).model_fields[name]
+    limits = _limits(Annotated[field.annotation, *field.metadata])
+    if "gt" in limits:
+        return _positive(key, unit, nominal)
+    upper = limits.get("le", limits.get("lt", math.inf))
+    if unit == "s":
+        upper = max(2 * nominal, _LONGEST, 2 * time_step)
+    return _linear(key, unit, nominal, limits.get("ge", -math.inf), upper)
+
+
+def _limits(annotation: Any) -> dict[str, float]:
+    """Return the bounds that an annotation's constraints say, by pydantic's names."""
+    found: dict[str, float] = {}
+    for part in (*getattr(annotation, "__metadata__", ()), *get_args(annotation)):
+        for each in (part, *getattr(part, "metadata", ())):
+            found |= {
+                name: value for name in ("gt", "ge", "lt", "le") if (value := getattr(each, name, None)) is not None
+            }
+        found |= _limits(part) if get_args(part) else {}
+    return found
+
+
+def _of_joint(robot: Robot, limb: int, joint: int) -> Iterator[Variable]:
+    for name, unit in _JOINT.items():
+        if name == "zero":
+            yield Variable(name, unit, 0.0, 0.0, 0.05, -0.5, 0.5)
+        else:
+            values = getattr(robot, name)
+            yield _linear(name, unit, 0.0 if values is None else float(values[limb, joint]), 0.0)
+
+
+def _of_link(robot: Robot, limb: int, joint: int) -> Iterator[Variable]:
+    yield _positive("mass", "kg", float(robot.link_mass[limb, joint]), 0.3)
+    for axis, value in zip(_CENTER, robot.link_center[limb, joint], strict=True):
+        yield Variable(axis, "m", float(value), float(value), 0.02, -math.inf, math.inf)
+    spread = _cholesky(robot.link_mass[limb, joint], robot.link_inertia[limb, joint])
+    for name, (row, column) in zip(_INERTIA, _PLACES, strict=True):
+        log, key = row == column, f"inertia.{name}"
+        mean = float(np.log(spread[row, row])) if log else float(spread[row, column])
+        sd = 0.3 if log else 0.3 * float(spread[row, row])
+        # bounds of the coordinate, which is none of the value's
+        yield Variable(
+            key, "kg m^2", float(robot.link_inertia[limb, joint][row, column]), mean, sd, -math.inf, math.inf
+        )
+
+
+def _cholesky(mass: AnyArray, inertia: AnyArray) -> np.ndarray:
+    """Return the upper triangular A of a body, (3, 3) m, of which `A A^T` is the second moment over the mass."""
+    moment = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
+    least = 1e-9 * np.trace(moment)  # a flat or thin body: as thick as rounding
+    lower = np.asarray(np.linalg.cholesky(moment[::-1, ::-1] + least * np.eye(3)))
+    return np.ascontiguousarray(lower[::-1, ::-1])
+
+
+# --------------------------------------------------------------------------------------------- coordinates to a model
+
+
+def begin(chosen: Sequence[Variable]) -> np.ndarray:
+    """Return the coordinates (n,) of the nominal values, inside the bounds."""
+    point = [v.mean if ".inertia." in v.key else math.log(v.nominal) if v.log else v.nominal for v in chosen]
+    return np.asarray(np.clip(point, *np.reshape([v.bounds for v in chosen], (-1, 2)).T))
+
+
+def applied(places: Sequence[Place], point: Array, parameters: Parameters, robot: Robot) -> tuple[Parameters, Robot]:
+    """Return parameters and robot at a point (n,) of coordinates; the robot's own are constants of NumPy."""
+    fields = {key: field for field, key in KEYS.items()}
+    values = _values(places, point)
+    changes: dict[str, Any] = {fields[key]: value for key, value in values.items() if key in fields}
+    tilt = [values.get(f"gravity.tilt_{axis}") for axis in "xy"]
+    if any(angle is not None for angle in tilt):
+        zero = jnp.zeros_like(point[0])
+        turn = quaternion_from_rotation_vector(jnp.stack([zero if t is None else t for t in tilt] + [zero]))
+        changes["gravity"] = quaternion_to_matrix(turn) @ jnp.asarray(parameters.gravity)
+    return dataclasses.replace(parameters, **changes), _robot_at(values, robot)
+
+
+def _values(places: Sequence[Place], point: Array) -> dict[str, Array]:
+    return {place.key: jnp.exp(x) if place.log else x for place, x in zip(places, point, strict=True)}
+
+
+def _robot_at(values: Mapping[str, Array], nominal: Robot) -> Robot:
+    robot, own = nominal, {tuple(key.split(".", 3)[1:]): v for key, v in values.items() if key.startswith("robot.")}
+    if not own:
+        return nominal
+    if ("base", "mass") in own:
+        share = own["base", "mass"] / robot.base_mass
+        base: Any = {"base_mass": own["base", "mass"], "base_inertia": robot.base_inertia * share}
+        robot = dataclasses.replace(robot, **base)
+    for name in _JOINT:
+        value: Any = None if name == "zero" else getattr(robot, name)
+        there = [[own.get((limb, joint, name)) for joint in robot.joint_names] for limb in robot.limbs]
+        if any(each is not None for row in there for each in row):
+            before = jnp.zeros_like(robot.link_mass) if value is None else jnp.asarray(value)
+            after = _with(before, there)
+            if name == "zero":
+                robot = dataclasses.replace(
+                    robot, frame_rotation=turn_about_z(jnp.asarray(robot.frame_rotation), after)
+                )
+            else:
+                changed: Any = {name: after}
+                robot = dataclasses.replace(robot, **changed)
+    links = dict.fromkeys(key[:2] for key in own if len(key) == 3 and key[2] not in _JOINT)
+    mass: Any
+    center: Any
+    inertia: Any
+    mass, center, inertia = map(jnp.asarray, (robot.link_mass, robot.link_center, robot.link_inertia))
+    for limb, joint in links:
+        at = robot.limbs.index(limb), robot.joint_names.index(joint)
+        new = _link_at({k[2]: v for k, v in own.items() if k[:2] == (limb, joint)}, nominal, at)
+        mass, center, inertia = (old.at[at].set(value) for old, value in zip((mass, center, inertia), new, strict=True))
+    return dataclasses.replace(robot, link_mass=mass, link_center=center, link_inertia=inertia)
+
+
+def _with(before: Array, there: Sequence[Sequence[Any]]) -> Array:
+    return jnp.stack([
+        jnp.stack([before[n, j] if each is None else each for j, each in enumerate(row)]) for n, row in enumerate(there)
+    ])  # fmt: skip
+
+
+def _link_at(own: Mapping[str, Array], robot: Robot, at: tuple[int, int]) -> tuple[Any, Any, Any]:
+    """Return mass, centre and inertia of a link; a mass alone scales the inertia with it."""
+    mass = own.get("mass", jnp.asarray(robot.link_mass)[at])
+    center = jnp.stack([own.get(name, jnp.asarray(robot.link_center)[at][n]) for n, name in enumerate(_CENTER)])
+    nominal = _cholesky(robot.link_mass[at], robot.link_inertia[at])
+    spread = [[jnp.zeros_like(mass)] * 3 for _ in range(3)]
+    for name, (row, column) in zip(_INERTIA, _PLACES, strict=True):
+        value = own.get(f"inertia.{name}")
+        if row == column:
+            spread[row][row] = jnp.asarray(nominal[row, row], mass.dtype) if value is None else jnp.exp(value)
+        else:
+            spread[row][column] = jnp.asarray(nominal[row, column], mass.dtype) if value is None else value
+    factor = jnp.stack([jnp.stack(row) for row in spread])
+    moment = factor @ factor.T
+    return mass, center, mass * (jnp.trace(moment) * jnp.eye(3, dtype=moment.dtype) - moment)
+
+
+def in_units(chosen: Sequence[Variable], point: Array, robot: Robot) -> Array:
+    """Return the values (n,) in SI units of a point of coordinates; those of an inertia about the link's centre."""
+    found, at_point = [], _robot_at(_values([Place(v.key, v.log) for v in chosen], point), robot)
+    for variable, x in zip(chosen, point, strict=True):
+        if ".inertia." in variable.key:
+            _, limb, joint, _, name = variable.key.split(".")
+            at = robot.limbs.index(limb), robot.joint_names.index(joint)
+            found.append(at_point.link_inertia[at][_PLACES[_INERTIA.index(name)]])
+        else:
+            found.append(jnp.exp(x) if variable.log else x)
+    return jnp.stack(found)
