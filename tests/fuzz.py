@@ -73,6 +73,8 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "--set control.kd=0.1",
     "compare": "{config} --laws base_admittance,end_effector_admittance --ensemble {ensemble} --members 8 --starts 4 "
     "--iterations 2 --also inertia --pin damping=30 --bound kp=10:90 --search {search}",
+    "excite": "{config} --duration 2 --candidates 1 --fit hardware.servo.armature --family chirp --kp 30 --margin 0.5 "
+    "--rate 50 --noise 1e-3 --base held --mass 0.1 --low 0.2 --high 5 --seed 1 --set control.kd=0.1",
     "export": "{gains} --format ros2_control --update-rate 500 --name admittance",
     "schema": "",
     "bench": "--batch 64 --quick",
@@ -80,7 +82,7 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "doctor": "--json",
 }
 USES = {
-    "config": ("run", "sweep", "tune", "pareto", "schedule", "margins"),
+    "config": ("run", "sweep", "tune", "pareto", "schedule", "margins", "excite"),
     "gains": ("run", "sweep", "tune", "margins", "export"),
     "search": ("tune", "pareto", "schedule"),
     "ensemble": ("tune",),

@@ -37,6 +37,7 @@ COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} 
     "margins": ["margins", *SHORT, "--gains", "{gains}", *OUT],
     "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4", *OUT],
     "compare": ["compare", *SHORT, *"--laws base_admittance --members 4 --starts 2 --iterations 2".split(), *OUT],
+    "excite": ["excite", CASE, "--duration", "2", "--candidates", "1", *OUT],
     "export": ["export", "{gains}", "--update-rate", "500"],
     "merge": ["merge", "{shards}", *OUT],
     "plot": ["plot", "{swept}", *OUT],

@@ -8,6 +8,7 @@ from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from tuning.identification.excitation import excite as excite
     from tuning.searches.compare import compare as compare
     from tuning.searches.judge import judge as judge
     from tuning.searches.judge import judge_shard as judge_shard

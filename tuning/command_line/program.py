@@ -38,6 +38,7 @@ COMMANDS = {  # what each does
     "plot": "Draw the pictures of a result again.",
     "margins": "Find how bad hardware may be before gains fail.",
     "reproduce": "Walk the paper's cases and judge its claims.",
+    "excite": "Find commands that tell a robot's parameters.",
     "export": "Write gains for the robot's own controller.",
     "robot": "Make a robot's own file ready to walk.",
     "schema": "Print the schema of scenarios, for editors.",
@@ -45,7 +46,7 @@ COMMANDS = {  # what each does
     "doctor": "Examine this installation.",
 }
 _MODULES = {  # and the commands in each
-    "run": ("run",), "replay": ("replay",),
+    "run": ("run",), "replay": ("replay",), "excite": ("excite",),
     "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
     "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
 }  # fmt: skip

@@ -29,7 +29,8 @@ def valid_input_stops_here(monkeypatch):
         "mjx_climb.rollout", "mjx_climb.rollout_metrics", "mjx_climb.rollout_histories",
         "tuning.output.comparisons.of_grid", "tuning.problem.evaluation.baseline", "tuning.problem.evaluation.pd_of",
         "tuning.searches.schedule.pd_of", "tuning.evaluation.deployment.check", "tuning.benchmarks.measure.measure",
-        "tuning.command_line.machine.examine", "tuning.identification.replay.simulate",
+        "tuning.command_line.machine.examine", "tuning.identification.excitation.chosen",
+        "tuning.identification.replay.simulate",
     ):  # fmt: skip
         monkeypatch.setattr(name, start)
     monkeypatch.setattr(backend, "find", lambda: "egl")

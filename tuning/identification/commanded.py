@@ -1,0 +1,106 @@
+"""A robot that carries out joint commands: its base held and its limbs in the air, or all of its grippers shut."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+import mjx_climb as mc
+from mjx_climb import execution
+from mjx_climb.dynamics.spatial import AnyArray
+from mjx_climb.hardware.stages import Stages, hardware_of
+from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.walk import stand as stands
+from mjx_climb.walk.control_loop import JointTargets
+
+
+class Commands(NamedTuple):
+    """What the robot is told, at each time step."""
+
+    targets: AnyArray  # (steps, limb, joint) rad: of a held base as they reach the servos, else as they are sent
+    rates: AnyArray  # (steps, limb, joint) rad/s, of these targets over time
+    kp: AnyArray  # (steps,) as a share of the parameters'; 0: torque off
+    delay: AnyArray  # (steps,) s, with which the targets reach the servos
+
+
+class Carried(NamedTuple):
+    """What the robot does at each time step."""
+
+    angles: AnyArray  # (steps, limb, joint) rad
+    rates: AnyArray  # (steps, limb, joint) rad/s
+    torque: AnyArray  # (steps, limb, joint) N m, of the motors
+    force: AnyArray  # (steps, limb, 3) N, of the ground on the feet
+
+
+Robots = Callable[[Robot, Parameters, Commands], Carried]  # pure, of one robot
+
+
+@functools.cache
+def in_batch(robots: Robots) -> Robots:
+    """Return what carries out a batch of commands, compiled."""
+    compiled: Robots = jax.jit(jax.vmap(robots, (None, None, 0)))
+    return compiled
+
+
+@functools.cache
+def held(stages: Stages, time_step: float) -> Robots:
+    """Return what a robot does whose base is held in its rest stance; at the start it is at the first targets."""
+
+    def one_step(
+        robot: Robot, parameters: Parameters, moving: stands.Moving, now: Commands
+    ) -> tuple[stands.Moving, Carried]:
+        on = jnp.where(now.kp > 0, 1.0, 0.0)  # else the motors give nothing, nor do they brake
+        gains = {"kp": parameters.kp * now.kp, "kd": parameters.kd * on, "ki": parameters.ki * on}
+        if stages.torque_limit:
+            gains["torque_limit"] = parameters.torque_limit * on
+        parameters = dataclasses.replace(parameters, **gains)
+        stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot))
+        late = parameters.command_delay - now.delay
+        after, seen = stands.advance(stand, moving, now.targets - late * now.rates)
+        return after, Carried(*seen, jnp.zeros_like(robot.foot_center))
+
+    fast = execution.over_robots(one_step)
+
+    def carried_out(robot: Robot, parameters: Parameters, commands: Commands) -> Carried:
+        first = commands.targets[0]
+        stand = stands.Stand(robot, hardware_of(parameters, stages, time_step, robot))
+        start = stands.begin(stand, first, jnp.zeros_like(first))
+        done: Carried = jax.lax.scan(functools.partial(fast, robot, parameters), start, commands)[1]
+        return done
+
+    return carried_out
+
+
+def swaying(scenario: mc.Scenario, duration: float) -> mc.Scenario:
+    """Return a scenario in which the robot stands still on all feet for a time, s: its gait comes to no swing."""
+    limbs = load_robot(scenario.robot).limbs
+    gait = scenario.gait.model_dump(mode="json") | {
+        "stride": 0.0, "cycle": math.ceil(10 * duration / scenario.time_step) * scenario.time_step, "duty": 0.95,
+        "phases": {limb: 0.2 + 0.08 * n for n, limb in enumerate(limbs)},
+    }  # fmt: skip
+    changes = {"gait": gait, "disturbance.cargo.mass": 0.0, "disturbance.pushes": [], "control.controller": "pd"}
+    return scenario.with_overrides(changes | {"control.reading": "virtual_model"})
+
+
+@functools.cache
+def standing(scenario: mc.Scenario, stages: Stages) -> Robots:
+    """Return what the robot of a scenario of `swaying` does; it is the scenario's own, whatever robot is given."""
+    simulation = mc.Simulation(scenario)
+    vars(simulation)["structure"] = simulation.structure._replace(stages=stages)
+
+    def one_step(state: mc.simulation.SimulationState, target: Array) -> tuple[Any, Carried]:
+        state, sample = simulation.step(state, JointTargets(target))
+        return state, Carried(sample.joint_angles, sample.joint_rates, sample.joint_torque, sample.foot_force)
+
+    def carried_out(_: Robot, parameters: Parameters, commands: Commands) -> Carried:
+        start = simulation.reset(parameters=parameters)
+        done: Carried = jax.lax.scan(one_step, start, commands.targets)[1]
+        return done
+
+    return carried_out
