@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -226,7 +227,8 @@ def _retuned(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return kp and kd, (P,) each, with which pd is best at each point, of a grid, and what it is worth, 1 for pd."""
     how: dict[str, Any] = {"metrics": problem.metrics, "dtype": problem.dtype, "engine": problem.engine}
     gains, walks = retuned_pd.walked_on_grid(problem.scenario, parameters=problem.parameters, **how)
-    score = problem.objective.score({name: jnp.asarray(values) for name, values in walks.items()})
+    with jax.enable_x64(np.dtype(problem.dtype) == np.float64):  # whatever JAX's own setting
+        score = problem.objective.score({name: jnp.asarray(values) for name, values in walks.items()})
     value, feasible = np.asarray(score.value), np.asarray(score.feasible)
     ranks = np.where(feasible, value, 1e3 + value + np.asarray(score.penalty))
     best = np.nan_to_num(ranks, nan=np.inf).argmin(0)

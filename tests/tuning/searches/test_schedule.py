@@ -124,6 +124,7 @@ def test_values_are_relative_to_pd_there(table):
         of_pd = np.mean([table[t].sel(walk=walk) / table[t].sel(walk="pd") for t in terms], axis=0)
         np.testing.assert_allclose(table[value].values, of_pd, rtol=2e-3)
     assert (of_pd <= 1 + 1e-6).all() and (of_pd < 0.99).any()
+    assert table["retuned_value"].dtype == np.float32  # of the search, whatever JAX is set to
     kp = table["retuned_kp"].values
     assert len(np.unique(kp)) > 1 and (kp >= 10 - 1e-9).all() and (kp <= 200 + 1e-9).all()
 
