@@ -77,7 +77,7 @@ def trajectory(found: Excited) -> str:
     names = [name for name, moves in zip(joint_names(found), driven.ravel(), strict=True) if moves]
     end = int(np.argmax(off)) if off.any() else len(off)
     head = [
-        "# trajectory_msgs/msg/JointTrajectory, written by mjx-climb excite; as long as the command line may be:",
+        "# trajectory_msgs/msg/JointTrajectory, written by mjx-climb excite; with a ros2cli that reads messages from files:",
         f"# ros2 topic pub --once TOPIC trajectory_msgs/msg/JointTrajectory --yaml-file {TRAJECTORY}",
         f"# The first point is the posture in which the log begins, {APPROACH:g} s after the start.",
         *(["# It ends where the torque is to be switched off: a trajectory cannot do that."] if off.any() else []),
@@ -165,7 +165,9 @@ def notes(found: Excited) -> list[str]:
     if hardware.servo.no_load_speed is None:
         said.append(f"The config has no speed limit (hardware.servo.no_load_speed): {SPEED:g} rad/s were taken.")
     if abs(gravity - _EARTH) > 0.2:
-        said.append(f"Gravity is the config's, {gravity:.3g} m/s^2; on a stand on Earth: --set gravity=[0,0,-9.81].")
+        said.append(
+            f"Gravity is the config's, {gravity:.3g} m/s^2; in a laboratory on Earth: --set gravity=[0,0,-9.81]."
+        )
     if asked.mass:
         said.append(f"Hang {asked.mass:g} kg on each foot, at the point that counts as its foot.")
     if len(set(asked.kp)) > 1:
