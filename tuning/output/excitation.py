@@ -77,7 +77,7 @@ def trajectory(found: Excited) -> str:
     names = [name for name, moves in zip(joint_names(found), driven.ravel(), strict=True) if moves]
     end = int(np.argmax(off)) if off.any() else len(off)
     head = [
-        "# trajectory_msgs/msg/JointTrajectory, written by mjx-climb excite; with a ros2cli that reads messages from files:",
+        "# trajectory_msgs/msg/JointTrajectory, written by mjx-climb excite; where ros2 reads messages from files:",
         f"# ros2 topic pub --once TOPIC trajectory_msgs/msg/JointTrajectory --yaml-file {TRAJECTORY}",
         f"# The first point is the posture in which the log begins, {APPROACH:g} s after the start.",
         *(["# It ends where the torque is to be switched off: a trajectory cannot do that."] if off.any() else []),
