@@ -220,11 +220,9 @@ def test_a_parameter_makes_its_stage_and_no_other(name):
     scenario = mc.Scenario().with_overrides({"hardware.interpolation": "linear"})
     parameters = mc.parameters(scenario)
     assert stages_of(scenario, parameters) == IDEAL
-    found = stages_of(
-        scenario,
-        dataclasses.replace(parameters, **{name: jnp.asarray([0.0, 2e-3] * (2 if name == "force_dead" else 1))}),
-    )
+    values = jnp.asarray([0.0, 2e-3] * (2 if name == "force_dead" else 1))  # of limbs
+    found = stages_of(scenario, dataclasses.replace(parameters, **{name: values}))
     there = {stage for stage, value, none in zip(IDEAL._fields, found, IDEAL, strict=True) if value != none}
     assert there == {STAGE_OF[name]} | ({"linear"} if name == "control_period" else set())
     with pytest.raises(TypeError, match=rf"^parameters.{name}: expected an array, got one that JAX traces"):
-        jax.eval_shape(lambda v: stages_of(scenario, dataclasses.replace(parameters, **{name: v})) and v, 0.0)
+        jax.eval_shape(lambda v: stages_of(scenario, dataclasses.replace(parameters, **{name: v})) and v, values)
