@@ -192,6 +192,7 @@ def test_where_nothing_bears_anything_no_reading_says_nothing():
     assert trusted.all() and not lost.any()
 
 
+@pytest.mark.slow
 def test_a_sum_has_lost_what_either_of_its_laws_has():
     reference, measured = scene()
     dead = measured._replace(foot_force=measured.foot_force.at[2].set(0.0))

@@ -114,7 +114,12 @@ WALKS = {  # changes, and what is to happen
 OF_THE_JOINTS = 'damping="0.03" armature="0.002" frictionloss="0.015" actuatorfrcrange="-0.7 0.7"'
 
 
-@pytest.fixture(scope="module", params=WALKS)
+LONG = ("a base that sways, low over feet that land fast", "servos of limited current", "end effector")
+
+
+@pytest.fixture(
+    scope="module", params=[pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in WALKS]
+)
 def walk(request, tmp_path_factory):
     own, happens = WALKS[request.param]
     changes, added = SHORT | own, {"mass_scale": np.asarray(1.1)}

@@ -39,6 +39,7 @@ def log(walk, tmp_path_factory):
     return read_log(save_mcap(walk, tmp_path_factory.mktemp("log") / "walk.mcap"), ROBOT)
 
 
+@pytest.mark.slow
 def test_the_log_of_a_walk_gives_the_walk_again_with_its_pushes(walk, log):
     quiet = SCENARIO.with_overrides({"disturbance.pushes": [], "control.stiffness": 1.0})
     found = replay(log, quiet)
@@ -122,6 +123,7 @@ def test_the_picture_shows_what_was_commanded_logged_and_simulated(log):
     assert len(figure.axes[12].lines) == 6
 
 
+@pytest.mark.slow
 def test_at_the_shell(walk, tmp_path, capsys):
     from tuning.command_line import program
 

@@ -50,6 +50,7 @@ def test_every_cell_is_the_walk_with_its_gains(scenario, whole):
             assert cell[name].item() == pytest.approx(alone[name], rel=5e-3), name
 
 
+@pytest.mark.slow
 def test_a_small_grid_keeps_histories_with_the_peaks_of_its_walks(whole):
     for name, (*_, metric) in LINES.items():
         np.testing.assert_allclose(whole[name].sel(extreme="largest").max("stretch"), whole[metric], rtol=1e-6)
