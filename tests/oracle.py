@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from mjx_climb.hardware.sensors import normal
 from mjx_climb.robot.constants import load_model
 
-PRESLIDING, RELAXATION = 5e-4, 5e-3  # rad, s: dry friction
+RELAXATION = 5e-3  # s: dry friction
 PLUS_MINUS = np.array([-1, 1])
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -258,9 +258,9 @@ class Servos:
             torque = self.driven * self.stall * (share - rates / self.fast)
         torque = np.clip(torque, -self.current, self.current)
         bears = self.bears(torque, load, rates)
-        self.bend = np.clip(self.bend + h * rates / PRESLIDING, -1, 1)
-        ahead = self.bend + (RELAXATION + h) * rates / PRESLIDING
-        armature = np.where(np.abs(ahead) < 1, h * (RELAXATION + h) * bears / PRESLIDING, 0)
+        self.bend = np.clip(self.bend + h * rates / self.servo.presliding, -1, 1)
+        ahead = self.bend + (RELAXATION + h) * rates / self.servo.presliding
+        armature = np.where(np.abs(ahead) < 1, h * (RELAXATION + h) * bears / self.servo.presliding, 0)
         return torque, torque - bears * np.clip(ahead, -1, 1), armature
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
-from mjx_climb.hardware.servo import PRESLIDING, RELAXATION
+from mjx_climb.hardware.servo import RELAXATION
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import load_model, load_robot
@@ -118,7 +118,7 @@ def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndar
         resisted = contact.damping * places.T @ places
         if contact.rotational_stiffness:
             resisted += contact.rotational_damping * turns.T @ turns
-        for bristle in (0 * dry, dry / PRESLIDING) if dry.any() else (0 * dry,):  # slipping, sticking
+        for bristle in (0 * dry, dry / servo.presliding) if dry.any() else (0 * dry,):  # slipping, sticking
             damping = bristle * (RELAXATION + h)
             viscous = kd * driven + servo.viscous_friction + model.dof_damping + damping
             yield (

@@ -25,7 +25,6 @@ from mjx_climb.hardware import signals
 from mjx_climb.hardware.stages import Hardware, Stages
 from mjx_climb.quantities.parameters import Parameters
 
-PRESLIDING = 5e-4  # rad, bend at which a bristle slips: a third of a count of a servo's encoder of 4096 counts
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
 
 
@@ -166,7 +165,7 @@ def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tup
     if stages.dry_friction:
         # the gears rub under the torque that the motor gives, not under the one that it is asked for
         most = friction_bound(torque, servo.load, rates, hardware)
-        bristle, lost, armature = dry_friction(bristle, rates, most, time_step)
+        bristle, lost, armature = dry_friction(bristle, rates, most, jnp.asarray(parameters.presliding), time_step)
         joint_torque = joint_torque + lost
     if stages.viscous_friction:
         joint_torque = joint_torque - parameters.viscous_friction * rates
@@ -219,13 +218,15 @@ def friction_bound(torque: Array, load: Any, rate: Array, hardware: Hardware) ->
     return most + still * jnp.exp(-jnp.where(moves, jnp.where(moves, slowness, 1.0) ** p.stribeck_exponent, 0.0))
 
 
-def dry_friction(bristle: Array, rate: Array, most: Array, time_step: float) -> tuple[Array, Array, Array]:
+def dry_friction(
+    bristle: Array, rate: Array, most: Array, presliding: Array, time_step: float
+) -> tuple[Array, Array, Array]:
     """Return the bristle after a step at `rate` rad/s, its torque, N m, and what it adds to the armature, kg m^2.
 
-    The bristle is its bend as a share of `PRESLIDING`, -1 to 1; the friction can bear `most`, N m.
+    The bristle is its bend as a share of `presliding`, rad, -1 to 1; the friction can bear `most`, N m.
     """
-    bristle = jnp.clip(bristle + rate * (time_step / PRESLIDING), -1.0, 1.0)
-    slope = (RELAXATION + time_step) / PRESLIDING
+    bristle = jnp.clip(bristle + rate * (time_step / presliding), -1.0, 1.0)
+    slope = (RELAXATION + time_step) / presliding
     share = bristle + rate * slope
     armature = jnp.where(jnp.abs(share) < 1, most * (slope * time_step), 0.0)
     return bristle, -most * jnp.clip(share, -1.0, 1.0), armature

@@ -121,6 +121,7 @@ class Parameters:
     no_load_speed: _Scalar = _of("hardware.servo.no_load_speed", "rad/s", "speed without load")  # infinite: none
     armature: _Scalar = _of("hardware.servo.armature", "kg m^2", "armature")  # beside what the robot's file says
     coulomb_friction: _Scalar = _of("hardware.servo.coulomb_friction", "N m", "dry friction")
+    presliding: _Scalar = _of("hardware.servo.presliding", "rad", "bend before dry friction slips")
     viscous_friction: _Scalar = _of("hardware.servo.viscous_friction", "N m s/rad", "viscous friction")
     load_friction: _Scalar = _of("hardware.servo.load_friction", "1", "friction under load")
     external_load_friction: _Scalar = _of("hardware.servo.external_load_friction", "1", "friction under external load")

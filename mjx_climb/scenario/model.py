@@ -297,6 +297,9 @@ class Servo(v.Section):
     )
     armature: v.NonNegative = setting(0.0, "inertia of motor and gears seen at the joint, kg m^2")
     coulomb_friction: v.NonNegative = setting(0.0, "dry friction, N m")
+    presliding: v.Positive = setting(
+        5e-4, "how far a joint that dry friction holds gives before it slips, rad; a third of a count of 4096 a turn"
+    )
     viscous_friction: v.NonNegative = setting(0.0, "friction that grows with the rate, N m s/rad")
     load_friction: v.NonNegative = setting(0.0, "dry friction as a share of the motor's torque, 1")
     external_load_friction: v.NonNegative = setting(0.0, "dry friction as a share of the load's torque, 1")

@@ -21,6 +21,7 @@ from tests import derivatives
 from tuning.evaluation.stability_limit import spectral_radius
 
 STEP = 1e-3
+PRESLIDING = mc.Scenario().hardware.servo.presliding
 MOTOR = {"drive": "voltage", "torque_limit": 8.0, "no_load_speed": 6.0}
 
 
@@ -285,7 +286,7 @@ def test_friction_of_standstill_holds_a_load_at_any_time_step(step):
             lambda a, t, w=weight: 0 * a - w * jnp.minimum(t, 1),
             steps=round(2 / step),
         )[0]
-        assert (abs(angle[-1]) < 2 * servo.PRESLIDING) == holds
+        assert (abs(angle[-1]) < 2 * PRESLIDING) == holds
 
 
 # --- Files and scenarios
@@ -358,6 +359,7 @@ MOVED = (
     "ki", "profile_velocity", "profile_acceleration", "no_load_speed", "torque_limit", "supply_voltage",
     "external_load_friction", "stribeck_friction", "stribeck_load_friction", "stribeck_external_load_friction",
     "stribeck_velocity", "stribeck_exponent", "quadratic_load_friction", "quadratic_external_load_friction",
+    "presliding",
 )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from mjx_climb.hardware.stages import IDEAL, hardware_of, stages_of
 from mjx_climb.robot.constants import load_robot
 
 STEP = 1e-3
+PRESLIDING = mc.Scenario().hardware.servo.presliding
 
 
 # --- Delays
@@ -157,7 +158,7 @@ def slid(force, mass=0.01, coulomb=0.1, steps=4000, step=STEP):
 
     def one(carry, n):
         angle, rate, bristle = carry
-        bristle, lost, armature = servo.dry_friction(bristle, rate, coulomb, step)
+        bristle, lost, armature = servo.dry_friction(bristle, rate, coulomb, PRESLIDING, step)
         rate = rate + step / (mass + armature) * (force(n * step) - 0.05 * rate + lost)
         return (angle + step * rate, rate, bristle), (angle, rate)
 
@@ -166,9 +167,9 @@ def slid(force, mass=0.01, coulomb=0.1, steps=4000, step=STEP):
 
 def test_a_joint_sticks_below_the_friction_without_creep_and_slips_above():
     angle, rate = slid(lambda t: 0.099 * jnp.minimum(t, 1.0))  # laid on gently: a blow would carry it over
-    assert np.abs(angle).max() < 2 * servo.PRESLIDING
-    np.testing.assert_allclose(angle[-1], 0.99 * servo.PRESLIDING, rtol=1e-3)
-    assert abs(float(angle[-1] - angle[2000])) < 1e-6 * servo.PRESLIDING
+    assert np.abs(angle).max() < 2 * PRESLIDING
+    np.testing.assert_allclose(angle[-1], 0.99 * PRESLIDING, rtol=1e-3)
+    assert abs(float(angle[-1] - angle[2000])) < 1e-6 * PRESLIDING
     assert abs(float(rate[-1])) < 1e-9
     angle, rate = slid(lambda t: 0.15, steps=6000)
     np.testing.assert_allclose(rate[-1], (0.15 - 0.1) / 0.05, rtol=1e-6)  # what is left against the damper
@@ -179,7 +180,7 @@ def test_a_joint_sticks_below_the_friction_without_creep_and_slips_above():
 @pytest.mark.parametrize("step", [1e-4, 1e-3, 4e-3])
 def test_a_sticking_joint_comes_to_rest_at_any_step_and_mass(mass, step):
     angle, rate = slid(lambda t: 0.05 * (t < 0.3), mass=mass, coulomb=1.0, steps=round(6 / step), step=step)
-    assert np.abs(angle).max() < servo.PRESLIDING
+    assert np.abs(angle).max() < PRESLIDING
     np.testing.assert_allclose(rate[-1], 0, atol=1e-6)
 
 

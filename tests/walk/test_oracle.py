@@ -58,6 +58,7 @@ WALKS = {  # changes, and what is to happen
                 "drive": "voltage", "torque_limit": 0.5, "no_load_speed": 6.0, "pwm_limit": 0.8, "rate": 500.0,
                 "rated_voltage": 12.0, "supply_voltage": 10.5, "profile_velocity": 1.5, "profile_acceleration": 60.0,
                 "current_limit": 0.45, "armature": 0.002, "coulomb_friction": 0.005, "viscous_friction": 0.01,
+                "presliding": 8e-4,
                 "load_friction": 0.1, "external_load_friction": 0.05, "stribeck_friction": 0.01,
                 "stribeck_load_friction": 0.07, "stribeck_external_load_friction": 0.03, "stribeck_velocity": 0.5,
                 "stribeck_exponent": 0.8, "quadratic_load_friction": 0.3, "quadratic_external_load_friction": 0.2,
