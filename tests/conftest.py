@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import gc
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -41,6 +42,10 @@ LAWS = {
     "end_effector": {"control.controller": "end_effector_admittance", "control.reading": "virtual_model"},
 }
 PUSHES = 3
+BROWSER = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -124,3 +129,20 @@ def walk():
 @pytest.fixture(scope="session", params=list(mc.ENGINES))
 def engine(request):
     return request.param
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory):
+    """Return a browser without a window; a test says how large its page is."""
+    selenium = pytest.importorskip("selenium.webdriver", reason="needs selenium")
+    programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
+    if None in programs:
+        pytest.skip("needs chromium and chromedriver")
+    options = selenium.ChromeOptions()
+    options.binary_location = programs[0]
+    for flag in [*BROWSER.split(), f"--user-data-dir={tmp_path_factory.mktemp('profile')}"]:
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = selenium.Chrome(options=options, service=selenium.ChromeService(programs[1]))
+    yield driver
+    driver.quit()

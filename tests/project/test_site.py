@@ -3,7 +3,6 @@
 import html
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +13,6 @@ import mjx_climb as mc
 from mjx_climb.walk.sample import Sample
 
 ROOT = Path(__file__).parents[2]
-FLAGS = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
 
 
 @pytest.fixture(scope="module")
@@ -62,37 +60,22 @@ def test_docstrings_and_lists_are_shown_as_they_are_written(site):
         assert article.count("<li>") == len(items), page
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    selenium = pytest.importorskip("selenium.webdriver", reason="needs selenium")
-    programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
-    if None in programs:
-        pytest.skip("needs chromium and chromedriver")
-    options = selenium.ChromeOptions()
-    options.binary_location = programs[0]
-    for flag in [*FLAGS.split(), f"--user-data-dir={tmp_path_factory.mktemp('browser')}"]:
-        options.add_argument(flag)
-    driver = selenium.Chrome(options=options, service=selenium.ChromeService(programs[1]))
-    yield driver
-    driver.quit()
-
-
-def resize(browser, width):
-    browser.execute_cdp_cmd(
+def resize(chromium, width):
+    chromium.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
     )
 
 
 @pytest.mark.slow
-def test_the_search_works_from_disk(site, browser):
+def test_the_search_works_from_disk(site, chromium):
     from selenium.webdriver.support.wait import WebDriverWait
 
-    resize(browser, 1300)
-    browser.get((site / "tutorial.html").as_uri())
-    field = browser.find_element("css selector", "input.md-search__input")
+    resize(chromium, 1300)
+    chromium.get((site / "tutorial.html").as_uri())
+    field = chromium.find_element("css selector", "input.md-search__input")
     field.click()
     field.send_keys("capture distance")
-    found = WebDriverWait(browser, 60).until(
+    found = WebDriverWait(chromium, 60).until(
         lambda page: [e.get_attribute("href") for e in page.find_elements("css selector", ".md-search-result__link")]
     )
     assert any("physics.html" in link or "scenarios.html" in link for link in found)
@@ -107,13 +90,13 @@ return [wide(document.documentElement), [...parts].filter(wide).map((part) => pa
 
 
 @pytest.mark.slow
-def test_pages_fit_their_window(site, browser):
+def test_pages_fit_their_window(site, chromium):
     """At 1400 px no block of code, table or equation scrolls sideways; at 400 px they may, the page itself does not."""
     for page in sorted(site.rglob("*.html")):
         if page.name == "404.html":  # its links want a server
             continue
         for width in (1400, 400):
-            resize(browser, width)
-            browser.get(page.as_uri())
-            whole, parts = browser.execute_script(WIDE)
+            resize(chromium, width)
+            chromium.get(page.as_uri())
+            whole, parts = chromium.execute_script(WIDE)
             assert (whole, parts if width == 1400 else []) == (False, []), (page, width)

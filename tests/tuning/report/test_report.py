@@ -4,7 +4,6 @@ import base64
 import dataclasses
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -22,10 +21,6 @@ from tuning.searches.pareto import Front
 
 CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
 AXES = ["--stiffness", "1e2:1e4:3", "--damping", "1e1:1e3:3"]
-FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync"
-)
 
 
 @pytest.fixture(scope="module")
@@ -40,22 +35,6 @@ def swept(tmp_path_factory):
     assert not ended.value.code
     with xr.open_dataset(folder / "out" / "sweep.nc", engine="h5netcdf") as grid:
         return folder / "out", grid.load()
-
-
-@pytest.fixture(scope="module")
-def chromium(tmp_path_factory):
-    selenium = pytest.importorskip("selenium.webdriver", reason="needs selenium")
-    programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
-    if None in programs:
-        pytest.skip("needs chromium and chromedriver")
-    options = selenium.ChromeOptions()
-    options.binary_location = programs[0]
-    for flag in [*FLAGS.split(), f"--user-data-dir={tmp_path_factory.mktemp('profile')}"]:
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = selenium.Chrome(options=options, service=selenium.ChromeService(programs[1]))
-    yield driver
-    driver.quit()
 
 
 @pytest.fixture
