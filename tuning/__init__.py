@@ -1,7 +1,7 @@
 """Searches for admittance gains, and the command line on top of them.
 
-`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`, `compare`: what they return writes by `.write(folder)`
-what the command writes. `sweep_shard`, `judge_shard` and `merge` are for several machines.
+`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`, `compare`, `identify`: what they return writes by
+`.write(folder)` what the command writes. `sweep_shard`, `judge_shard` and `merge` are for several machines.
 """
 
 from mjx_climb.lazy import lazy_names
@@ -9,6 +9,7 @@ from mjx_climb.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tuning.identification.excitation import excite as excite
+    from tuning.identification.identify import identify as identify
     from tuning.searches.compare import compare as compare
     from tuning.searches.judge import judge as judge
     from tuning.searches.judge import judge_shard as judge_shard

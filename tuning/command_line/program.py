@@ -39,6 +39,7 @@ COMMANDS = {  # what each does
     "margins": "Find how bad hardware may be before gains fail.",
     "reproduce": "Walk the paper's cases and judge its claims.",
     "excite": "Find commands that tell a robot's parameters.",
+    "identify": "Fit a robot's parameters to its own log.",
     "export": "Write gains for the robot's own controller.",
     "robot": "Make a robot's own file ready to walk.",
     "schema": "Print the schema of scenarios, for editors.",
@@ -49,6 +50,7 @@ _MODULES = {  # and the commands in each
     "run": ("run",), "replay": ("replay",), "excite": ("excite",),
     "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
     "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
+    "identify": ("identify",),
 }  # fmt: skip
 _LONGEST = 1000  # characters of a line
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}

@@ -14,10 +14,11 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import given
-from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.quantities.parameters import KEYS, own_parameters
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
@@ -25,6 +26,7 @@ from tuning.problem.settings import Finite, NonNegative, Positive, Settings, set
 _Share = Annotated[float, Field(gt=0, le=1)]
 Range = tuple[NonNegative, NonNegative]
 PositiveRange = tuple[Positive, Positive]
+TILTS = ("gravity.tilt_x", "gravity.tilt_y")
 AnyRange = tuple[Finite, Finite]
 
 
@@ -81,6 +83,45 @@ class Hardware(_Section):
 _FRICTION = ("coulomb_friction", "load_friction", "viscous_friction")
 
 
+class Posterior(Settings):
+    """Parameters as `mjx-climb identify` left them: normal in their coordinates, cut at bounds."""
+
+    keys: tuple[str, ...] = setting(..., "keys of a scenario; gravity.tilt_x, gravity.tilt_y: angles that turn gravity")
+    log: tuple[bool, ...] = setting(..., "whether the coordinate of each is its logarithm")
+    mean: tuple[Finite, ...] = setting(..., "of the coordinates")
+    covariance: tuple[tuple[Finite, ...], ...] = setting(..., "of the coordinates")
+    lower: tuple[float, ...] = setting(..., "bounds of the values")
+    upper: tuple[float, ...] = setting(..., "bounds of the values")
+    held: tuple[str, ...] = setting((), "fitted keys that members cannot differ in: the robot's, at their estimates")
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Self:
+        count = len(self.keys)
+        for name in ("log", "mean", "covariance", "lower", "upper"):
+            rows = getattr(self, name)
+            if len(rows) != count or (name == "covariance" and any(len(row) != count for row in rows)):
+                raise ValueError(f"posterior.{name}: expected one for each of {count} keys")
+        for key in self.keys:
+            if key not in KEYS.values() and key not in TILTS:
+                raise ValueError(f"posterior.keys: expected keys of a scenario, got {key!r}")
+        return self
+
+    def draw(self, rng: np.random.Generator, members: int, gravity: np.ndarray) -> dict[str, np.ndarray]:
+        """Return parameters by name, (members, 1) each."""
+        points = rng.multivariate_normal(self.mean, self.covariance, members, method="eigh")
+        points = np.where(self.log, np.exp(np.where(self.log, points, 0.0)), points)
+        points = np.clip(points, self.lower, self.upper)
+        fields = {key: field for field, key in KEYS.items()}
+        found = {fields[k]: points[:, n, None] for n, k in enumerate(self.keys) if k in fields}
+        turns = np.zeros((members, 3))
+        for n, key in enumerate(self.keys):
+            if key in TILTS:
+                turns[:, TILTS.index(key)] = points[:, n]
+        if turns.any():
+            found["gravity"] = Rotation.from_rotvec(turns).apply(gravity)[:, None]
+        return found
+
+
 class Worst(_Section):
     """How much the worst members count beside the mean."""
 
@@ -99,6 +140,7 @@ class Ensemble(_Section):
     grip_stiffness: PositiveRange = setting((0.5, 2.0), "factor on the contact stiffness, even in its logarithm")
     robot_mass: PositiveRange = setting((0.9, 1.1), "factor on the masses and inertias of all links")
     hardware: Hardware | None = setting(None, "what stands between the law and the joints")
+    posterior: Posterior | None = setting(None, "what identify left of parameters, before all others are drawn")
     worst: Worst = setting(Worst(), "the worst members in the objective")
 
 
@@ -112,7 +154,11 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     rng = np.random.default_rng(ensemble.seed)
     uniform = functools.partial(_uniform, rng, ensemble.members)
     own = own_parameters(scenario)
-    changes = {
+    if ensemble.posterior is not None:  # of a generator of its own: other draws stay as they are
+        of_posterior = np.random.default_rng([ensemble.seed, 1])
+        known = ensemble.posterior.draw(of_posterior, ensemble.members, np.asarray(own.gravity))
+        own = dataclasses.replace(own, **known)
+    changes: dict[str, Any] = {
         "contact_stiffness": own.contact_stiffness * uniform(ensemble.grip_stiffness, logs=True),
         "mass_scale": uniform(ensemble.robot_mass),
     }

@@ -24,7 +24,6 @@ class Truth:
     gravity: tuple = (0.0, 0.0, -9.81)
     stribeck: float = 0.0  # N m, friction at rest beside the rest of it
     flexible: float = 0.0  # N m/rad, a joint between knee and link; 0: stiff
-    scale: dict = dataclasses.field(default_factory=dict)  # of the masses of bodies, by name
 
 
 TRUTH = Truth()
@@ -44,12 +43,14 @@ def welded(name, truth):
         actuator.set_to_position(kp=1.0)
     if truth.flexible:
         for body in [body for body in spec.bodies if body.name.endswith("tibia")]:
+            axis = body.joints[0].axis
             body.add_joint(
-                name=f"{body.name}_flex", axis=[0, 0, 1], stiffness=[truth.flexible, 0, 0], damping=[0.002, 0, 0]
+                name=f"{body.name}_flex",
+                axis=axis,
+                stiffness=[truth.flexible, 0, 0],
+                damping=[0.002, 0, 0],
+                armature=1e-4,
             )
-    for body in spec.bodies:
-        if body.name in truth.scale:
-            body.mass = body.mass * truth.scale[body.name]
     spec.option.gravity = truth.gravity
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
     model = spec.compile()
@@ -112,6 +113,7 @@ def log_of(
     *,
     noise=NOISE,
     jitter=0.0,
+    step=2.5e-4,
     seed=0,
     drop=(),
     kinds=("position", "velocity"),
@@ -122,7 +124,7 @@ def log_of(
     time, targets = sines(duration, 1 / rate, **motion)
     fine = np.arange(round(duration * 1000) + 1) / 1000
     held = targets[np.minimum((fine * rate + 1e-6).astype(int), len(time) - 1)]
-    true = recorded(truth, fine, held)
+    true = recorded(truth, fine, held, step)
     when = np.clip(time + rng.normal(0, jitter, time.shape) if jitter else time, 0, duration)
     when = np.maximum.accumulate(when + np.arange(len(when)) * 1e-9)
     keep = np.all([(when < a) | (when > b) for a, b in drop], axis=0) if drop else np.ones(len(when), bool)
@@ -133,3 +135,9 @@ def log_of(
             value = np.interp(when, fine, true[kind][:, j]) + rng.normal(0, noise[kind], when.shape)
             signals[f"{joint}.{kind}"] = Signal(when[keep], value[keep])
     return Log(signals, "log.csv")
+
+
+def columns_of(log):
+    """Return the columns of a CSV file of a log whose signals have the same times."""
+    time = next(iter(log.signals.values())).time
+    return {"time": time, **{name: signal.value for name, signal in log.signals.items()}}

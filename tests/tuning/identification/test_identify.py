@@ -1,0 +1,221 @@
+"""Identify: truths of logs by MuJoCo's C code inside the intervals, and what a log does not tell is said."""
+
+import dataclasses
+import functools
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+import tuning
+from mjx_climb.dynamics.limb_engine import held_accelerations
+from mjx_climb.dynamics.state import State
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario.model import RobotFile, validated
+from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of
+from tuning.identification import least_squares, robot_files
+from tuning.identification.model import model_of, with_clocks
+from tuning.identification.readers import write_csv
+from tuning.identification.variables import Place, applied, begin, variables
+from tuning.identification.windows import KINDS, cut
+from tuning.problem import ensemble as ensembles
+
+TRUE = dataclasses.replace(TRUTH, delay=0.004, damping=0.0)
+VALUES = {
+    "hardware.servo.armature": TRUE.armature, "hardware.servo.coulomb_friction": TRUE.friction, "control.kp": TRUE.kp,
+    "control.kd": TRUE.kd, "hardware.command_delay": TRUE.delay,
+}  # fmt: skip
+SCENARIO = mc.Scenario().with_overrides({"control.kp": 50.0, "control.kd": 0.2})
+ROBOT = load_robot("hubrobo_v3_2")
+
+
+@functools.cache
+def identified(truth=TRUE, duration=6.0, fit=tuple(VALUES), starts=1, **how):
+    return tuning.identify(SCENARIO, log_of(truth, duration, **how), fit, starts=starts)
+
+
+def problem(fit, duration=2.0, kinds=("position", "velocity", "effort")):
+    log = log_of(TRUE, duration, kinds=kinds)
+    windows = cut(log, ROBOT, SCENARIO.time_step, 0.0)
+    model = model_of(SCENARIO, windows, with_clocks(windows, variables(SCENARIO, fit, held=True)))
+    noise = np.array([NOISE[KINDS[kind]] for kind in windows.kind])
+    return least_squares.Problem(model, np.arange(len(windows.begin)), noise)
+
+
+@pytest.mark.slow
+def test_gradient_is_that_of_the_cost_by_finite_differences():
+    keys = ("hardware.servo.armature", "hardware.servo.delay", "hardware.servo.backlash", "control.kp", "gravity",
+            "hardware.command_delay", "robot.LF.femur", "robot.*.tibia.friction")  # fmt: skip
+    at = problem(keys)
+    chosen = at.model.variables
+    x = begin(chosen) + 0.3 * np.array([v.sd for v in chosen]) * np.random.default_rng(0).uniform(0.1, 0.5, len(chosen))
+    start = at.guess
+    (normal,) = least_squares.linearized(at, x[None], start[None])
+    scale = np.array([v.sd for v in chosen])
+    for along in np.random.default_rng(1).normal(0, 1, (3, len(x))) * scale:
+        ends = [least_squares.linearized(at, (x + side * 1e-5 * along)[None], start[None])[0] for side in (1, -1)]
+        slope = -(ends[0].cost - ends[1].cost) / 2e-5
+        assert slope == pytest.approx(normal.gradient @ along, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_truths_are_inside_their_intervals_with_noise_delay_and_jitter():
+    found = identified(jitter=0.0005)
+    for key, truth in VALUES.items():
+        estimate = found.estimates[key]
+        assert estimate.seen
+        half = (estimate.high - estimate.low) / 2
+        assert abs(estimate.value - truth) < 1.5 * half, (key, estimate)  # of one draw: see the nightly coverage
+        assert half < 0.1 * truth
+    assert found.held_out["error_over_noise"] < 1.2
+    for signal, noise in zip(found.model.windows.names, found.fitted.noise, strict=True):
+        assert noise == pytest.approx(NOISE[signal.rpartition(".")[2]], rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_gap_is_cut_out_and_costs_only_what_it_holds():
+    whole, gap = identified(), identified(drop=((1.3, 2.4),))
+    assert not gap.model.windows.abuts.all()
+    assert gap.estimates["control.kp"].value == pytest.approx(whole.estimates["control.kp"].value, rel=0.02)
+
+
+@pytest.mark.slow
+def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_path, call):
+    write_csv(tmp_path / "log.csv", columns_of(log_of(TRUE, 4.0)))
+    fit = [word for key in VALUES for word in ("--fit", key)]
+    code, out, _ = call(
+        "identify", "case_1_2", "--log", tmp_path / "log.csv", *fit, "--fit", "robot.LF.tibia.mass", "--starts", 2,
+        "--set", "gravity=[0, 0, -9.81]", "--set", "control.kp=45", "--out", tmp_path / "out", "--json",
+    )  # fmt: skip
+    made = json.loads(out)
+    assert code == 0
+    assert set(made) == {"parameters", "held_out", "warnings"}
+    assert list(made["parameters"]) == [*VALUES, "robot.LF.tibia.mass"]
+    for key, truth in VALUES.items():
+        assert set(made["parameters"][key]) == {"value", "low", "high", "seen"}
+        assert made["parameters"][key]["value"] == pytest.approx(truth, rel=0.1)
+    assert made["held_out"]["error_over_noise"] < 1.2
+    read = mc.load_scenario(tmp_path / "out" / "identified.yaml")
+    assert read.control.kp == made["parameters"]["control.kp"]["value"]
+    assert float(load_robot(read.robot).link_mass[0, 2]) == pytest.approx(
+        made["parameters"]["robot.LF.tibia.mass"]["value"],
+        rel=1e-5,  # MuJoCo writes six digits
+    )
+    hardware = tmp_path / "out" / "hardware.yaml"
+    code, out, _ = call("run", "case_1_2", "--hardware", hardware, "--set", "duration=0.1", "--set", "gait.cycle=0.1",
+                        "--set", "gait.stride=0", "--json", "--out", tmp_path / "run")  # fmt: skip
+    assert json.loads(out)["diverged"] is False
+    ensemble = ensembles.Ensemble.load(tmp_path / "out" / "posterior.yaml", members=400)
+    drawn = ensembles.draw(read, ensemble)
+    kp = made["parameters"]["control.kp"]
+    assert drawn.kp.shape == (400, 1)
+    assert np.mean((drawn.kp > kp["low"]) & (drawn.kp < kp["high"])) == pytest.approx(0.95, abs=0.03)
+    assert ensemble.posterior.held == ("robot.LF.tibia.mass",)
+
+
+# ---------------------------------------------------------------------------------------------- what is not told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fit", "unseen", "words"), [
+    # without torques recorded, what brakes a joint is one number
+    (("control.kd", "hardware.servo.viscous_friction"), {"control.kd", "hardware.servo.viscous_friction"},
+     "does not tell control.kd from hardware.servo.viscous_friction"),
+    # the coxa turns about the vertical: how high its link's mass lies moves nothing
+    (("control.kp", "robot.LF.coxa.center.z"), {"robot.LF.coxa.center.z"}, "does not tell robot.LF.coxa.center.z"),
+    # no joint comes near a torque of 50 N m
+    (("control.kp", "hardware.servo.torque_limit"), {"hardware.servo.torque_limit"},
+     "does not tell hardware.servo.torque_limit"),
+])  # fmt: skip
+def test_what_the_log_cannot_see_is_said(fit, unseen, words):
+    scenario = SCENARIO.with_overrides({
+        "control.kp": 40.0, "hardware.servo.armature": 0.012, "hardware.servo.coulomb_friction": 0.05,
+        "hardware.command_delay": 0.004, "hardware.servo.torque_limit": 50.0,
+        **({} if "control.kd" in fit else {"control.kd": 0.3}),
+    })  # fmt: skip
+    found = tuning.identify(scenario, log_of(TRUE, 3.0), fit, starts=1)
+    assert {key for key, estimate in found.estimates.items() if not estimate.seen} == unseen
+    assert any(words in line for line in found.warnings), found.warnings
+    if "control.kd" in fit:
+        assert any("control.kd" in line and "viscous" in line for line in found.combined)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [{"stribeck": 0.15}, {"flexible": 4.0}])
+def test_a_truth_that_the_model_does_not_have_is_never_a_narrow_wrong_answer(change):
+    found = identified(dataclasses.replace(TRUE, **change))
+    told = [line for line in found.warnings if "the model is wrong" in line]
+    wrong = [key for key, truth in VALUES.items() if not found.estimates[key].low < truth < found.estimates[key].high]
+    assert told or not wrong
+
+
+# ------------------------------------------------------------------------------------- starts, bounds, bad input
+
+
+@pytest.mark.slow
+def test_a_start_on_a_bound_and_a_link_without_weight_are_no_obstacle():
+    scenario = SCENARIO.with_overrides({"hardware.servo.armature": 0.0, "hardware.servo.coulomb_friction": 0.0})
+    key, truth = "robot.LF.tibia.mass", float(ROBOT.link_mass[0, 2])
+    light = {key: {"nominal": 1e-6, "mean": float(np.log(1e-3)), "sd": 3.0, "lower": 1e-9}}
+    found = tuning.identify(scenario, log_of(TRUE, 4.0), (*VALUES, key), changes=light, starts=2)
+    assert found.estimates["hardware.servo.armature"].value == pytest.approx(TRUE.armature, rel=0.05)
+    assert found.estimates[key].value == pytest.approx(truth, rel=0.1)
+
+
+@pytest.mark.parametrize(("fit", "drop", "words"), [
+    ("hardware.servo.armatur", "", "did you mean hardware.servo.armature"),
+    ("contact.stiffness", "", "a key that a robot on a stand can tell"),
+    ("hardware.servo.torque_limit", "", "expected a value in the config to begin at, got null"),
+    ("control.kp", "command", "expected the commands of all joints of a limb, as LF.coxa.command"),
+    ("control.kp", "position", "expected positions, velocities or efforts, as LF.coxa.position"),
+])  # fmt: skip
+def test_a_key_or_a_log_that_cannot_be_used_is_told_in_one_line(fit, drop, words):
+    log = log_of(TRUE, 2.0, kinds=("position",))
+    log = dataclasses.replace(log, signals={k: v for k, v in log.signals.items() if not drop or not k.endswith(drop)})
+    with pytest.raises(mc.ConfigError, match=words) as refused:
+        tuning.identify(SCENARIO, log, [fit])
+    assert "\n" not in str(refused.value)
+
+
+# --------------------------------------------------------------------------------------------------- what is written
+
+
+def test_any_point_is_a_body_that_can_exist_and_its_mjcf_moves_alike(tmp_path):
+    chosen = variables(SCENARIO, ["robot.LF.femur", "robot.RH.tibia", "robot.*.armature"], held=True)
+    rng = np.random.default_rng(3)
+    x = begin(chosen) + np.array([v.sd for v in chosen]) * rng.normal(0, 1.0, len(chosen))
+    x = np.clip(x, *np.reshape([v.bounds for v in chosen], (-1, 2)).T)
+    places = [Place(v.key, v.log) for v in chosen]
+    _, robot = applied(places, jnp.asarray(x), mc.parameters(SCENARIO), ROBOT)
+    for inertia in np.asarray(robot.link_inertia).reshape(-1, 3, 3):
+        a, b, c = np.linalg.eigvalsh(inertia)
+        assert a > 0 and a + b >= c * (1 - 1e-9)
+    section = robot_files.write("hubrobo_v3_2", robot, tmp_path / "robot.xml")
+    read = load_robot(validated(RobotFile, section, "robot"))
+    assert read.limbs == robot.limbs
+    still, gravity = jnp.zeros(3), jnp.array([0.5, -1.0, -9.0])
+    angles, rates, torque = (jnp.asarray(rng.normal(0, s, (4, 3))) for s in (0.3, 2.0, 1.0))
+    state = State(jnp.asarray(robot.stance_position), jnp.array([1.0, 0, 0, 0]), still, still, angles, rates)
+    np.testing.assert_allclose(
+        held_accelerations(read, state, torque, gravity), held_accelerations(robot, state, torque, gravity), rtol=1e-5
+    )
+
+
+def test_a_posterior_is_drawn_with_its_covariance_and_leaves_other_draws_alone():
+    covariance = np.array([[1e-6, 5e-5, 0], [5e-5, 0.01, 0], [0, 0, 1e-4]])
+    posterior = ensembles.Posterior(
+        keys=("hardware.servo.armature", "control.kp", "gravity.tilt_x"), log=(False, True, False),
+        mean=(0.012, float(np.log(40.0)), 0.1), covariance=tuple(map(tuple, covariance.tolist())),
+        lower=(0.0, 0.0, -1.0), upper=(np.inf, np.inf, 1.0),
+    )  # fmt: skip
+    alone, with_it = ensembles.Ensemble(members=4000), ensembles.Ensemble(members=4000, posterior=posterior)
+    assert ensembles.Ensemble.parse(with_it.to_yaml()) == with_it
+    drawn, before = ensembles.draw(SCENARIO, with_it), ensembles.draw(SCENARIO, alone)
+    np.testing.assert_array_equal(drawn.push_force, before.push_force)
+    points = np.stack([drawn.armature[:, 0], np.log(drawn.kp[:, 0])])
+    np.testing.assert_allclose(np.cov(points), covariance[:2, :2], rtol=0.1)
+    down = ensembles.draw(SCENARIO, with_it.model_copy(update={"gravity": None})).gravity[:, 0]
+    np.testing.assert_allclose(np.linalg.norm(down, axis=1), 9.81)
+    assert np.arctan2(down[:, 1], -down[:, 2]).mean() == pytest.approx(0.1, abs=0.001)

@@ -1,0 +1,261 @@
+"""From a log to the parameters of a scenario: `identify`, and its result."""
+
+import dataclasses
+import os
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import mjx_climb as mc
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.quantities.parameters import KEYS
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.scenario.messages import ConfigError
+from tuning.identification import inference
+from tuning.identification.inference import Posterior, Whiteness
+from tuning.identification.least_squares import Fitted, Problem, Progress, noise_of, prior_of, search
+from tuning.identification.log import Log
+from tuning.identification.model import DELAY, Model, model_of, with_clocks
+from tuning.identification.readers import read_log
+from tuning.identification.variables import Variable, applied, begin, in_units, variables
+from tuning.identification.windows import KINDS, cut
+
+if TYPE_CHECKING:
+    from tuning.report.page import Origin
+
+HELD_OUT = 0.2
+STARTS = 4
+_SCREENED = 6  # windows on which the starts are compared
+_SCREENING, _MOST, _PASSES = 10, 40, 4  # iterations, and passes with the noise estimated anew
+_SETTLED = 0.05  # relative change of the noise
+_UNHEARD = 30.0  # times their noise, where starts are compared
+_SPREAD = 0.7  # sd of the starts, of the prior's
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """What is known of one key, SI units."""
+
+    value: float
+    low: float  # 95 % interval
+    high: float
+    seen: bool  # the log told it
+    before: float
+    unit: str
+    remark: str = ""  # bound or prior reached
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """The result of `identify`."""
+
+    scenario: mc.Scenario
+    log: Log
+    estimates: Mapping[str, Estimate]  # by key
+    clocks: Mapping[str, Estimate]  # delays of what was recorded
+    held_out: Mapping[str, Any]
+    warnings: tuple[str, ...]
+    combined: tuple[str, ...]  # combinations that were seen, of what was not
+    model: Model
+    problem: Problem
+    fitted: Fitted
+    posterior: Posterior
+    tests: Sequence[Whiteness]
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        seen = sum(each.seen for each in self.estimates.values())
+        held = self.held_out.get("error_over_noise")
+        predicted = "" if held is None else f", and predicts what it has not seen within {held:.3g} of the noise"
+        return f"{self.log.source} tells {seen} of {len(self.estimates)} parameters{predicted}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what `mjx-climb identify --json` prints."""
+        names = ("value", "low", "high", "seen")
+        shown = {key: {n: getattr(each, n) for n in names} for key, each in self.estimates.items()}
+        return {"parameters": shown, "held_out": dict(self.held_out), "warnings": list(self.warnings)}
+
+    def overrides(self) -> dict[str, Any]:
+        """Return the keys of a scenario with their new values; those of the robot go by its file."""
+        found: dict[str, Any] = {k: each.value for k, each in self.estimates.items() if k in set(KEYS.values())}
+        found = {key: max(value, 0.0) if key.endswith("delay") else value for key, value in found.items()}
+        tilt = [self.estimates.get(f"gravity.tilt_{axis}") for axis in "xy"]
+        if any(tilt):
+            angles = [0.0 if each is None else each.value for each in tilt]
+            found["gravity"] = (turned(angles) @ np.asarray(self.scenario.gravity)).tolist()
+        return found
+
+    def robot(self) -> Robot:
+        """Return the robot with what was identified of it, constants of NumPy."""
+        places, nominal = self.model.structure.places, load_robot(self.scenario.robot)
+        with jax.enable_x64(True):
+            _, robot = applied(places, jnp.asarray(self.fitted.x), self.model.parameters, nominal)
+        constants: Robot = jax.tree.map(np.asarray, robot)
+        return constants
+
+    def write(
+        self, folder: str | os.PathLike[str], *, origin: "Origin | None" = None, figures: Collection[str] = ("png",)
+    ) -> list[str]:
+        """Write the result as `mjx-climb identify --out` does, and return the names of the files.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        from tuning.identification.output import write
+
+        return write(self, Path(folder), origin, figures)
+
+
+def turned(angles: Sequence[float]) -> np.ndarray:
+    """Return the rotation (3, 3) by angles about the world's x and y, rad."""
+    vector = np.array([*angles, 0.0])
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle else np.array([1.0, 0.0, 0.0])
+    quaternion = np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis]
+    return np.asarray(quaternion_to_matrix(quaternion))
+
+
+def identify(
+    scenario: mc.Scenario,
+    log: Log | str | os.PathLike[str],
+    fit: Sequence[str],
+    *,
+    signals: Any = None,
+    changes: Mapping[str, Mapping[str, Any]] | None = None,
+    held_out: float = HELD_OUT,
+    starts: int = STARTS,
+    progress: Progress | None = None,
+) -> Identified:
+    """Fit parameters of a scenario to what a robot recorded with its base held.
+
+    Arguments:
+        scenario: nominal values, robot and time step.
+        log: as `tuning.identification.readers.read_log` gives it, or its file.
+        fit: keys, or patterns of keys, as `hardware.servo.*`; see `tuning.identification.variables`.
+        signals: of a file, where each signal stands in it.
+        changes: by key, fields of `tuning.identification.variables.Variable` in place of its own, as
+            `{"control.kp": {"frozen": True}}`.
+        held_out: share of the log, at its end, that is predicted and not fitted.
+        starts: points from which the search begins, the nominal one among them.
+        progress: called with iterations done, at most to do, and a line.
+
+    Raises:
+        ConfigError: no such key, or a log that holds nothing to fit.
+    """
+    robot = load_robot(scenario.robot)
+    log = log if isinstance(log, Log) else read_log(log, robot, signals)
+    windows = cut(log, robot, scenario.time_step, held_out)
+    chosen = variables(scenario, fit, held=True, changes=changes)
+    model = model_of(scenario, windows, with_clocks(windows, chosen))
+    found, problem = _searched(model, starts, progress)
+    tests = inference.whiteness(problem, found)
+    wrong = inference.suspicious(tests)
+    known = inference.posterior(problem, found, tests, wrong)
+    every = _estimates(model, found, known)
+    estimates = {v.key: every[v.key] for v in chosen}
+    clocks = {key: each for key, each in every.items() if key not in estimates}
+    warnings = [*log.warnings, *known.unseen]
+    warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
+    if wrong:
+        more = f" ({len(wrong)} of {len(tests)} signals; intervals are widened)"
+        warnings.append(wrong[0].in_words + more)
+    if not found.converged:
+        warnings.append("the search ended at its last iteration, not at a minimum")
+    ahead = _predicted(problem, found)
+    if ahead and ahead["error_over_noise"] > 1.2:
+        warnings.append(f"what was held out is predicted {ahead['error_over_noise']:.3g} times worse than the noise")
+    return Identified(
+        scenario, log, estimates, clocks, ahead, tuple(warnings), known.combined, model, problem, found, known, tests
+    )
+
+
+def _searched(model: Model, starts: int, progress: Progress | None) -> tuple[Fitted, Problem]:
+    windows, prior = model.windows, prior_of(model)
+    rng = np.random.default_rng(0)
+    points = prior.mean + _SPREAD * prior.sd * rng.standard_normal((max(starts, 1), len(prior.mean)))
+    points = np.clip(np.where(points < prior.lower, 2 * prior.lower - points, points), prior.lower, prior.upper)
+    # where a command comes as a sample is taken, a later one changes nothing of it: no place to begin
+    off = [2 * windows.time_step if v.key == DELAY else -np.inf for v in model.variables]
+    points[0] = np.maximum(begin(model.variables), off)
+    fitted = np.flatnonzero(~windows.held_out)
+    some = fitted[np.unique(np.linspace(0, len(fitted) - 1, _SCREENED).round().astype(int))]
+    noise = _rough_noise(model)
+    # torques jump as commands do: no slope leads from one side of a jump to the other
+    trial = Problem(model, some, np.where(windows.kind == KINDS.index("effort"), _UNHEARD * noise, noise))
+    guesses = np.repeat(trial.guess[None], len(points), axis=0)
+    screened = search(trial, points, guesses, _SCREENING, progress, "starts")
+    best = min(screened, key=lambda each: each.cost)
+    problem = Problem(model, np.arange(len(windows.begin)), noise)
+    x, start = best.x[None], problem.guess[None]
+    for n in range(_PASSES):
+        (found,) = search(problem, x, start, _MOST, progress, f"pass {n + 1}")
+        noise = noise_of(problem, found.normal)
+        x, start = found.x[None], found.start[None]
+        settled = np.abs(np.log(noise / problem.noise)).max() < _SETTLED
+        if settled:
+            break
+        problem = Problem(model, problem.which, noise)
+    if not np.isfinite(found.cost):
+        raise ConfigError("the model diverges at the values that it begins with (--set others)")
+    return found, problem
+
+
+def _rough_noise(model: Model) -> np.ndarray:
+    """Return noise (signals,) from second differences, which hold some motion too."""
+    rows, noise = model.windows.rows, np.ones(len(model.windows.names))
+    for signal in range(len(noise)):
+        value = rows.value[rows.signal == signal]
+        bend = np.abs(np.diff(value, 2)) if len(value) > 10 else np.array([np.ptp(value)])
+        noise[signal] = max(1.4826 * float(np.median(bend)) / np.sqrt(6), 1e-3 * float(np.ptp(value)), 1e-9)
+    return noise
+
+
+def _estimates(model: Model, found: Fitted, known: Posterior) -> dict[str, Estimate]:
+    robot, prior = load_robot(model.structure.robot), prior_of(model)
+    with jax.enable_x64(True):
+        values = np.asarray(in_units(model.variables, jnp.asarray(found.x), robot))
+        slope = np.asarray(jax.jacfwd(lambda x: in_units(model.variables, x, robot))(jnp.asarray(found.x)))
+    sd, sd_units = (
+        np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (known.covariance, slope @ known.covariance @ slope.T)
+    )
+    estimates = {}
+    for n, v in enumerate(model.variables):
+        low, high = inference.interval(v, found.x[n], sd[n])
+        if ".inertia." in v.key:
+            low, high = (float(values[n] + side * inference.Z * sd_units[n]) for side in (-1, 1))
+        estimates[v.key] = Estimate(
+            float(values[n]), low, high, bool(known.seen[n]), v.nominal, v.unit, _remark(v, found.x[n], prior, n)
+        )
+    return estimates
+
+
+def _remark(variable: Variable, x: float, prior: Any, n: int) -> str:
+    low, high = variable.bounds
+    for name, bound in (("lower", low), ("upper", high)):
+        if np.isfinite(bound) and abs(x - bound) < 1e-9 + 1e-6 * abs(bound):
+            return f"on its {name} bound, {getattr(variable, name):.4g} {variable.unit}"
+    if abs(x - prior.mean[n]) > 3 * prior.sd[n]:
+        return f"{abs(x - prior.mean[n]) / prior.sd[n]:.1f} standard deviations from its prior"
+    return ""
+
+
+def _predicted(problem: Problem, found: Fitted) -> dict[str, Any]:
+    """Return how what was held out is predicted: errors (rms) over the noise, of all and of each signal."""
+    held = problem.model.windows.held_out[problem.rows.window]
+    if not held.any():
+        return {}
+    scaled = found.normal.residuals / found.noise[problem.rows.signal]
+    by_signal = {
+        name: float(np.sqrt((scaled[held & (problem.rows.signal == n)] ** 2).mean()))
+        for n, name in enumerate(problem.model.windows.names)
+        if (held & (problem.rows.signal == n)).any()
+    }
+    seconds = float(
+        problem.model.windows.held_out.sum() * problem.model.windows.steps * problem.model.windows.time_step
+    )
+    return {"error_over_noise": float(np.sqrt((scaled[held] ** 2).mean())), "seconds": seconds, "signals": by_signal}

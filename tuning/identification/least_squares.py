@@ -1,0 +1,385 @@
+"""Multiple shooting by Levenberg and Marquardt: variables, and the state that each limb begins each window in.
+
+Residuals are the samples over their noise under Huber's loss, what a window's end misses of the next one's beginning
+over a small tolerance, and priors. Windows of a limb form a chain, so that their states are eliminated by a banded
+solve, and a small system of the variables is left.
+
+References:
+    H. G. Bock, Recent Advances in Parameter Identification Techniques for O.D.E., 1983.
+    P. J. Huber, Robust Statistics, 1981.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve, solveh_banded
+
+from tuning.identification.model import LATE, MEMORY, Model
+from tuning.identification.windows import KINDS
+
+HUBER = 2.5  # standard deviations, beyond which a sample counts by its size alone
+_WINSORIZED = 0.97756  # mean of min(z^2, HUBER^2) of a normal z
+_STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
+_TIGHT = 0.05  # of the noise, what a window's end may miss
+_ENOUGH = 0.02  # decrease of the cost, half a chi^2, at which the search ends
+_DAMPING, _SOFTER, _HARDER, _MOST = 1e-4, 0.1, 10.0, 1e3
+
+Progress = Callable[[int, int, str], None]
+
+
+class Normal(NamedTuple):
+    """The normal equations at a point, without priors of the variables; P variables, D numbers of a limb's state."""
+
+    cost: float
+    gradient: Float[np.ndarray, " P"]
+    hessian: Float[np.ndarray, "P P"]
+    state_gradient: Float[np.ndarray, "limb window D"]
+    state_hessian: Float[np.ndarray, "limb window D D"]
+    onward: Float[np.ndarray, "limb window D D"]  # of a window's state and that of the window before
+    mixed: Float[np.ndarray, "limb window P D"]
+    by_block: Float[np.ndarray, "limb window P"]  # gradients of a limb's samples in a window
+    state_by_block: Float[np.ndarray, "limb window D"]
+    residuals: Float[np.ndarray, " rows"]  # in SI units, of all rows
+
+
+class Fitted(NamedTuple):
+    """Where a search ended."""
+
+    x: Float[np.ndarray, " P"]
+    start: Float[np.ndarray, "window limb joint S"]
+    noise: Float[np.ndarray, " signals"]
+    normal: Normal
+    cost: float  # with priors
+    iterations: int
+    converged: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """What is minimised: a model, some windows of its log, and the noise of each signal."""
+
+    model: Model
+    which: np.ndarray  # windows, in order
+    noise: Float[np.ndarray, " signals"]
+
+    def __post_init__(self) -> None:
+        windows = self.model.windows
+        place = np.full(len(windows.begin), -1)
+        place[self.which] = np.arange(len(self.which))
+        inside = place[windows.rows.window] >= 0
+        rows = type(windows.rows)(*(column[inside] for column in windows.rows))
+        order = np.lexsort((windows.limb[rows.signal], rows.window))
+        rows = type(rows)(*(column[order] for column in rows))
+        follows = windows.abuts[self.which] & np.isin(self.which - 1, self.which)
+        vars(self).update(
+            rows=rows,
+            place=place[rows.window],
+            limb=windows.limb[rows.signal],
+            fitted=~windows.held_out[rows.window],
+            follows=follows,
+            inside=np.flatnonzero(inside)[order],
+        )
+
+    rows: Any = dataclasses.field(init=False, default=None)
+    place: Any = dataclasses.field(init=False, default=None)  # of the window of each row in `which`
+    limb: Any = dataclasses.field(init=False, default=None)
+    fitted: Any = dataclasses.field(init=False, default=None)  # (rows,) bool
+    follows: Any = dataclasses.field(init=False, default=None)  # (windows,) bool: goes on from the one before
+    inside: Any = dataclasses.field(init=False, default=None)  # of the model's rows
+
+    @property
+    def guess(self) -> np.ndarray:
+        """First guesses of the starts (windows, limb, joint, S): a bristle is bent by the motion."""
+        known = self.model.windows.start[self.which]
+        guesses = {"bristle": 0.9 * np.tanh(known[..., 1] / 0.05), "loop.goal": known[..., 0]}
+        own = [guesses.get(name, np.zeros(known.shape[:-1])) for name in self.model.memory]
+        return np.concatenate([known, *(each[..., None] for each in own)], axis=-1)
+
+    @property
+    def state_scales(self) -> tuple[np.ndarray, np.ndarray]:
+        """Prior sd of a limb's state from its guess, and what it may miss of the window before, (limb, D) each."""
+        limbs, joints, size = self.model.sizes
+        windows = self.model.windows
+        prior, tight = np.zeros((limbs, joints, size)), np.zeros((limbs, joints, size))
+        prior[..., :2] = _STATE
+        for n, name in enumerate(self.model.memory, 2):
+            prior[..., n], tight[..., n] = MEMORY[name]
+        for kind, typical in ((0, 1e-3), (1, 3e-2)):
+            noise = np.full((limbs, joints), np.nan)
+            of_kind = windows.kind == kind
+            noise[windows.limb[of_kind], windows.joint[of_kind]] = self.noise[of_kind]
+            tight[..., kind] = _TIGHT * np.where(np.isfinite(noise), noise, typical)
+        return prior.reshape(limbs, -1), tight.reshape(limbs, -1)
+
+
+def linearized(problem: Problem, x: np.ndarray, start: np.ndarray) -> list[Normal]:
+    """Return the normal equations at points x (points, P) and starts (points, windows, limb, joint, S)."""
+    values, tangents = problem.model.evaluate(x, start, problem.which)
+    found = []
+    for k in range(len(x)):
+        own, along = ({name: v[k] for name, v in each.items()} for each in (values, tangents))
+        finite = all(np.isfinite(v).all() for each in (own, along) for v in each.values())
+        if not finite:  # the model diverges there: a point to keep away from
+            own, along = ({name: np.zeros_like(v) for name, v in each.items()} for each in (own, along))
+        normal = _normal(problem, x[k], start[k], own, along)
+        found.append(normal if finite else normal._replace(cost=np.inf))
+    return found
+
+
+class _Predicted(NamedTuple):
+    value: np.ndarray  # (rows,)
+    along: np.ndarray  # (rows, lanes)
+    late: np.ndarray  # (rows, 2), per delay of what is recorded, in the order of LATE
+    known: np.ndarray  # (rows,) bool: not of the time before the window
+
+
+def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]) -> _Predicted:
+    """Return what was predicted for each row, between the steps on a line, and its derivatives."""
+    rows, windows = problem.rows, problem.model.windows
+    delays = {v.key: float(each) for v, each in zip(problem.model.variables, x, strict=True) if v.key in LATE}
+    count, lanes = len(rows.value), next(iter(tangents.values())).shape[1]
+    made = _Predicted(np.zeros(count), np.zeros((count, lanes)), np.zeros((count, 2)), np.ones(count, bool))
+    for number, kind in enumerate(KINDS):
+        chosen = np.flatnonzero(windows.kind[rows.signal] == number)
+        if not len(chosen):
+            continue
+        w, limb, joint = problem.place[chosen], problem.limb[chosen], windows.joint[rows.signal[chosen]]
+        key = next((key for key, late in LATE.items() if late == kind), "")
+        at = rows.step[chosen] + rows.share[chosen] - delays.get(key, 0.0) / windows.time_step
+        step = np.clip(np.floor(at), 0, windows.steps - 1).astype(int)
+        share = at - step
+        before, after = (values[kind][w, step + n, limb, joint] for n in (0, 1))
+        made.value[chosen] = before + share * (after - before)
+        before, later = (tangents[kind][w, :, step + n, limb, joint] for n in (0, 1))
+        made.along[chosen] = before + share[:, None] * (later - before)
+        if key in delays:
+            first = values[kind][w, step, limb, joint]
+            made.late[chosen, list(LATE).index(key)] = (first - after) / windows.time_step
+            made.known[chosen] = at >= -1e-6
+    return made
+
+
+def _normal(
+    problem: Problem, x: np.ndarray, start: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]
+) -> Normal:
+    model = problem.model
+    limbs, joints, size = model.sizes
+    count, windows, width = len(model.variables), len(problem.which), joints * size
+    rows, lanes = problem.rows, len(model.lanes)
+    made = _predicted(problem, x, values, tangents)
+    missed, fitted = rows.value - made.value, problem.fitted & made.known
+    noise = problem.noise[rows.signal]
+    scaled = np.abs(missed) / noise
+    weight = np.where(fitted, np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12)), 0.0) / noise**2
+    loss = np.where(scaled < HUBER, scaled**2 / 2, HUBER * scaled - HUBER**2 / 2)
+    cost = float(loss[fitted].sum())
+
+    hessian, by_block = np.zeros((count, count)), np.zeros((limbs, windows, count))
+    state_by_block, state_hessian = np.zeros((limbs, windows, width)), np.zeros((limbs, windows, width, width))
+    mixed, onward = np.zeros((limbs, windows, count, width)), np.zeros((limbs, windows, width, width))
+    group = problem.place * limbs + problem.limb
+    late = [(place, v.key) for place, v in enumerate(model.variables) if v.key in LATE]
+    for first, last in _runs(group):
+        w, n = divmod(int(group[first]), limbs)
+        own, (column, moves) = made.along[first:last], _columns(model, n)
+        jacobian = np.concatenate([own[:, column] * moves, own[:, lanes:]], axis=1)
+        for place, key in late:
+            jacobian[:, place] = made.late[first:last, list(LATE).index(key)]
+        weighted = jacobian * weight[first:last, None]
+        gradient, product = weighted.T @ missed[first:last], weighted.T @ jacobian
+        by_block[n, w] += gradient[:count]
+        hessian += product[:count, :count]
+        state_by_block[n, w] += gradient[count:]
+        state_hessian[n, w] += product[count:, count:]
+        mixed[n, w] += product[:count, count:]
+
+    gradient, state_gradient = by_block.sum((0, 1)), state_by_block.copy()
+    prior, tight = problem.state_scales
+    off = (problem.guess - start).reshape(windows, limbs, width).swapaxes(0, 1) / prior[:, None]
+    cost += float((off**2).sum()) / 2
+    state_gradient += off / prior[:, None]
+    state_hessian += np.apply_along_axis(np.diag, 1, 1 / prior**2)[:, None]
+    for w in np.flatnonzero(problem.follows).tolist():
+        for n in range(limbs):
+            column, share = _columns(model, n)
+            end = tangents["end"][w - 1][:, n].reshape(-1, width).T / tight[n][:, None]  # (D, lanes)
+            to_x, to_state = end[:, column] * share, end[:, lanes:]
+            gap = (start[w, n].ravel() - values["end"][w - 1, n].ravel()) / tight[n]
+            back = np.diag(-1 / tight[n])
+            cost += float((gap**2).sum()) / 2
+            gradient += to_x.T @ gap
+            state_gradient[n, w - 1] += to_state.T @ gap
+            state_gradient[n, w] += back.T @ gap
+            hessian += to_x.T @ to_x
+            state_hessian[n, w - 1] += to_state.T @ to_state
+            state_hessian[n, w] += back.T @ back
+            mixed[n, w - 1] += to_x.T @ to_state
+            mixed[n, w] += to_x.T @ back
+            onward[n, w] = back.T @ to_state
+    return Normal(
+        cost, gradient, hessian, state_gradient, state_hessian, onward, mixed, by_block, state_by_block, missed
+    )
+
+
+def _runs(group: np.ndarray) -> list[tuple[int, int]]:
+    ends = np.flatnonzero(np.diff(group)) + 1
+    return list(zip(np.r_[0, ends], np.r_[ends, len(group)], strict=True)) if len(group) else []
+
+
+def _columns(model: Model, limb: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return which lane holds each variable's tangent, and whether the variable moves this limb."""
+    lane = np.zeros(len(model.variables), int)
+    for n, together in enumerate(model.lanes):
+        lane[together] = n
+    return lane, np.array([v.limb in (None, limb) and v.key not in LATE for v in model.variables], float)
+
+
+# ----------------------------------------------------------------------------------------------------- linear algebra
+
+
+def _banded(normal: Normal, limb: int, damping: float) -> np.ndarray:
+    """Return the states' matrix of one limb in SciPy's lower banded form, its diagonal raised by a share."""
+    diagonal, onward = normal.state_hessian[limb], normal.onward[limb]
+    windows, width = diagonal.shape[:2]
+    band = np.zeros((2 * width, windows * width))
+    for a in range(width):
+        for b in range(width):
+            if b <= a:
+                band[a - b, b::width] = diagonal[:, a, b] * (1 + damping * (a == b))
+            band[width + a - b, b : (windows - 1) * width : width] = onward[1:, a, b]
+    return band
+
+
+def eliminated(normal: Normal, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Return gradient and matrix of the variables with the states eliminated, and by limb what eliminates them.
+
+    The latter are (windows D, P + 1): the states' answer to the variables, and their own step.
+    """
+    gradient, matrix, ways = normal.gradient.copy(), normal.hessian.copy(), []
+    matrix[np.diag_indices_from(matrix)] *= 1 + damping
+    for n in range(len(normal.mixed)):
+        mixed = normal.mixed[n].swapaxes(1, 2).reshape(-1, len(gradient))
+        right = np.concatenate([mixed, normal.state_gradient[n].reshape(-1, 1)], axis=1)
+        way = solveh_banded(_banded(normal, n, damping), right, lower=True)
+        matrix -= mixed.T @ way[:, :-1]
+        gradient -= mixed.T @ way[:, -1]
+        ways.append(way)
+    return gradient, matrix, ways
+
+
+def condensed_by_block(normal: Normal) -> Float[np.ndarray, "limb window P"]:
+    """Return the share of each limb's samples in each window of the condensed gradient."""
+    _, _, ways = eliminated(normal)
+    found = normal.by_block.copy()
+    for n, way in enumerate(ways):
+        answer = way[:, :-1].reshape(*normal.state_by_block[n].shape, -1)
+        found[n] -= np.einsum("wdp,wd->wp", answer, normal.state_by_block[n])
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------------- search
+
+
+class Prior(NamedTuple):
+    mean: np.ndarray
+    sd: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def prior_of(model: Model) -> Prior:
+    """Return priors and bounds of the coordinates, (P,) each."""
+    low, high = np.reshape([v.bounds for v in model.variables], (-1, 2)).T
+    mean, sd = np.reshape([(v.mean, v.sd) for v in model.variables], (-1, 2)).T
+    return Prior(mean, sd, low, high)
+
+
+def search(
+    problem: Problem, x: np.ndarray, start: np.ndarray, most: int, progress: Progress | None = None, text: str = ""
+) -> list[Fitted]:
+    """Return where the search from each of several points (points, P) ends; all points move together, in one batch."""
+    prior, points = prior_of(problem.model), len(x)
+    normals = linearized(problem, x, start)
+    costs = [n.cost + _prior_cost(prior, each) for n, each in zip(normals, x, strict=True)]
+    damping, done, iteration = np.full(points, _DAMPING), ~np.isfinite(costs), 0
+    while iteration < most and not done.all():
+        if progress is not None:
+            progress(iteration, most, f"{text}: cost {min(costs):.6g}")
+        iteration += 1
+        memory = problem.model.memory
+        steps = [_step(normals[k], x[k], damping[k], start[k], prior, memory) for k in range(points)]
+        trial, trial_start = (np.stack(each) for each in zip(*steps, strict=True))
+        found = linearized(problem, trial, trial_start)
+        for k, normal in enumerate(found):
+            cost = normal.cost + _prior_cost(prior, trial[k])
+            if done[k]:
+                continue
+            if cost <= costs[k]:
+                done[k] = costs[k] - cost < _ENOUGH
+                x, start = x.copy(), start.copy()
+                x[k], start[k], normals[k], costs[k] = trial[k], trial_start[k], normal, cost
+                damping[k] = max(damping[k] * _SOFTER, 1e-12)
+            else:
+                damping[k] *= _HARDER
+                done[k] = damping[k] > _MOST or abs(cost - costs[k]) < _ENOUGH / 4
+    return [
+        Fitted(x[k], start[k], problem.noise, normals[k], costs[k], iteration, bool(done[k])) for k in range(points)
+    ]
+
+
+def _prior_cost(prior: Prior, x: np.ndarray) -> float:
+    return float((((x - prior.mean) / prior.sd) ** 2).sum()) / 2
+
+
+def _step(
+    normal: Normal, x: np.ndarray, damping: float, start: np.ndarray, prior: Prior, memory: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the next point and starts: variables at a bound that the step would pass stay there."""
+    gradient, matrix, ways = eliminated(normal, damping)
+    gradient = gradient + (prior.mean - x) / prior.sd**2
+    matrix = matrix + np.diag((1 + damping) / prior.sd**2)
+    free, move = np.ones(len(x), bool), np.zeros(len(x))
+    while free.any():
+        inner = np.ix_(free, free)
+        move = np.zeros(len(x))
+        move[free] = cho_solve(_factor(matrix[inner]), gradient[free])
+        out = free & (((x <= prior.lower) & (move < 0)) | ((x >= prior.upper) & (move > 0)))
+        if not out.any():
+            break
+        free &= ~out
+    after = np.clip(x + move, prior.lower, prior.upper)
+    moved, later = after - x, start.copy()
+    for n, way in enumerate(ways):
+        later[:, n] += (way[:, -1] - way[:, :-1] @ moved).reshape(later[:, n].shape)
+    if "bristle" in memory:
+        place = 2 + memory.index("bristle")
+        later[..., place] = np.clip(later[..., place], -1.0, 1.0)
+    return after, later
+
+
+def _factor(matrix: np.ndarray) -> Any:
+    """Return a Cholesky factor; what is not positive definite by rounding is raised by as much."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    for raised in (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-3, 1.0):
+        try:
+            return cho_factor(matrix + raised * np.diag(scale**2), lower=True)
+        except np.linalg.LinAlgError:
+            continue
+    raise FloatingPointError("the normal equations are not finite")
+
+
+def noise_of(problem: Problem, normal: Normal) -> np.ndarray:
+    """Return the noise (signals,) of each signal, as its residuals have it, outliers winsorised."""
+    noise = problem.noise.copy()
+    for signal in range(len(noise)):
+        own = normal.residuals[problem.fitted & (problem.rows.signal == signal)]
+        if len(own) < 10:
+            continue
+        sd = 1.4826 * float(np.median(np.abs(own)))
+        for _ in range(10):
+            sd = float(np.sqrt(np.minimum(own**2, (HUBER * sd) ** 2).mean() / _WINSORIZED))
+        noise[signal] = max(sd, 1e-9)
+    return noise

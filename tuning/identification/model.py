@@ -1,0 +1,225 @@
+"""What a window of a log would have recorded, for a point of the fit, with exact derivatives: the base held."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import mjx_climb as mc
+from mjx_climb import execution
+from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
+from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
+from mjx_climb.quantities.parameters import KEYS, Parameters, own_parameters
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario.model import RobotFile
+from mjx_climb.walk import stand as stands
+from tuning.identification.variables import Place, Variable, applied
+from tuning.identification.windows import KINDS, Windows
+
+AT_ONCE = 8  # windows in one call of an executable
+DELAY = "hardware.command_delay"
+LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of what is recorded, behind the positions
+CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
+_LATE = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
+
+
+class Structure(NamedTuple):
+    """What a compiled window depends on; hashable."""
+
+    robot: str | RobotFile
+    places: tuple[Place, ...]
+    stages: Stages
+    time_step: float
+    steps: int
+    kinds: tuple[str, ...]  # what is recorded
+
+
+class Point(NamedTuple):
+    """Where the fit is, and what it may move along."""
+
+    x: Any  # (n,) coordinates of the variables
+    start: Any  # (limb, joint, S): angle, rate, and what the servo remembers of each joint
+    late: Any  # () s, delay of the commands beyond that of the targets
+
+
+class Given(NamedTuple):
+    """What the log says of a window."""
+
+    before: Any  # (B, limb, joint) rad, targets before it
+    targets: Any  # (steps + 1, limb, joint) rad
+    rates: Any  # (steps + 1, limb, joint) rad/s, of the targets
+
+
+MEMORY = {  # of a joint's servo, that a window begins with: prior sd, and what a window's end may miss
+    "bristle": (0.7, 0.02),  # 1
+    "loop.goal": (0.05, 1e-4),  # rad
+    "loop.goal_rate": (1.0, 1e-2),  # rad/s
+    "loop.integral": (0.1, 1e-4),  # rad s
+}
+
+
+def memory(servo: Servo) -> dict[str, Array]:
+    """Return what servos remember of each joint that is not known from the log, (limb, joint) each."""
+    found = {"bristle": servo.bristle, **{f"loop.{name}": value for name, value in servo.loop._asdict().items()}}
+    return {name: found[name] for name in MEMORY if not isinstance(found[name], tuple)}
+
+
+def with_memory(servo: Servo, own: dict[str, Array]) -> Servo:
+    """Return servos that remember something else."""
+    loop = servo.loop._replace(**{name[5:]: value for name, value in own.items() if name.startswith("loop.")})
+    return servo._replace(bristle=own.get("bristle", servo.bristle), loop=loop)
+
+
+def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
+    """Return what would be recorded at steps 0 to `steps` (steps + 1, limb, joint), and the state at the last one."""
+    dtype = point.x.dtype
+    parameters, robot = applied(structure.places, point.x, parameters, load_robot(structure.robot))
+    robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
+    hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
+    stand, (angles, rates) = stands.Stand(robot, hardware), (point.start[..., n] for n in (0, 1))
+    moving = stands.begin(stand, angles, rates)
+    if structure.stages.servo_delay:  # what is on its way to the motors: of a joint that came at the same rate
+        moving = _filled(stand, moving, given.before)
+    own = {name: point.start[..., 2 + n] for n, name in enumerate(memory(moving.servo))}
+    moving = moving._replace(servo=with_memory(moving.servo, own))
+
+    def step(carry: Any, target: tuple[Array, Array]) -> tuple[Any, dict[str, Array]]:
+        moving, _ = carry
+        value, rate = target
+        after, seen = stands.advance(stand, moving, value - point.late * rate)
+        last = [moving.state.joint_angles, moving.state.joint_rates, *memory(moving.servo).values()]
+        # the rate as it stands, half a step before the angle: right where the target jumps too
+        recorded = seen._replace(velocity=moving.state.joint_rates)
+        return (after, last), {kind: getattr(recorded, kind) for kind in structure.kinds}
+
+    first = [angles, rates, *memory(moving.servo).values()]
+    (_, last), seen = jax.lax.scan(step, (moving, first), (given.targets, given.rates))
+    return seen | {"end": jnp.stack(last, axis=-1)}
+
+
+def _filled(stand: stands.Stand, moving: stands.Moving, before: Array) -> stands.Moving:
+    state, step = moving.state, stand.hardware.time_step
+    gains, servo = gains_of(stand.hardware), moving.servo
+    for n in range(len(before)):
+        angles = state.joint_angles - (len(before) - n) * step * state.joint_rates
+        servo, _ = joint_loop(servo, before[n], dataclasses.replace(state, joint_angles=angles), gains, stand.hardware)
+    return moving._replace(servo=servo)
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """The model of a log's windows."""
+
+    windows: Windows
+    variables: tuple[Variable, ...]
+    structure: Structure
+    parameters: Parameters  # of the scenario, in double precision
+
+    @functools.cached_property
+    def sizes(self) -> tuple[int, int, int]:
+        """Limbs, joints, and how many numbers a joint's state has."""
+        robot = load_robot(self.structure.robot)
+        return len(robot.limbs), robot.joints, 2 + len(self.memory)
+
+    @functools.cached_property
+    def memory(self) -> tuple[str, ...]:
+        """What the servos remember, by the names of MEMORY."""
+        return tuple(memory(begin(jnp.zeros((1, 1)), self.structure.stages)))
+
+    @functools.cached_property
+    def lanes(self) -> list[list[int]]:
+        """The variables by tangent: those of different limbs share one, as these do not feel each other."""
+        lanes: list[list[int]] = []
+        for n, variable in enumerate(self.variables):
+            if variable.key in LATE:
+                continue
+            for lane in lanes:
+                limbs = [self.variables[m].limb for m in lane]
+                if variable.limb is not None and None not in limbs and variable.limb not in limbs:
+                    lane.append(n)
+                    break
+            else:
+                lanes.append([n])
+        return lanes
+
+    def delay(self, x: np.ndarray) -> float:
+        """Return the delay of commands at a point of coordinates (n,), s."""
+        own = {v.key: float(value) for v, value in zip(self.variables, x, strict=True)}
+        return own.get(DELAY, float(self.parameters.command_delay)) + own.get(CLOCK, 0.0)
+
+    def directions(self) -> Point:
+        """Return the tangents that are asked for: of the variables by lanes, then of each joint's state."""
+        limbs, joints, size = self.sizes
+        count = len(self.lanes) + joints * size
+        x, late = np.zeros((1, count, len(self.variables))), np.zeros((1, count))
+        start = np.zeros((1, count, limbs, joints, size))
+        for n, lane in enumerate(self.lanes):
+            x[0, n, lane] = 1.0
+            late[0, n] = float(any(self.variables[m].key in (DELAY, CLOCK) for m in lane))
+        for n in range(joints * size):
+            start[0, len(self.lanes) + n, :, n // size, n % size] = 1.0
+        return Point(x, start, late)
+
+    def evaluate(self, x: np.ndarray, start: np.ndarray, which: np.ndarray) -> tuple[dict[str, np.ndarray], Any]:
+        """Return what windows would have recorded, and the tangents.
+
+        Arguments:
+            x: (points, n).
+            start: (points, windows, limb, joint, S), of the windows `which`.
+            which: indices of windows.
+
+        Returns:
+            By kind (points, windows, steps + 1, limb, joint), `end` (points, windows, limb, joint, S); and of each the
+            tangents with an axis of them behind that of the windows.
+        """
+        points, windows, before = len(x), len(which), self.structure.stages.servo_delay
+        made = [self.windows.targets(which, self.delay(point), before) for point in x]
+        targets, rates = (np.concatenate(each) for each in zip(*made, strict=True))
+        given = Given(targets[:, :before], targets[:, before:], rates[:, before:])
+        point = Point(np.repeat(x, windows, axis=0), start.reshape(-1, *start.shape[2:]), np.zeros(points * windows))
+        rows = np.arange(-(-len(targets) // AT_ONCE) * AT_ONCE) % len(targets)  # whole calls of one executable
+        point, given = (jax.tree.map(lambda value: value[rows], each) for each in (point, given))
+        axes = (Point(1, 3, 0), Given(3, 3, 3), jax.tree.map(np.ndim, self.parameters))
+        robots = execution.Robots((point, given, self.parameters), axes, (len(rows),), self.directions())
+        values, tangents = execution.run(simulate, self.structure, robots, batch_size=AT_ONCE)
+
+        def shaped(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+            return {name: v[: points * windows].reshape(points, windows, *v.shape[1:]) for name, v in found.items()}
+
+        return shaped(values), shaped(tangents)
+
+
+def with_clocks(windows: Windows, chosen: Sequence[Variable]) -> list[Variable]:
+    """Return variables, and beside them what no log is free of: delays of recorded velocities, efforts and commands.
+
+    A time of a log is known to a part of a time step, so that a delay may come out as much below zero.
+    """
+    there, least = {KINDS[k] for k in windows.kind}, -windows.time_step / 4
+    found = [dataclasses.replace(v, lower=least) if v.key == DELAY else v for v in chosen]
+    found += [Variable(key, "s", 0.0, *_LATE) for key, kind in LATE.items() if {kind, "position"} <= there]
+    if all(v.key != DELAY for v in chosen):
+        found.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
+    return found
+
+
+def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]) -> Model:
+    """Return the model of a log: it has the stages of hardware that the scenario has, or that are fitted."""
+    own, robot = own_parameters(scenario), load_robot(scenario.robot)
+    fields = {key: field for field, key in KEYS.items()}
+    for each in chosen:
+        if each.key in fields:  # far from zero, so that the stage is there
+            value = each.upper if each.unit == "s" else max(each.nominal, each.sd)
+            own = dataclasses.replace(own, **{fields[each.key]: np.asarray(value)})
+    there = {key.rpartition(".")[2] for key in (v.key for v in chosen) if key.startswith("robot.")}
+    full: Any = {name: np.ones_like(robot.link_mass) for name in ("friction", "damping") if name in there}
+    robot = dataclasses.replace(robot, **full)
+    stages = stages_of(scenario, own, robot)._replace(command_delay=0, control_period=False, linear=False)
+    kinds = tuple(KINDS[k] for k in sorted(set(windows.kind)))
+    places = tuple(Place(each.key, each.log) for each in chosen)
+    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds)
+    return Model(windows, tuple(chosen), structure, own_parameters(scenario))

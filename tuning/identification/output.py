@@ -1,0 +1,217 @@
+"""What `identify` leaves in its folder: values, sections that other commands read, a posterior ensemble, a page."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+from matplotlib.figure import Figure
+
+import mjx_climb as mc
+from mjx_climb import plots
+from mjx_climb.files import dataset
+from mjx_climb.files.scenario_files import portable_yaml
+from mjx_climb.quantities.parameters import KEYS
+from tuning.identification import robot_files
+from tuning.identification.inference import suspicious
+from tuning.identification.least_squares import linearized
+from tuning.identification.variables import begin
+from tuning.identification.windows import KINDS
+from tuning.output.folder import check_own, write_config
+from tuning.problem.ensemble import TILTS, Ensemble, Posterior
+from tuning.report import page
+from tuning.report.numbers import number
+
+if TYPE_CHECKING:
+    from tuning.identification.identify import Estimate, Identified
+
+FILE = "result.json"
+RESIDUALS = "Residuals over the noise of their signal, over time; grey: held out, predicted only."
+CORRELATION = "Autocorrelation of the residuals of each signal; outside the band by chance once in twenty."
+PREDICTION = "The signal that is predicted worst: log, and model with the values before and after."
+COLUMNS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
+
+
+def write(found: "Identified", folder: Path, origin: "page.Origin | None", figures: Collection[str]) -> list[str]:
+    """Write all files of a result into a folder and return their names."""
+    check_own(folder, FILE)
+    scenario = write_config(found.scenario, folder)
+    identified = identified_scenario(found, scenario, folder)
+    texts = {
+        "identified.yaml": portable_yaml(identified, folder),
+        "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),
+        "posterior.yaml": ensemble_of(found).to_yaml(),
+        FILE: json.dumps(_result(found), indent=2) + "\n",
+    }
+    for name, text in texts.items():
+        dataset.write_text_atomically(folder / name, text)
+    pictures = {}
+    drawn: dict[str, tuple[str, Callable[[], Figure]]] = {
+        "residuals": (RESIDUALS, lambda: plot_residuals(found)),
+        "autocorrelation": (CORRELATION, lambda: plot_correlation(found)),
+        "prediction": (PREDICTION, lambda: plot_prediction(found)),
+    }
+    for name, (caption, picture) in drawn.items():
+        plots.save_figure(picture(), folder / name, {"png", *figures})
+        pictures[caption] = folder / f"{name}.png"
+    call = "tuning.identify(...)"
+    own = origin or page.Origin("the scenario", call, call)
+    own = own._replace(config=(folder / "config.yaml").read_text(encoding="utf-8"), pictures=pictures)
+    report = page.write(page_of(found, own), folder).name
+    return [report, *texts, "config.yaml", *(f"{name}.png" for name in drawn)]
+
+
+def identified_scenario(found: "Identified", scenario: mc.Scenario, folder: Path) -> mc.Scenario:
+    """Return the scenario with what was identified; a robot that was is written into the folder."""
+    scenario = scenario.with_overrides(found.overrides())
+    if any(key.startswith("robot.") for key in found.estimates):
+        section = robot_files.write(found.scenario.robot, found.robot(), folder / "robot.xml")
+        scenario = scenario.with_overrides({"robot": section})
+    return scenario
+
+
+def ensemble_of(found: "Identified") -> Ensemble:
+    """Return the ensemble whose members are drawn from the posterior; all else is the scenario's own."""
+    known = set(KEYS.values()) | set(TILTS)
+    chosen = [n for n, v in enumerate(found.model.variables) if v.key in known]
+    variables = [found.model.variables[n] for n in chosen]
+    lower = [max(v.lower, 0.0) if v.unit == "s" else v.lower for v in variables]
+    return Ensemble(
+        pushes=None, cargo=None, gravity=None, grip_stiffness=(1.0, 1.0), robot_mass=(1.0, 1.0),
+        posterior=Posterior(
+            keys=tuple(v.key for v in variables), log=tuple(v.log for v in variables),
+            mean=tuple(found.fitted.x[chosen].tolist()),
+            covariance=tuple(map(tuple, found.posterior.covariance[np.ix_(chosen, chosen)].tolist())),
+            lower=tuple(lower), upper=tuple(v.upper for v in variables),
+            held=tuple(key for key in found.estimates if key not in known),
+        ),
+    )  # fmt: skip
+
+
+def _yaml(data: Any) -> str:
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
+
+
+def _result(found: "Identified") -> dict[str, Any]:
+    made = dataset.provenance(found.scenario)
+    made.pop("scenario")
+    told = {
+        name: {k: dataclasses.asdict(e) for k, e in getattr(found, name).items()} for name in ("estimates", "clocks")
+    }
+    noise = dict(zip(found.model.windows.names, found.fitted.noise.tolist(), strict=True))
+    more = {"combined": list(found.combined), "noise": noise, "log": found.log.source, "provenance": made}
+    return found.as_json() | told | more
+
+
+# ----------------------------------------------------------------------------------------------- tables, page, pictures
+
+
+def table(found: "Identified") -> page.Table:
+    """Return what was fitted: before, after, interval, and bound or prior where one was reached."""
+    clocks = {key: each for key, each in found.clocks.items() if each.seen}
+    sections = [("", _rows(found.estimates)), ("clocks of the log", _rows(clocks))]
+    return page.Table("Parameters", COLUMNS, [(name, rows) for name, rows in sections if rows])
+
+
+def _rows(estimates: "dict[str, Estimate] | Any") -> list[list[str]]:
+    return [
+        [key, e.unit, number(e.before), number(e.value), f"{number(e.low)} to {number(e.high)}",
+         e.remark or ("" if e.seen else "not told by this log")]
+        for key, e in estimates.items()
+    ]  # fmt: skip
+
+
+def noise_table(found: "Identified") -> page.Table:
+    """Return the noise of each signal, how what was held out is predicted, and what its residuals look like."""
+    by_signal, units, rows = found.held_out.get("signals", {}), ("rad", "rad/s", "N m"), []
+    wrong = {test.signal: test for test in suspicious(found.tests)}
+    for n, name in enumerate(found.model.windows.names):
+        kind = KINDS[found.model.windows.kind[n]]
+        test = wrong.get(name)
+        said = "" if test is None else f"{np.abs(test.correlation).max():.2f}"
+        held = by_signal.get(name)
+        rows.append([name, units[KINDS.index(kind)], number(float(found.fitted.noise[n])),
+                     "" if held is None else f"{held:.3f}", said])  # fmt: skip
+    columns = ("signal", "unit", "noise", "error over noise, held out", "correlation")
+    return page.Table("Signals", columns, [("", rows)])
+
+
+def page_of(found: "Identified", origin: page.Origin) -> page.Page:
+    """Return the page of a result."""
+    prose = {"What the log tells of combinations": list(found.combined)} if found.combined else {}
+    return page.Page(
+        title=f"Identified from {Path(found.log.source).name}", origin=origin, verdict=f"{found.sentence}.",
+        scenario=found.scenario, notes=found.warnings, tables=[table(found), noise_table(found)], prose=prose,
+        facts={"iterations": found.fitted.iterations, "windows": len(found.model.windows.begin)},
+    )  # fmt: skip
+
+
+def _times(found: "Identified") -> np.ndarray:
+    rows, windows = found.problem.rows, found.model.windows
+    return np.asarray(windows.begin[rows.window] + (rows.step + rows.share) * windows.time_step)
+
+
+@plots.style()
+def plot_residuals(found: "Identified") -> Figure:
+    """Return residuals over time by kind of signal."""
+    rows, windows, time = found.problem.rows, found.model.windows, _times(found)
+    scaled = found.fitted.normal.residuals / found.fitted.noise[rows.signal]
+    kinds = sorted(set(windows.kind))
+    figure = Figure(figsize=(7.0, 1.6 * len(kinds) + 0.4), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(kinds), sharex=True))
+    held = windows.held_out[rows.window]
+    for axis, kind in zip(axes, kinds, strict=True):
+        own = windows.kind[rows.signal] == kind
+        for chosen, colour in ((own & ~held, plots.BLUE), (own & held, "0.75")):
+            axis.plot(time[chosen], scaled[chosen], ",", color=colour)
+        axis.set_ylabel(f"{KINDS[kind]}, 1")
+        axis.set_ylim(-6, 6)
+    axes[-1].set_xlabel("time, s")
+    return figure
+
+
+@plots.style()
+def plot_correlation(found: "Identified") -> Figure:
+    """Return the autocorrelation of each signal's residuals, those that are wrong by name."""
+    figure = Figure(figsize=(7.0, 2.4), layout="constrained")
+    axis, wrong = figure.subplots(), {test.signal for test in suspicious(found.tests)[:5]}
+    for test in found.tests:
+        lags = test.period * np.arange(1, len(test.correlation) + 1)
+        if test.signal in wrong:
+            axis.plot(lags, test.correlation, label=test.signal)
+        else:
+            axis.plot(lags, test.correlation, color="0.75", linewidth=0.6)
+    counts = [int((found.problem.rows.signal == n).sum()) for n in range(len(found.model.windows.names))]
+    band = 2 / np.sqrt(max(min(counts), 1))
+    axis.axhspan(-band, band, color="0.93", zorder=0)
+    axis.set_xlabel("lag, s")
+    axis.set_ylabel("autocorrelation, 1")
+    if wrong:
+        axis.legend()
+    return figure
+
+
+@plots.style()
+def plot_prediction(found: "Identified") -> Figure:
+    """Return log and model, before and after the fit, of the signal with the largest error over its noise."""
+    rows, windows, time = found.problem.rows, found.model.windows, _times(found)
+    scaled = np.abs(found.fitted.normal.residuals) / found.fitted.noise[rows.signal]
+    means = [float(scaled[rows.signal == n].mean()) for n in range(len(windows.names))]
+    worst = int(np.argmax(means))
+    own = np.flatnonzero(rows.signal == worst)
+    own = own[np.argsort(time[own], kind="stable")]
+    figure = Figure(figsize=(7.0, 2.4), layout="constrained")
+    axis = figure.subplots()
+    axis.plot(time[own], rows.value[own], ".", color="black", markersize=2, label="log")
+    first, last = begin(found.model.variables)[None], found.fitted.start[None]
+    before = rows.value[own] - linearized(found.problem, first, last)[0].residuals[own]
+    after = rows.value[own] - found.fitted.normal.residuals[own]
+    axis.plot(time[own], before, color=plots.ORANGE, label="before")
+    axis.plot(time[own], after, color=plots.BLUE, label="after")
+    axis.set_xlabel("time, s")
+    axis.set_ylabel(windows.names[worst])
+    axis.legend(ncols=3)
+    return figure

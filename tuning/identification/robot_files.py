@@ -1,0 +1,88 @@
+"""A robot that was identified as an MJCF, and the section `robot` of a scenario that names it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.files.dataset import write_text_atomically
+from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.constants import Robot, load_robot, load_spec
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import RobotFile
+
+_DRIVES = {"armature": "armature", "damping": "damping", "friction": "frictionloss"}  # MuJoCo's names
+
+
+def write(source: str | RobotFile, robot: Robot, path: Path) -> dict[str, Any]:
+    """Write a robot whose constants differ from its file's in masses, centres, inertias, drives or joint zeros.
+
+    Returns:
+        The section `robot` of a scenario.
+
+    Raises:
+        ConfigError: a robot with springs or joints that only fill up a limb.
+        OutputError: the file cannot be written.
+    """
+    nominal = load_robot(source)
+    if nominal.driven is not None or nominal.spring is not None:
+        raise ConfigError("robot: expected one whose joints are all driven, to write its file, got springs")
+    spec = load_spec(source)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[3] = 1.0
+    mujoco.mj_kinematics(model, data)
+    spec.body(model.body(1).name).mass = float(robot.base_mass)
+    for key in list(spec.keys):
+        spec.delete(key)
+    for n, limb in enumerate(nominal.limbs):
+        rotation = np.eye(3)
+        for j, joint in enumerate(nominal.joint_names):
+            name = f"{limb}_{joint}"
+            rotation = rotation @ nominal.frame_rotation[n, j]
+            body, moved = spec.body(name), spec.joint(name)
+            at, own = data.xanchor[model.joint(name).id], data.xmat[model.body(name).id].reshape(3, 3)
+            to_body = own.T @ rotation
+            center = own.T @ (at - data.xpos[model.body(name).id]) + to_body @ robot.link_center[n, j]
+            inertia = to_body @ robot.link_inertia[n, j] @ to_body.T
+            body.explicitinertial, body.mass, body.ipos = True, float(robot.link_mass[n, j]), center
+            body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            body.iquat = [1, 0, 0, 0]
+            turn = nominal.frame_rotation[n, j].T @ robot.frame_rotation[n, j]
+            zero = float(np.arctan2(turn[1, 0], turn[0, 0]))
+            _turn(body, model.body(name).quat, model.joint(name).axis, zero)
+            for field, theirs in _DRIVES.items():
+                if (values := getattr(robot, field)) is not None:
+                    value = float(values[n, j])
+                    setattr(moved, theirs, [value, 0, 0] if theirs == "damping" else value)
+    share = robot.base_mass / nominal.base_mass
+    if share != 1:
+        base = spec.body(model.body(1).name)
+        base.explicitinertial, base.iquat = True, [1, 0, 0, 0]
+        base.fullinertia = (nominal.base_inertia * share)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    spec.compile()
+    write_text_atomically(path, spec.to_xml())
+    return _section(robot, path)
+
+
+def _turn(body: mujoco.MjsBody, quaternion: np.ndarray, axis: np.ndarray, angle: float) -> None:
+    """Turn a body about the axis of its joint, which stands at the body's origin."""
+    if angle:
+        turned, about = np.zeros(4), np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis]
+        mujoco.mju_mulQuat(turned, quaternion, about)
+        body.quat = turned
+
+
+def _section(robot: Robot, path: Path) -> dict[str, Any]:
+    frames = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
+    limbs = {
+        limb: {
+            "joints": [f"{limb}_{joint}" for joint in robot.joint_names],
+            "foot": f"{limb}_foot",
+            "foothold": [round(float(value), 9) for value in frames.foot[n, :2]],
+        }
+        for n, limb in enumerate(robot.limbs)
+    }
+    return {"file": str(path.absolute()), "height": float(robot.stance_position[2]), "limbs": limbs}

@@ -1,0 +1,159 @@
+"""A log cut into windows of equal length, and its samples as rows of what each window recorded."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mjx_climb.robot.constants import Robot
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.stand import targets_of
+from tuning.identification.log import Log, Signal
+
+LENGTH = 1.0  # s, of a window
+SHORTEST = 0.2  # s, of what is left at the end of a stretch
+KINDS = ("position", "velocity", "effort")
+_GAP, _PERIODS = 0.1, 5  # s, and periods of the log: a longer silence is a gap
+_NEAR = 0.05  # s, samples by which a rate is guessed
+
+
+class Rows(NamedTuple):
+    """The samples of all windows, in the order of windows; a window's end belongs to the next one."""
+
+    window: Int[np.ndarray, " rows"]
+    signal: Int[np.ndarray, " rows"]  # index into `Windows.names`
+    step: Int[np.ndarray, " rows"]  # of the window, before the sample
+    share: Float[np.ndarray, " rows"]  # of the way to the next step; the steps' rates stand half a step before angles
+    value: Float[np.ndarray, " rows"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Windows:
+    """A log as the fit sees it."""
+
+    begin: Float[np.ndarray, " windows"]  # s
+    abuts: np.ndarray  # (windows,) bool: it goes on where the one before ends
+    held_out: np.ndarray  # (windows,) bool: predicted, not fitted
+    steps: int  # of each window
+    time_step: float  # s
+    names: tuple[str, ...]  # of the signals that are predicted
+    limb: Int[np.ndarray, " signals"]
+    joint: Int[np.ndarray, " signals"]
+    kind: Int[np.ndarray, " signals"]  # index into KINDS
+    rows: Rows
+    start: Float[np.ndarray, "windows limb joint 2"]  # rad, rad/s: first guesses of angles and rates
+    commands: Mapping[tuple[int, int], Signal]  # by limb and joint
+    resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands
+
+    def targets(self, which: np.ndarray, delay: float, before: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Return joint targets of some windows `delay` s late, rad, and their rates, rad/s.
+
+        Both are (windows, before + steps + 1, limb, joint), from `before` steps before each window.
+        """
+        count = before + self.steps + 1
+        at = self.begin[which, None] + (np.arange(count) - before) * self.time_step - delay
+        values = np.broadcast_to(self.resting, (*at.shape, *self.resting.shape)).copy()
+        rates = np.zeros_like(values)
+        for (limb, joint), signal in self.commands.items():
+            found = targets_of(signal.time, signal.value, at, self.time_step)
+            values[..., limb, joint], rates[..., limb, joint] = found
+        return values, rates
+
+
+def cut(log: Log, robot: Robot, time_step: float, held_out: float, length: float = LENGTH) -> Windows:
+    """Return the windows of a log; the last share `held_out` of them is not fitted.
+
+    Raises:
+        ConfigError: a log without commands, without anything that can be predicted, or too short.
+    """
+    commands = {
+        (n, j): log.signals[name]
+        for n, limb in enumerate(robot.limbs)
+        for j, joint in enumerate(robot.joint_names)
+        if (name := f"{limb}.{joint}.command") in log.signals
+    }
+    whole = [n for n in range(len(robot.limbs)) if all((n, j) in commands for j in range(robot.joints))]
+    names, places = [], []
+    for n in whole:
+        for j, joint in enumerate(robot.joint_names):
+            for k, kind in enumerate(KINDS):
+                if (name := f"{robot.limbs[n]}.{joint}.{kind}") in log.signals:
+                    names.append(name)
+                    places.append((n, j, k))
+    if not names:
+        missing = "the commands of all joints of a limb" if not whole else "positions, velocities or efforts"
+        first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else 'command'}"
+        raise ConfigError(f"{log.source}: expected {missing}, as {first}, got {', '.join(list(log.signals)[:4])}")
+    signals = [log.signals[name] for name in names]
+    begin, abuts, ends = _stretches(signals, length)
+    # commands change when samples are taken, and a step holds one target: samples fall between steps
+    begin, ends = begin - time_step / 2, ends + time_step
+    if len(begin) < 2:
+        raise ConfigError(f"{log.source}: expected two seconds or more, got {log.duration:.3g} s without gaps")
+    count = len(begin) - min(round(held_out * len(begin)), len(begin) - 1)
+    limb, joint, kind = np.array(places).T
+    steps = round(length / time_step)
+    rows = _rows(signals, kind == 1, begin, ends, steps, time_step)
+    return Windows(
+        begin=begin, abuts=abuts, held_out=np.arange(len(begin)) >= count, steps=steps, time_step=time_step,
+        names=tuple(names), limb=limb, joint=joint, kind=kind, rows=rows,
+        start=_start(log, robot, begin), commands=commands, resting=np.asarray(robot.stance_joints, float),
+    )  # fmt: skip
+
+
+def _stretches(signals: Sequence[Signal], length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return begins of windows, which of them go on, and where their samples end, all in s."""
+    time = np.unique(np.concatenate([signal.time for signal in signals]))
+    period = max(float(np.median(np.diff(signal.time))) for signal in signals)
+    breaks = np.flatnonzero(np.diff(time) > max(_GAP, _PERIODS * period))
+    firsts, lasts = time[np.r_[0, breaks + 1]], time[np.r_[breaks, len(time) - 1]]
+    begin, abuts, ends = [], [], []
+    for first, last in zip(firsts, lasts, strict=True):
+        for n in range(int((last - first - SHORTEST) // length) + 1 if last - first >= SHORTEST else 0):
+            begin.append(first + n * length)
+            abuts.append(n > 0)
+            ends.append(min(first + (n + 1) * length, last + 1e-9))
+    return np.array(begin), np.array(abuts, bool), np.array(ends)
+
+
+def _rows(
+    signals: Sequence[Signal], rates: np.ndarray, begin: np.ndarray, ends: np.ndarray, steps: int, time_step: float
+) -> Rows:
+    parts = []
+    for number, signal in enumerate(signals):
+        window = np.searchsorted(begin, signal.time + time_step / 2, side="right") - 1
+        inside = (window >= 0) & (signal.time + time_step / 2 < ends[window])
+        window, time, value = window[inside], signal.time[inside], signal.value[inside]
+        at = (time - begin[window]) / time_step + (0.5 if rates[number] else 0.0)  # rates stand half a step before
+        step = np.clip(np.floor(at), 0, steps - 1).astype(int)
+        parts.append((window, np.full(len(window), number), step, at - step, value))
+    window, *rest = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(window, kind="stable")
+    return Rows(window[order], *(column[order] for column in rest))
+
+
+def _start(log: Log, robot: Robot, begin: np.ndarray) -> np.ndarray:
+    """Return first guesses of angles and rates, (window, limb, joint, 2): of the log, or at rest where it has none."""
+    start = np.zeros((len(begin), *robot.stance_joints.shape, 2))
+    start[..., 0] = robot.stance_joints
+    for n, limb in enumerate(robot.limbs):
+        for j, joint in enumerate(robot.joint_names):
+            position = log.signals.get(f"{limb}.{joint}.position", log.signals.get(f"{limb}.{joint}.command"))
+            velocity = log.signals.get(f"{limb}.{joint}.velocity")
+            if position is not None:
+                start[:, n, j] = [_line(position, moment) for moment in begin]
+            if velocity is not None:
+                start[:, n, j, 1] = np.interp(begin, velocity.time, velocity.value)
+    return start
+
+
+def _line(signal: Signal, moment: float) -> tuple[float, float]:
+    """Return value and rate of a signal at a moment, by a line through the samples near it."""
+    near = np.abs(signal.time - moment) <= max(_NEAR, 2 * float(np.median(np.diff(signal.time))))
+    time, value = signal.time[near] - moment, signal.value[near]
+    if len(time) < 3:
+        return float(np.interp(moment, signal.time, signal.value)), 0.0
+    rate, at = np.polyfit(time, value, 1)
+    return float(at), float(rate)
