@@ -2,7 +2,8 @@
 
 A step evaluates torques at the beginning and takes what damps them, the servo's kd and the viscous friction, at the
 mean of the rates before and after: rates stand half a step before angles, as in leapfrog, so that angles, and rates as
-`Recorded` has them, are right to second order in the time step. A walk's own step is right to first order.
+`Recorded` has them, are right to second order in the time step. Centrifugal forces take the rates half a step on. A
+walk's own step is right to first order.
 """
 
 import dataclasses
@@ -35,6 +36,7 @@ class Moving(NamedTuple):
 
     state: State
     servo: servo.Servo
+    change: Array  # (limb, joint) rad/s, of the rates in the step before
 
 
 class Recorded(NamedTuple):
@@ -51,7 +53,7 @@ def begin(stand: Stand, angles: Array, rates: Array) -> Moving:
     still = jnp.zeros_like(angles, shape=3)
     position, orientation = (jnp.asarray(v, angles.dtype) for v in (robot.stance_position, robot.stance_orientation))
     state = State(position, orientation, still, still, angles, rates)
-    return Moving(state, servo.begin(angles, stand.hardware.stages))
+    return Moving(state, servo.begin(angles, stand.hardware.stages), jnp.zeros_like(rates))
 
 
 def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recorded]:
@@ -83,10 +85,12 @@ def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recor
     own = 0.0 if isinstance(drive.armature, tuple) else drive.armature
     drive = drive._replace(armature=own + damping * (step / 2))
     robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
-    joints = held_accelerations(robot, state, torque / parameters.mass_scale, gravity)
+    centred = dataclasses.replace(state, joint_rates=rates + moving.change / 2)  # for what goes with products of rates
+    joints = held_accelerations(robot, centred, torque / parameters.mass_scale, gravity)
     later = integrate(state, Acceleration(still, still, joints), step)
-    change = (later.joint_rates - rates) / 2
-    return Moving(later, after), Recorded(state.joint_angles, rates + change, drive.motor_torque + slope * change)
+    change = later.joint_rates - rates
+    seen = Recorded(state.joint_angles, rates + change / 2, drive.motor_torque + slope * change / 2)
+    return Moving(later, after, change), seen
 
 
 def targets_of(

@@ -19,7 +19,7 @@ from tuning.identification import inference
 from tuning.identification.inference import Posterior, Whiteness
 from tuning.identification.least_squares import Fitted, Problem, Progress, noise_of, prior_of, search
 from tuning.identification.log import Log
-from tuning.identification.model import DELAY, Model, model_of, with_clocks
+from tuning.identification.model import DELAY, Model, model_of, with_nuisances
 from tuning.identification.readers import read_log
 from tuning.identification.variables import Variable, applied, begin, in_units, variables
 from tuning.identification.windows import KINDS, cut
@@ -56,7 +56,7 @@ class Identified:
     scenario: mc.Scenario
     log: Log
     estimates: Mapping[str, Estimate]  # by key
-    clocks: Mapping[str, Estimate]  # delays of what was recorded
+    beside: Mapping[str, Estimate]  # nuisances: delays of what was recorded, presliding
     held_out: Mapping[str, Any]
     warnings: tuple[str, ...]
     combined: tuple[str, ...]  # combinations that were seen, of what was not
@@ -151,14 +151,14 @@ def identify(
     log = log if isinstance(log, Log) else read_log(log, robot, signals)
     windows = cut(log, robot, scenario.time_step, held_out)
     chosen = variables(scenario, fit, held=True, changes=changes)
-    model = model_of(scenario, windows, with_clocks(windows, chosen))
+    model = model_of(scenario, windows, with_nuisances(scenario, windows, chosen))
     found, problem = _searched(model, starts, progress)
     tests = inference.whiteness(problem, found)
     wrong = inference.suspicious(tests)
     known = inference.posterior(problem, found, tests, wrong)
     every = _estimates(model, found, known)
     estimates = {v.key: every[v.key] for v in chosen}
-    clocks = {key: each for key, each in every.items() if key not in estimates}
+    beside = {key: each for key, each in every.items() if key not in estimates}
     warnings = [*log.warnings, *known.unseen]
     warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
     if wrong:
@@ -170,7 +170,7 @@ def identify(
     if ahead and ahead["error_over_noise"] > 1.2:
         warnings.append(f"what was held out is predicted {ahead['error_over_noise']:.3g} times worse than the noise")
     return Identified(
-        scenario, log, estimates, clocks, ahead, tuple(warnings), known.combined, model, problem, found, known, tests
+        scenario, log, estimates, beside, ahead, tuple(warnings), known.combined, model, problem, found, known, tests
     )
 
 

@@ -18,11 +18,11 @@ from mjx_climb.quantities.parameters import KEYS, Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.walk import stand as stands
-from tuning.identification.variables import Place, Variable, applied
+from tuning.identification.variables import Place, Variable, applied, variables
 from tuning.identification.windows import KINDS, Windows
 
 AT_ONCE = 8  # windows in one call of an executable
-DELAY = "hardware.command_delay"
+DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
 LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of what is recorded, behind the positions
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
 _LATE = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
@@ -194,21 +194,24 @@ class Model:
         return shaped(values), shaped(tangents)
 
 
-def with_clocks(windows: Windows, chosen: Sequence[Variable]) -> list[Variable]:
-    """Return variables, and beside them what no log is free of: delays of recorded velocities, efforts and commands.
+def with_nuisances(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]) -> list[Variable]:
+    """Return variables, and beside them what no log is free of, which would bend them if it were held.
 
-    A time of a log is known to a part of a time step, so that a delay may come out as much below zero.
+    These are delays of recorded velocities, efforts and commands, and how far dry friction gives before it slips. A
+    time of a log is known to a part of a time step, so that a delay may come out as much below zero.
     """
-    there, least = {KINDS[k] for k in windows.kind}, -windows.time_step / 4
+    there, least, keys = {KINDS[k] for k in windows.kind}, -windows.time_step / 4, {v.key for v in chosen}
     found = [dataclasses.replace(v, lower=least) if v.key == DELAY else v for v in chosen]
     found += [Variable(key, "s", 0.0, *_LATE) for key, kind in LATE.items() if {kind, "position"} <= there]
-    if all(v.key != DELAY for v in chosen):
+    if DELAY not in keys:
         found.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
+    if PRESLIDING not in keys and stages_for(scenario, chosen).dry_friction:
+        found += variables(scenario, [PRESLIDING], held=True)
     return found
 
 
-def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]) -> Model:
-    """Return the model of a log: it has the stages of hardware that the scenario has, or that are fitted."""
+def stages_for(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Stages:
+    """Return the stages of hardware that the scenario has, or that are fitted, but for those of the control law."""
     own, robot = own_parameters(scenario), load_robot(scenario.robot)
     fields = {key: field for field, key in KEYS.items()}
     for each in chosen:
@@ -218,8 +221,13 @@ def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]
     there = {key.rpartition(".")[2] for key in (v.key for v in chosen) if key.startswith("robot.")}
     full: Any = {name: np.ones_like(robot.link_mass) for name in ("friction", "damping") if name in there}
     robot = dataclasses.replace(robot, **full)
-    stages = stages_of(scenario, own, robot)._replace(command_delay=0, control_period=False, linear=False)
+    return stages_of(scenario, own, robot)._replace(command_delay=0, control_period=False, linear=False)
+
+
+def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]) -> Model:
+    """Return the model of a log: it has the stages of hardware that the scenario has, or that are fitted."""
     kinds = tuple(KINDS[k] for k in sorted(set(windows.kind)))
     places = tuple(Place(each.key, each.log) for each in chosen)
+    stages = stages_for(scenario, chosen)
     structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds)
     return Model(windows, tuple(chosen), structure, own_parameters(scenario))

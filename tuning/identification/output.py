@@ -99,7 +99,7 @@ def _result(found: "Identified") -> dict[str, Any]:
     made = dataset.provenance(found.scenario)
     made.pop("scenario")
     told = {
-        name: {k: dataclasses.asdict(e) for k, e in getattr(found, name).items()} for name in ("estimates", "clocks")
+        name: {k: dataclasses.asdict(e) for k, e in getattr(found, name).items()} for name in ("estimates", "beside")
     }
     noise = dict(zip(found.model.windows.names, found.fitted.noise.tolist(), strict=True))
     more = {"combined": list(found.combined), "noise": noise, "log": found.log.source, "provenance": made}
@@ -111,8 +111,8 @@ def _result(found: "Identified") -> dict[str, Any]:
 
 def table(found: "Identified") -> page.Table:
     """Return what was fitted: before, after, interval, and bound or prior where one was reached."""
-    clocks = {key: each for key, each in found.clocks.items() if each.seen}
-    sections = [("", _rows(found.estimates)), ("clocks of the log", _rows(clocks))]
+    beside = {key: each for key, each in found.beside.items() if each.seen}
+    sections = [("", _rows(found.estimates)), ("beside these", _rows(beside))]
     return page.Table("Parameters", COLUMNS, [(name, rows) for name, rows in sections if rows])
 
 

@@ -21,6 +21,7 @@ KEYS = (
 )
 SPANS = ((0.006, 0.02), (0.03, 0.1), (25.0, 60.0), (0.2, 0.5), (0.002, 0.008))  # even in the logarithm
 TRUTHS = 20
+STEP = 2.5e-4  # s, of MuJoCo's Runge-Kutta
 
 
 def counted(repeats, duration, said=lambda line: None):
@@ -29,10 +30,11 @@ def counted(repeats, duration, said=lambda line: None):
     inside, wide, ahead = defaultdict(list), defaultdict(list), []
     for repeat in range(repeats):
         drawn = np.exp(np.random.default_rng(repeat % TRUTHS).uniform(*np.log(SPANS).T))
+        drawn[4] = round(drawn[4] / STEP) * STEP
         truth = dict(zip(KEYS, drawn, strict=True))
         robot = Truth(*(drawn[:2]), 0.0, *drawn[2:])
-        log = log_of(robot, duration, jitter=0.0005, seed=1000 + repeat, step=2.5e-4)
-        found = tuning.identify(scenario, log, KEYS, starts=2)
+        log = log_of(robot, duration, jitter=0.0005, seed=1000 + repeat, step=STEP)
+        found = tuning.identify(scenario, log, KEYS, starts=1)
         ahead.append(found.held_out["error_over_noise"])
         for n, key in enumerate(KEYS):
             estimate = found.estimates[key]
@@ -43,7 +45,7 @@ def counted(repeats, duration, said=lambda line: None):
 
 
 def main():
-    repeats, duration = int(sys.argv[1] if sys.argv[1:] else 100), float(sys.argv[2] if sys.argv[2:] else 6.0)
+    repeats, duration = int(sys.argv[1] if sys.argv[1:] else 100), float(sys.argv[2] if sys.argv[2:] else 5.0)
     inside, wide, ahead = counted(repeats, duration, lambda line: print(line, flush=True))
     for key in KEYS:
         print(f"{key}: inside {np.mean(inside[key]):.1%}, width over Fisher {np.mean(wide[key]):.3f}")

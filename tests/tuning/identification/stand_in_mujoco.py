@@ -23,6 +23,7 @@ class Truth:
     delay: float = 0.0  # s, of the commands
     gravity: tuple = (0.0, 0.0, -9.81)
     stribeck: float = 0.0  # N m, friction at rest beside the rest of it
+    integrator: str = "RK4"
     flexible: float = 0.0  # N m/rad, a joint between knee and link; 0: stiff
 
 
@@ -57,7 +58,7 @@ def welded(name, truth):
     dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
     model.dof_armature[dofs], model.dof_damping[dofs] = truth.armature, truth.damping
     model.dof_frictionloss[dofs] = truth.friction
-    model.dof_solref[dofs], model.dof_solimp[dofs, :2] = (0.002, 1.0), 0.99  # as dry as a soft constraint gets
+    model.dof_solref[dofs], model.dof_solimp[dofs, :2] = (0.0005, 1.0), 0.999  # as dry as a soft constraint gets
     model.actuator_gainprm[:, 0] = truth.kp
     model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2] = -np.asarray(truth.kp), -np.asarray(truth.kd)
     return model
@@ -76,7 +77,7 @@ def sines(duration, step, *, amplitude=0.25, top=4.0, seed=0):
 def recorded(truth, time, targets, step=2.5e-4, name="hubrobo_v3_2"):
     """Return positions, velocities and efforts (T, 12) at the times of targets (T, 12), which are held between them."""
     model = welded(name, truth)
-    model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.timestep, model.opt.integrator = step, getattr(mujoco.mjtIntegrator, f"mjINT_{truth.integrator}")
     data = mujoco.MjData(model)
     joints = model.actuator_trnid[:, 0]
     places, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]

@@ -16,7 +16,7 @@ from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile, validated
 from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of
 from tuning.identification import least_squares, robot_files
-from tuning.identification.model import model_of, with_clocks
+from tuning.identification.model import model_of, with_nuisances
 from tuning.identification.readers import write_csv
 from tuning.identification.variables import Place, applied, begin, variables
 from tuning.identification.windows import KINDS, cut
@@ -39,7 +39,7 @@ def identified(truth=TRUE, duration=6.0, fit=tuple(VALUES), starts=1, **how):
 def problem(fit, duration=2.0, kinds=("position", "velocity", "effort")):
     log = log_of(TRUE, duration, kinds=kinds)
     windows = cut(log, ROBOT, SCENARIO.time_step, 0.0)
-    model = model_of(SCENARIO, windows, with_clocks(windows, variables(SCENARIO, fit, held=True)))
+    model = model_of(SCENARIO, windows, with_nuisances(SCENARIO, windows, variables(SCENARIO, fit, held=True)))
     noise = np.array([NOISE[KINDS[kind]] for kind in windows.kind])
     return least_squares.Problem(model, np.arange(len(windows.begin)), noise)
 
