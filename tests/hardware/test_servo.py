@@ -376,6 +376,7 @@ def test_derivative_of_a_walk_by_its_servos(tangents, name):
     np.testing.assert_allclose(exact, differences, rtol=1e-4)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_robots_of_a_batch_walk_with_servos_as_they_do_alone():
     scenario = mc.Scenario().with_overrides(SERVOS)

@@ -159,6 +159,7 @@ def test_neutral_parameters_change_nothing(scenario):
         assert found[name][1] != ideal[name]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_engines_agree_on_hardware(scenario):
     parameters = parameters_of(scenario, 2)
