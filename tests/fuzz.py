@@ -75,6 +75,8 @@ COMMANDS = {  # with every option that takes a value, {config} and so on for fil
     "--iterations 2 --also inertia --pin damping=30 --bound kp=10:90 --search {search}",
     "excite": "{config} --duration 2 --candidates 1 --fit hardware.servo.armature --family chirp --kp 30 --margin 0.5 "
     "--rate 50 --noise 1e-3 --base held --mass 0.1 --low 0.2 --high 5 --seed 1 --set control.kd=0.1",
+    "identify": "{config} --log {log} --fit hardware.servo.armature --signals {signals} --held-out 0.2 --starts 2 "
+    "--set control.kd=0.1 --json",
     "export": "{gains} --format ros2_control --update-rate 500 --name admittance",
     "schema": "",
     "bench": "--batch 64 --quick",
@@ -86,8 +88,8 @@ USES = {
     "gains": ("run", "sweep", "tune", "margins", "export"),
     "search": ("tune", "pareto", "schedule"),
     "ensemble": ("tune",),
-    "log": ("replay",),
-    "signals": ("replay",),
+    "log": ("replay", "identify"),
+    "signals": ("replay", "identify"),
 }
 ENDINGS = {"log": "csv"}  # of others yaml
 NUMBERS = (

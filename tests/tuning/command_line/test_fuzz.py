@@ -30,7 +30,7 @@ def valid_input_stops_here(monkeypatch):
         "tuning.output.comparisons.of_grid", "tuning.problem.evaluation.baseline", "tuning.problem.evaluation.pd_of",
         "tuning.searches.schedule.pd_of", "tuning.evaluation.deployment.check", "tuning.benchmarks.measure.measure",
         "tuning.command_line.machine.examine", "tuning.identification.excitation.chosen",
-        "tuning.identification.replay.simulate",
+        "tuning.identification.replay.simulate", "tuning.identification.identify.model_of",
     ):  # fmt: skip
         monkeypatch.setattr(name, start)
     monkeypatch.setattr(backend, "find", lambda: "egl")
