@@ -2,8 +2,8 @@
 
 A step evaluates torques at the beginning and takes what damps them, the servo's kd and the viscous friction, at the
 mean of the rates before and after: rates stand half a step before angles, as in leapfrog, so that angles, and rates as
-`Recorded` has them, are right to second order in the time step. Centrifugal forces take the rates half a step on. A
-walk's own step is right to first order.
+`Recorded` has them, are right to second order in the time step. Dry friction and centrifugal forces take the rates half
+a step on. A walk's own step is right to first order.
 """
 
 import dataclasses
@@ -79,17 +79,18 @@ def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recor
         after, drive = servo.joint_loop(before, targets, now, gains, hardware)
         return drive.motor_torque, (after, drive)
 
-    rates = state.joint_rates
-    _, slope, (after, drive) = jax.jvp(driven, (rates,), (jnp.ones_like(rates),), has_aux=True)
+    rates, ahead = state.joint_rates, moving.change / 2
+    centred = rates + ahead  # at the beginning of the step, where the angles are, as far as it goes on as before
+    _, slope, (after, drive) = jax.jvp(driven, (centred,), (jnp.ones_like(rates),), has_aux=True)
     damping = -slope + parameters.viscous_friction if hardware.stages.viscous_friction else -slope
     own = 0.0 if isinstance(drive.armature, tuple) else drive.armature
     drive = drive._replace(armature=own + damping * (step / 2))
     robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
-    centred = dataclasses.replace(state, joint_rates=rates + moving.change / 2)  # for what goes with products of rates
-    joints = held_accelerations(robot, centred, torque / parameters.mass_scale, gravity)
+    torque = (torque + damping * ahead) / parameters.mass_scale
+    joints = held_accelerations(robot, dataclasses.replace(state, joint_rates=centred), torque, gravity)
     later = integrate(state, Acceleration(still, still, joints), step)
     change = later.joint_rates - rates
-    seen = Recorded(state.joint_angles, rates + change / 2, drive.motor_torque + slope * change / 2)
+    seen = Recorded(state.joint_angles, rates + change / 2, drive.motor_torque + slope * (change / 2 - ahead))
     return Moving(later, after, change), seen
 
 
