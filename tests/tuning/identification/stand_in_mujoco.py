@@ -30,8 +30,8 @@ class Truth:
 TRUTH = Truth()
 
 
-def welded(name, truth):
-    """Return the model of a robot whose base is welded to the world, with position actuators."""
+def welded_spec(name, truth):
+    """Return the description of a robot whose base is welded to the world, with position actuators."""
     spec = load_spec(name)
     spec.delete(next(joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE))
     for key in list(spec.keys):
@@ -54,14 +54,20 @@ def welded(name, truth):
             )
     spec.option.gravity = truth.gravity
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    model = spec.compile()
-    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
-    model.dof_armature[dofs], model.dof_damping[dofs] = truth.armature, truth.damping
-    model.dof_frictionloss[dofs] = truth.friction
-    model.dof_solref[dofs], model.dof_solimp[dofs, :2] = (0.0005, 1.0), 0.999  # as dry as a soft constraint gets
-    model.actuator_gainprm[:, 0] = truth.kp
-    model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2] = -np.asarray(truth.kp), -np.asarray(truth.kd)
-    return model
+    for number, joint in enumerate(j for j in spec.joints if not j.name.endswith("flex")):
+        for field, value in (("armature", truth.armature), ("frictionloss", truth.friction)):
+            setattr(joint, field, float(np.broadcast_to(value, 12)[number]))
+        joint.damping = [float(np.broadcast_to(truth.damping, 12)[number]), 0, 0]
+        joint.solref_friction, joint.solimp_friction = [0.0005, 1.0], [0.999, 0.999, 0.001, 0.5, 2.0]  # dry
+    for number, actuator in enumerate(spec.actuators):
+        kp, kd = (float(np.broadcast_to(value, 12)[number]) for value in (truth.kp, truth.kd))
+        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp, -kp, -kd
+    return spec
+
+
+def welded(name, truth):
+    """Return the model of a robot whose base is welded to the world, with position actuators."""
+    return welded_spec(name, truth).compile()
 
 
 def sines(duration, step, *, amplitude=0.25, top=4.0, seed=0):

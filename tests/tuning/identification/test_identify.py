@@ -14,6 +14,7 @@ from mjx_climb.dynamics.limb_engine import held_accelerations
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile, validated
+from tests.tuning.identification.coverage import counted
 from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of
 from tuning.identification import least_squares, robot_files
 from tuning.identification.model import model_of, with_nuisances
@@ -219,3 +220,27 @@ def test_a_posterior_is_drawn_with_its_covariance_and_leaves_other_draws_alone()
     down = ensembles.draw(SCENARIO, with_it.model_copy(update={"gravity": None})).gravity[:, 0]
     np.testing.assert_allclose(np.linalg.norm(down, axis=1), 9.81)
     assert np.arctan2(down[:, 1], -down[:, 2]).mean() == pytest.approx(0.1, abs=0.001)
+
+
+# --------------------------------------------------------------------------------------- how often, and beside others
+
+
+@pytest.mark.nightly
+def test_intervals_hold_as_often_as_they_say_and_are_no_wider_than_they_need_be():
+    inside, wide, ahead = counted(20, 5.0)
+    assert np.mean(list(inside.values())) > 0.85  # of a hundred that hold in 95 %, three standard deviations below
+    assert np.mean(list(wide.values())) < 1.5
+    assert max(ahead) < 1.2
+
+
+@pytest.mark.nightly
+def test_a_chain_in_the_air_comes_out_nearer_to_the_truth_than_by_mujoco_sysid_at_the_same_time_step():
+    pytest.importorskip("tabulate", reason="mujoco[sysid] is not installed")
+    from tests.tuning.identification import beside_sysid
+
+    truth = beside_sysid.truth_of(0)
+    log = log_of(truth, 6.0)
+    ours, theirs = beside_sysid.by_identify(log), beside_sysid.by_sysid(truth, log)
+    for mine, other, true in zip(ours, theirs, (truth.armature, truth.friction), strict=True):
+        errors = [np.sqrt(np.mean((found / true - 1) ** 2)) for found in (mine, other)]
+        assert errors[0] < min(0.05, 1.1 * errors[1])
