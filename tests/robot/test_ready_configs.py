@@ -39,8 +39,9 @@ def test_a_ready_config_begins_to_walk(name):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly  # of four joints: tests/robot/test_climbers.py
 @pytest.mark.filterwarnings("ignore:the CPU's regions cannot do")  # seven joints: too many operations
-@pytest.mark.parametrize("hardware", ["ideal", pytest.param("dynamixel_x", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("hardware", ["ideal", "dynamixel_x"])
 def test_where_grips_transmit_moments_tangents_are_differences(hardware):
     """XLA has ended the process at such steps."""
     scenario = mc.load_scenario(config_path("station_arms_handrail.yaml")).with_overrides({"duration": 0.2})
