@@ -19,7 +19,7 @@ from tuning.identification import inference
 from tuning.identification.inference import Posterior, Whiteness
 from tuning.identification.least_squares import Fitted, Problem, Progress, noise_of, prior_of, search
 from tuning.identification.log import Log
-from tuning.identification.model import DELAY, Model, model_of, with_nuisances
+from tuning.identification.model import DELAY, PRESLIDING, Model, model_of, with_nuisances
 from tuning.identification.readers import read_log
 from tuning.identification.variables import Variable, applied, begin, in_units, variables
 from tuning.identification.windows import KINDS, cut
@@ -84,6 +84,8 @@ class Identified:
         """Return the keys of a scenario with their new values; those of the robot go by its file."""
         found: dict[str, Any] = {k: each.value for k, each in self.estimates.items() if k in set(KEYS.values())}
         found = {key: max(value, 0.0) if key.endswith("delay") else value for key, value in found.items()}
+        if (bend := self.beside.get(PRESLIDING)) is not None and bend.seen:  # the friction that was found goes with it
+            found[PRESLIDING] = bend.value
         tilt = [self.estimates.get(f"gravity.tilt_{axis}") for axis in "xy"]
         if any(tilt):
             angles = [0.0 if each is None else each.value for each in tilt]
@@ -161,17 +163,23 @@ def identify(
     beside = {key: each for key, each in every.items() if key not in estimates}
     warnings = [*log.warnings, *known.unseen]
     warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
-    if wrong:
-        more = f" ({len(wrong)} of {len(tests)} signals; intervals are widened)"
-        warnings.append(wrong[0].in_words + more)
-    if not found.converged:
-        warnings.append("the search ended at its last iteration, not at a minimum")
     ahead = _predicted(problem, found)
-    if ahead and ahead["error_over_noise"] > 1.2:
-        warnings.append(f"what was held out is predicted {ahead['error_over_noise']:.3g} times worse than the noise")
+    warnings += _of_fit(found, wrong, len(tests), ahead)
     return Identified(
         scenario, log, estimates, beside, ahead, tuple(warnings), known.combined, model, problem, found, known, tests
     )
+
+
+def _of_fit(found: Fitted, wrong: Sequence[Whiteness], signals: int, ahead: Mapping[str, Any]) -> list[str]:
+    """Return what is to be said of a fit as a whole."""
+    said = []
+    if wrong:
+        said.append(f"{wrong[0].in_words} ({len(wrong)} of {signals} signals; intervals are widened)")
+    if not found.converged:
+        said.append("the search ended at its last iteration, not at a minimum")
+    if ahead and ahead["error_over_noise"] > 1.2:
+        said.append(f"what was held out is predicted {ahead['error_over_noise']:.3g} times worse than the noise")
+    return said
 
 
 def _searched(model: Model, starts: int, progress: Progress | None) -> tuple[Fitted, Problem]:
@@ -238,9 +246,9 @@ def _remark(variable: Variable, x: float, prior: Any, n: int) -> str:
     low, high = variable.bounds
     for name, bound in (("lower", low), ("upper", high)):
         if np.isfinite(bound) and abs(x - bound) < 1e-9 + 1e-6 * abs(bound):
-            return f"on its {name} bound, {getattr(variable, name):.4g} {variable.unit}"
+            return f"on its {name} bound"
     if abs(x - prior.mean[n]) > 3 * prior.sd[n]:
-        return f"{abs(x - prior.mean[n]) / prior.sd[n]:.1f} standard deviations from its prior"
+        return f"{abs(x - prior.mean[n]) / prior.sd[n]:.1f} sd off its prior"
     return ""
 
 

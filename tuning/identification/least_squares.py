@@ -165,63 +165,83 @@ def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents
 def _normal(
     problem: Problem, x: np.ndarray, start: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]
 ) -> Normal:
-    model = problem.model
-    limbs, joints, size = model.sizes
-    count, windows, width = len(model.variables), len(problem.which), joints * size
-    rows, lanes = problem.rows, len(model.lanes)
+    """Return the sums of samples, of priors of the starts, and of what windows' ends miss."""
+    limbs, joints, size = problem.model.sizes
+    count, windows, width = len(problem.model.variables), len(problem.which), joints * size
     made = _predicted(problem, x, values, tangents)
-    missed, fitted = rows.value - made.value, problem.fitted & made.known
-    noise = problem.noise[rows.signal]
-    scaled = np.abs(missed) / noise
+    sums = Normal(
+        cost=0.0, gradient=np.zeros(count), hessian=np.zeros((count, count)),
+        state_gradient=np.zeros((limbs, windows, width)), state_hessian=np.zeros((limbs, windows, width, width)),
+        onward=np.zeros((limbs, windows, width, width)), mixed=np.zeros((limbs, windows, count, width)),
+        by_block=np.zeros((limbs, windows, count)), state_by_block=np.zeros((limbs, windows, width)),
+        residuals=problem.rows.value - made.value,
+    )  # fmt: skip
+    cost = _add_samples(problem, sums, made) + _add_guesses(problem, sums, start)
+    return sums._replace(cost=cost + _add_gaps(problem, sums, start, values["end"], tangents["end"]))
+
+
+def _add_samples(problem: Problem, sums: Normal, made: _Predicted) -> float:
+    """Add what the samples say to the sums, and return their cost."""
+    model, limbs, count, lanes = problem.model, len(sums.mixed), len(sums.gradient), len(problem.model.lanes)
+    fitted, noise = problem.fitted & made.known, problem.noise[problem.rows.signal]
+    scaled = np.abs(sums.residuals) / noise
     weight = np.where(fitted, np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12)), 0.0) / noise**2
     loss = np.where(scaled < HUBER, scaled**2 / 2, HUBER * scaled - HUBER**2 / 2)
-    cost = float(loss[fitted].sum())
-
-    hessian, by_block = np.zeros((count, count)), np.zeros((limbs, windows, count))
-    state_by_block, state_hessian = np.zeros((limbs, windows, width)), np.zeros((limbs, windows, width, width))
-    mixed, onward = np.zeros((limbs, windows, count, width)), np.zeros((limbs, windows, width, width))
     group = problem.place * limbs + problem.limb
-    late = [(place, v.key) for place, v in enumerate(model.variables) if v.key in LATE]
+    late = [(place, list(LATE).index(v.key)) for place, v in enumerate(model.variables) if v.key in LATE]
     for first, last in _runs(group):
         w, n = divmod(int(group[first]), limbs)
         own, (column, moves) = made.along[first:last], _columns(model, n)
         jacobian = np.concatenate([own[:, column] * moves, own[:, lanes:]], axis=1)
-        for place, key in late:
-            jacobian[:, place] = made.late[first:last, list(LATE).index(key)]
+        for place, kind in late:
+            jacobian[:, place] = made.late[first:last, kind]
         weighted = jacobian * weight[first:last, None]
-        gradient, product = weighted.T @ missed[first:last], weighted.T @ jacobian
-        by_block[n, w] += gradient[:count]
-        hessian += product[:count, :count]
-        state_by_block[n, w] += gradient[count:]
-        state_hessian[n, w] += product[count:, count:]
-        mixed[n, w] += product[:count, count:]
+        gradient, product = weighted.T @ sums.residuals[first:last], weighted.T @ jacobian
+        sums.by_block[n, w] += gradient[:count]
+        sums.state_by_block[n, w] += gradient[count:]
+        sums.hessian[:] += product[:count, :count]
+        sums.state_hessian[n, w] += product[count:, count:]
+        sums.mixed[n, w] += product[:count, count:]
+    sums.gradient[:] += sums.by_block.sum((0, 1))
+    sums.state_gradient[:] += sums.state_by_block
+    return float(loss[fitted].sum())
 
-    gradient, state_gradient = by_block.sum((0, 1)), state_by_block.copy()
-    prior, tight = problem.state_scales
+
+def _add_guesses(problem: Problem, sums: Normal, start: np.ndarray) -> float:
+    """Add the priors of the starts to the sums, and return their cost."""
+    prior, _ = problem.state_scales
+    limbs, windows, width = sums.state_gradient.shape
     off = (problem.guess - start).reshape(windows, limbs, width).swapaxes(0, 1) / prior[:, None]
-    cost += float((off**2).sum()) / 2
-    state_gradient += off / prior[:, None]
-    state_hessian += np.apply_along_axis(np.diag, 1, 1 / prior**2)[:, None]
+    sums.state_gradient[:] += off / prior[:, None]
+    sums.state_hessian[:] += np.apply_along_axis(np.diag, 1, 1 / prior**2)[:, None]
+    return float((off**2).sum()) / 2
+
+
+def _add_gaps(problem: Problem, sums: Normal, start: np.ndarray, ends: np.ndarray, along: np.ndarray) -> float:
+    """Add what windows' ends miss of the next ones' starts to the sums, and return the cost.
+
+    `ends` are (windows, limb, joint, S), their tangents `along` (windows, lanes, limb, joint, S).
+    """
+    _, tight = problem.state_scales
+    cost, lanes, width = 0.0, len(problem.model.lanes), tight.shape[1]
     for w in np.flatnonzero(problem.follows).tolist():
-        for n in range(limbs):
-            column, share = _columns(model, n)
-            end = tangents["end"][w - 1][:, n].reshape(-1, width).T / tight[n][:, None]  # (D, lanes)
+        for n in range(len(tight)):
+            column, share = _columns(problem.model, n)
+            end = along[w - 1][:, n].reshape(-1, width).T / tight[n][:, None]  # (D, lanes)
             to_x, to_state = end[:, column] * share, end[:, lanes:]
-            gap = (start[w, n].ravel() - values["end"][w - 1, n].ravel()) / tight[n]
+            gap = (start[w, n].ravel() - ends[w - 1, n].ravel()) / tight[n]
             back = np.diag(-1 / tight[n])
             cost += float((gap**2).sum()) / 2
-            gradient += to_x.T @ gap
-            state_gradient[n, w - 1] += to_state.T @ gap
-            state_gradient[n, w] += back.T @ gap
-            hessian += to_x.T @ to_x
-            state_hessian[n, w - 1] += to_state.T @ to_state
-            state_hessian[n, w] += back.T @ back
-            mixed[n, w - 1] += to_x.T @ to_state
-            mixed[n, w] += to_x.T @ back
-            onward[n, w] = back.T @ to_state
-    return Normal(
-        cost, gradient, hessian, state_gradient, state_hessian, onward, mixed, by_block, state_by_block, missed
-    )
+            sums.gradient[:] += to_x.T @ gap
+            sums.state_gradient[n, w - 1] += to_state.T @ gap
+            sums.state_gradient[n, w] += back.T @ gap
+            sums.hessian[:] += to_x.T @ to_x
+            sums.state_hessian[n, w - 1] += to_state.T @ to_state
+            sums.state_hessian[n, w] += back.T @ back
+            sums.mixed[n, w - 1] += to_x.T @ to_state
+            sums.mixed[n, w] += to_x.T @ back
+            sums.onward[n, w] = back.T @ to_state
+    return cost
 
 
 def _runs(group: np.ndarray) -> list[tuple[int, int]]:

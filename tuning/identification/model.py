@@ -206,7 +206,8 @@ def with_nuisances(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Var
     if DELAY not in keys:
         found.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
     if PRESLIDING not in keys and stages_for(scenario, chosen).dry_friction:
-        found += variables(scenario, [PRESLIDING], held=True)
+        (bend,) = variables(scenario, [PRESLIDING], held=True)  # a friction that gives for longer is a spring
+        found.append(dataclasses.replace(bend, lower=bend.nominal / 20, upper=bend.nominal * 6))
     return found
 
 

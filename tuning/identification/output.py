@@ -119,7 +119,7 @@ def table(found: "Identified") -> page.Table:
 def _rows(estimates: "dict[str, Estimate] | Any") -> list[list[str]]:
     return [
         [key, e.unit, number(e.before), number(e.value), f"{number(e.low)} to {number(e.high)}",
-         e.remark or ("" if e.seen else "not told by this log")]
+         e.remark or ("" if e.seen else "not told")]
         for key, e in estimates.items()
     ]  # fmt: skip
 
