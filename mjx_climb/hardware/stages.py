@@ -81,34 +81,37 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
     limited, dry, viscous = (
         robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
     )
-    there = {name: given(value) for name, value in vars(parameters).items()}
-    of_load = any(there[name] for name in _OF_LOAD)
+
+    def some(*names: str) -> bool:
+        """Return whether a parameter of these is not zero for some robot."""
+        return any(given(getattr(parameters, name)) for name in names)
+
     simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
-    found: dict[str, Any] = {name: there[name] for name in simple}
+    found: dict[str, Any] = {name: some(name) for name in simple}
     found |= {f"{part}_delay": buffer_length(getattr(parameters, f"{part}_delay"), step) for part in _DELAYED}
     return Stages(
         **found,
         force_filter=filtered and not by_law,
         force_dead=_finite(parameters.force_dead),
         sampled_filter=filtered and by_law,
-        base_noise=there["position_noise"] or there["velocity_noise"],
-        linear=there["control_period"] and scenario.hardware.interpolation == "linear",
+        base_noise=some("position_noise", "velocity_noise"),
+        linear=found["control_period"] and scenario.hardware.interpolation == "linear",
         servo_rate=_finite(parameters.servo_rate),
         profile=_finite(parameters.profile_velocity),
-        integral=there["ki"],
+        integral=some("ki"),
         voltage=voltage,
         supply_voltage=_finite(parameters.supply_voltage),
         torque_limit=limited or _finite(parameters.torque_limit),
         current_limit=(voltage and limited) or _finite(parameters.current_limit),
-        dry_friction=dry or any(there[name] for name in ("coulomb_friction", "load_friction", *_OF_LOAD, *_STRIBECK)),
-        stribeck=any(there[name] for name in _STRIBECK),
-        load_torque=of_load,
-        viscous_friction=viscous or there["viscous_friction"],
+        dry_friction=dry or some("coulomb_friction", "load_friction", *_OF_LOAD, *_STRIBECK),
+        stribeck=some(*_STRIBECK),
+        load_torque=some(*_OF_LOAD),
+        viscous_friction=viscous or some("viscous_friction"),
         capture=_finite(parameters.capture_distance),
-        rotational=there["rotational_stiffness"],
+        rotational=some("rotational_stiffness"),
         height=given(np.asarray(parameters.height) - 1),
-        sway=there["sway"],
-        landing_speed=there["landing_speed"],
+        sway=some("sway"),
+        landing_speed=some("landing_speed"),
     )
 
 

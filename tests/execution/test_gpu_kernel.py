@@ -129,6 +129,18 @@ def test_few_robots_walk_on_the_cpu(monkeypatch, robots, tangents, double, limit
     assert (paths.device_for(robots, tangents, kernel=not double) == "cpu") == there
 
 
+def test_walks_that_keep_histories_never_ask_for_the_kernel(monkeypatch):
+    """It cannot return something of each step; nor can it walk in double precision."""
+    asked = []
+    monkeypatch.setattr(paths, "path_for", lambda device, kernel: asked.append(kernel) or "plain")
+    scenario = mc.Scenario().with_overrides({"duration": 0.008, "gait.cycle": 0.008, "gait.stride": 0.0})
+    gains = Gains(*(np.ones((2, 6)),) * 3)
+    for walk, dtype in ((mc.rollout_metrics, np.float32), (mc.rollout_histories, np.float32)):
+        walk(scenario, gains, dtype=dtype)
+    mc.rollout_metrics(scenario, gains, dtype=np.float64)
+    assert asked == [True, False, False]
+
+
 def test_a_limit_that_is_no_number_is_refused(monkeypatch):
     monkeypatch.setenv(paths.ON_CPU, "few")
     assert paths.device_for(1, 0, kernel=True) is None  # where there is no GPU nothing is asked
