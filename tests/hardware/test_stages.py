@@ -201,6 +201,18 @@ def test_what_a_robots_file_says_of_its_joints_comes_beside_the_scenario():
     assert stages_of(mc.Scenario(), mc.parameters(mc.Scenario()), robot) == wanted
 
 
+# --- Dead sensors
+
+
+def test_a_dead_sensor_reads_nothing_from_its_instant_on():
+    scenario = mc.Scenario().with_overrides({"hardware.force_sensor.dead": {"LF": 0.003, "RH": 0.0}})
+    own = mc.parameters(scenario)
+    hardware, force = hardware_of(own, stages_of(scenario, own), STEP), jnp.arange(1.0, 13.0).reshape(4, 3)
+    for step, alive in ((0, [1, 1, 0, 1]), (2, [1, 1, 0, 1]), (3, [0, 1, 0, 1]), (9, [0, 1, 0, 1])):
+        _, read = sensors.measured_force(sensors.ForceSensor((), ()), force, jnp.asarray(step), hardware)
+        np.testing.assert_array_equal(read, force * jnp.asarray(alive)[:, None])
+
+
 # --- Which stages a walk has
 
 
