@@ -22,7 +22,7 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
     \b
     Examples:
       mjx-climb excite case_1_1 --hardware dynamixel_x
-      mjx-climb excite case_1_1 --fit hardware.servo.armature --fit robot.LF.femur.mass --family multisine
+      mjx-climb excite case_1_1 --fit hardware.servo.armature --family multisine
       mjx-climb excite case_1_1 --hardware dynamixel_x --kp 25 --kp 50 --mass 0.1 --drop
       mjx-climb excite case_1_1 --base free --fit contact.stiffness --fit contact.damping --json
     """

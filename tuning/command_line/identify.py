@@ -36,9 +36,9 @@ def identify(asked: Asked, walk: Annotated[Walk, "config", "hardware", "changes"
 
     \b
     Examples:
-      mjx-climb identify case_1_2 --log log.csv --fit hardware.servo.armature --fit hardware.servo.coulomb_friction
-      mjx-climb identify case_1_2 --log walk.mcap --signals signals.yaml --fit hardware.command_delay --out found
-      mjx-climb identify case_1_2 --log log.csv --fit "robot.*.armature" --fit control.kp --json
+      mjx-climb identify case_1_2 --log log.csv --fit hardware.servo.armature --fit control.kp
+      mjx-climb identify case_1_2 --log log.mcap --fit hardware.command_delay --signals signals.yaml
+      mjx-climb identify case_1_2 --log log.csv --fit "robot.*.armature" --out found --json
     """
     with output.session() as shell:
         from mjx_climb.files.dataset import check_folder

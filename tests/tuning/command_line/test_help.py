@@ -25,6 +25,7 @@ def test_every_command_has_examples_and_says_what_each_option_does(call, command
     code, text, _ = call(command, "--help")
     examples = re.findall(rf"^    (mjx-climb {command}.*)$", text, re.MULTILINE)
     assert code == 0 and examples
+    assert max(map(len, text.splitlines())) <= 100  # as wide as the documentation shows without scrolling
     for option in re.findall(r"--[a-z-]+", " ".join(examples)):
         assert re.search(rf"^  {option}\b", text, re.MULTILINE), option
     for parameter in re.split(r"\n(?=  -)", text.partition("\nOptions:\n")[2]):
