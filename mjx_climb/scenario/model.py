@@ -242,7 +242,7 @@ class ForceSensor(v.Section):
 
 
 class BaseEstimate(v.Section):
-    """Pose and rates of the base as the law knows them: what measured_pose reads."""
+    """Pose and rates of the base as the law knows them; measured_pose and the laws that share forces among feet do."""
 
     delay: v.NonNegative = setting(0.0, "age of pose and rates, s")
     position_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m")

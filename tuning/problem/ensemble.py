@@ -74,13 +74,13 @@ class Hardware(_Section):
     force_noise: Range | None = setting(None, "standard deviation per axis and sample, N")
     force_bias: AnyRange | None = setting(None, "offset on every axis of every sensor, N")
     force_filter: PositiveRange | None = setting(None, "cut-off, Hz, even in its logarithm")
-    friction: PositiveRange | None = setting(None, "factor on dry, load and viscous friction, even in its logarithm")
+    friction: PositiveRange | None = setting(None, "factor on all friction of the servo, even in its logarithm")
     armature: PositiveRange | None = setting(None, "factor on the armature, even in its logarithm")
     backlash: Range | None = setting(None, "play of the gears from end to end, rad")
     capture_distance: PositiveRange | None = setting(None, "how far off the ground a gripper holds what it shuts on, m")
 
 
-_FRICTION = ("coulomb_friction", "load_friction", "viscous_friction")
+FRICTION = tuple(name for name in KEYS if name.endswith("_friction"))  # what a servo has is linear in each
 
 
 class Posterior(Settings):
@@ -210,13 +210,14 @@ def _hardware(
             most = f"the {fastest:g} Hz of the time step"
             raise ConfigError(f"hardware.control_rate: expected at most {most}, got {rate[1]:g}")
         drawn["control_period"] = np.round(fastest / uniform(rate, logs=True)) * scenario.time_step
-    for key, names in (("friction", _FRICTION), ("armature", ("armature",))):
+    for key, names in (("friction", FRICTION), ("armature", ("armature",))):
         if (span := getattr(hardware, key)) is None:
             continue
-        if not any(given(getattr(own, name)) for name in names):
+        scaled = [name for name in names if given(getattr(own, name))]
+        if not scaled:
             raise ConfigError(f"hardware.{key}: expected {key} in the scenario to scale, got none")
         factor = uniform(span, logs=True)
-        drawn |= {name: getattr(own, name) * factor for name in names}
+        drawn |= {name: getattr(own, name) * factor for name in scaled}
     return drawn
 
 

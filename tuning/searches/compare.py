@@ -25,7 +25,7 @@ from tuning.background import Callback as Told
 from tuning.background import Stage, silent
 from tuning.gains.own_section import load_law, without
 from tuning.problem import spaces
-from tuning.problem.ensemble import Ensemble
+from tuning.problem.ensemble import FRICTION, Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import Search
 from tuning.searches import judge as judging
@@ -40,7 +40,7 @@ FEW, MANY = (16, 20), (256, 40)  # points and rounds; where a GPU's kernel walks
 CONTROLLERS = ("base_admittance", "end_effector_admittance")
 HARDWARE = {  # what retuned pd walks with besides: parameters and their factor
     "half the delay": (("force_delay", "command_delay"), 0.5),
-    "half the friction": (("coulomb_friction", "load_friction", "viscous_friction"), 0.5),
+    "half the friction": (FRICTION, 0.5),
     "twice the rate": (("control_period",), 0.5),
 }
 _KEYS = ("also", "bounds", "pins")  # settings that name gains

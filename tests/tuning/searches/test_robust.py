@@ -9,6 +9,8 @@ import xarray as xr
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.hardware import servo
+from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.metrics import SENSORS
@@ -16,7 +18,7 @@ from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble, Worst, draw, worst_mean
 from tuning.problem.evaluation import Problem, pd_of
 from tuning.problem.objectives import Objective, Term, objective
-from tuning.searches import judge, tune
+from tuning.searches import compare, judge, tune
 from tuning.searches.shards import Rows
 
 FAST = ["duration=0.3"]
@@ -98,6 +100,24 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
         assert values.shape == (50, 1)
         check_filled(values, low, high, 0.1)
     assert np.median(rate) == pytest.approx(np.sqrt(100.0 * 500.0), rel=0.15)
+
+
+def test_all_friction_of_a_servo_is_scaled_alike():
+    """That of an MX-64 is nearly all Stribeck's and the load's; what it can bear is linear in its coefficients."""
+    scenario = with_hardware(mc.load_scenario(config_path("case_2.yaml")), load_hardware("mx_64"))
+    own = mc.parameters(scenario)
+    drawn = draw(scenario, Ensemble.make({"members": 1, "hardware": {"friction": (2.0, 2.0)}}))
+    half = compare.on_better_hardware(scenario, own)["half the friction"]
+    motor, load, rate = jax.numpy.asarray(np.random.default_rng(0).normal(0, 2, (3, 50)))
+    stages = stages_of(scenario, own)
+    bounds = [
+        servo.friction_bound(motor, load, rate, hardware_of(parameters, stages, scenario.time_step))
+        for parameters in (own, drawn, half)
+    ]
+    np.testing.assert_allclose(np.ravel(bounds[1]), 2 * bounds[0], rtol=1e-5)
+    np.testing.assert_allclose(bounds[2], bounds[0] / 2, rtol=1e-5)
+    viscous = [float(np.ravel(each.viscous_friction)[0]) for each in (own, drawn, half)]
+    np.testing.assert_allclose(viscous, 0.025337 * np.array([1, 2, 0.5]), rtol=1e-5)
 
 
 def test_joint_gains_are_searched_where_there_is_hardware(scenario):
