@@ -47,10 +47,9 @@ COMMANDS = {  # what each does
     "doctor": "Examine this installation.",
 }
 _MODULES = {  # and the commands in each
-    "run": ("run",), "replay": ("replay",), "excite": ("excite",),
+    "run": ("run",), "logs": ("excite", "identify", "replay"),
     "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
     "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
-    "identify": ("identify",),
 }  # fmt: skip
 _LONGEST = 1000  # characters of a line
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}

@@ -400,7 +400,7 @@ def export(asked: Export) -> None:
         from mjx_climb.rollouts.gait_values import gait_of
         from mjx_climb.scenario.messages import config_error
         from tuning.evaluation import deployment
-        from tuning.gains import gains_file, registers
+        from tuning.gains import gains_file
 
         source, law = str(asked.gains), asked.load_transfer()
         values = gains_file.by_name(gains_file.load(asked.gains, law))
@@ -418,7 +418,7 @@ def export(asked: Export) -> None:
         if scenario is None:
             said = [f"note: no {_BESIDE} beside {asked.gains.name} and no --config: these gains were not walked"]
         else:
-            of_servos = registers.in_words(scenario, values)
+            of_servos = gains_file.registers_in_words(scenario, values)
             said = [f"note: {line}" for line in (*notes, *([of_servos] if of_servos else ()))]
             warnings = deployment.check(scenario, gains, source, law=law, engine=asked.engine)
             said += [f"warning: {line}" for line in warnings]
@@ -437,7 +437,7 @@ def _written(
     """Return the gains, and their gait, in the form that was asked for, and notes on it."""
     from mjx_climb.control import law_of
     from mjx_climb.control.virtual_mass import Motion
-    from tuning.gains import admittance_control, gains_tables, registers, ros2_control
+    from tuning.gains import admittance_control, gains_file, gains_tables, ros2_control
 
     source, rate, cutoff = str(asked.gains), asked.rate or 1000, None
     if asked.form in ("json", "csv"):
@@ -456,7 +456,7 @@ def _written(
                 "not filtered twice; where admittance_controller is to filter in their place, walk and search with "
                 "hardware.force_sensor.filtered_by=law"
             )
-        of_servos = "" if scenario is None else registers.in_words(scenario, gains)
+        of_servos = "" if scenario is None else gains_file.registers_in_words(scenario, gains)
         return ros2_control.write(gains, rate, asked.name, None if notes else cutoff, of_servos), notes + gait_note
     admittance_control.check(gains, 1 / rate, source)
     motion = getattr(None if scenario is None else law_of(scenario), "motion", Motion())

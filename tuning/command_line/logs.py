@@ -1,5 +1,6 @@
-"""`mjx-climb replay`: what a robot recorded beside what the simulation does under the same commands."""
+"""Commands about a robot's log: what to command for one, what it says of the robot, the simulation beside it."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -7,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import mjx_climb as mc
 from tuning.command_line.from_models import command
 from tuning.command_line.options import Output, Walk
-from tuning.command_line.program import InputError
+from tuning.command_line.program import InputError, origin, repeated
 from tuning.command_line.run import Pictures
+from tuning.problem.excitation import Excitation
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
@@ -16,6 +18,99 @@ if TYPE_CHECKING:
     from tuning.identification.log import Log
     from tuning.identification.replay import Replay
     from tuning.problem.evaluation import Problem
+
+
+@command("results/<config>-excite")
+def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excitation, output: Output) -> None:
+    """Find what to command so that the robot's own log tells its parameters.
+
+    Candidates are scaled, stretch by stretch, until joint limits, torque, speed and reach (free: pull of the grippers)
+    hold with a margin in the nominal model; the one whose log has the most Fisher information is taken. Prints the
+    standard deviations to expect, beside those after a plain chirp, and what the log will not be able to tell apart.
+
+    Writes to DIR the commands (excitation.csv: time, and LF.coxa.command ... in rad; excitation_trajectory.yaml, a
+    trajectory_msgs/JointTrajectory), what is expected (excitation.json, report.html) and a picture (excitation).
+
+    \b
+    Examples:
+      mjx-climb excite case_1_1 --hardware dynamixel_x
+      mjx-climb excite case_1_1 --fit hardware.servo.armature --family multisine
+      mjx-climb excite case_1_1 --hardware dynamixel_x --kp 25 --kp 50 --mass 0.1 --drop
+      mjx-climb excite case_1_1 --base free --fit contact.stiffness --fit contact.damping --json
+    """
+    with output.session() as shell:
+        from tuning.command_line.session import from_page
+        from tuning.identification import excitation
+        from tuning.output import excitation as written
+        from tuning.report.numbers import to_json
+
+        rig = excitation.set_up(walk.load().scenario, asked)
+        shell.claim(written.FILE, walk.config.stem, "excite")
+        shell.opening()
+        found = excitation.chosen(rig, stage=shell.stage)
+        options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
+        where = origin(walk.config.stem, repeated(("excite",), *options))
+        files = found.write(shell.out, figures=output.figures, stage=shell.stage, origin=where)
+        shell.show(from_page(written.table(found)), from_page(written.limits(found)))
+        shell.show(*written.notes(found), found.best.information.unseen())
+        shell.written(files, to_json(written.summary(found)))
+
+
+class Fitted(Options):
+    """What is fitted, to which log."""
+
+    log: Path = setting(..., "log: MCAP, rosbag, CSV or netCDF", metavar="FILE")
+    fit: tuple[str, ...] = setting(..., "key that is fitted, or a pattern of keys, as hardware.servo.*", metavar="KEY")
+    signals: Path | None = setting(
+        None, "where each signal stands in the log, YAML; null: by its own names, or guessed", metavar="FILE"
+    )
+    held_out: float = setting(0.2, "share of the log, at its end, that is predicted and not fitted", ge=0, le=0.8)
+    starts: int = setting(4, "points from which the search begins, the config's own among them", ge=1, le=64)
+
+
+@command("none: nothing is written")
+def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes"], output: Output) -> None:
+    """Fit parameters of a scenario to what the robot itself recorded on a stand, its base held.
+
+    The log holds the commands of the joints and what came of them, as excite asks for. KEY is one of a scenario's
+    (hardware.servo.armature, hardware.command_delay, control.kp), gravity (its direction), or one of the robot's own:
+    robot.LF.coxa.armature, friction, damping, zero; robot.LF.coxa.mass, center, inertia.
+
+    Prints what was known before and is now, with 95 % intervals, what the log does not tell, and whether the model is
+    right. With --out writes to DIR the scenario as identified (identified.yaml, hardware.yaml for --hardware, and a
+    robot's file where it was fitted), an ensemble of what is left open (posterior.yaml, for tune and judge), all
+    numbers (result.json), pictures, and a page (report.html).
+
+    \b
+    Examples:
+      mjx-climb identify case_1_2 --log log.csv --fit hardware.servo.armature --fit control.kp
+      mjx-climb identify case_1_2 --log log.mcap --fit hardware.command_delay --signals signals.yaml
+      mjx-climb identify case_1_2 --log log.csv --fit "robot.*.armature" --out found --json
+    """
+    with output.session() as shell:
+        from mjx_climb.files.dataset import check_folder
+        from tuning.command_line.session import from_page
+        from tuning.identification import identify as fitting
+        from tuning.identification.output import table
+
+        if output.out is not None:
+            check_folder(output.out)
+        scenario = walk.load().scenario
+        with shell.stage("fit", unit="iterations") as show:
+            found = fitting.identify(
+                scenario, asked.log, asked.fit, signals=asked.signals, held_out=asked.held_out, starts=asked.starts,
+                progress=show,
+            )  # fmt: skip
+        shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
+        shell.show(f"{found.sentence}.")
+        if output.out is not None:
+            again = repeated(["identify"], "--log", "--fit", "--signals")
+            with shell.stage("writing", compiles=False):
+                files = found.write(output.out, origin=origin(walk.config.stem, again), figures=output.figures)
+            shell.out = output.out
+            shell.written(", ".join(files), json.dumps(found.as_json(), indent=2))
+        else:
+            shell.print_json(json.dumps(found.as_json(), indent=2))
 
 
 class Recorded(Options):
