@@ -17,7 +17,8 @@ from tests.dynamics.test_shapes import SHAPES, mjcf
 BATCH = 5
 QUICK = "two of two, one slides"  # XLA compiles by the number of links
 ROBOTS = {QUICK: (2, 2, (1,), 0.0), "hubrobo": None}
-ROBOTS |= {name: SHAPES[name] for name in ("three of four, one slides", "four booms", "four of two")}
+NIGHTLY = ("three of four, one slides", "four of two")
+ROBOTS |= {name: SHAPES[name] for name in (*NIGHTLY, "four booms")}
 
 
 def by_the_equations(robot, state, *acting):
@@ -72,7 +73,7 @@ def assert_equal(mine, theirs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.nightly] * (n in NIGHTLY)) for n in ROBOTS])
 def test_tangents_are_those_of_the_equations(name):
     """By the state, by all that acts, and by everything about the robot that may differ from one to the other."""
     robot = read(name)

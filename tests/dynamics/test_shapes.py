@@ -24,7 +24,9 @@ SHAPES = {
     "eight of three": (8, 3, (), 0.0),
 }
 QUICK = ("three of four, one slides", "four of three with armature")
+NIGHTLY = ("four of four", "four of six", "six of three")  # between others, for the limb engine
 OF_MJX = ("three of four, one slides", "four of seven, armature, two slide")  # MuJoCo's own: slow to compile
+LONG = (pytest.mark.slow, pytest.mark.nightly)
 
 
 def numbers(values):
@@ -69,8 +71,9 @@ def mjcf(limbs, joints, slides=(), armature=0.0, seed=0):
 
 @pytest.mark.parametrize(
     ("engine", "name"),
-    [pytest.param("limb", name, marks=() if name in QUICK else pytest.mark.slow) for name in SHAPES]
-    + [pytest.param("mjx", name, marks=pytest.mark.slow if name in OF_MJX else pytest.mark.nightly) for name in SHAPES],
+    [("limb", name) for name in QUICK]
+    + [pytest.param("limb", n, marks=LONG[n in NIGHTLY]) for n in SHAPES if n not in QUICK]
+    + [pytest.param("mjx", n, marks=LONG[n not in OF_MJX]) for n in SHAPES],
 )
 def test_accelerations_are_those_of_mujoco(engine, name):
     """A hundred random states under torques, foot forces and a push: each acceleration to 1e-9 of its vector."""

@@ -78,7 +78,7 @@ def test_truths_are_inside_their_intervals_with_noise_delay_and_jitter():
 
 @pytest.mark.slow
 def test_a_gap_is_cut_out_and_costs_only_what_it_holds():
-    whole, gap = identified(), identified(drop=((1.3, 2.4),))
+    whole, gap = identified(jitter=0.0005), identified(jitter=0.0005, drop=((1.3, 2.4),))
     assert not gap.model.windows.abuts.all()
     assert gap.estimates["control.kp"].value == pytest.approx(whole.estimates["control.kp"].value, rel=0.02)
 
@@ -126,10 +126,11 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
     (("control.kd", "hardware.servo.viscous_friction"), {"control.kd", "hardware.servo.viscous_friction"},
      "does not tell control.kd from hardware.servo.viscous_friction"),
     # the coxa turns about the vertical: how high its link's mass lies moves nothing
-    (("control.kp", "robot.LF.coxa.center.z"), {"robot.LF.coxa.center.z"}, "does not tell robot.LF.coxa.center.z"),
+    pytest.param(("control.kp", "robot.LF.coxa.center.z"), {"robot.LF.coxa.center.z"},
+                 "does not tell robot.LF.coxa.center.z", marks=pytest.mark.nightly),
     # no joint comes near a torque of 50 N m
-    (("control.kp", "hardware.servo.torque_limit"), {"hardware.servo.torque_limit"},
-     "does not tell hardware.servo.torque_limit"),
+    pytest.param(("control.kp", "hardware.servo.torque_limit"), {"hardware.servo.torque_limit"},
+                 "does not tell hardware.servo.torque_limit", marks=pytest.mark.nightly),
 ])  # fmt: skip
 def test_what_the_log_cannot_see_is_said(fit, unseen, words):
     scenario = SCENARIO.with_overrides({
@@ -145,7 +146,7 @@ def test_what_the_log_cannot_see_is_said(fit, unseen, words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [{"stribeck": 0.15}, {"flexible": 4.0}])
+@pytest.mark.parametrize("change", [{"stribeck": 0.15}, pytest.param({"flexible": 4.0}, marks=pytest.mark.nightly)])
 def test_a_truth_that_the_model_does_not_have_is_never_a_narrow_wrong_answer(change):
     found = identified(dataclasses.replace(TRUE, **change))
     told = [line for line in found.warnings if "the model is wrong" in line]
