@@ -7,6 +7,7 @@ a step on. A walk's own step is right to first order.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -61,17 +62,30 @@ def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recor
 
     The targets are those that reach the servos, see `targets_of`: a delay of commands is the caller's.
     """
-    hardware, state = stand.hardware, moving.state
-    parameters, step = hardware.parameters, hardware.time_step
-    gains, gravity, still = (
-        servo.gains_of(hardware),
-        jnp.asarray(parameters.gravity),
-        jnp.zeros_like(state.base_position),
+    gravity = jnp.asarray(stand.hardware.parameters.gravity)
+    still = jnp.zeros_like(moving.state.base_position)
+
+    def accelerate(robot: Robot, state: State, torque: Array) -> Acceleration:
+        return Acceleration(still, still, held_accelerations(robot, state, torque, gravity))
+
+    no_forces = jnp.zeros_like(targets, shape=(len(targets), 3))
+    loads = Loads(
+        jnp.zeros_like(targets), no_forces, jnp.zeros_like(still, shape=6), jnp.zeros_like(still, shape=()), gravity
     )
-    before = moving.servo
+    return advance_by(accelerate, loads, stand, moving, targets)
+
+
+def advance_by(
+    accelerate: Callable[[Robot, State, Array], Acceleration], loads: Loads, stand: Stand, moving: Moving,
+    targets: Array,
+) -> tuple[Moving, Recorded]:  # fmt: skip
+    """Return what `advance` does for other dynamics, given a robot, its state and the torques on its joints.
+
+    The state's joint rates are those of the step's beginning. `loads` are all but the servos', for their gears.
+    """
+    hardware, state, before = stand.hardware, moving.state, moving.servo
+    parameters, step, gains = hardware.parameters, hardware.time_step, servo.gains_of(hardware)
     if hardware.stages.load_torque:
-        no_torque, no_forces = jnp.zeros_like(targets), jnp.zeros_like(targets, shape=(len(targets), 3))
-        loads = Loads(no_torque, no_forces, jnp.zeros_like(still, shape=6), jnp.zeros_like(still, shape=()), gravity)
         before = before._replace(load=parameters.mass_scale * load_torque(stand.robot, state, loads))
 
     def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, servo.Drive]]:
@@ -87,8 +101,7 @@ def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recor
     drive = drive._replace(armature=own + damping * (step / 2))
     robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
     torque = (torque + damping * ahead) / parameters.mass_scale
-    joints = held_accelerations(robot, dataclasses.replace(state, joint_rates=centred), torque, gravity)
-    later = integrate(state, Acceleration(still, still, joints), step)
+    later = integrate(state, accelerate(robot, dataclasses.replace(state, joint_rates=centred), torque), step)
     change = later.joint_rates - rates
     seen = Recorded(state.joint_angles, rates + change / 2, drive.motor_torque + slope * (change / 2 - ahead))
     return Moving(later, after, change), seen
