@@ -8,7 +8,7 @@ a step on. A walk's own step is right to first order.
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,14 @@ class Moving(NamedTuple):
     state: State
     servo: servo.Servo
     change: Array  # (limb, joint) rad/s, of the rates in the step before
+
+
+class Sent(NamedTuple):
+    """What reaches the servos in a step, or its rate over time."""
+
+    targets: Any  # (limb, joint) rad
+    share: Any = ()  # () 1, of the P gain, 0 with the torque off; (): the P gain is the parameters'
+    on: Any = ()  # () 1, of the step: the torque is on
 
 
 class Recorded(NamedTuple):
@@ -105,6 +113,22 @@ def advance_by(
     change = later.joint_rates - rates
     seen = Recorded(state.joint_angles, rates + change / 2, drive.motor_torque + slope * (change / 2 - ahead))
     return Moving(later, after, change), seen
+
+
+def with_gains(stand: Stand, sent: Sent) -> Stand:
+    """Return a stand whose servos have the P gain that was sent, and give torque where it is on.
+
+    With the torque off motors give nothing, nor do they brake; friction and armature stay.
+    """
+    if isinstance(sent.on, tuple):
+        return stand
+    stages, own = stand.hardware.stages, stand.hardware.parameters
+    gains = {"kp": own.kp * sent.share, "kd": own.kd * sent.on, "ki": own.ki * sent.on}
+    if stages.torque_limit:
+        gains["torque_limit"] = own.torque_limit * sent.on
+    changed: Any = {name: jnp.asarray(value) for name, value in gains.items()}
+    parameters = dataclasses.replace(own, **changed)
+    return stand._replace(hardware=dataclasses.replace(stand.hardware, parameters=parameters))
 
 
 def targets_of(

@@ -1,6 +1,5 @@
 """A robot that carries out joint commands: its base held and its limbs in the air, or all of its grippers shut."""
 
-import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -55,12 +54,9 @@ def held(stages: Stages, time_step: float) -> Robots:
     def one_step(
         robot: Robot, parameters: Parameters, moving: stands.Moving, now: Commands
     ) -> tuple[stands.Moving, Carried]:
-        on = jnp.where(now.kp > 0, 1.0, 0.0)  # else the motors give nothing, nor do they brake
-        gains = {"kp": parameters.kp * now.kp, "kd": parameters.kd * on, "ki": parameters.ki * on}
-        if stages.torque_limit:
-            gains["torque_limit"] = parameters.torque_limit * on
-        parameters = dataclasses.replace(parameters, **gains)
+        on = jnp.where(now.kp > 0, 1.0, 0.0)
         stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot))
+        stand = stands.with_gains(stand, stands.Sent(now.targets, now.kp, on))
         late = parameters.command_delay - now.delay
         after, seen = stands.advance(stand, moving, now.targets - late * now.rates)
         return after, Carried(*seen, jnp.zeros_like(robot.foot_center))

@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -161,13 +161,28 @@ def identify(
     every = _estimates(model, found, known)
     estimates = {v.key: every[v.key] for v in chosen}
     beside = {key: each for key, each in every.items() if key not in estimates}
-    warnings = [*log.warnings, *known.unseen]
+    warnings = [*log.warnings, *_of_schedule(model, estimates), *known.unseen]
     warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
     ahead = _predicted(problem, found)
     warnings += _of_fit(found, wrong, len(tests), ahead)
     return Identified(
         scenario, log, estimates, beside, ahead, tuple(warnings), known.combined, model, problem, found, known, tests
     )
+
+
+def _of_schedule(model: Model, chosen: Collection[str]) -> Iterator[str]:
+    """Yield what is to be said of P gains by time and of torque off."""
+    if (schedule := model.schedule) is None:
+        return
+    kp = float(np.asarray(model.parameters.kp))
+    if "control.kp" in chosen and not (schedule.share == 1).any():
+        yield (
+            f"control.kp stands for what the log calls {kp:g} N m/rad, as the config has it; the log's own gains are "
+            "in proportion"
+        )
+    off, windows = schedule.time[schedule.on == 0], model.windows
+    if len(off) and windows.held_out.any() and off[0] >= windows.begin[windows.held_out][0]:
+        yield "the torque is off in what is held out alone, and tells nothing (--held-out 0 fits it)"
 
 
 def _of_fit(found: Fitted, wrong: Sequence[Whiteness], signals: int, ahead: Mapping[str, Any]) -> list[str]:

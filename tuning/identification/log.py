@@ -2,7 +2,8 @@
 
 Names: `LF.coxa.command` and `.position` in rad, `.velocity` rad/s, `.effort` N m (limb and joint as `mjx-climb robot`
 prints them); `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m, `base.orientation.w` 1; `base.force.x` N
-and `base.moment.x` N m, world axes, what pushes the base from outside.
+and `base.moment.x` N m, world axes, what pushes the base from outside; `control.kp` N m/rad and `torque_off` 1, of all
+servos.
 """
 
 import dataclasses
@@ -14,8 +15,12 @@ from jaxtyping import Float
 from mjx_climb.robot.constants import Robot
 from tuning.identification.signals import Signals
 
+KP, OFF = "control.kp", "torque_off"  # P gain that the servos were given; 1 where their torque is off
 JOINT = ("command", "position", "velocity", "effort")
-UNITS = {"command": "rad", "position": "rad", "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1"}
+UNITS = {
+    "command": "rad", "position": "rad", "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1",
+    "kp": "N m/rad", OFF: "1",
+}  # fmt: skip
 BASE = {
     "position": "m", "orientation": "1", "linear_velocity": "m/s", "angular_velocity": "rad/s", "force": "N",
     "moment": "N m",
@@ -46,16 +51,17 @@ class Log:
 
 
 def names(robot: Robot) -> Iterator[str]:
-    """Return the names of all signals that a robot can record, limb after limb, then the base."""
+    """Return the names of all signals that a robot can record, limb after limb, then base and servos."""
     for limb in robot.limbs:
         yield from (f"{limb}.{joint}.{what}" for joint in robot.joint_names for what in JOINT)
         yield from (f"{limb}.force.{axis}" for axis in "xyz")
         yield f"{limb}.support"
     for what in BASE:
         yield from (f"base.{what}.{axis}" for axis in ("wxyz" if what == "orientation" else "xyz"))
+    yield from (KP, OFF)
 
 
 def unit_of(name: str) -> str:
     """Return the SI unit of a signal that a robot can record."""
-    first, *_, last = parts = name.split(".")
+    first, last = (parts := name.split("."))[0], parts[-1]
     return BASE[parts[1]] if first == "base" else UNITS.get(last) or UNITS[parts[1]]

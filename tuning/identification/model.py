@@ -18,6 +18,7 @@ from mjx_climb.quantities.parameters import KEYS, Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.walk import stand as stands
+from tuning.identification.schedule import Schedule, schedule_of
 from tuning.identification.variables import Place, Variable, applied, variables
 from tuning.identification.windows import KINDS, Windows
 
@@ -51,8 +52,8 @@ class Given(NamedTuple):
     """What the log says of a window."""
 
     before: Any  # (B, limb, joint) rad, targets before it
-    targets: Any  # (steps + 1, limb, joint) rad
-    rates: Any  # (steps + 1, limb, joint) rad/s, of the targets
+    sent: stands.Sent  # (steps + 1, ...)
+    rates: stands.Sent  # of what is sent, over time
 
 
 MEMORY = {  # of a joint's servo, that a window begins with: prior sd, and what a window's end may miss
@@ -84,21 +85,22 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     stand, (angles, rates) = stands.Stand(robot, hardware), (point.start[..., n] for n in (0, 1))
     moving = stands.begin(stand, angles, rates)
     if structure.stages.servo_delay:  # what is on its way to the motors: of a joint that came at the same rate
-        moving = _filled(stand, moving, given.before)
+        first_sent = jax.tree.map(lambda value: value[0], given.sent)
+        moving = _filled(stands.with_gains(stand, first_sent), moving, given.before)
     own = {name: point.start[..., 2 + n] for n, name in enumerate(memory(moving.servo))}
     moving = moving._replace(servo=with_memory(moving.servo, own))
 
-    def step(carry: Any, target: tuple[Array, Array]) -> tuple[Any, dict[str, Array]]:
+    def step(carry: Any, both: tuple[stands.Sent, stands.Sent]) -> tuple[Any, dict[str, Array]]:
         moving, _ = carry
-        value, rate = target
-        after, seen = stands.advance(stand, moving, value - point.late * rate)
+        sent = jax.tree.map(lambda value, rate: value - point.late * rate, *both)
+        after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)
         last = [moving.state.joint_angles, moving.state.joint_rates, *memory(moving.servo).values()]
         # the rate as it stands, half a step before the angle: right where the target jumps too
         recorded = seen._replace(velocity=moving.state.joint_rates)
         return (after, last), {kind: getattr(recorded, kind) for kind in structure.kinds}
 
     first = [angles, rates, *memory(moving.servo).values()]
-    (_, last), seen = jax.lax.scan(step, (moving, first), (given.targets, given.rates))
+    (_, last), seen = jax.lax.scan(step, (moving, first), (given.sent, given.rates))
     return seen | {"end": jnp.stack(last, axis=-1)}
 
 
@@ -165,6 +167,21 @@ class Model:
             start[0, len(self.lanes) + n, :, n // size, n % size] = 1.0
         return Point(x, start, late)
 
+    @functools.cached_property
+    def schedule(self) -> Schedule | None:
+        """P gains and torque off, as the log has them."""
+        return schedule_of(self.windows.gains, float(np.asarray(self.parameters.kp)))
+
+    def _given(self, which: np.ndarray, delay: float, before: int) -> Given:
+        """Return what the log says of windows, with what was sent `delay` s late."""
+        windows = self.windows
+        targets, rates = windows.targets(which, delay, before)
+        sent, changing = (stands.Sent(value[:, before:]) for value in (targets, rates))
+        if self.schedule is not None:
+            gains, rate = self.schedule.at(windows.moments(which, windows.steps + 1) - delay, windows.time_step)
+            sent, changing = sent._replace(**gains), changing._replace(**rate)
+        return Given(targets[:, :before], sent, changing)
+
     def evaluate(self, x: np.ndarray, start: np.ndarray, which: np.ndarray) -> tuple[dict[str, np.ndarray], Any]:
         """Return what windows would have recorded, and the tangents.
 
@@ -178,18 +195,19 @@ class Model:
             tangents with an axis of them behind that of the windows.
         """
         points, windows, before = len(x), len(which), self.structure.stages.servo_delay
-        made = [self.windows.targets(which, self.delay(point), before) for point in x]
-        targets, rates = (np.concatenate(each) for each in zip(*made, strict=True))
-        given = Given(targets[:, :before], targets[:, before:], rates[:, before:])
+        each = [self._given(which, self.delay(point), before) for point in x]
+        given = jax.tree.map(lambda *parts: np.concatenate(parts), *each)
         point = Point(np.repeat(x, windows, axis=0), start.reshape(-1, *start.shape[2:]), np.zeros(points * windows))
-        rows = np.arange(-(-len(targets) // AT_ONCE) * AT_ONCE) % len(targets)  # whole calls of one executable
+        count = points * windows
+        rows = np.arange(-(-count // AT_ONCE) * AT_ONCE) % count  # whole calls of one executable
         point, given = (jax.tree.map(lambda value: value[rows], each) for each in (point, given))
-        axes = (Point(1, 3, 0), Given(3, 3, 3), jax.tree.map(np.ndim, self.parameters))
+        own = jax.tree.map(lambda value: np.ndim(value) - 1, given)
+        axes = (Point(1, 3, 0), own, jax.tree.map(np.ndim, self.parameters))
         robots = execution.Robots((point, given, self.parameters), axes, (len(rows),), self.directions())
         values, tangents = execution.run(simulate, self.structure, robots, batch_size=AT_ONCE)
 
         def shaped(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-            return {name: v[: points * windows].reshape(points, windows, *v.shape[1:]) for name, v in found.items()}
+            return {name: v[:count].reshape(points, windows, *v.shape[1:]) for name, v in found.items()}
 
         return shaped(values), shaped(tangents)
 

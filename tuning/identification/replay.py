@@ -1,7 +1,6 @@
 """A log's commands sent to the simulated robot: what it does beside what the real one did, and how far they differ."""
 
 import dataclasses
-import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -19,7 +18,8 @@ from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_STEPS
 from mjx_climb.walk import stand
-from tuning.identification.log import Log, Signal
+from tuning.identification.log import KP, OFF, Log, Signal
+from tuning.identification.schedule import schedule_of, without_jumps
 
 Base = Literal["held", "free"]
 
@@ -109,6 +109,8 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepar
     targets = _targets(log, robot, scenario, held=chosen == "held")
     if len(sent) < (joints := targets[0].size):
         said.append(f"{len(sent)} joints of {joints} have commands, the others are sent where they began")
+    if chosen == "free" and schedule_of(signals, scenario.control.kp) is not None:
+        said.append(f"{KP} and {OFF} of the log have no part in it: the base is free")
     return Prepared(log, scenario, chosen, targets, tuple(said))
 
 
@@ -135,8 +137,8 @@ def _targets(log: Log, robot: Robot, scenario: mc.Scenario, held: bool) -> Float
                 began = robot.stance_joints[row, column] if position is None else position.value[0]
                 targets[:, row, column] = began
             elif held:
-                time = command.time + delay
-                targets[:, row, column], _ = stand.targets_of(time, command.value, at, scenario.time_step)
+                sent = without_jumps(command, log.signals)
+                targets[:, row, column], _ = stand.targets_of(sent.time + delay, sent.value, at, scenario.time_step)
             else:
                 last = np.searchsorted(command.time, at + 1e-6 * scenario.time_step, side="right") - 1
                 targets[:, row, column] = command.value[np.maximum(last, 0)]
@@ -206,12 +208,18 @@ def _on_a_stand(
     with devices.on_host(), jax.enable_x64(True):
         held = stand.Stand(robot, hardware_of(own, stages_of(scenario, own, robot), scenario.time_step, robot))
 
-        def moved(begin: jax.Array, targets: jax.Array) -> stand.Recorded:
-            start = stand.begin(held, begin, jnp.zeros_like(begin))
-            recorded: stand.Recorded = jax.lax.scan(functools.partial(stand.advance, held), start, targets)[1]
+        def step(moving: stand.Moving, sent: stand.Sent) -> tuple[stand.Moving, stand.Recorded]:
+            return stand.advance(stand.with_gains(held, sent), moving, sent.targets)
+
+        def moved(begin: jax.Array, sent: stand.Sent) -> stand.Recorded:
+            recorded: stand.Recorded = jax.lax.scan(step, stand.begin(held, begin, jnp.zeros_like(begin)), sent)[1]
             return recorded
 
-        recorded = [np.asarray(values) for values in jax.jit(moved)(jnp.asarray(begin), jnp.asarray(targets))]
+        sent = stand.Sent(targets)
+        if (schedule := schedule_of(log.signals, scenario.control.kp)) is not None:
+            at = scenario.time_step * np.arange(len(targets)) - scenario.hardware.command_delay
+            sent = sent._replace(**schedule.at(at, scenario.time_step)[0])
+        recorded = [np.asarray(values) for values in jax.jit(moved)(*jax.tree.map(jnp.asarray, (begin, sent)))]
     return _as_walk(scenario, robot, own, targets, recorded)
 
 

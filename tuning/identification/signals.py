@@ -13,13 +13,13 @@ UNITS: dict[str, tuple[str, float]] = {  # the SI unit, and how many of it one o
     "mm": ("m", 1e-3), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", math.pi / 180), "rpm": ("rad/s", math.pi / 30),
     "counts/s": ("rad/s", 2 * math.pi), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "N m": ("N m", 1.0),
     "mN m": ("N m", 1e-3), "kgf cm": ("N m", 0.0980665), "A": ("N m", 1.0), "mA": ("N m", 1e-3), "N": ("N", 1.0),
-    "mN": ("N", 1e-3), "kgf": ("N", 9.80665), "1": ("1", 1.0),
+    "mN": ("N", 1e-3), "kgf": ("N", 9.80665), "N m/rad": ("N m/rad", 1.0), "1": ("1", 1.0),
 }  # fmt: skip
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 Unit = Literal[
     "rad", "deg", "counts", "m", "mm", "rad/s", "deg/s", "rpm", "counts/s", "m/s", "mm/s", "N m", "mN m", "kgf cm",
-    "A", "mA", "N", "mN", "kgf", "1",
+    "A", "mA", "N", "mN", "kgf", "N m/rad", "1",
 ]  # fmt: skip
 TimeUnit = Literal["s", "ms", "us", "ns"]
 

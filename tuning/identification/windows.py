@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.stand import targets_of
-from tuning.identification.log import Log, Signal
+from tuning.identification.log import KP, OFF, Log, Signal
+from tuning.identification.schedule import without_jumps
 
 LENGTH = 1.0  # s, of a window
 SHORTEST = 0.2  # s, of what is left at the end of a stretch
@@ -46,6 +47,11 @@ class Windows:
     start: Float[np.ndarray, "windows limb joint 2"]  # rad, rad/s: first guesses of angles and rates
     commands: Mapping[tuple[int, int], Signal]  # by limb and joint
     resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands
+    gains: Mapping[str, Signal]  # what the log says of P gains and torque off
+
+    def moments(self, which: np.ndarray, count: int, before: int = 0) -> np.ndarray:
+        """Return when steps of some windows begin, (windows, count) s, from `before` steps before each."""
+        return np.asarray(self.begin[which, None] + (np.arange(count) - before) * self.time_step)
 
     def targets(self, which: np.ndarray, delay: float, before: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Return joint targets of some windows `delay` s late, rad, and their rates, rad/s.
@@ -53,7 +59,7 @@ class Windows:
         Both are (windows, before + steps + 1, limb, joint), from `before` steps before each window.
         """
         count = before + self.steps + 1
-        at = self.begin[which, None] + (np.arange(count) - before) * self.time_step - delay
+        at = self.moments(which, count, before) - delay
         values = np.broadcast_to(self.resting, (*at.shape, *self.resting.shape)).copy()
         rates = np.zeros_like(values)
         for (limb, joint), signal in self.commands.items():
@@ -69,7 +75,7 @@ def cut(log: Log, robot: Robot, time_step: float, held_out: float, length: float
         ConfigError: a log without commands, without anything that can be predicted, or too short.
     """
     commands = {
-        (n, j): log.signals[name]
+        (n, j): without_jumps(log.signals[name], log.signals)
         for n, limb in enumerate(robot.limbs)
         for j, joint in enumerate(robot.joint_names)
         if (name := f"{limb}.{joint}.command") in log.signals
@@ -100,6 +106,7 @@ def cut(log: Log, robot: Robot, time_step: float, held_out: float, length: float
         begin=begin, abuts=abuts, held_out=np.arange(len(begin)) >= count, steps=steps, time_step=time_step,
         names=tuple(names), limb=limb, joint=joint, kind=kind, rows=rows,
         start=_start(log, robot, begin), commands=commands, resting=np.asarray(robot.stance_joints, float),
+        gains={name: log.signals[name] for name in (KP, OFF) if name in log.signals},
     )  # fmt: skip
 
 

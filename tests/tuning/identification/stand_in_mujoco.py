@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from mjx_climb.robot.constants import load_robot, load_spec
-from tuning.identification.log import Log, Signal
+from tuning.identification.log import KP, OFF, Log, Signal
 
 JOINTS = tuple(f"{limb}.{joint}" for limb in ("LF", "LH", "RH", "RF") for joint in ("coxa", "femur", "tibia"))
 
@@ -28,6 +28,7 @@ class Truth:
 
 
 TRUTH = Truth()
+NOMINAL = 50.0  # N m/rad, that the robot is told where it has the P gain of the truth
 
 
 def welded_spec(name, truth):
@@ -80,8 +81,11 @@ def sines(duration, step, *, amplitude=0.25, top=4.0, seed=0):
     return time, robot.stance_joints.ravel() + amplitude * shape
 
 
-def recorded(truth, time, targets, step=2.5e-4, name="hubrobo_v3_2"):
-    """Return positions, velocities and efforts (T, 12) at the times of targets (T, 12), which are held between them."""
+def recorded(truth, time, targets, step=2.5e-4, name="hubrobo_v3_2", share=None):
+    """Return positions, velocities and efforts (T, 12) at the times of targets (T, 12), which are held between them.
+
+    `share` (T,) of the P gain holds as the targets do, and reaches the servos with them; 0: their torque is off.
+    """
     model = welded(name, truth)
     model.opt.timestep, model.opt.integrator = step, getattr(mujoco.mjtIntegrator, f"mjINT_{truth.integrator}")
     data = mujoco.MjData(model)
@@ -90,16 +94,25 @@ def recorded(truth, time, targets, step=2.5e-4, name="hubrobo_v3_2"):
     data.qpos[places] = targets[0]
     found = {"position": [], "velocity": [], "effort": []}
     late = np.maximum(np.searchsorted(time, np.arange(round(time[-1] / step) + 1) * step - truth.delay + 1e-9) - 1, 0)
+    gain, bias = model.actuator_gainprm.copy(), model.actuator_biasprm.copy()
+
+    def send(row):
+        data.ctrl[:] = targets[row]
+        if share is not None:
+            model.actuator_gainprm[:], model.actuator_biasprm[:] = share[row] * gain, bias
+            model.actuator_biasprm[:, 1] *= share[row]
+            model.actuator_biasprm[:, 2] *= share[row] > 0
+
     k = 0
     for sample in range(len(time)):
         while k < round(time[sample] / step):
-            data.ctrl[:] = targets[late[k]]
+            send(late[k])
             if truth.stribeck:
                 rate = data.qvel[dofs]
                 data.qfrc_applied[dofs] = -truth.stribeck * np.tanh(rate / 0.02) * np.exp(-((rate / 0.3) ** 2))
             mujoco.mj_step(model, data)
             k += 1
-        data.ctrl[:] = targets[late[k]]
+        send(late[k])
         mujoco.mj_forward(model, data)
         for name_, value in (
             ("position", data.qpos[places]),
@@ -124,14 +137,21 @@ def log_of(
     seed=0,
     drop=(),
     kinds=("position", "velocity"),
+    gains=(),
     **motion,
 ):
-    """Return a noisy log; `jitter` s moves the samples, `drop` are spans without any."""
+    """Return a noisy log; `jitter` s moves the samples, `drop` are spans without any.
+
+    `gains` are P gains and when each begins, as the robot is told them: at NOMINAL it has the truth's; 0: torque off.
+    """
     rng = np.random.default_rng(seed)
     time, targets = sines(duration, 1 / rate, **motion)
     fine = np.arange(round(duration * 1000) + 1) / 1000
-    held = targets[np.minimum((fine * rate + 1e-6).astype(int), len(time) - 1)]
-    true = recorded(truth, fine, held, step)
+    told = np.full(len(time), NOMINAL)
+    for begin, kp in gains:
+        told[time > begin - 1e-9] = kp
+    of_time = np.minimum((fine * rate + 1e-6).astype(int), len(time) - 1)
+    true = recorded(truth, fine, targets[of_time], step, share=told[of_time] / NOMINAL if gains else None)
     when = np.clip(time + rng.normal(0, jitter, time.shape) if jitter else time, 0, duration)
     when = np.maximum.accumulate(when + np.arange(len(when)) * 1e-9)
     keep = np.all([(when < a) | (when > b) for a, b in drop], axis=0) if drop else np.ones(len(when), bool)
@@ -141,6 +161,8 @@ def log_of(
         for kind in kinds:
             value = np.interp(when, fine, true[kind][:, j]) + rng.normal(0, noise[kind], when.shape)
             signals[f"{joint}.{kind}"] = Signal(when[keep], value[keep])
+    if gains:
+        signals |= {KP: Signal(time[told > 0], told[told > 0]), OFF: Signal(time, np.where(told > 0, 0.0, 1.0))}
     return Log(signals, "log.csv")
 
 

@@ -17,6 +17,7 @@ from tuning.identification import excitation, motions
 from tuning.identification.information import information
 from tuning.identification.readers import read_log
 from tuning.identification.rig import with_mass
+from tuning.identification.schedule import schedule_of
 from tuning.output.excitation import columns, summary
 from tuning.problem.excitation import ENCODER, Excitation
 
@@ -113,10 +114,13 @@ def test_what_is_written_is_read_back(found, tmp_path):
     names = found.write(tmp_path / "a").split(", ")
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted(names)
     log = read_log(tmp_path / "a" / "excitation.csv", ROBOT)
-    assert set(log.signals) == {f"{joint}.command" for joint in JOINTS}
+    assert set(log.signals) == {*(f"{joint}.command" for joint in JOINTS), "control.kp", "torque_off"}
     signal, off = log.signals["RH.tibia.command"], columns(found)["torque_off"] == 1
     np.testing.assert_allclose(signal.value, found.best.motion.targets[~off, 2, 2], atol=1e-6)
     np.testing.assert_allclose(signal.time, found.time[~off], atol=1e-9)
+    schedule = schedule_of(log.signals, 2 * TRUTH.kp)
+    np.testing.assert_array_equal(schedule.on, ~off)
+    np.testing.assert_array_equal(schedule.share, 0.5 * ~off)
     message = yaml.safe_load((tmp_path / "a" / "excitation_trajectory.yaml").read_text())
     assert message["joint_names"][:4] == ["LF_coxa", "LF_femur", "LF_tibia", "LH_coxa"]
     assert set(message) == {"header", "joint_names", "points"} and len(message["points"]) == (~off).sum()

@@ -117,6 +117,27 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
     assert ensemble.posterior.held == ("robot.LF.tibia.mass",)
 
 
+# ------------------------------------------------------------------------------- what the log has beside commands
+
+SCHEDULE = ((0.0, 50.0), (1.5, 25.0), (3.0, 50.0), (3.6, 0.0), (3.8, 50.0))  # s, N m/rad; 0: torque off
+
+
+@pytest.mark.slow
+def test_two_p_gains_and_a_drop_are_read_and_without_them_the_answer_is_another():
+    log = log_of(TRUE, 6.0, gains=SCHEDULE)
+    found = tuning.identify(SCENARIO, log, tuple(VALUES), starts=1)
+    blind = dataclasses.replace(log, signals={k: v for k, v in log.signals.items() if k.count(".") == 2})
+    without = tuning.identify(SCENARIO, blind, tuple(VALUES), starts=1)
+    for key, truth in VALUES.items():
+        estimate = found.estimates[key]
+        half = (estimate.high - estimate.low) / 2
+        assert abs(estimate.value - truth) < 1.5 * half and half < 0.1 * truth, (key, estimate)
+    assert found.held_out["error_over_noise"] < 1.2
+    assert not any("wrong" in line for line in found.warnings), found.warnings
+    assert max(abs(without.estimates[key].value / truth - 1) for key, truth in VALUES.items()) > 0.1
+    assert any("the model is wrong" in line for line in without.warnings)
+
+
 # ---------------------------------------------------------------------------------------------- what is not told
 
 

@@ -14,7 +14,7 @@ from mjx_climb.robot.constants import load_model
 from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
 from tests.tuning.identification.stand_in_mujoco import TRUTH, sines
 from tests.tuning.identification.stand_in_mujoco import recorded as on_a_stand
-from tuning.identification.log import Signal
+from tuning.identification.log import Log, Signal
 from tuning.identification.readers import read_log, write_csv
 from tuning.identification.replay import replay
 from tuning.identification.replay_picture import plot_replay
@@ -97,6 +97,24 @@ def test_without_base_and_forces_the_robot_is_on_a_stand_as_in_mujoco(tmp_path):
     )
     mujoco.mj_kinematics(model, data)
     np.testing.assert_allclose(found.walk.foot_position[row], data.site_xpos[:4], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_p_gains_and_torque_off_of_the_log_are_those_of_mujoco():
+    time, targets = sines(1.0, 0.001)
+    truth = dataclasses.replace(TRUTH, friction=0.0)
+    share = np.select([time < 0.4 - 1e-9, time < 0.6 - 1e-9, time < 0.75 - 1e-9], [1.0, 0.5, 0.0], 1.0)
+    of_mujoco, on = on_a_stand(truth, time, targets, step=5e-5, share=share), share > 0
+    signals = {f"{joint}.command": Signal(time[on], targets[on, n]) for n, joint in enumerate(JOINTS)}
+    for what in ("position", "velocity"):
+        signals |= {f"{joint}.{what}": Signal(time, of_mujoco[what][:, n]) for n, joint in enumerate(JOINTS)}
+    signals |= {"control.kp": Signal(time[on], 40.0 * share[on]), "torque_off": Signal(time, 1.0 - on)}
+    servo = {"hardware.servo.armature": truth.armature, "hardware.servo.viscous_friction": truth.damping}
+    overrides = {"control.kp": 40.0, "control.kd": truth.kd, "hardware.servo.torque_limit": 1e3, **servo}
+    found = replay(Log(signals, "log.csv"), mc.load_scenario("configs/case_1_1.yaml", overrides))
+    for name, error in found.errors.items():  # rates have a kink where the gain changes
+        assert error.largest < 1e-3 if name.endswith("position") else error.rms < 0.02, (name, error)
+    assert (found.walk.joint_torque[610:740] == 0).all()
 
 
 def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path):

@@ -11,7 +11,7 @@ from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError, config_error
 from tuning.identification.doubts import doubts, several
 from tuning.identification.guess import guess
-from tuning.identification.log import BASE, JOINT, Log, Signal, names, unit_of
+from tuning.identification.log import BASE, JOINT, KP, OFF, Log, Signal, names, unit_of
 from tuning.identification.readers import csv_file, netcdf_file, rosbag
 from tuning.identification.readers.csv_file import write_csv as write_csv
 from tuning.identification.signals import SECONDS, UNITS, Signals, Source
@@ -23,6 +23,7 @@ READERS = {
 }  # fmt: skip
 _STALE = 5  # usual lengths of a run of equal samples: what stays the same for longer is at rest
 _STEPS = 2.5  # of an encoder's smallest: by less it moves within a sample, or within two
+_SENT = (".command", ".support", KP, OFF)  # these stay the same without being stale
 _SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
 
 
@@ -157,7 +158,7 @@ def _cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[d
     if signals.repeats == "drop":
         together: dict[tuple[str, str, int], list[str]] = {}
         for name, (_, group) in raw.items():
-            if not (name.endswith((".command", ".support")) or name.startswith(("base.force.", "base.moment."))):
+            if not (name.endswith(_SENT) or name.startswith(("base.force.", "base.moment."))):
                 kind = "force" if ".force." in name else "base" if name.startswith("base.") else "joint"
                 together.setdefault((group, kind, len(clean[name].time)), []).append(name)
         for some in together.values():
