@@ -27,23 +27,38 @@ from tuning.problem.objectives import Objective  # noqa: E402
 from tuning.searches import judge as judging  # noqa: E402
 
 DRAWN = "as drawn"
-SETTINGS = {  # keys of the scenario, and of the section `hardware` of the ensemble
-    DRAWN: ({}, {}),
-    "force 2 ms late": ({}, {"force_delay": (0.002, 0.002)}),
-    "force 30 ms late": ({}, {"force_delay": (0.03, 0.03)}),
-    "1 kHz": ({}, {"control_rate": (1000.0, 1000.0)}),
-    "50 Hz": ({}, {"control_rate": (50.0, 50.0)}),
-    "half the friction": ({}, {"friction": (0.25, 1.0)}),
-    "twice the friction": ({}, {"friction": (1.0, 4.0)}),
-    "noise 0.5 N": ({}, {"force_noise": (0.5, 0.5)}),
-    "LF dead from 3 s": ({"hardware.force_sensor.dead": {"LF": 3.0}}, {}),
-    "bias 1 N": ({"hardware.force_sensor.bias": 1.0}, {}),
-}  # fmt: skip
+SETTINGS = {  # by what is made worse: keys of the scenario, and of the section `hardware` of the ensemble
+    "hardware": {
+        DRAWN: ({}, {}),
+        "force 2 ms late": ({}, {"force_delay": (0.002, 0.002)}),
+        "force 30 ms late": ({}, {"force_delay": (0.03, 0.03)}),
+        "1 kHz": ({}, {"control_rate": (1000.0, 1000.0)}),
+        "50 Hz": ({}, {"control_rate": (50.0, 50.0)}),
+        "half the friction": ({}, {"friction": (0.25, 1.0)}),
+        "twice the friction": ({}, {"friction": (1.0, 4.0)}),
+        "noise 0.5 N": ({}, {"force_noise": (0.5, 0.5)}),
+        "LF dead from 3 s": ({"hardware.force_sensor.dead": {"LF": 3.0}}, {}),
+        "bias 1 N": ({"hardware.force_sensor.bias": 1.0}, {}),
+    },
+    "pose": {  # the shipped profile's estimate is 5 ms late and exact
+        DRAWN: ({}, {}),
+        "20 ms late": ({"hardware.base_estimate.delay": 0.02}, {}),
+        "noise 1 mm, 10 mm/s": (
+            {"hardware.base_estimate.position_noise": 0.001, "hardware.base_estimate.velocity_noise": 0.01},
+            {},
+        ),
+        "noise 5 mm, 50 mm/s": (
+            {"hardware.base_estimate.position_noise": 0.005, "hardware.base_estimate.velocity_noise": 0.05},
+            {},
+        ),
+    },
+}
 METRICS = {
     "V": "force_variation", "F": "peak_foot_force", "P": "peak_pull_force", "COT": "cost_of_transport",
     "torque": "peak_joint_torque",
 }  # fmt: skip
 PD = "retuned_pd"
+LEAST = 0.1  # N of pull, and of every other metric, that can be compared in per cent
 
 
 def all_in_one(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:
@@ -59,36 +74,41 @@ def all_in_one(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:
     return jax.tree.map(joined, own_axes(draws[0]), *draws)
 
 
-def parameters_of(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
+def parameters_of(scenario: mc.Scenario, ensemble: Ensemble, worse: str) -> mc.Parameters:
     """Return what no search has seen, in each setting: members differ between settings in that alone."""
     draws = []
-    for keys, ranges in SETTINGS.values():
+    for keys, ranges in SETTINGS[worse].values():
         hardware = ensemble.hardware.model_copy(update=ranges)
         drawn = judging.fresh(ensemble.model_copy(update={"hardware": hardware}))
         draws.append(draw(scenario.with_overrides(keys), drawn))
     return all_in_one(draws, ensemble.members)
 
 
-def walked(scenario: mc.Scenario, one: gains_file.Whole, parameters: mc.Parameters) -> xr.Dataset:
+def walked(scenario: mc.Scenario, one: gains_file.Whole, parameters: mc.Parameters, worse: str) -> xr.Dataset:
     """Return the metrics of a law's walks by setting and member."""
     metrics = mc.MetricTable(mc.METRICS)
     how = {"law": one.law, "metrics": metrics, "dtype": np.float32, "smooth": True}
     found = mc.rollout_metrics(scenario, one.gains, parameters, **how)
     dims = ("setting", "member")
     data = {
-        each.name: (dims, np.reshape(found[each.name], (len(SETTINGS), -1)), dataset.metric_attributes(each))
+        each.name: (dims, np.reshape(found[each.name], (len(SETTINGS[worse]), -1)), dataset.metric_attributes(each))
         for each in metrics
     }
-    return xr.Dataset(data, {"setting": list(SETTINGS)}, {"holding_limit": scenario.contact.holding_limit})
+    return xr.Dataset(data, {"setting": list(SETTINGS[worse])}, {"holding_limit": scenario.contact.holding_limit})
 
 
-def difference(table: xr.Dataset, metric: str, place: str, small: float = 0.0) -> str:
-    """Return the difference of a mean from the baseline's in per cent, ~ where its 95 % interval holds 0."""
+def difference(table: xr.Dataset, metric: str, place: str) -> str:
+    """Return by how many per cent a mean differs from the baseline's, ~ where its 95 % interval holds 0.
+
+    It is the value itself where the baseline has next to nothing.
+    """
     own = table.sel(metric=metric, statistic="mean")
     base = float(own["value"].sel(gains=table.attrs["baseline"]))
-    if abs(base) <= small:
+    if abs(base) < LEAST:
         return f"{float(own['value'].sel(gains=place)):.2g}"
     text = f"{100 * float(own['difference'].sel(gains=place)) / base:+.0f}"
+    if text in ("+0", "-0"):
+        return "0"
     return text if bool(own["real"].sel(gains=place)) else f"~{text}"
 
 
@@ -124,15 +144,15 @@ def print_lead(walks: xr.Dataset) -> None:
             print(row(short, law, *(difference(tables[name], metric, law) for name in settings)))
 
 
-def main(case: str, folder: str, members: int = 128) -> None:
+def main(case: str, folder: str, worse: str = "hardware", members: int = 128) -> None:
     scenario = mc.load_scenario(config_path(f"{case}.yaml"), {"duration": 16.0})
     scenario = with_hardware(scenario, load_hardware("dynamixel_x"))
     ensemble = Ensemble.load(ROOT / "configs/ensemble_dynamixel_x.yaml").model_copy(update={"members": members})
-    parameters, walks = parameters_of(scenario, ensemble), {}
+    parameters, walks = parameters_of(scenario, ensemble, worse), {}
     for gains in sorted(Path(folder).glob("gains-*.yaml")):
-        name, kept = gains.stem.removeprefix("gains-"), gains.with_suffix(".nc")
+        name, kept = gains.stem.removeprefix("gains-"), gains.with_suffix(f".{worse}.nc")
         if not kept.exists():
-            walked(scenario, gains_file.whole(gains, scenario), parameters).to_netcdf(kept)
+            walked(scenario, gains_file.whole(gains, scenario), parameters, worse).to_netcdf(kept)
         walks[name] = xr.load_dataset(kept)
     both = xr.concat(walks.values(), xr.Variable("gains", list(walks)), combine_attrs="override")
     print_losses(both)
