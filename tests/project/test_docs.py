@@ -150,7 +150,7 @@ def check_names(source: str) -> None:
 def test_the_code_of_the_readme_runs(monkeypatch):
     (block,) = fences(README, "python")
     load = mc.load_scenario
-    monkeypatch.setattr(mc, "load_scenario", lambda path: load(ROOT / path, {"duration": 0.2}))
+    monkeypatch.setattr(mc, "load_scenario", lambda path: load(ROOT / path, {"duration": 0.3}))
     scope = {}
     exec(compile(block, "README.md", "exec"), scope)
     assert all(values.shape == (64,) for values in scope["batch"].values())

@@ -21,7 +21,7 @@ from tuning.command_line import interruption
 from tuning.command_line.options import Output
 from tuning.command_line.session import Session
 
-RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.2"]
+RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.3"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -15,7 +15,7 @@ from tuning.command_line import processes
 from tuning.command_line.processes import shard_from
 from tuning.command_line.program import InputError
 
-SHORT = ["case_1_2", "--set", "duration=0.2"]
+SHORT = ["case_1_2", "--set", "duration=0.3"]
 SWEEP = ["sweep", *SHORT, "--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2", "--batch-size", "4"]
 LONG = [*SWEEP[:-1], "1", "--set", "duration=8"]
 TUNE = ["tune", *SHORT, "--starts", "2", "--iterations", "2"]
@@ -143,7 +143,7 @@ def test_two_processes_write_what_one_writes(command, files, tmp_path):
 
 @pytest.mark.slow
 def test_what_is_wrong_in_one_process_ends_all_and_is_said_once(tmp_path):
-    bad = [word.replace("duration=0.2", "durations=0.2") for word in SWEEP]
+    bad = [word.replace("duration=0.3", "durations=0.3") for word in SWEEP]
     other = [word.replace("1e5:3", "1e6:3") for word in SWEEP]
     for commands, expected in (
         ((bad, bad), "mjx-climb: error: .*durations"),

@@ -11,6 +11,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.rollouts.walks import LINES, histories
+from tests.shell import finish
 from tuning.evaluation import verification
 from tuning.output import results
 from tuning.output.folder import without_folders
@@ -26,13 +27,9 @@ AXES = ["--stiffness", "1e2:1e4:3", "--damping", "1e1:1e3:3"]
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     """A tiny sweep with its page, in a folder whose name must not be told."""
-    from tuning.command_line import main
-
     folder = tmp_path_factory.mktemp("a machine's own")
     (folder / "case.yaml").write_text(CONFIG)
-    with pytest.raises(SystemExit) as ended:
-        main(["sweep", str(folder / "case.yaml"), *AXES, "--out", str(folder / "out")])
-    assert not ended.value.code
+    finish("sweep", folder / "case.yaml", *AXES, "--out", folder / "out")
     with xr.open_dataset(folder / "out" / "sweep.nc", engine="h5netcdf") as grid:
         return folder / "out", grid.load()
 
@@ -338,7 +335,7 @@ def test_the_page_of_a_sweep_says_which_walk_is_best(held):
     grid = grid_of({"force_variation": np.zeros(4)}, stiffness=[1e2, 1e3], damping=[1.0, 2.0])
     grid = grid.assign_attrs(dtype="float32", engine="limb", batch_size=4)
     best = grid.isel(stiffness=1, damping=0) if held else None
-    scenario = mc.Scenario().with_overrides({"duration": 0.2, "control.controller": "pd"})
+    scenario = mc.Scenario().with_overrides({"duration": 0.3, "control.controller": "pd"})
     walks = dict.fromkeys(rows, mc.rollout(scenario))
     compared = results.SweepComparison(grid, best, walks, rows, 1, [], None)
     lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))

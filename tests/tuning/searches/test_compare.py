@@ -25,7 +25,7 @@ from tuning.problem.search import Search
 from tuning.searches import compare
 
 CASE = config_path("case_1_2.yaml")
-SHORT = ["duration=0.5", "disturbance.cargo.start=0.1"]
+SHORT = ["duration=0.3", "disturbance.cargo.start=0.1"]
 DRAWN = """
 members: 2
 pushes: null

@@ -74,7 +74,7 @@ def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(few, monk
 def test_a_front_of_a_law_of_ones_own(few):
     """Its gains, of six axes and of one, are those of the walks on the front."""
     law = load_law(f"{LAW}:Filtered")
-    scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.2", "disturbance.cargo.start=0.05"])
+    scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3", "disturbance.cargo.start=0.05"])
     front = pareto.pareto(scenario, points=2, law=law).data
     assert front.attrs["searched"].split() == ["stiffness", "damping", "cutoff", "share"]
     assert front["cutoff"].dims == ("front", "six") and front["share"].dims == ("front",)

@@ -14,7 +14,7 @@ from tuning.problem import spaces
 from tuning.problem.search import Search
 from tuning.searches.methods import Request
 
-CASE = mc.load_scenario("case_1_2", ["duration=0.2"])
+CASE = mc.load_scenario("case_1_2", ["duration=0.3"])
 OWN = smallest("lowest_base", "m", "lowest base", lambda s, _: s.base_position[2])
 
 

@@ -137,7 +137,7 @@ def test_a_folder_takes_shards_of_one_thing(three):
 
 @pytest.fixture(scope="module")
 def scenario():
-    return mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.2"])
+    return mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3"])
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ SIZE = 4  # of a batch: two parts, the last one half full
 
 @pytest.fixture(scope="module")
 def scenario():
-    return mc.load_scenario(CONFIG, ["duration=0.2"])
+    return mc.load_scenario(CONFIG, ["duration=0.3"])
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_killed_sweep_resumes_bit_by_bit(scenario, whole, tmp_path):
     script = f"""
 import os, signal, numpy as np, mjx_climb as mc
 from tuning import sweep
-scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.2"])
+scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.3"])
 def die(done, total):
     if done:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -95,7 +95,7 @@ sweep(scenario, {AXES}, batch_size={SIZE}, progress=die, out={str(tmp_path)!r})
 @pytest.mark.parametrize(
     ("differs", "changes"),
     [
-        ("scenario.contact.damping", {"scenario": mc.load_scenario(CONFIG, ["duration=0.2", "contact.damping=21"])}),
+        ("scenario.contact.damping", {"scenario": mc.load_scenario(CONFIG, ["duration=0.3", "contact.damping=21"])}),
         ("axes.stiffness", {"axes": {**AXES, "stiffness": [1e3, 1e4]}}),
         ("axes.damping", {"axes": {**AXES, "damping": [1e2, 2e3]}}),
         ("dtype", {"dtype": np.float64}),
@@ -129,7 +129,7 @@ def test_best_is_the_least_among_walks_that_hold(whole):
 _LONG_SWEEP = f"""
 import sys, mjx_climb as mc
 from tuning import sweep
-scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.2"])
+scenario = mc.load_scenario({str(CONFIG)!r}, ["duration=0.3"])
 print("begun", flush=True)
 sweep(scenario, {AXES}, batch_size=1, out=sys.argv[1], progress=lambda done, total: print(done, flush=True))
 print("whole", flush=True)
@@ -140,7 +140,7 @@ print("whole", flush=True)
 def test_sweep_killed_at_random_instants_resumes_bit_by_bit(scenario, tmp_path, killed):
     """SIGKILL at any instant, while it compiles, walks or writes; as often as it takes to see it whole."""
     rng, there = np.random.default_rng(), []
-    for _ in range(4):  # lines: begun, what is there, the first new part
+    for _ in range(2):  # lines: begun, what is there, the first new part
         killed(_LONG_SWEEP, tmp_path, lines=rng.integers(1, 4), delay=rng.exponential(0.05))
         there.append(kept(scenario, tmp_path, batch_size=1))
     assert there == sorted(there)

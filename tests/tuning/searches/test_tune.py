@@ -334,7 +334,7 @@ tune(scenario, out=sys.argv[2], progress=lambda now: print(now.rounds, flush=Tru
 def test_a_killed_search_goes_on_bit_by_bit(scenario, undisturbed, tmp_path, killed):
     config = tmp_path / "scenario.yaml"
     config.write_text(scenario.to_yaml())
-    for delay in np.random.default_rng().uniform(0, 0.5, 3):
+    for delay in np.random.default_rng().uniform(0, 0.5, 2):
         killed(_KILLED, config, tmp_path / "out", lines=2, delay=delay)  # begun, and the first round
     resumed = tune(scenario, out=tmp_path / "out", **HOW)
     np.testing.assert_array_equal(resumed.data["value"], undisturbed.data["value"])
