@@ -64,17 +64,22 @@ class Fitted(Options):
     signals: Path | None = setting(
         None, "where each signal stands in the log, YAML; null: by its own names, or guessed", metavar="FILE"
     )
+    base: Literal["held", "free"] | None = setting(
+        None, "base on a stand, or on its grippers; null: held where neither base nor foot forces were logged"
+    )
     held_out: float = setting(0.2, "share of the log, at its end, that is predicted and not fitted", ge=0, le=0.8)
     starts: int = setting(4, "points from which the search begins, the config's own among them", ge=1, le=64)
 
 
 @command("none: nothing is written")
 def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes"], output: Output) -> None:
-    """Fit parameters of a scenario to what the robot itself recorded on a stand, its base held.
+    """Fit parameters of a scenario to what the robot itself recorded, on a stand or as it sways on shut grippers.
 
     The log holds the commands of the joints and what came of them, as excite asks for. KEY is one of a scenario's
     (hardware.servo.armature, hardware.command_delay, control.kp), gravity (its direction), or one of the robot's own:
-    robot.LF.coxa.armature, friction, damping, zero; robot.LF.coxa.mass, center, inertia.
+    robot.LF.coxa.armature, friction, damping, zero; robot.LF.coxa.mass, center, inertia. With the base free also
+    contact.stiffness, contact.damping, robot.base.mass, hardware.force_sensor.bias and delay, and of one force sensor
+    log.LF.force.gain, zero.x, y_in_x.
 
     Prints what was known before and is now, with 95 % intervals, what the log does not tell, and whether the model is
     right. With --out writes to DIR the scenario as identified (identified.yaml, hardware.yaml for --hardware, and a
@@ -86,6 +91,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
       mjx-climb identify case_1_2 --log log.csv --fit hardware.servo.armature --fit control.kp
       mjx-climb identify case_1_2 --log log.mcap --fit hardware.command_delay --signals signals.yaml
       mjx-climb identify case_1_2 --log log.csv --fit "robot.*.armature" --out found --json
+      mjx-climb identify case_1_1 --log sway.csv --base free --fit contact.stiffness --fit robot.base.mass
     """
     with output.session() as shell:
         from mjx_climb.files.dataset import check_folder
@@ -98,13 +104,13 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         scenario = walk.load().scenario
         with shell.stage("fit", unit="iterations") as show:
             found = fitting.identify(
-                scenario, asked.log, asked.fit, signals=asked.signals, held_out=asked.held_out, starts=asked.starts,
-                progress=show,
+                scenario, asked.log, asked.fit, base=asked.base, signals=asked.signals, held_out=asked.held_out,
+                starts=asked.starts, progress=show,
             )  # fmt: skip
         shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
         shell.show(f"{found.sentence}.")
         if output.out is not None:
-            again = repeated(["identify"], "--log", "--fit", "--signals")
+            again = repeated(["identify"], "--log", "--fit", "--base", "--signals")
             with shell.stage("writing", compiles=False):
                 files = found.write(output.out, origin=origin(walk.config.stem, again), figures=output.figures)
             shell.out = output.out

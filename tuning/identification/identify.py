@@ -16,11 +16,14 @@ from mjx_climb.quantities.parameters import KEYS
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.identification import inference
+from tuning.identification.chain import Chain
+from tuning.identification.gripped import cut_gripped, gripped_model
 from tuning.identification.inference import Posterior, Whiteness
-from tuning.identification.least_squares import Fitted, Problem, Progress, noise_of, prior_of, search
+from tuning.identification.least_squares import Fitted, LeastSquares, Problem, Progress, noise_of, prior_of, search
 from tuning.identification.log import Log
-from tuning.identification.model import DELAY, PRESLIDING, Model, model_of, with_nuisances
+from tuning.identification.model import DELAY, PRESLIDING, Fit, model_of, with_nuisances
 from tuning.identification.readers import read_log
+from tuning.identification.replay import Base
 from tuning.identification.variables import Variable, applied, begin, in_units, variables
 from tuning.identification.windows import KINDS, cut
 
@@ -60,8 +63,8 @@ class Identified:
     held_out: Mapping[str, Any]
     warnings: tuple[str, ...]
     combined: tuple[str, ...]  # combinations that were seen, of what was not
-    model: Model
-    problem: Problem
+    model: Fit
+    problem: LeastSquares
     fitted: Fitted
     posterior: Posterior
     tests: Sequence[Whiteness]
@@ -127,18 +130,20 @@ def identify(
     log: Log | str | os.PathLike[str],
     fit: Sequence[str],
     *,
+    base: Base | None = None,
     signals: Any = None,
     changes: Mapping[str, Mapping[str, Any]] | None = None,
     held_out: float = HELD_OUT,
     starts: int = STARTS,
     progress: Progress | None = None,
 ) -> Identified:
-    """Fit parameters of a scenario to what a robot recorded with its base held.
+    """Fit parameters of a scenario to what a robot recorded with its base held, or free on all shut grippers.
 
     Arguments:
         scenario: nominal values, robot and time step.
         log: as `tuning.identification.readers.read_log` gives it, or its file.
         fit: keys, or patterns of keys, as `hardware.servo.*`; see `tuning.identification.variables`.
+        base: held or free; None: held where the log has neither base nor foot forces.
         signals: of a file, where each signal stands in it.
         changes: by key, fields of `tuning.identification.variables.Variable` in place of its own, as
             `{"control.kp": {"frozen": True}}`.
@@ -151,10 +156,11 @@ def identify(
     """
     robot = load_robot(scenario.robot)
     log = log if isinstance(log, Log) else read_log(log, robot, signals)
-    windows = cut(log, robot, scenario.time_step, held_out)
-    chosen = variables(scenario, fit, held=True, changes=changes)
-    model = model_of(scenario, windows, with_nuisances(scenario, windows, chosen))
-    found, problem = _searched(model, starts, progress)
+    chosen_base = base or ("free" if _of_gripped(log) else "held")
+    chosen = variables(scenario, fit, held=chosen_base == "held", changes=changes)
+    problem = (_held if chosen_base == "held" else _gripped)(scenario, log, robot, chosen, held_out)
+    found, problem = _searched(problem, starts, progress)
+    model = problem.model
     tests = inference.whiteness(problem, found)
     wrong = inference.suspicious(tests)
     known = inference.posterior(problem, found, tests, wrong)
@@ -162,6 +168,8 @@ def identify(
     estimates = {v.key: every[v.key] for v in chosen}
     beside = {key: each for key, each in every.items() if key not in estimates}
     warnings = [*log.warnings, *_of_schedule(model, estimates), *known.unseen]
+    if base is None and chosen_base == "free":
+        warnings.append("the log has base or foot forces: base free, all grippers shut (--base held: on a stand)")
     warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
     ahead = _predicted(problem, found)
     warnings += _of_fit(found, wrong, len(tests), ahead)
@@ -170,7 +178,7 @@ def identify(
     )
 
 
-def _of_schedule(model: Model, chosen: Collection[str]) -> Iterator[str]:
+def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
     """Yield what is to be said of P gains by time and of torque off."""
     if (schedule := model.schedule) is None:
         return
@@ -185,6 +193,24 @@ def _of_schedule(model: Model, chosen: Collection[str]) -> Iterator[str]:
         yield "the torque is off in what is held out alone, and tells nothing (--held-out 0 fits it)"
 
 
+def _of_gripped(log: Log) -> bool:
+    return any(name.startswith("base.") or ".force." in name for name in log.signals)
+
+
+def _held(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float) -> LeastSquares:
+    windows = cut(log, robot, scenario.time_step, held_out)
+    model = model_of(scenario, windows, with_nuisances(scenario, windows, chosen))
+    return Problem(model, np.arange(len(windows.begin)), _rough_noise(model))
+
+
+def _gripped(
+    scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float
+) -> LeastSquares:
+    windows = cut_gripped(log, robot, scenario.time_step, held_out)
+    model = gripped_model(scenario, log, windows, chosen)
+    return Chain(model, np.arange(len(windows.begin)), _rough_noise(model))
+
+
 def _of_fit(found: Fitted, wrong: Sequence[Whiteness], signals: int, ahead: Mapping[str, Any]) -> list[str]:
     """Return what is to be said of a fit as a whole."""
     said = []
@@ -197,7 +223,8 @@ def _of_fit(found: Fitted, wrong: Sequence[Whiteness], signals: int, ahead: Mapp
     return said
 
 
-def _searched(model: Model, starts: int, progress: Progress | None) -> tuple[Fitted, Problem]:
+def _searched(problem: LeastSquares, starts: int, progress: Progress | None) -> tuple[Fitted, LeastSquares]:
+    model, noise = problem.model, problem.noise
     windows, prior = model.windows, prior_of(model)
     rng = np.random.default_rng(0)
     points = prior.mean + _SPREAD * prior.sd * rng.standard_normal((max(starts, 1), len(prior.mean)))
@@ -205,15 +232,12 @@ def _searched(model: Model, starts: int, progress: Progress | None) -> tuple[Fit
     # where a command comes as a sample is taken, a later one changes nothing of it: no place to begin
     off = [2 * windows.time_step if v.key == DELAY else -np.inf for v in model.variables]
     points[0] = np.maximum(begin(model.variables), off)
-    fitted = np.flatnonzero(~windows.held_out)
-    some = fitted[np.unique(np.linspace(0, len(fitted) - 1, _SCREENED).round().astype(int))]
-    noise = _rough_noise(model)
     # torques jump as commands do: no slope leads from one side of a jump to the other
-    trial = Problem(model, some, np.where(windows.kind == KINDS.index("effort"), _UNHEARD * noise, noise))
+    louder = np.where(windows.kind == KINDS.index("effort"), _UNHEARD * noise, noise)
+    trial = dataclasses.replace(problem, which=problem.some(_SCREENED), noise=louder)
     guesses = np.repeat(trial.guess[None], len(points), axis=0)
     screened = search(trial, points, guesses, _SCREENING, progress, "starts")
     best = min(screened, key=lambda each: each.cost)
-    problem = Problem(model, np.arange(len(windows.begin)), noise)
     x, start = best.x[None], problem.guess[None]
     for n in range(_PASSES):
         (found,) = search(problem, x, start, _MOST, progress, f"pass {n + 1}")
@@ -222,13 +246,13 @@ def _searched(model: Model, starts: int, progress: Progress | None) -> tuple[Fit
         settled = np.abs(np.log(noise / problem.noise)).max() < _SETTLED
         if settled:
             break
-        problem = Problem(model, problem.which, noise)
+        problem = dataclasses.replace(problem, noise=noise)
     if not np.isfinite(found.cost):
         raise ConfigError("the model diverges at the values that it begins with (--set others)")
     return found, problem
 
 
-def _rough_noise(model: Model) -> np.ndarray:
+def _rough_noise(model: Fit) -> np.ndarray:
     """Return noise (signals,) from second differences, which hold some motion too."""
     rows, noise = model.windows.rows, np.ones(len(model.windows.names))
     for signal in range(len(noise)):
@@ -238,7 +262,7 @@ def _rough_noise(model: Model) -> np.ndarray:
     return noise
 
 
-def _estimates(model: Model, found: Fitted, known: Posterior) -> dict[str, Estimate]:
+def _estimates(model: Fit, found: Fitted, known: Posterior) -> dict[str, Estimate]:
     robot, prior = load_robot(model.structure.robot), prior_of(model)
     with jax.enable_x64(True):
         values = np.asarray(in_units(model.variables, jnp.asarray(found.x), robot))
@@ -267,7 +291,7 @@ def _remark(variable: Variable, x: float, prior: Any, n: int) -> str:
     return ""
 
 
-def _predicted(problem: Problem, found: Fitted) -> dict[str, Any]:
+def _predicted(problem: LeastSquares, found: Fitted) -> dict[str, Any]:
     """Return how what was held out is predicted: errors (rms) over the noise, of all and of each signal."""
     held = problem.model.windows.held_out[problem.rows.window]
     if not held.any():

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from tuning.identification.least_squares import Fitted, Problem, condensed_by_block, eliminated, prior_of
+from tuning.identification.least_squares import Fitted, LeastSquares, condensed_by_block, eliminated, prior_of
 from tuning.identification.variables import Variable
 
 Z = 1.959964  # of 95 %
@@ -61,7 +61,7 @@ class Whiteness(NamedTuple):
 
 
 def posterior(
-    problem: Problem, found: Fitted, tests: Sequence[Whiteness], suspicious: Sequence[Whiteness]
+    problem: LeastSquares, found: Fitted, tests: Sequence[Whiteness], suspicious: Sequence[Whiteness]
 ) -> Posterior:
     """Return what is known after a fit."""
     variables, prior = problem.model.variables, prior_of(problem.model)
@@ -98,6 +98,8 @@ def _directions(
     for direction in vectors[:, blind].T:
         loud = np.abs(direction) > _LOUD
         loud |= np.abs(direction) == np.abs(direction).max()
+        if all(v.beside for v, named in zip(variables, loud, strict=True) if named):
+            continue
         involved |= loud
         first, *others = [v.key for v, named in zip(variables, loud, strict=True) if named]
         apart = f" from {' and '.join(others)}" if others else ""
@@ -119,7 +121,7 @@ def _coordinate(variable: Variable) -> str:
     return f"log({variable.key})" if variable.log else variable.key
 
 
-def whiteness(problem: Problem, found: Fitted) -> list[Whiteness]:
+def whiteness(problem: LeastSquares, found: Fitted) -> list[Whiteness]:
     """Return the test of Ljung and Box for the residuals of each signal, of the windows that were fitted."""
     rows, windows, tests = problem.rows, problem.model.windows, []
     when = windows.begin[rows.window] + (rows.step + rows.share) * windows.time_step

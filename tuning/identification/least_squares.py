@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
-from tuning.identification.model import LATE, MEMORY, Model
+from tuning.identification.model import LATE, MEMORY, Fit, Model
 from tuning.identification.windows import KINDS
 
 HUBER = 2.5  # standard deviations, beyond which a sample counts by its size alone
@@ -58,10 +58,10 @@ class Fitted(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Problem:
+class LeastSquares:
     """What is minimised: a model, some windows of its log, and the noise of each signal."""
 
-    model: Model
+    model: Fit
     which: np.ndarray  # windows, in order
     noise: Float[np.ndarray, " signals"]
 
@@ -73,13 +73,11 @@ class Problem:
         rows = type(windows.rows)(*(column[inside] for column in windows.rows))
         order = np.lexsort((windows.limb[rows.signal], rows.window))
         rows = type(rows)(*(column[order] for column in rows))
-        follows = windows.abuts[self.which] & np.isin(self.which - 1, self.which)
         vars(self).update(
             rows=rows,
             place=place[rows.window],
             limb=windows.limb[rows.signal],
             fitted=~windows.held_out[rows.window],
-            follows=follows,
             inside=np.flatnonzero(inside)[order],
         )
 
@@ -87,8 +85,40 @@ class Problem:
     place: Any = dataclasses.field(init=False, default=None)  # of the window of each row in `which`
     limb: Any = dataclasses.field(init=False, default=None)
     fitted: Any = dataclasses.field(init=False, default=None)  # (rows,) bool
-    follows: Any = dataclasses.field(init=False, default=None)  # (windows,) bool: goes on from the one before
     inside: Any = dataclasses.field(init=False, default=None)  # of the model's rows
+
+    @property
+    def guess(self) -> np.ndarray:
+        """First guesses of the windows' states (windows, ...), as far as they are fitted."""
+        return np.zeros((len(self.which), 0))
+
+    def some(self, count: int) -> np.ndarray:
+        """Return a few windows of those that are fitted, on which points can be compared."""
+        raise NotImplementedError
+
+    def linearized(self, x: np.ndarray, start: np.ndarray) -> list[Normal]:
+        """Return the normal equations at points x (points, P) and states (points, windows, ...)."""
+        raise NotImplementedError
+
+
+class Problem(LeastSquares):
+    """What is minimised where each limb begins each window in a state of its own."""
+
+    model: Model
+
+    @property
+    def follows(self) -> np.ndarray:
+        """Which windows go on from the one before, (windows,) bool."""
+        return np.asarray(self.model.windows.abuts[self.which] & np.isin(self.which - 1, self.which))
+
+    def some(self, count: int) -> np.ndarray:
+        """Return windows from all over the log."""
+        fitted = np.flatnonzero(~self.model.windows.held_out)
+        return np.asarray(fitted[np.unique(np.linspace(0, len(fitted) - 1, count).round().astype(int))])
+
+    def linearized(self, x: np.ndarray, start: np.ndarray) -> list[Normal]:
+        """Return the normal equations at points x (points, P) and starts (points, windows, limb, joint, S)."""
+        return linearized(self, x, start)
 
     @property
     def guess(self) -> np.ndarray:
@@ -310,7 +340,7 @@ class Prior(NamedTuple):
     upper: np.ndarray
 
 
-def prior_of(model: Model) -> Prior:
+def prior_of(model: Fit) -> Prior:
     """Return priors and bounds of the coordinates, (P,) each."""
     low, high = np.reshape([v.bounds for v in model.variables], (-1, 2)).T
     mean, sd = np.reshape([(v.mean, v.sd) for v in model.variables], (-1, 2)).T
@@ -318,11 +348,11 @@ def prior_of(model: Model) -> Prior:
 
 
 def search(
-    problem: Problem, x: np.ndarray, start: np.ndarray, most: int, progress: Progress | None = None, text: str = ""
+    problem: LeastSquares, x: np.ndarray, start: np.ndarray, most: int, progress: Progress | None = None, text: str = ""
 ) -> list[Fitted]:
     """Return where the search from each of several points (points, P) ends; all points move together, in one batch."""
     prior, points = prior_of(problem.model), len(x)
-    normals = linearized(problem, x, start)
+    normals = problem.linearized(x, start)
     costs = [n.cost + _prior_cost(prior, each) for n, each in zip(normals, x, strict=True)]
     damping, done, iteration = np.full(points, _DAMPING), ~np.isfinite(costs), 0
     while iteration < most and not done.all():
@@ -332,7 +362,7 @@ def search(
         memory = problem.model.memory
         steps = [_step(normals[k], x[k], damping[k], start[k], prior, memory) for k in range(points)]
         trial, trial_start = (np.stack(each) for each in zip(*steps, strict=True))
-        found = linearized(problem, trial, trial_start)
+        found = problem.linearized(trial, trial_start)
         for k, normal in enumerate(found):
             cost = normal.cost + _prior_cost(prior, trial[k])
             if done[k]:
@@ -391,7 +421,7 @@ def _factor(matrix: np.ndarray) -> Any:
     raise FloatingPointError("the normal equations are not finite")
 
 
-def noise_of(problem: Problem, normal: Normal) -> np.ndarray:
+def noise_of(problem: LeastSquares, normal: Normal) -> np.ndarray:
     """Return the noise (signals,) of each signal, as its residuals have it, outliers winsorised."""
     noise = problem.noise.copy()
     for signal in range(len(noise)):

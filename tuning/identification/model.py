@@ -114,13 +114,42 @@ def _filled(stand: stands.Stand, moving: stands.Moving, before: Array) -> stands
 
 
 @dataclasses.dataclass(frozen=True)
-class Model:
-    """The model of a log's windows."""
+class Fit:
+    """What is fitted to the windows of a log."""
 
     windows: Windows
     variables: tuple[Variable, ...]
     structure: Structure
     parameters: Parameters  # of the scenario, in double precision
+
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """What servos remember where a window begins, by the names of MEMORY, as far as it is fitted."""
+        return ()
+
+    def delay(self, x: np.ndarray) -> float:
+        """Return the delay of commands at a point of coordinates (n,), s."""
+        own = {v.key: float(value) for v, value in zip(self.variables, x, strict=True)}
+        return own.get(DELAY, float(self.parameters.command_delay)) + own.get(CLOCK, 0.0)
+
+    @functools.cached_property
+    def schedule(self) -> Schedule | None:
+        """P gains and torque off, as the log has them."""
+        return schedule_of(self.windows.gains, float(np.asarray(self.parameters.kp)))
+
+    def sent(self, which: np.ndarray, delay: float, before: int = 0) -> tuple[stands.Sent, stands.Sent]:
+        """Return what was sent `delay` s late, from `before` steps before each window, and its rates over time."""
+        windows = self.windows
+        sent, changing = (stands.Sent(value) for value in windows.targets(which, delay, before))
+        if self.schedule is not None:
+            moments = windows.moments(which, before + windows.steps + 1, before) - delay
+            gains, rate = self.schedule.at(moments, windows.time_step)
+            sent, changing = sent._replace(**gains), changing._replace(**rate)
+        return sent, changing
+
+
+class Model(Fit):
+    """The model of a log's windows, the base held: each begins in a state of its own."""
 
     @functools.cached_property
     def sizes(self) -> tuple[int, int, int]:
@@ -149,11 +178,6 @@ class Model:
                 lanes.append([n])
         return lanes
 
-    def delay(self, x: np.ndarray) -> float:
-        """Return the delay of commands at a point of coordinates (n,), s."""
-        own = {v.key: float(value) for v, value in zip(self.variables, x, strict=True)}
-        return own.get(DELAY, float(self.parameters.command_delay)) + own.get(CLOCK, 0.0)
-
     def directions(self) -> Point:
         """Return the tangents that are asked for: of the variables by lanes, then of each joint's state."""
         limbs, joints, size = self.sizes
@@ -167,20 +191,11 @@ class Model:
             start[0, len(self.lanes) + n, :, n // size, n % size] = 1.0
         return Point(x, start, late)
 
-    @functools.cached_property
-    def schedule(self) -> Schedule | None:
-        """P gains and torque off, as the log has them."""
-        return schedule_of(self.windows.gains, float(np.asarray(self.parameters.kp)))
-
     def _given(self, which: np.ndarray, delay: float, before: int) -> Given:
         """Return what the log says of windows, with what was sent `delay` s late."""
-        windows = self.windows
-        targets, rates = windows.targets(which, delay, before)
-        sent, changing = (stands.Sent(value[:, before:]) for value in (targets, rates))
-        if self.schedule is not None:
-            gains, rate = self.schedule.at(windows.moments(which, windows.steps + 1) - delay, windows.time_step)
-            sent, changing = sent._replace(**gains), changing._replace(**rate)
-        return Given(targets[:, :before], sent, changing)
+        early, changing = self.sent(which, delay, before)
+        sent, changing = (jax.tree.map(lambda value: value[:, before:], each) for each in (early, changing))
+        return Given(early.targets[:, :before], sent, changing)
 
     def evaluate(self, x: np.ndarray, start: np.ndarray, which: np.ndarray) -> tuple[dict[str, np.ndarray], Any]:
         """Return what windows would have recorded, and the tangents.

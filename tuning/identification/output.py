@@ -17,9 +17,8 @@ from mjx_climb.files.scenario_files import portable_yaml
 from mjx_climb.quantities.parameters import KEYS
 from tuning.identification import robot_files
 from tuning.identification.inference import suspicious
-from tuning.identification.least_squares import linearized
 from tuning.identification.variables import begin
-from tuning.identification.windows import KINDS
+from tuning.identification.windows import KINDS, UNITS
 from tuning.output.folder import check_own, write_config
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.report import page
@@ -86,7 +85,7 @@ def ensemble_of(found: "Identified") -> Ensemble:
             mean=tuple(found.fitted.x[chosen].tolist()),
             covariance=tuple(map(tuple, found.posterior.covariance[np.ix_(chosen, chosen)].tolist())),
             lower=tuple(lower), upper=tuple(v.upper for v in variables),
-            held=tuple(key for key in found.estimates if key not in known),
+            held=tuple(key for key in found.estimates if key not in known and not key.startswith("log.")),
         ),
     )  # fmt: skip
 
@@ -126,14 +125,14 @@ def _rows(estimates: "dict[str, Estimate] | Any") -> list[list[str]]:
 
 def noise_table(found: "Identified") -> page.Table:
     """Return the noise of each signal, how what was held out is predicted, and what its residuals look like."""
-    by_signal, units, rows = found.held_out.get("signals", {}), ("rad", "rad/s", "N m"), []
+    by_signal, rows = found.held_out.get("signals", {}), []
     wrong = {test.signal: test for test in suspicious(found.tests)}
     for n, name in enumerate(found.model.windows.names):
         kind = KINDS[found.model.windows.kind[n]]
         test = wrong.get(name)
         said = "" if test is None else f"{np.abs(test.correlation).max():.2f}"
         held = by_signal.get(name)
-        rows.append([name, units[KINDS.index(kind)], number(float(found.fitted.noise[n])),
+        rows.append([name, UNITS[KINDS.index(kind)], number(float(found.fitted.noise[n])),
                      "" if held is None else f"{held:.3f}", said])  # fmt: skip
     columns = ("signal", "unit", "noise", "error over noise, held out", "correlation")
     return page.Table("Signals", columns, [("", rows)])
@@ -207,7 +206,7 @@ def plot_prediction(found: "Identified") -> Figure:
     axis = figure.subplots()
     axis.plot(time[own], rows.value[own], ".", color="black", markersize=2, label="log")
     first, last = begin(found.model.variables)[None], found.fitted.start[None]
-    before = rows.value[own] - linearized(found.problem, first, last)[0].residuals[own]
+    before = rows.value[own] - found.problem.linearized(first, last)[0].residuals[own]
     after = rows.value[own] - found.fitted.normal.residuals[own]
     axis.plot(time[own], before, color=plots.ORANGE, label="before")
     axis.plot(time[own], after, color=plots.BLUE, label="after")

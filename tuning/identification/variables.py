@@ -39,8 +39,8 @@ _CENTER = ("center.x", "center.y", "center.z")
 _INERTIA = ("xx", "yy", "zz", "xy", "xz", "yz")
 _PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of these in A and in the inertia
 _STILL = ("gait.", "disturbance.", "contact.capture_distance", "hardware.control_period", "hardware.seed")
-_OF_LAW = ("hardware.base_estimate", "force_sensor.noise", "force_sensor.resolution", "force_sensor.filter")
-ON_GROUND = ("contact.", "hardware.force_sensor.", "robot.base.")  # a robot on a stand does not tell them
+_OF_LAW = ("hardware.base_estimate", "force_sensor.noise", "force_sensor.resolution")
+ON_GROUND = ("contact.", "hardware.force_sensor.", "robot.base.", "log.")  # a robot on a stand does not tell them
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +57,7 @@ class Variable:
     log: bool = False  # the coordinate is the logarithm
     frozen: bool = False  # held at the nominal value
     limb: int | None = None  # the one limb that it moves, where there is one
+    beside: bool = False  # of no interest in itself: what is not told of it alone is not said
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -123,9 +124,19 @@ def _all(scenario: mc.Scenario) -> Iterator[Variable]:
         yield Variable(f"gravity.tilt_{axis}", "rad", 0.0, 0.0, _TILT, -1.0, 1.0)
     yield _positive("robot.base.mass", "kg", float(robot.base_mass), 0.3)
     for n, limb in enumerate(robot.limbs):
+        yield from _of_sensor(f"log.{limb}.force", n)
         for j, joint in enumerate(robot.joint_names):
             for each in (*_of_joint(robot, n, j), *_of_link(robot, n, j)):
                 yield dataclasses.replace(each, key=f"robot.{limb}.{joint}.{each.key}", limb=n)
+
+
+def _of_sensor(place: str, limb: int) -> Iterator[Variable]:
+    """Yield what the log has of the force on a foot: share of it, offset, and share of another axis."""
+    yield Variable(f"{place}.gain", "1", 1.0, 1.0, 0.2, 0.1, 10.0, limb=limb)
+    for axis in "xyz":
+        yield Variable(f"{place}.zero.{axis}", "N", 0.0, 0.0, 2.0, -math.inf, math.inf, limb=limb)
+        for other in "xyz".replace(axis, ""):
+            yield Variable(f"{place}.{other}_in_{axis}", "1", 0.0, 0.0, 0.05, -1.0, 1.0, limb=limb)
 
 
 def _positive(key: str, unit: str, nominal: float, sd: float = FACTOR) -> Variable:

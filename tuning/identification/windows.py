@@ -15,7 +15,11 @@ from tuning.identification.schedule import without_jumps
 
 LENGTH = 1.0  # s, of a window
 SHORTEST = 0.2  # s, of what is left at the end of a stretch
-KINDS = ("position", "velocity", "effort")
+KINDS = (  # what is recorded; of a joint, of a foot, of the base
+    "position", "velocity", "effort", "force", "base_position", "base_orientation", "base_linear_velocity",
+    "base_angular_velocity",
+)  # fmt: skip
+UNITS = ("rad", "rad/s", "N m", "N", "m", "1", "m/s", "rad/s")
 _GAP, _PERIODS = 0.1, 5  # s, and periods of the log: a longer silence is a gap
 _NEAR = 0.05  # s, samples by which a rate is guessed
 
@@ -40,8 +44,8 @@ class Windows:
     steps: int  # of each window
     time_step: float  # s
     names: tuple[str, ...]  # of the signals that are predicted
-    limb: Int[np.ndarray, " signals"]
-    joint: Int[np.ndarray, " signals"]
+    limb: Int[np.ndarray, " signals"]  # 0 of the base
+    joint: Int[np.ndarray, " signals"]  # or the axis
     kind: Int[np.ndarray, " signals"]  # index into KINDS
     rows: Rows
     start: Float[np.ndarray, "windows limb joint 2"]  # rad, rad/s: first guesses of angles and rates
@@ -68,8 +72,17 @@ class Windows:
         return values, rates
 
 
-def cut(log: Log, robot: Robot, time_step: float, held_out: float, length: float = LENGTH) -> Windows:
-    """Return the windows of a log; the last share `held_out` of them is not fitted.
+def cut(
+    log: Log, robot: Robot, time_step: float, held_out: float, beside: Mapping[str, tuple[int, int, int]] | None = None
+) -> Windows:
+    """Return the windows of a log, joints and what stands beside them; the last share `held_out` is not fitted.
+
+    Arguments:
+        log: its joints count where all of their limb have commands.
+        robot: whose log it is.
+        time_step: of the model, s.
+        held_out: share of the windows.
+        beside: by name, limb, axis and kind of further signals.
 
     Raises:
         ConfigError: a log without commands, without anything that can be predicted, or too short.
@@ -84,15 +97,19 @@ def cut(log: Log, robot: Robot, time_step: float, held_out: float, length: float
     names, places = [], []
     for n in whole:
         for j, joint in enumerate(robot.joint_names):
-            for k, kind in enumerate(KINDS):
+            for k, kind in enumerate(KINDS[:3]):
                 if (name := f"{robot.limbs[n]}.{joint}.{kind}") in log.signals:
                     names.append(name)
                     places.append((n, j, k))
+    for name, place in (beside or {}).items():
+        names.append(name)
+        places.append(place)
     if not names:
         missing = "the commands of all joints of a limb" if not whole else "positions, velocities or efforts"
         first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else 'command'}"
         raise ConfigError(f"{log.source}: expected {missing}, as {first}, got {', '.join(list(log.signals)[:4])}")
-    signals = [log.signals[name] for name in names]
+    signals, steps = [log.signals[name] for name in names], round(LENGTH / time_step)
+    length = steps * time_step
     begin, abuts, ends = _stretches(signals, length)
     # commands change when samples are taken, and a step holds one target: samples fall between steps
     begin, ends = begin - time_step / 2, ends + time_step
@@ -100,7 +117,6 @@ def cut(log: Log, robot: Robot, time_step: float, held_out: float, length: float
         raise ConfigError(f"{log.source}: expected two seconds or more, got {log.duration:.3g} s without gaps")
     count = len(begin) - min(round(held_out * len(begin)), len(begin) - 1)
     limb, joint, kind = np.array(places).T
-    steps = round(length / time_step)
     rows = _rows(signals, kind == 1, begin, ends, steps, time_step)
     return Windows(
         begin=begin, abuts=abuts, held_out=np.arange(len(begin)) >= count, steps=steps, time_step=time_step,

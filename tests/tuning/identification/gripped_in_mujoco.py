@@ -9,6 +9,8 @@ from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geome
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
 from mjx_climb.robot.constants import load_robot, load_spec
+from tests.tuning.identification.stand_in_mujoco import JOINTS
+from tuning.identification.log import Log, Signal
 
 LIMBS = ("LF", "LH", "RH", "RF")
 
@@ -118,3 +120,24 @@ def sways(duration, step, *, amplitude=1.0, top=4.0, seed=0, name="hubrobo_v3_2"
     found = inverse_kinematics(limb_geometry(robot), seen)
     assert bool(np.all(found.reachable))
     return time, np.asarray(found.joint_angles).reshape(len(time), -1)
+
+
+def log_of(truth, duration=8.0, rate=100.0, *, kinds=("position", "velocity", "force"), seed=0, targets=None, **motion):
+    """Return a noisy log of a sway; targets (T, 12) at its rate replace the sway."""
+    rng = np.random.default_rng(seed)
+    time, own = sways(duration, 1 / rate, **motion)
+    targets = own if targets is None else targets
+    time = np.arange(len(targets)) / rate
+    true = swayed(truth, time, targets, lead=1.0)
+    true["force"] = truth.gain * true["force"] + truth.bias
+    signals = {f"{joint}.command": Signal(time, targets[:, n]) for n, joint in enumerate(JOINTS)}
+    for kind in kinds:
+        values = true[kind].reshape(len(time), -1)
+        values = values + rng.normal(0, NOISE[kind], values.shape)
+        names = [f"{joint}.{kind}" for joint in JOINTS]
+        if kind == "force":
+            names = [f"{limb}.force.{axis}" for limb in LIMBS for axis in "xyz"]
+        elif kind == "base_position":
+            names = [f"base.position.{axis}" for axis in "xyz"]
+        signals |= {name: Signal(time, value) for name, value in zip(names, values.T, strict=True)}
+    return Log(signals, "log.csv")

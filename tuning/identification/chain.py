@@ -1,0 +1,100 @@
+"""The fit of a log whose windows go on from each other: normal equations without states of windows.
+
+What windows miss of each other is nothing: each begins where the one before ends, for every variable exactly so.
+"""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from tuning.identification.force_sensors import sensed
+from tuning.identification.gripped import FORCE_DELAY, LATE, GrippedModel
+from tuning.identification.least_squares import HUBER, LeastSquares, Normal
+from tuning.identification.windows import KINDS
+
+LEAD = 0.5  # s, at the beginning of a stretch, that is not fitted: the motion may go on there from before the log
+
+
+class _Made:
+    """What was predicted for each row at each point, and its derivatives along the variables."""
+
+    def __init__(self, points: int, rows: int, variables: int) -> None:
+        self.value = np.full((points, rows), np.nan)
+        self.along = np.zeros((points, rows, variables))
+
+
+@dataclasses.dataclass(frozen=True)
+class Chain(LeastSquares):
+    """What is minimised of a gripped robot's log; its windows are those from the first on."""
+
+    model: GrippedModel
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rows, windows = self.rows, self.model.windows
+        early = ~windows.abuts[rows.window] & ((rows.step + rows.share) * windows.time_step < LEAD)
+        vars(self)["fitted"] = self.fitted & ~early
+
+    def some(self, count: int) -> np.ndarray:
+        """Return the first windows of those that are fitted."""
+        return np.flatnonzero(~self.model.windows.held_out)[:count]
+
+    def linearized(self, x: np.ndarray, start: np.ndarray) -> list[Normal]:
+        """Return the normal equations at points x (points, P)."""
+        made = _Made(len(x), len(self.rows.value), x.shape[1])
+        for which, values, tangents in self.model.evaluate(x, len(self.which)):
+            here = np.flatnonzero(np.isin(self.rows.window, which))
+            of_window = np.searchsorted(which, self.rows.window[here])
+            for k, point in enumerate(x):
+                own, along = ({name: v[k] for name, v in each.items()} for each in (values, tangents))
+                if "force" in own:
+                    sensed(self.model.variables, point, own, along)
+                self._predict(made, k, point, here, of_window, own, along)
+        return [self._normal(made.value[k], made.along[k]) for k in range(len(x))]
+
+    def _predict(
+        self, made: _Made, k: int, x: np.ndarray, here: np.ndarray, of_window: np.ndarray, values: dict[str, Any],
+        tangents: dict[str, Any],
+    ) -> None:  # fmt: skip
+        """Enter what was predicted of rows `here`, between the steps on a line, whose windows' places are given."""
+        rows, windows, model = self.rows, self.model.windows, self.model
+        keys = [v.key for v in model.variables]
+        for number, kind in enumerate(KINDS):
+            own = windows.kind[rows.signal[here]] == number
+            chosen, w = here[own], of_window[own]
+            if not len(chosen):
+                continue
+            limb, joint = windows.limb[rows.signal[chosen]], windows.joint[rows.signal[chosen]]
+            late = [n for n, key in enumerate(keys) if kind in LATE.get(key, ())]
+            delay = float(x[late].sum())
+            if kind == "force" and FORCE_DELAY not in keys:
+                delay += float(model.parameters.force_delay)
+            at = rows.step[chosen] + rows.share[chosen] - delay / windows.time_step + windows.steps
+            step = np.clip(np.floor(at), 0, 2 * windows.steps - 1).astype(int)
+            share = at - step
+            before, after = (values[kind][w, step + n, limb, joint] for n in (0, 1))
+            first, last = (tangents[kind][w, :, step + n, limb, joint] for n in (0, 1))
+            made.value[k, chosen] = before + share * (after - before)
+            made.along[k, chosen] = first + share[:, None] * (last - first)
+            made.along[k][np.ix_(chosen, late)] = ((before - after) / windows.time_step)[:, None]
+
+    def _normal(self, value: np.ndarray, along: np.ndarray) -> Normal:
+        """Return the sums of samples."""
+        rows, count, windows = self.rows, along.shape[1], len(self.which)
+        fitted = self.fitted
+        finite = bool(np.isfinite(value).all() and np.isfinite(along).all())
+        value, along = (v if finite else np.zeros_like(v) for v in (value, along))
+        residuals, noise = rows.value - value, self.noise[rows.signal]
+        scaled = np.abs(residuals) / noise
+        weight = np.where(fitted, np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12)), 0.0) / noise**2
+        loss = np.where(scaled < HUBER, scaled**2 / 2, HUBER * scaled - HUBER**2 / 2)
+        by_block = np.zeros((1, windows, count))
+        np.add.at(by_block[0], self.place, along * (weight * residuals)[:, None])
+        none = np.zeros((0, windows, 0))
+        return Normal(
+            cost=float(loss[fitted].sum()) if finite else np.inf, gradient=by_block.sum((0, 1)),
+            hessian=along.T @ (along * weight[:, None]), state_gradient=none, state_hessian=none[..., None],
+            onward=none[..., None], mixed=np.zeros((0, windows, count, 0)), by_block=by_block, state_by_block=none,
+            residuals=residuals,
+        )  # fmt: skip
