@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +12,11 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
+from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.dynamics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.limb_engine import held_accelerations
-from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix, skew
+from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.stages import Stages, hardware_of
 from mjx_climb.quantities.parameters import Parameters
@@ -210,14 +211,4 @@ def _turn(rotation_vector: Array) -> Array:
 
 def with_mass(robot: Robot, mass: float) -> Robot:
     """Return a robot with a point mass at each foot, kg."""
-    if mass == 0:
-        return robot
-    own, place, foot = robot.link_mass[:, -1:], robot.link_center[:, -1], robot.foot_center
-    center = (own * place + mass * foot) / (own + mass)
-    inertia = robot.link_inertia[:, -1]
-    for arm, weight in ((place - center, own), (foot - center, mass)):
-        crossed = jax.vmap(skew)(jnp.asarray(arm))
-        inertia = inertia - jnp.reshape(weight, (-1, 1, 1)) * (crossed @ crossed)
-    last = {"link_mass": own[:, 0] + mass, "link_center": center, "link_inertia": inertia}
-    new: dict[str, Any] = {name: jnp.asarray(getattr(robot, name)).at[:, -1].set(v) for name, v in last.items()}
-    return dataclasses.replace(robot, **new)
+    return robot if mass == 0 else with_foot_mass(robot, jnp.asarray(mass, float))
