@@ -125,9 +125,9 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     own, held = scenario, asked.base == "held"
     wanted = variables(scenario, asked.fit, held=held)
     if not held:
-        if of_robot := [each.key for each in wanted if each.key.startswith("robot.")]:
-            expected = "a key of the scenario with --base free"
-            raise config_error("excite", f"--fit {of_robot[0]}", expected, "one of the robot's")
+        if others := [each.key for each in wanted if each.key.startswith(("robot.", "log.", "hardware.force_sensor."))]:
+            expected = "a key of the scenario with --base free, of what moves the robot"
+            raise config_error("excite", f"--fit {others[0]}", expected, "one of the robot's or of its sensors")
         scenario = commanded.swaying(scenario, asked.duration + SETTLING)
     for kp in asked.kp:
         check_time_step(scenario.with_overrides({"control.kp": kp}), f"--kp {kp:g}")
