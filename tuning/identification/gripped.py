@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb import execution
@@ -215,14 +216,13 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     kinds = tuple(KINDS[k] for k in sorted(set(windows.kind)))
     places = tuple(Place(v.key, v.log) for v in every)
     structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds)
-    begins = windows.begin[~windows.abuts]
-    poses = [_posed(log, robot, moment) for moment in begins]
     angles = windows.start[~windows.abuts, :, :, 0]
-    feet = np.array([p + limb_frames(robot, _turn(q), a).foot for (p, q), a in zip(poses, angles, strict=True)])
+    position, orientation = _posed(log, robot, windows.begin[0])
+    feet = position + limb_frames(robot, np.asarray(quaternion_to_matrix(orientation), float), angles[0]).foot
     # a foot hangs below its grip by what it carries
     weight = float(robot.total_mass) * np.asarray(own.gravity) / len(robot.limbs)
-    states = [_state(*pose, a) for pose, a in zip(poses, angles, strict=True)]
-    points = feet[0] - weight / float(own.contact_stiffness)
+    states = [_state(*_registered(robot, each, feet), each) for each in angles]
+    points = feet - weight / float(own.contact_stiffness)
     return GrippedModel(windows, tuple(every), structure, own, points, states[0], states)
 
 
@@ -247,8 +247,11 @@ def _posed(log: Log, robot: Robot, moment: float) -> tuple[np.ndarray, np.ndarra
     return position, orientation / np.linalg.norm(orientation)
 
 
-def _turn(orientation: np.ndarray) -> np.ndarray:
-    return np.asarray(quaternion_to_matrix(orientation), float)
+def _registered(robot: Robot, angles: np.ndarray, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return position and orientation of the base at which feet are nearest to where they grip, (limb, 3) m."""
+    seen = np.asarray(limb_frames(robot, None, angles).foot)
+    turn, _ = Rotation.align_vectors(feet - feet.mean(0), seen - seen.mean(0))
+    return feet.mean(0) - turn.apply(seen.mean(0)), turn.as_quat(scalar_first=True)
 
 
 def _state(*values: np.ndarray) -> State:

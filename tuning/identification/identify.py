@@ -23,7 +23,7 @@ from tuning.identification.least_squares import Fitted, LeastSquares, Problem, P
 from tuning.identification.log import Log
 from tuning.identification.model import DELAY, PRESLIDING, Fit, model_of, with_nuisances
 from tuning.identification.readers import read_log
-from tuning.identification.replay import Base
+from tuning.identification.replay import Base, base_of
 from tuning.identification.variables import Variable, applied, begin, in_units, variables
 from tuning.identification.windows import KINDS, cut
 
@@ -156,7 +156,7 @@ def identify(
     """
     robot = load_robot(scenario.robot)
     log = log if isinstance(log, Log) else read_log(log, robot, signals)
-    chosen_base = base or ("free" if _of_gripped(log) else "held")
+    chosen_base = base or base_of(log)
     chosen = variables(scenario, fit, held=chosen_base == "held", changes=changes)
     problem = (_held if chosen_base == "held" else _gripped)(scenario, log, robot, chosen, held_out)
     found, problem = _searched(problem, starts, progress)
@@ -191,10 +191,6 @@ def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
     off, windows = schedule.time[schedule.on == 0], model.windows
     if len(off) and windows.held_out.any() and off[0] >= windows.begin[windows.held_out][0]:
         yield "the torque is off in what is held out alone, and tells nothing (--held-out 0 fits it)"
-
-
-def _of_gripped(log: Log) -> bool:
-    return any(name.startswith("base.") or ".force." in name for name in log.signals)
 
 
 def _held(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float) -> LeastSquares:

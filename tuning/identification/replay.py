@@ -101,7 +101,7 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepar
     if not 2 <= steps <= MAX_STEPS:
         expected = f"a log of two to {MAX_STEPS} time steps of {scenario.time_step:g} s"
         raise ConfigError(f"{log.source}: expected {expected}, got {log.duration:g} s")
-    chosen: Base = base or ("free" if any(n.startswith("base.") or ".force." in n for n in signals) else "held")
+    chosen = base or base_of(log)
     scenario = scenario.with_overrides({
         "duration": steps * scenario.time_step, "hardware.control_period": 0.0, "hardware.interpolation": "hold",
     })  # fmt: skip
@@ -112,6 +112,11 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepar
     if chosen == "free" and schedule_of(signals, scenario.control.kp) is not None:
         said.append(f"{KP} and {OFF} of the log have no part in it: the base is free")
     return Prepared(log, scenario, chosen, targets, tuple(said))
+
+
+def base_of(log: Log) -> Base:
+    """Return whether the base was held: the log has neither base nor foot forces."""
+    return "free" if any(name.startswith("base.") or ".force." in name for name in log.signals) else "held"
 
 
 def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
