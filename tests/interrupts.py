@@ -20,12 +20,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.shell import ROOT, finish, start
+from tests.tuning.identification.stand_in_mujoco import TRUTH, columns_of, log_of
+from tuning.identification.readers import write_csv
 
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 ROBOT = str(ROOT / "mjx_climb" / "robot" / "models" / "hubrobo_v3_2.xml")
 SHORT, OUT = [CASE, "--set", "duration=0.1"], ["--out", "out"]
 GRID = ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2"]
-COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} for that of its shards
+COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} for that of its shards, {log} for a log
     "run": ["run", *SHORT, "--compare", "pd", *OUT],
     "sweep": [*GRID, "--batch-size", "1", *OUT],
     "shard": [*GRID, "--shard", "1/2", *OUT],
@@ -38,6 +40,7 @@ COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} 
     "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4", *OUT],
     "compare": ["compare", *SHORT, *"--laws base_admittance --members 4 --starts 2 --iterations 2".split(), *OUT],
     "excite": ["excite", CASE, "--duration", "2", "--candidates", "1", *OUT],
+    "identify": ["identify", CASE, "--log", "{log}", "--fit", "control.kp", "--starts", "1", *OUT],
     "export": ["export", "{gains}", "--update-rate", "500"],
     "merge": ["merge", "{shards}", *OUT],
     "plot": ["plot", "{swept}", *OUT],
@@ -64,9 +67,10 @@ class Attempt(NamedTuple):
 
 
 def prepared(folder: Path) -> dict[str, Path]:
-    """Return what commands are given, made here: a gains file, the folder of a sweep, one that holds its shards."""
+    """Return what commands are given, made here: a gains file, a log, the folder of a sweep, one of its shards."""
     places = {"gains": folder / "gains.yaml", "swept": folder / "swept", "shards": folder / "shards"}
     places["gains"].write_text(GAINS)
+    places["log"] = write_csv(folder / "log.csv", columns_of(log_of(TRUTH, 2.0)))
     for name, options in (("swept", []), ("shards", ["--shard", "1/2"]), ("shards", ["--shard", "2/2"])):
         finish(*GRID, *options, "--out", places[name])
     return places

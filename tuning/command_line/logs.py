@@ -1,5 +1,6 @@
 """Commands about a robot's log: what to command for one, what it says of the robot, the simulation beside it."""
 
+import contextlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +12,7 @@ from tuning.command_line.options import Output, Walk
 from tuning.command_line.program import InputError, origin, repeated
 from tuning.command_line.run import Pictures
 from tuning.problem.excitation import Excitation
-from tuning.problem.settings import Options, setting
+from tuning.problem.settings import NonNegative, Options, setting
 
 if TYPE_CHECKING:
     from tuning.command_line.session import Session
@@ -67,6 +68,7 @@ class Fitted(Options):
     base: Literal["held", "free"] | None = setting(
         None, "base on a stand, or on its grippers; null: held where neither base nor foot forces were logged"
     )
+    mass: NonNegative = setting(0.0, "known mass that hung on each foot while the log was made, kg")
     held_out: float = setting(0.2, "share of the log, at its end, that is predicted and not fitted", ge=0, le=0.8)
     starts: int = setting(4, "points from which the search begins, the config's own among them", ge=1, le=64)
 
@@ -84,7 +86,8 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
     Prints what was known before and is now, with 95 % intervals, what the log does not tell, and whether the model is
     right. With --out writes to DIR the scenario as identified (identified.yaml, hardware.yaml for --hardware, and a
     robot's file where it was fitted), an ensemble of what is left open (posterior.yaml, for tune and judge), all
-    numbers (result.json), pictures, and a page (report.html).
+    numbers (result.json), pictures, and a page (report.html). Every iteration is kept in DIR: after Ctrl-C, or worse,
+    the same command goes on where it stopped.
 
     \b
     Examples:
@@ -94,26 +97,23 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
       mjx-climb identify case_1_1 --log sway.csv --base free --fit contact.stiffness --fit robot.base.mass
     """
     with output.session() as shell:
-        from mjx_climb.files.dataset import check_folder
         from tuning.command_line.session import from_page
         from tuning.identification import identify as fitting
-        from tuning.identification.output import table
+        from tuning.identification.output import FILE, table
+        from tuning.searches.parts import FOLDER
 
-        if output.out is not None:
-            check_folder(output.out)
+        if output.out is not None and (shell.claim(FILE, walk.config.stem) / FOLDER).exists():
+            shell.say(f"an interrupted fit is kept in {output.out}: goes on where it stopped")
         scenario = walk.load().scenario
-        with shell.stage("fit", unit="iterations") as show:
-            found = fitting.identify(
-                scenario, asked.log, asked.fit, base=asked.base, signals=asked.signals, held_out=asked.held_out,
-                starts=asked.starts, progress=show,
-            )  # fmt: skip
+        keeping = contextlib.nullcontext() if output.out is None else shell.keeping("iterations")
+        with keeping, shell.stage("fit", unit="iterations", keeps=True) as show:
+            found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked))
         shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
         shell.show(f"{found.sentence}.")
         if output.out is not None:
-            again = repeated(["identify"], "--log", "--fit", "--base", "--signals")
+            again = repeated(["identify"], *(f"--{name.replace('_', '-')}" for name in Fitted.model_fields))
             with shell.stage("writing", compiles=False):
                 files = found.write(output.out, origin=origin(walk.config.stem, again), figures=output.figures)
-            shell.out = output.out
             shell.written(", ".join(files), json.dumps(found.as_json(), indent=2))
         else:
             shell.print_json(json.dumps(found.as_json(), indent=2))

@@ -27,9 +27,10 @@ from mjx_climb.scenario.messages import config_error
 from tuning.background import Stage, silent
 from tuning.identification import commanded, motions
 from tuning.identification.commanded import Carried, Commands
+from tuning.identification.foot_mass import with_mass
 from tuning.identification.information import Information, information
 from tuning.identification.motions import Axes, Band
-from tuning.identification.rig import RATE, SETTLING, Rig, Segment, with_mass
+from tuning.identification.rig import RATE, SETTLING, Rig, Segment
 from tuning.identification.variables import Variable, begin, variables
 from tuning.problem.excitation import Excitation as Settings
 

@@ -1,6 +1,7 @@
 """From a log to the parameters of a scenario: `identify`, and its result."""
 
 import dataclasses
+import math
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,13 +20,16 @@ from tuning.identification import inference
 from tuning.identification.chain import Chain
 from tuning.identification.gripped import cut_gripped, gripped_model
 from tuning.identification.inference import Posterior, Whiteness
-from tuning.identification.least_squares import Fitted, LeastSquares, Problem, Progress, noise_of, prior_of, search
+from tuning.identification.iterates import Iterates, Progress
+from tuning.identification.least_squares import Fitted, LeastSquares, Problem, noise_of, prior_of, search
 from tuning.identification.log import Log
 from tuning.identification.model import DELAY, PRESLIDING, Fit, model_of, with_nuisances
 from tuning.identification.readers import read_log
 from tuning.identification.replay import Base, base_of
 from tuning.identification.variables import Variable, applied, begin, in_units, variables
 from tuning.identification.windows import KINDS, cut
+from tuning.problem.evaluation import Problem as Walks
+from tuning.searches.parts import Parts, identity_of
 
 if TYPE_CHECKING:
     from tuning.report.page import Origin
@@ -133,9 +137,11 @@ def identify(
     base: Base | None = None,
     signals: Any = None,
     changes: Mapping[str, Mapping[str, Any]] | None = None,
+    mass: float = 0.0,
     held_out: float = HELD_OUT,
     starts: int = STARTS,
     progress: Progress | None = None,
+    out: str | os.PathLike[str] | None = None,
 ) -> Identified:
     """Fit parameters of a scenario to what a robot recorded with its base held, or free on all shut grippers.
 
@@ -147,20 +153,31 @@ def identify(
         signals: of a file, where each signal stands in it.
         changes: by key, fields of `tuning.identification.variables.Variable` in place of its own, as
             `{"control.kp": {"frozen": True}}`.
+        mass: that hung on each foot while the log was made, kg; it is no part of what is identified.
         held_out: share of the log, at its end, that is predicted and not fitted.
         starts: points from which the search begins, the nominal one among them.
         progress: called with iterations done, at most to do, and a line.
+        out: a folder in which every iteration is kept: what was interrupted goes on there, with the same arguments.
 
     Raises:
         ConfigError: no such key, or a log that holds nothing to fit.
+        OutputError: `out` cannot be written to, or holds an unfinished computation of other arguments.
     """
+    if not 0 <= mass < math.inf:
+        raise ConfigError(f"mass: expected a mass on each foot of 0 kg or more, got {mass}")
     robot = load_robot(scenario.robot)
     log = log if isinstance(log, Log) else read_log(log, robot, signals)
     chosen_base = base or base_of(log)
+    if mass and chosen_base == "free":
+        raise ConfigError(f"mass: expected none with the base free, got {mass:g} kg")
     chosen = variables(scenario, fit, held=chosen_base == "held", changes=changes)
-    problem = (_held if chosen_base == "held" else _gripped)(scenario, log, robot, chosen, held_out)
-    found, problem = _searched(problem, starts, progress)
+    if chosen_base == "held":
+        problem = _held(scenario, log, robot, chosen, held_out, mass)
+    else:
+        problem = _gripped(scenario, log, robot, chosen, held_out)
     model = problem.model
+    with Parts(out, lambda: identity_of_fit(scenario, log, model, held_out, starts) | {"base": chosen_base}) as parts:
+        found, problem = _searched(problem, starts, Iterates(parts, progress))
     tests = inference.whiteness(problem, found)
     wrong = inference.suspicious(tests)
     known = inference.posterior(problem, found, tests, wrong)
@@ -178,6 +195,13 @@ def identify(
     )
 
 
+def identity_of_fit(scenario: mc.Scenario, log: Log, model: Fit, held_out: float, starts: int) -> dict[str, Any]:
+    """Return all that determines a fit, as plain JSON values."""
+    fitted = [{name: str(value) for name, value in dataclasses.asdict(each).items()} for each in model.variables]
+    more = {"log": log.digest, "fit": fitted, "mass": model.structure.mass, "held_out": held_out, "starts": starts}
+    return {**identity_of(Walks(scenario)), **more}
+
+
 def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
     """Yield what is to be said of P gains by time and of torque off."""
     if (schedule := model.schedule) is None:
@@ -193,9 +217,11 @@ def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
         yield "the torque is off in what is held out alone, and tells nothing (--held-out 0 fits it)"
 
 
-def _held(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float) -> LeastSquares:
+def _held(
+    scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float, mass: float
+) -> LeastSquares:
     windows = cut(log, robot, scenario.time_step, held_out)
-    model = model_of(scenario, windows, with_nuisances(scenario, windows, chosen))
+    model = model_of(scenario, windows, with_nuisances(scenario, windows, chosen), mass)
     return Problem(model, np.arange(len(windows.begin)), _rough_noise(model))
 
 
@@ -219,7 +245,7 @@ def _of_fit(found: Fitted, wrong: Sequence[Whiteness], signals: int, ahead: Mapp
     return said
 
 
-def _searched(problem: LeastSquares, starts: int, progress: Progress | None) -> tuple[Fitted, LeastSquares]:
+def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitted, LeastSquares]:
     model, noise = problem.model, problem.noise
     windows, prior = model.windows, prior_of(model)
     rng = np.random.default_rng(0)
@@ -232,11 +258,11 @@ def _searched(problem: LeastSquares, starts: int, progress: Progress | None) -> 
     louder = np.where(windows.kind == KINDS.index("effort"), _UNHEARD * noise, noise)
     trial = dataclasses.replace(problem, which=problem.some(_SCREENED), noise=louder)
     guesses = np.repeat(trial.guess[None], len(points), axis=0)
-    screened = search(trial, points, guesses, _SCREENING, progress, "starts")
+    screened = search(trial, points, guesses, _SCREENING, "starts", kept)
     best = min(screened, key=lambda each: each.cost)
     x, start = best.x[None], problem.guess[None]
     for n in range(_PASSES):
-        (found,) = search(problem, x, start, _MOST, progress, f"pass {n + 1}")
+        (found,) = search(problem, x, start, _MOST, f"pass {n + 1}", kept)
         noise = noise_of(problem, found.normal)
         x, start = found.x[None], found.start[None]
         settled = np.abs(np.log(noise / problem.noise)).max() < _SETTLED

@@ -10,13 +10,13 @@ References:
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
+from tuning.identification.iterates import Iterate, Iterates
 from tuning.identification.model import LATE, MEMORY, Fit, Model
 from tuning.identification.windows import KINDS
 
@@ -26,8 +26,6 @@ _STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
 _TIGHT = 0.05  # of the noise, what a window's end may miss
 _ENOUGH = 0.02  # decrease of the cost, half a chi^2, at which the search ends
 _DAMPING, _SOFTER, _HARDER, _MOST = 1e-4, 0.1, 10.0, 1e3
-
-Progress = Callable[[int, int, str], None]
 
 
 class Normal(NamedTuple):
@@ -348,16 +346,17 @@ def prior_of(model: Fit) -> Prior:
 
 
 def search(
-    problem: LeastSquares, x: np.ndarray, start: np.ndarray, most: int, progress: Progress | None = None, text: str = ""
+    problem: LeastSquares, x: np.ndarray, start: np.ndarray, most: int, text: str, kept: Iterates
 ) -> list[Fitted]:
     """Return where the search from each of several points (points, P) ends; all points move together, in one batch."""
     prior, points = prior_of(problem.model), len(x)
+    first = Iterate(x, start, np.full(points, _DAMPING), np.zeros(points, bool))
+    iteration, (x, start, damping, done) = kept.begin(text, most, first)
     normals = problem.linearized(x, start)
     costs = [n.cost + _prior_cost(prior, each) for n, each in zip(normals, x, strict=True)]
-    damping, done, iteration = np.full(points, _DAMPING), ~np.isfinite(costs), 0
+    done = done | ~np.isfinite(costs)
     while iteration < most and not done.all():
-        if progress is not None:
-            progress(iteration, most, f"{text}: cost {min(costs):.6g}")
+        kept.show(iteration, min(costs))
         iteration += 1
         memory = problem.model.memory
         steps = [_step(normals[k], x[k], damping[k], start[k], prior, memory) for k in range(points)]
@@ -375,6 +374,8 @@ def search(
             else:
                 damping[k] *= _HARDER
                 done[k] = damping[k] > _MOST or abs(cost - costs[k]) < _ENOUGH / 4
+        kept.keep(iteration, Iterate(x, start, damping, done))
+    kept.end(iteration)
     return [
         Fitted(x[k], start[k], problem.noise, normals[k], costs[k], iteration, bool(done[k])) for k in range(points)
     ]

@@ -7,6 +7,7 @@ servos.
 """
 
 import dataclasses
+import hashlib
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -43,6 +44,14 @@ class Log:
     source: str  # the file, as the user named it
     warnings: tuple[str, ...] = ()  # what was found odd on reading, a line each
     guessed: Signals | None = None  # where each signal was taken from, if the file's own names did not say
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all samples and their names."""
+        found = hashlib.sha256()
+        for name, signal in sorted(self.signals.items()):
+            found.update(name.encode() + np.asarray([signal.time, signal.value], "<f8").tobytes())
+        return found.hexdigest()
 
     @property
     def duration(self) -> float:

@@ -18,6 +18,7 @@ from mjx_climb.quantities.parameters import KEYS, Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.walk import stand as stands
+from tuning.identification.foot_mass import with_mass
 from tuning.identification.schedule import Schedule, schedule_of
 from tuning.identification.variables import Place, Variable, applied, variables
 from tuning.identification.windows import KINDS, Windows
@@ -38,6 +39,7 @@ class Structure(NamedTuple):
     time_step: float
     steps: int
     kinds: tuple[str, ...]  # what is recorded
+    mass: float = 0.0  # kg, that hangs on each foot
 
 
 class Point(NamedTuple):
@@ -80,6 +82,7 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     """Return what would be recorded at steps 0 to `steps` (steps + 1, limb, joint), and the state at the last one."""
     dtype = point.x.dtype
     parameters, robot = applied(structure.places, point.x, parameters, load_robot(structure.robot))
+    robot = with_mass(robot, structure.mass)
     robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
     stand, (angles, rates) = stands.Stand(robot, hardware), (point.start[..., n] for n in (0, 1))
@@ -258,10 +261,13 @@ def stages_for(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Stages:
     return stages_of(scenario, own, robot)._replace(command_delay=0, control_period=False, linear=False)
 
 
-def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]) -> Model:
-    """Return the model of a log: it has the stages of hardware that the scenario has, or that are fitted."""
+def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable], mass: float = 0.0) -> Model:
+    """Return the model of a log: it has the stages of hardware that the scenario has, or that are fitted.
+
+    A `mass` in kg hung on each foot while the log was made.
+    """
     kinds = tuple(KINDS[k] for k in sorted(set(windows.kind)))
     places = tuple(Place(each.key, each.log) for each in chosen)
     stages = stages_for(scenario, chosen)
-    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds)
+    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds, mass)
     return Model(windows, tuple(chosen), structure, own_parameters(scenario))

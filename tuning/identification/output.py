@@ -23,6 +23,7 @@ from tuning.output.folder import check_own, write_config
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.report import page
 from tuning.report.numbers import number
+from tuning.searches import parts
 
 if TYPE_CHECKING:
     from tuning.identification.identify import Estimate, Identified
@@ -37,13 +38,14 @@ COLUMNS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
 def write(found: "Identified", folder: Path, origin: "page.Origin | None", figures: Collection[str]) -> list[str]:
     """Write all files of a result into a folder and return their names."""
     check_own(folder, FILE)
-    scenario = write_config(found.scenario, folder)
+    scenario, call = write_config(found.scenario, folder), "tuning.identify(...)"
+    own = origin or page.Origin("the scenario", call, call)
     identified = identified_scenario(found, scenario, folder)
     texts = {
         "identified.yaml": portable_yaml(identified, folder),
         "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),
         "posterior.yaml": ensemble_of(found).to_yaml(),
-        FILE: json.dumps(_result(found), indent=2) + "\n",
+        FILE: json.dumps(_result(found, own), indent=2) + "\n",
     }
     for name, text in texts.items():
         dataset.write_text_atomically(folder / name, text)
@@ -56,10 +58,9 @@ def write(found: "Identified", folder: Path, origin: "page.Origin | None", figur
     for name, (caption, picture) in drawn.items():
         plots.save_figure(picture(), folder / name, {"png", *figures})
         pictures[caption] = folder / f"{name}.png"
-    call = "tuning.identify(...)"
-    own = origin or page.Origin("the scenario", call, call)
     own = own._replace(config=(folder / "config.yaml").read_text(encoding="utf-8"), pictures=pictures)
     report = page.write(page_of(found, own), folder).name
+    parts.clear(folder)
     return [report, *texts, "config.yaml", *(f"{name}.png" for name in drawn)]
 
 
@@ -94,15 +95,16 @@ def _yaml(data: Any) -> str:
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
 
 
-def _result(found: "Identified") -> dict[str, Any]:
+def _result(found: "Identified", origin: page.Origin) -> dict[str, Any]:
     made = dataset.provenance(found.scenario)
     made.pop("scenario")
     told = {
         name: {k: dataclasses.asdict(e) for k, e in getattr(found, name).items()} for name in ("estimates", "beside")
     }
     noise = dict(zip(found.model.windows.names, found.fitted.noise.tolist(), strict=True))
-    more = {"combined": list(found.combined), "noise": noise, "log": found.log.source, "provenance": made}
-    return found.as_json() | told | more
+    more = {"combined": list(found.combined), "noise": noise, "mass": found.model.structure.mass}
+    made_of = {"log": found.log.source, "log_sha256": found.log.digest, "command": origin.asked, "provenance": made}
+    return found.as_json() | told | more | made_of
 
 
 # ----------------------------------------------------------------------------------------------- tables, page, pictures

@@ -12,7 +12,6 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.dynamics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.limb_engine import held_accelerations
@@ -25,6 +24,7 @@ from mjx_climb.scenario.messages import config_error
 from mjx_climb.walk.stand import targets_of
 from tuning.identification import commanded
 from tuning.identification.commanded import Carried, Commands
+from tuning.identification.foot_mass import with_mass
 from tuning.identification.motions import Axes
 from tuning.identification.variables import Place, Variable, applied
 from tuning.problem.excitation import Excitation
@@ -207,8 +207,3 @@ class Rig:
 
 def _turn(rotation_vector: Array) -> Array:
     return jnp.asarray(quaternion_to_matrix(quaternion_from_rotation_vector(rotation_vector)))
-
-
-def with_mass(robot: Robot, mass: float) -> Robot:
-    """Return a robot with a point mass at each foot, kg."""
-    return robot if mass == 0 else with_foot_mass(robot, jnp.asarray(mass, float))

@@ -24,6 +24,8 @@ class Truth:
     gravity: tuple = (0.0, 0.0, -9.81)
     stribeck: float = 0.0  # N m, friction at rest beside the rest of it
     integrator: str = "RK4"
+    heavier: float = 1.0  # masses of all links over those of the robot's file
+    mass: float = 0.0  # kg, hung on each foot
     flexible: float = 0.0  # N m/rad, a joint between knee and link; 0: stiff
 
 
@@ -40,6 +42,13 @@ def welded_spec(name, truth):
     robot = load_robot(name)
     base = spec.bodies[1]
     base.pos, base.quat = robot.stance_position, robot.stance_orientation
+    for body in spec.bodies[2:]:
+        for field in ("mass", "inertia", "fullinertia"):
+            setattr(body, field, truth.heavier * getattr(body, field))
+    for site in spec.sites[:4] if truth.mass else ():
+        site.parent.add_body(
+            pos=site.pos, ipos=np.zeros(3), mass=truth.mass, inertia=[1e-12] * 3, explicitinertial=True
+        )
     for joint in list(spec.joints):
         actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=1.0)

@@ -14,9 +14,9 @@ import tuning
 from mjx_climb.robot.constants import load_robot
 from tests.tuning.identification.stand_in_mujoco import JOINTS, Truth, welded
 from tuning.identification import excitation, motions
+from tuning.identification.foot_mass import with_mass
 from tuning.identification.information import information
 from tuning.identification.readers import read_log
-from tuning.identification.rig import with_mass
 from tuning.identification.schedule import schedule_of
 from tuning.output.excitation import columns, summary
 from tuning.problem.excitation import ENCODER, Excitation

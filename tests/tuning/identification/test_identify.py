@@ -138,6 +138,19 @@ def test_two_p_gains_and_a_drop_are_read_and_without_them_the_answer_is_another(
     assert any("the model is wrong" in line for line in without.warnings)
 
 
+@pytest.mark.slow
+def test_a_known_mass_on_the_feet_tells_torques_from_masses_where_no_effort_is_recorded():
+    """Without it masses, gains, armature and friction, all smaller by a sixth, make the same motion: the start."""
+    log = log_of(dataclasses.replace(TRUE, heavier=1.2, mass=0.1), 3.0)
+    log = dataclasses.replace(log, signals={k: v for k, v in log.signals.items() if k.startswith("LF")})
+    fit = ("control.kp", "control.kd", "hardware.servo.armature", "hardware.servo.coulomb_friction", "robot.LF.*.mass")
+    changes = {key: VALUES[key] / 1.2 for key in fit[:4]} | {"hardware.command_delay": TRUE.delay}
+    found = tuning.identify(SCENARIO.with_overrides(changes), log, fit, mass=0.1, starts=1)
+    kp = found.estimates["control.kp"]
+    assert kp.before < kp.low < TRUE.kp < kp.high < 1.15 * TRUE.kp, kp
+    assert float(found.robot().link_mass[0, 2]) == pytest.approx(1.2 * float(ROBOT.link_mass[0, 2]), rel=0.1)
+
+
 # ---------------------------------------------------------------------------------------------- what is not told
 
 
@@ -204,6 +217,40 @@ def test_a_key_or_a_log_that_cannot_be_used_is_told_in_one_line(fit, drop, words
 
 
 # --------------------------------------------------------------------------------------------------- what is written
+
+
+@pytest.mark.slow
+def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_path, monkeypatch):
+    scenario = SCENARIO.with_overrides({"hardware.servo.armature": 0.01, "hardware.command_delay": 0.004})
+    log, fit, calls = log_of(TRUE, 2.0, kinds=("position",)), ("control.kp", "control.kd"), []
+    original = least_squares.linearized
+
+    def linearized(*arguments):
+        calls.append(0)
+        return original(*arguments)
+
+    def stop(done, most, text):
+        if text.startswith("pass 1") and done >= 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(least_squares, "linearized", linearized)
+    whole = tuning.identify(scenario, log, fit, starts=2)
+    undisturbed = len(calls)
+    with pytest.raises(KeyboardInterrupt):
+        tuning.identify(scenario, log, fit, starts=2, out=tmp_path, progress=stop)
+    kept = len(list((tmp_path / "parts").glob("part-*.npz")))
+    calls.clear()
+    found = tuning.identify(scenario, log, fit, starts=2, out=tmp_path)
+    assert kept >= 3 and len(calls) == undisturbed - kept
+    np.testing.assert_array_equal(found.fitted.x, whole.fitted.x)
+    np.testing.assert_array_equal(found.posterior.covariance, whole.posterior.covariance)
+    with pytest.raises(mc.files.dataset.OutputError, match="another that differs in starts"):
+        tuning.identify(scenario, log, fit, starts=3, out=tmp_path)
+    found.write(tmp_path)
+    made = json.loads((tmp_path / "result.json").read_text())
+    assert made["log_sha256"] == log.digest and made["provenance"]["jax_version"]
+    assert "tuning.identify" in made["command"]
+    assert not (tmp_path / "parts").exists()
 
 
 def test_any_point_is_a_body_that_can_exist_and_its_mjcf_moves_alike(tmp_path):
