@@ -1,7 +1,7 @@
 """Print what worse hardware takes from laws: two tables of docs/hardware_gains.md.
 
 Run from the repository's root, with the gains that a comparison left, `gains-retuned_pd.yaml` among them:
-`python docs/degradation.py case_1_2 results/case_1_2-compare`.
+`python docs/degradation.py case_1_2 results/case_1_2-compare`, with `pose` behind for a worse pose of the base.
 """
 
 import sys
