@@ -169,6 +169,13 @@ def held_accelerations(robot: Robot, state: State, joint_torque: Array, gravity:
     return jnp.asarray(_held(robot, state, *loads))
 
 
+def held_mobility(robot: Robot, state: State) -> Array:
+    """Return the inverse of each limb's mass matrix (limb, N, N) 1/(kg m^2), the base held still."""
+    frames = limb_frames(robot, None, state.joint_angles)
+    (inverse, *_), _ = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
+    return jnp.asarray(inverse)
+
+
 @jax.custom_jvp
 def _held(robot: Robot, state: State, *acting: Array) -> Array:
     return _held_solved(robot, state, Loads(*acting))[1]
@@ -176,8 +183,7 @@ def _held(robot: Robot, state: State, *acting: Array) -> Array:
 
 def _held_solved(robot: Robot, state: State, loads: Loads) -> tuple[Array, Array]:
     """Return the inverse of each limb's mass matrix (limb, N, N), and the accelerations of the joints."""
-    frames = limb_frames(robot, None, state.joint_angles)
-    (inverse, *_), _ = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
+    inverse = held_mobility(robot, state)
     still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
     return inverse, jnp.matvec(inverse, missing_forces(robot, state, still, loads).joint)
 

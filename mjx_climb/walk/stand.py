@@ -2,8 +2,16 @@
 
 A step evaluates torques at the beginning and takes what damps them, the servo's kd and the viscous friction, at the
 mean of the rates before and after: rates stand half a step before angles, as in leapfrog, so that angles, and rates as
-`Recorded` has them, are right to second order in the time step. Dry friction and centrifugal forces take the rates half
-a step on. A walk's own step is right to first order.
+`Recorded` has them, are right to second order in the time step. Centrifugal forces take the rates half a step on. A
+walk's own step is right to first order.
+
+Dry friction is the bristle of `mjx_climb.hardware.servo`; the acceleration of the step decides whether it slips. It may
+come `lead` s before the rate: it then bears against `rate + lead acceleration`, as MuJoCo's friction loss does, a
+constraint that asks for the acceleration `-rate / lead` and pushes where the joint brakes harder. There
+`lead = timeconst dmax / 2` of `solref` and `solimp`, 9.5 ms by default.
+
+References:
+    MuJoCo documentation, Computation (constraint model, friction loss) and Modeling (solver parameters).
 """
 
 import dataclasses
@@ -17,12 +25,14 @@ from jax import Array
 from jaxtyping import Float
 
 from mjx_climb.dynamics.inverse_dynamics import load_torque
-from mjx_climb.dynamics.limb_engine import held_accelerations
+from mjx_climb.dynamics.limb_engine import held_accelerations, held_mobility
 from mjx_climb.dynamics.state import Acceleration, Loads, State, integrate
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk.step import driven_robot
+
+_SWEEPS = 4  # of Gauss-Seidel, over the joints of a limb
 
 
 class Stand(NamedTuple):
@@ -30,6 +40,7 @@ class Stand(NamedTuple):
 
     robot: Robot
     hardware: Hardware
+    lead: Any = 0.0  # () s, by which dry friction comes before the rate
 
 
 class Moving(NamedTuple):
@@ -93,23 +104,30 @@ def advance_by(
     """
     hardware, state, before = stand.hardware, moving.state, moving.servo
     parameters, step, gains = hardware.parameters, hardware.time_step, servo.gains_of(hardware)
+    smooth = dataclasses.replace(hardware, stages=hardware.stages._replace(dry_friction=False))
     if hardware.stages.load_torque:
         before = before._replace(load=parameters.mass_scale * load_torque(stand.robot, state, loads))
 
     def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, servo.Drive]]:
         now = dataclasses.replace(state, joint_rates=rates)
-        after, drive = servo.joint_loop(before, targets, now, gains, hardware)
+        after, drive = servo.joint_loop(before, targets, now, gains, smooth)
         return drive.motor_torque, (after, drive)
 
     rates, ahead = state.joint_rates, moving.change / 2
     centred = rates + ahead  # at the beginning of the step, where the angles are, as far as it goes on as before
     _, slope, (after, drive) = jax.jvp(driven, (centred,), (jnp.ones_like(rates),), has_aux=True)
     damping = -slope + parameters.viscous_friction if hardware.stages.viscous_friction else -slope
-    own = 0.0 if isinstance(drive.armature, tuple) else drive.armature
-    drive = drive._replace(armature=own + damping * (step / 2))
+    drive = drive._replace(armature=damping * (step / 2))
     robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
     torque = (torque + damping * ahead) / parameters.mass_scale
-    later = integrate(state, accelerate(robot, dataclasses.replace(state, joint_rates=centred), torque), step)
+    state_now = dataclasses.replace(state, joint_rates=centred)
+    if hardware.stages.dry_friction:
+        most = servo.friction_bound(drive.motor_torque, before.load, centred, hardware)
+        bristle = jnp.clip(before.bristle + rates * (step / parameters.presliding), -1.0, 1.0)
+        after = after._replace(bristle=bristle)
+        free = accelerate(robot, state_now, torque).joints
+        robot, torque = _rubbed(stand, robot, moving, _Rubbing(state_now, torque, free, bristle, most))
+    later = integrate(state, accelerate(robot, state_now, torque), step)
     change = later.joint_rates - rates
     seen = Recorded(state.joint_angles, rates + change / 2, drive.motor_torque + slope * (change / 2 - ahead))
     return Moving(later, after, change), seen
@@ -131,19 +149,62 @@ def with_gains(stand: Stand, sent: Sent) -> Stand:
     return stand._replace(hardware=dataclasses.replace(stand.hardware, parameters=parameters))
 
 
+class _Rubbing(NamedTuple):
+    state: State
+    torque: Array  # (limb, joint) N m, without dry friction
+    free: Array  # (limb, joint) rad/s^2, without it
+    bristle: Array
+    most: Array  # (limb, joint) N m
+
+
+def _rubbed(stand: Stand, robot: Robot, moving: Moving, on: _Rubbing) -> tuple[Robot, Array]:
+    """Return the robot and the torque on its joints, less dry friction; its part per acceleration is armature.
+
+    What sticks is decided with the limbs' mobility while the base is held.
+    """
+    parameters, step = stand.hardware.parameters, stand.hardware.time_step
+    passed = jnp.abs(moving.change) / 2  # a friction that turns round within the step: its mean over the step
+    per_rate = 1 / (jnp.asarray(parameters.presliding) / servo.RELAXATION + passed)
+    share, per_change = on.bristle + per_rate * moving.state.joint_rates, per_rate * (step / 2 + stand.lead)
+    most = on.most / parameters.mass_scale
+    reached = _reached(*jax.lax.stop_gradient((held_mobility(robot, on.state), on.free, most, share, per_change)))
+    sticks = jnp.abs(reached) < 1
+    armature: Any = jnp.asarray(robot.armature) + jnp.where(sticks, most * per_change, 0.0)
+    torque = on.torque - most * jnp.where(sticks, share, jnp.sign(reached))
+    return dataclasses.replace(robot, armature=armature), torque
+
+
+def _reached(mobility: Array, free: Array, most: Array, share: Array, per_change: Array) -> Array:
+    """Return what friction would bear of what it can (limb, joint), if it bore more than it can, by Gauss-Seidel."""
+    most = jnp.broadcast_to(most, free.shape)
+    borne, reached = most * jnp.clip(share, -1.0, 1.0), share
+    for _ in range(_SWEEPS):
+        for n in range(free.shape[1]):
+            others = free[:, n] - (mobility[:, n] * borne.at[:, n].set(0.0)).sum(-1)
+            found = (share + per_change * others[:, None])[:, n]
+            found = found / (1 + most[:, n] * per_change[:, n] * mobility[:, n, n])
+            borne, reached = borne.at[:, n].set(most[:, n] * jnp.clip(found, -1.0, 1.0)), reached.at[:, n].set(found)
+    return reached
+
+
 def targets_of(
     time: Float[np.ndarray, " samples"], command: Float[np.ndarray, " samples"], at: np.ndarray, time_step: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the joint targets of steps that begin at times `at` (...) s, and their rates of change over time, rad/s.
 
-    Each command is held until the next one. A step stands for the time from half a step before its beginning to half a
-    step after: its target is the mean of the command there, so that a delay is a real number and has a derivative.
-    Before the first command that one holds.
+    Each command is held until the next one; before the first that one holds. A target is the mean of the command from a
+    step before to a step after, weighed by a triangle: the kicks of the steps then move an inertia as the command that
+    jumps between them does, and a delay is a real number and has a derivative.
     """
-    total = np.concatenate([[0.0], np.cumsum(command[:-1] * np.diff(time))])  # integral of the command
-    ends = []
-    for moment in (at - time_step / 2, at + time_step / 2):
-        held = np.clip(np.searchsorted(time, moment, side="right") - 1, 0, len(time) - 1)
-        ends.append((total[held] + command[held] * (moment - time[held]), command[held]))
-    (before, first), (after, last) = ends
-    return (after - before) / time_step, (last - first) / time_step
+    first = np.clip(np.searchsorted(time, at - time_step, side="right") - 1, 0, len(time) - 1)
+    targets, rates = command[first].astype(float), np.zeros(np.shape(at))
+    for later in range(1, len(time)):
+        jump = np.minimum(first + later, len(time) - 1)
+        way = (at - time[jump]) / time_step
+        inside = (first + later < len(time)) & (way > -1)
+        if not inside.any():
+            break
+        by = np.where(inside, command[jump] - command[jump - 1], 0.0)
+        targets += by * np.where(way < 0, (1 + way) ** 2 / 2, 1 - (1 - way) ** 2 / 2)
+        rates += by * (1 - np.abs(way)) / time_step
+    return targets, rates

@@ -79,13 +79,14 @@ def test_a_step_of_a_millisecond_is_right_to_second_order(friction):
     assert all(e < b for e, b in zip(error, bounds, strict=True)), error
 
 
-def test_targets_are_means_of_held_commands_over_a_step_and_know_their_rates():
+def test_targets_are_means_of_held_commands_around_a_step_and_know_their_rates():
     rng = np.random.default_rng(2)
     time, command = np.cumsum(rng.uniform(0.004, 0.02, 50)), rng.normal(0, 1, 50)
     at = rng.uniform(0.0, 0.6, 40)
-    fine = at[:, None] + np.linspace(-0.5, 0.5, 20001)[:-1] * 0.001
+    share = np.linspace(-1, 1, 20001)
+    fine = at[:, None] + share * 0.001
     held = command[np.maximum(np.searchsorted(time, fine, side="right") - 1, 0)]
     value, rate = stands.targets_of(time, command, at, 0.001)
-    np.testing.assert_allclose(value, held.mean(1), atol=2e-4)
+    np.testing.assert_allclose(value, np.average(held, axis=1, weights=1 - np.abs(share)), atol=2e-4)
     ends = [stands.targets_of(time, command, at + s, 0.001)[0] for s in (1e-9, -1e-9)]
     np.testing.assert_allclose(rate, (ends[0] - ends[1]) / 2e-9, atol=1e-4 * np.abs(rate).max())

@@ -184,7 +184,8 @@ def identify(
     every = _estimates(model, found, known)
     estimates = {v.key: every[v.key] for v in chosen}
     beside = {key: each for key, each in every.items() if key not in estimates}
-    warnings = [*log.warnings, *_of_schedule(model, estimates), *known.unseen]
+    unseen = [line for line in known.unseen if any(v.key in line for v in chosen)]
+    warnings = [*log.warnings, *_of_schedule(model, estimates), *unseen]
     if base is None and chosen_base == "free":
         warnings.append("the log has base or foot forces: base free, all grippers shut (--base held: on a stand)")
     warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]

@@ -2,7 +2,9 @@
 
 Intervals are those of the posterior: the information of the samples, with starts eliminated, beside the prior. They are
 widened where the gradients of blocks, a limb in a window, scatter more than independent noise would have them (what a
-block bootstrap comes to with many draws), and by the correlation of residuals that are not white.
+block bootstrap comes to with many draws). Where residuals are not white, the model lacks something that moves: each
+parameter is then taken to have absorbed as much of it as the residuals still show. The delay of commands is no better
+known than the log's clock.
 
 References:
     H. White, Maximum Likelihood Estimation of Misspecified Models, 1982.
@@ -19,6 +21,7 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from tuning.identification.least_squares import Fitted, LeastSquares, condensed_by_block, eliminated, prior_of
+from tuning.identification.model import DELAY
 from tuning.identification.variables import Variable
 
 Z = 1.959964  # of 95 %
@@ -26,6 +29,7 @@ SEEN = 0.5  # of the prior's sd: what is known no better was not seen
 _LOUD = 0.35  # share of a direction that names a variable
 _FALSE_ALARM = 1e-3  # of the test of all signals together
 _LAGS, _MATTERS = 20, 0.1  # samples, and a correlation below which it is none that matters
+_CLOCK = 0.1  # of a time step, to which the time of a command is known
 _CLIP = 4.0  # of the noise: outliers say nothing of correlation
 
 
@@ -48,7 +52,7 @@ class Whiteness(NamedTuple):
     probability: float  # of such correlation if they were white
     correlation: Float[np.ndarray, " lags"]
     period: float  # s, of a lag
-    factor: float  # on sd: the root of the sum of correlations
+    lacking: float  # sum of squares, over that of the noise, of what the model lacks, if it does
 
     @property
     def in_words(self) -> str:
@@ -76,11 +80,26 @@ def posterior(
     of_data = fisher @ information @ fisher  # what the samples' noise alone would give
     excess = np.diag(spread) / np.maximum(np.diag(of_data), 1e-300)
     widening = np.sqrt(np.maximum(excess, 1.0)) if blocks >= 8 else np.ones(len(sd))
-    widening = np.maximum(widening, max((test.factor for test in suspicious), default=1.0))
+    widening = np.sqrt(widening**2 + sum(test.lacking for test in suspicious))
     seen = sd < SEEN * prior.sd
     unseen, combined = _directions(variables, information, prior.sd, found.x)
     widened = np.where(seen, widening, 1.0)
-    return Posterior(fisher * np.outer(widened, widened), fisher, information, widened, seen, unseen, combined)
+    covariance = fisher * np.outer(widened, widened) + np.diag(_of_clock(problem, found, sd) ** 2)
+    return Posterior(covariance, fisher, information, widened, seen, unseen, combined)
+
+
+def _of_clock(problem: LeastSquares, found: Fitted, sd: np.ndarray) -> np.ndarray:
+    """Return what the log's clock leaves open of each variable (P,), s: the time from a command to a sample.
+
+    Velocities that are late against positions, as those of a simulator of first order are by half its step, show how
+    well times are meant; without velocities nothing does.
+    """
+    keys, most = [v.key for v in problem.model.variables], _CLOCK * problem.model.windows.time_step
+    late = keys.index("log.velocity.delay") if "log.velocity.delay" in keys else None
+    if late is not None:
+        shown = abs(float(found.x[late]))
+        most = min(shown, most) if shown > 3 * sd[late] else 0.0
+    return np.array([most if key == DELAY else 0.0 for key in keys])
 
 
 def _positive(matrix: np.ndarray) -> np.ndarray:
@@ -136,10 +155,9 @@ def whiteness(problem: LeastSquares, found: Fitted) -> list[Whiteness]:
         total = float((scaled**2).sum()) or 1.0
         correlation = np.array([float(scaled[lag:] @ scaled[:-lag]) / total for lag in range(1, lags + 1)])
         statistic = count * (count + 2) * float((correlation**2 / (count - np.arange(1, lags + 1))).sum())
-        first = int(np.argmax(np.r_[correlation, -1.0] <= 0))  # the sum ends where the correlation first crosses zero
-        factor = math.sqrt(1 + 2 * float(correlation[:first].sum()))
+        lacking = count * float(np.abs(correlation).max())  # noise is not correlated: what is, is so much of the whole
         period = float(np.median(np.diff(when[own])))
-        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, factor))
+        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, lacking))
     return tests
 
 

@@ -10,6 +10,7 @@ References:
 """
 
 import dataclasses
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -165,7 +166,10 @@ class _Predicted(NamedTuple):
 
 
 def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]) -> _Predicted:
-    """Return what was predicted for each row, between the steps on a line, and its derivatives."""
+    """Return what was predicted for each row, and its derivatives.
+
+    Between the steps angles and rates are on a parabola, efforts on a line.
+    """
     rows, windows = problem.rows, problem.model.windows
     delays = {v.key: float(each) for v, each in zip(problem.model.variables, x, strict=True) if v.key in LATE}
     count, lanes = len(rows.value), next(iter(tangents.values())).shape[1]
@@ -183,9 +187,18 @@ def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents
         made.value[chosen] = before + share * (after - before)
         before, later = (tangents[kind][w, :, step + n, limb, joint] for n in (0, 1))
         made.along[chosen] = before + share[:, None] * (later - before)
+        slope = values[kind][w, step + 1, limb, joint] - values[kind][w, step, limb, joint]
+        if kind != "effort":
+            # a step's rate is the mean over the step: at its middle less a 24th of the second difference
+            far = share * (share - 1) / 4 - (1 / 48 if kind == "velocity" else 0.0)
+            for n, k in itertools.product((0, 1), (-1, 0, 1)):
+                at_k, factor = np.clip(step + n, 1, windows.steps - 1) + k, 1 - 3 * (k == 0)
+                there = values[kind][w, at_k, limb, joint]
+                made.value[chosen] += factor * far * there
+                made.along[chosen] += factor * far[:, None] * tangents[kind][w, :, at_k, limb, joint]
+                slope += factor * (share / 2 - 0.25) * there
         if key in delays:
-            first = values[kind][w, step, limb, joint]
-            made.late[chosen, list(LATE).index(key)] = (first - after) / windows.time_step
+            made.late[chosen, list(LATE).index(key)] = -slope / windows.time_step
             made.known[chosen] = at >= -1e-6
     return made
 

@@ -26,7 +26,9 @@ from tuning.identification.windows import KINDS, Windows
 AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
 LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of what is recorded, behind the positions
+LEAD = "log.friction.lead"  # of dry friction, see `mjx_climb.walk.stand`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
+_LEADS = (0.0, 0.005, 0.03)  # s, mean and sd of the prior, and the upper bound
 _LATE = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
 
 
@@ -85,7 +87,10 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     robot = with_mass(robot, structure.mass)
     robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
-    stand, (angles, rates) = stands.Stand(robot, hardware), (point.start[..., n] for n in (0, 1))
+    stand, (angles, rates) = (
+        stands.Stand(robot, hardware, _lead(structure, point)),
+        (point.start[..., n] for n in (0, 1)),
+    )
     moving = stands.begin(stand, angles, rates)
     if structure.stages.servo_delay:  # what is on its way to the motors: of a joint that came at the same rate
         first_sent = jax.tree.map(lambda value: value[0], given.sent)
@@ -105,6 +110,11 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     first = [angles, rates, *memory(moving.servo).values()]
     (_, last), seen = jax.lax.scan(step, (moving, first), (given.sent, given.rates))
     return seen | {"end": jnp.stack(last, axis=-1)}
+
+
+def _lead(structure: Structure, point: Point) -> Any:
+    at = [n for n, place in enumerate(structure.places) if place.key == LEAD]
+    return point.x[at[0]] if at else 0.0
 
 
 def _filled(stand: stands.Stand, moving: stands.Moving, before: Array) -> stands.Moving:
@@ -241,7 +251,10 @@ def with_nuisances(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Var
     found += [Variable(key, "s", 0.0, *_LATE) for key, kind in LATE.items() if {kind, "position"} <= there]
     if DELAY not in keys:
         found.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
-    if PRESLIDING not in keys and stages_for(scenario, chosen).dry_friction:
+    if not stages_for(scenario, chosen).dry_friction:
+        return found
+    found.append(Variable(LEAD, "s", 0.0, _LEADS[0], _LEADS[1], least, _LEADS[2]))
+    if PRESLIDING not in keys:
         (bend,) = variables(scenario, [PRESLIDING], held=True)  # a friction that gives for longer is a spring
         found.append(dataclasses.replace(bend, lower=bend.nominal / 20, upper=bend.nominal * 6))
     return found

@@ -155,7 +155,7 @@ def log_of(
     """
     rng = np.random.default_rng(seed)
     time, targets = sines(duration, 1 / rate, **motion)
-    fine = np.arange(round(duration * 1000) + 1) / 1000
+    fine = np.arange(round(duration / step) + 1) * step
     told = np.full(len(time), NOMINAL)
     for begin, kp in gains:
         told[time > begin - 1e-9] = kp
