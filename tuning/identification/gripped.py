@@ -28,7 +28,7 @@ from mjx_climb.walk import gripped as grips
 from mjx_climb.walk import stand as stands
 from tuning.identification.log import Log, Signal
 from tuning.identification.model import LATE as LATE_JOINTS
-from tuning.identification.model import Fit, Structure, stages_for, with_nuisances
+from tuning.identification.model import LEAD, Fit, Structure, stages_for, with_nuisances
 from tuning.identification.variables import Place, Variable, applied
 from tuning.identification.windows import KINDS, Windows, cut
 
@@ -208,7 +208,8 @@ def _parted(found: dict[str, np.ndarray], like: grips.Moving) -> tuple[grips.Mov
 def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Sequence[Variable]) -> GrippedModel:
     """Return the model of a gripped robot's log, with what no such log is free of beside what is asked for."""
     robot, own = load_robot(scenario.robot), own_parameters(scenario)
-    every = [*with_nuisances(scenario, windows, chosen), *_delays(windows, chosen)]
+    nuisances = [v for v in with_nuisances(scenario, windows, chosen) if v.key != LEAD]
+    every = [*nuisances, *_delays(windows, chosen)]
     every += [Variable(f"log.{limb}.grip.{a}", "m", 0.0, *_GRIP, beside=True) for limb in robot.limbs for a in _AXES]
     stages = stages_for(scenario, chosen)._replace(
         force_delay=0, force_noise=False, force_resolution=False, force_dead=False, base_delay=0, base_noise=False

@@ -26,6 +26,7 @@ class Truth:
     integrator: str = "RK4"
     heavier: float = 1.0  # masses of all links over those of the robot's file
     mass: float = 0.0  # kg, hung on each foot
+    soft: bool = False  # dry friction as MuJoCo has it by default
     flexible: float = 0.0  # N m/rad, a joint between knee and link; 0: stiff
 
 
@@ -68,7 +69,8 @@ def welded_spec(name, truth):
         for field, value in (("armature", truth.armature), ("frictionloss", truth.friction)):
             setattr(joint, field, float(np.broadcast_to(value, 12)[number]))
         joint.damping = [float(np.broadcast_to(truth.damping, 12)[number]), 0, 0]
-        joint.solref_friction, joint.solimp_friction = [0.0005, 1.0], [0.999, 0.999, 0.001, 0.5, 2.0]  # dry
+        if not truth.soft:
+            joint.solref_friction, joint.solimp_friction = [0.0005, 1.0], [0.999, 0.999, 0.001, 0.5, 2.0]
     for number, actuator in enumerate(spec.actuators):
         kp, kd = (float(np.broadcast_to(value, 12)[number]) for value in (truth.kp, truth.kd))
         actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp, -kp, -kd
