@@ -4,9 +4,10 @@ What windows miss of each other is nothing: each begins where the one before end
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from tuning.identification.force_sensors import sensed
 from tuning.identification.gripped import FORCE_DELAY, LATE, GrippedModel
@@ -16,12 +17,11 @@ from tuning.identification.windows import KINDS
 LEAD = 0.5  # s, at the beginning of a stretch, that is not fitted: the motion may go on there from before the log
 
 
-class _Made:
-    """What was predicted for each row at each point, and its derivatives along the variables."""
+class _Made(NamedTuple):
+    """What was predicted at a point."""
 
-    def __init__(self, points: int, rows: int, variables: int) -> None:
-        self.value = np.full((points, rows), np.nan)
-        self.along = np.zeros((points, rows, variables))
+    value: Float[np.ndarray, " rows"]
+    along: Float[np.ndarray, "rows P"]  # along the variables
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +42,8 @@ class Chain(LeastSquares):
 
     def linearized(self, x: np.ndarray, start: np.ndarray) -> list[Normal]:
         """Return the normal equations at points x (points, P)."""
-        made = _Made(len(x), len(self.rows.value), x.shape[1])
+        count = len(self.rows.value)
+        made = [_Made(np.full(count, np.nan), np.zeros((count, x.shape[1]))) for _ in x]
         for which, values, tangents in self.model.evaluate(x, len(self.which)):
             here = np.flatnonzero(np.isin(self.rows.window, which))
             of_window = np.searchsorted(which, self.rows.window[here])
@@ -50,14 +51,15 @@ class Chain(LeastSquares):
                 own, along = ({name: v[k] for name, v in each.items()} for each in (values, tangents))
                 if "force" in own:
                     sensed(self.model.variables, point, own, along)
-                self._predict(made, k, point, here, of_window, own, along)
-        return [self._normal(made.value[k], made.along[k]) for k in range(len(x))]
+                self._predict(made[k], point, (here, of_window), own, along)
+        return [self._normal(*each) for each in made]
 
     def _predict(
-        self, made: _Made, k: int, x: np.ndarray, here: np.ndarray, of_window: np.ndarray, values: dict[str, Any],
+        self, made: _Made, x: np.ndarray, place: tuple[np.ndarray, np.ndarray], values: dict[str, Any],
         tangents: dict[str, Any],
     ) -> None:  # fmt: skip
-        """Enter what was predicted of rows `here`, between the steps on a line, whose windows' places are given."""
+        """Enter what was predicted of some rows, between the steps on a line; with the rows the places of windows."""
+        here, of_window = place
         rows, windows, model = self.rows, self.model.windows, self.model
         keys = [v.key for v in model.variables]
         for number, kind in enumerate(KINDS):
@@ -75,9 +77,9 @@ class Chain(LeastSquares):
             share = at - step
             before, after = (values[kind][w, step + n, limb, joint] for n in (0, 1))
             first, last = (tangents[kind][w, :, step + n, limb, joint] for n in (0, 1))
-            made.value[k, chosen] = before + share * (after - before)
-            made.along[k, chosen] = first + share[:, None] * (last - first)
-            made.along[k][np.ix_(chosen, late)] = ((before - after) / windows.time_step)[:, None]
+            made.value[chosen] = before + share * (after - before)
+            made.along[chosen] = first + share[:, None] * (last - first)
+            made.along[np.ix_(chosen, late)] = ((before - after) / windows.time_step)[:, None]
 
     def _normal(self, value: np.ndarray, along: np.ndarray) -> Normal:
         """Return the sums of samples."""

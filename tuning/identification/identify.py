@@ -40,6 +40,7 @@ _SCREENED = 6  # windows on which the starts are compared
 _SCREENING, _MOST, _PASSES = 10, 40, 4  # iterations, and passes with the noise estimated anew
 _SETTLED = 0.05  # relative change of the noise
 _UNHEARD = 30.0  # times their noise, where starts are compared
+_GUESSED = "the log has base or foot forces: base free, all grippers shut (--base held: on a stand)"
 _SPREAD = 0.7  # sd of the starts, of the prior's
 
 
@@ -181,13 +182,11 @@ def identify(
     tests = inference.whiteness(problem, found)
     wrong = inference.suspicious(tests)
     known = inference.posterior(problem, found, tests, wrong)
-    every = _estimates(model, found, known)
-    estimates = {v.key: every[v.key] for v in chosen}
-    beside = {key: each for key, each in every.items() if key not in estimates}
+    beside = _estimates(model, found, known)
+    estimates = {v.key: beside.pop(v.key) for v in chosen}
     unseen = [line for line in known.unseen if any(v.key in line for v in chosen)]
-    warnings = [*log.warnings, *_of_schedule(model, estimates), *unseen]
-    if base is None and chosen_base == "free":
-        warnings.append("the log has base or foot forces: base free, all grippers shut (--base held: on a stand)")
+    guessed = [_GUESSED] if base is None and chosen_base == "free" else []
+    warnings = [*log.warnings, *guessed, *_of_schedule(model, estimates), *unseen]
     warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
     ahead = _predicted(problem, found)
     warnings += _of_fit(found, wrong, len(tests), ahead)
