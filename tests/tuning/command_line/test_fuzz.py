@@ -31,6 +31,7 @@ def valid_input_stops_here(monkeypatch):
         "tuning.searches.schedule.pd_of", "tuning.evaluation.deployment.check", "tuning.benchmarks.measure.measure",
         "tuning.command_line.machine.examine", "tuning.identification.excitation.chosen",
         "tuning.identification.replay.simulate", "tuning.identification.identify.model_of",
+        "tuning.identification.identify.gripped_model",
     ):  # fmt: skip
         monkeypatch.setattr(name, start)
     monkeypatch.setattr(backend, "find", lambda: "egl")
