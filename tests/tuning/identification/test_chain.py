@@ -25,7 +25,7 @@ SEARCH = {"method": "cmaes", "starts": 16, "iterations": 8}
 @pytest.mark.slow
 @pytest.mark.nightly
 def test_gains_from_a_log_are_those_of_the_truth():
-    """Within 5 % of what is found on the truth itself in what the search weighs, and the walk is foretold within 2 %."""
+    """In what the search weighs within 5 % of those found on the truth itself; the walk is foretold within 2 %."""
     profile = with_hardware(mc.load_scenario(config_path("case_1_1.yaml")), load_hardware("dynamixel_x"))
     profile = profile.with_overrides({"control.controller": "pd", "duration": 8.0})
     truth = profile.with_overrides({**TRUTH, **DRY})
