@@ -92,9 +92,9 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
     \b
     Examples:
       mjx-climb identify case_1_2 --log log.csv --fit hardware.servo.armature --fit control.kp
-      mjx-climb identify case_1_2 --log log.mcap --fit hardware.command_delay --signals signals.yaml
+      mjx-climb identify case_1_2 --log log.mcap --fit control.kp --signals signals.yaml
       mjx-climb identify case_1_2 --log log.csv --fit "robot.*.armature" --out found --json
-      mjx-climb identify case_1_1 --log sway.csv --base free --fit contact.stiffness --fit robot.base.mass
+      mjx-climb identify case_1_1 --log sway.csv --fit contact.stiffness --base free
     """
     with output.session() as shell:
         from tuning.command_line.session import from_page
