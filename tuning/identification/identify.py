@@ -41,6 +41,7 @@ _SCREENING, _MOST, _PASSES = 10, 40, 4  # iterations, and passes with the noise 
 _SETTLED = 0.05  # relative change of the noise
 _UNHEARD = 30.0  # times their noise, where starts are compared
 _GUESSED = "the log has base or foot forces: base free, all grippers shut (--base held: on a stand)"
+_OTHERS = 4  # starts, where all those that were asked for diverge
 _SPREAD = 0.7  # sd of the starts, of the prior's
 
 
@@ -249,7 +250,7 @@ def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitte
     model, noise = problem.model, problem.noise
     windows, prior = model.windows, prior_of(model)
     rng = np.random.default_rng(0)
-    points = prior.mean + _SPREAD * prior.sd * rng.standard_normal((max(starts, 1), len(prior.mean)))
+    points = prior.mean + _SPREAD * prior.sd * rng.standard_normal((max(starts, 1) + _OTHERS, len(prior.mean)))
     points = np.clip(np.where(points < prior.lower, 2 * prior.lower - points, points), prior.lower, prior.upper)
     # where a command comes as a sample is taken, a later one changes nothing of it: no place to begin
     off = [2 * windows.time_step if v.key == DELAY else -np.inf for v in model.variables]
@@ -257,9 +258,13 @@ def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitte
     # torques jump as commands do: no slope leads from one side of a jump to the other
     louder = np.where(windows.kind == KINDS.index("effort"), _UNHEARD * noise, noise)
     trial = dataclasses.replace(problem, which=problem.some(_SCREENED), noise=louder)
-    guesses = np.repeat(trial.guess[None], len(points), axis=0)
-    screened = search(trial, points, guesses, _SCREENING, "starts", kept)
-    best = min(screened, key=lambda each: each.cost)
+    points, others = points[:-_OTHERS], points[-_OTHERS:]
+    for name, own in (("starts", points), ("other starts", others)):  # where all diverge, as a limb without armature that falls, others begin
+        guesses = np.repeat(trial.guess[None], len(own), axis=0)
+        screened = search(trial, own, guesses, _SCREENING, name, kept)
+        best = min(screened, key=lambda each: each.cost)
+        if np.isfinite(best.cost):
+            break
     x, start = best.x[None], problem.guess[None]
     for n in range(_PASSES):
         (found,) = search(problem, x, start, _MOST, f"pass {n + 1}", kept)
