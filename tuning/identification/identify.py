@@ -259,7 +259,8 @@ def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitte
     louder = np.where(windows.kind == KINDS.index("effort"), _UNHEARD * noise, noise)
     trial = dataclasses.replace(problem, which=problem.some(_SCREENED), noise=louder)
     points, others = points[:-_OTHERS], points[-_OTHERS:]
-    for name, own in (("starts", points), ("other starts", others)):  # where all diverge, as a limb without armature that falls, others begin
+    # where all diverge, as a limb without armature that falls, others begin
+    for name, own in (("starts", points), ("other starts", others)):
         guesses = np.repeat(trial.guess[None], len(own), axis=0)
         screened = search(trial, own, guesses, _SCREENING, name, kept)
         best = min(screened, key=lambda each: each.cost)
