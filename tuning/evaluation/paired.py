@@ -176,7 +176,10 @@ class Verdict(NamedTuple):
     in_words: str  # one sentence
 
 
-def verdict(table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str]) -> Verdict:
+def verdict(
+    table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str],
+    outside: Collection[str] = (),
+) -> Verdict:  # fmt: skip
     """Return which law is better than the baseline, what a force sensor is worth, and what hardware would be.
 
     Arguments:
@@ -184,7 +187,12 @@ def verdict(table: xr.Dataset, laws: Sequence[str], reading: Collection[str], ha
         laws: names of those that were tuned beside the baseline.
         reading: those of them that read forces.
         hardware: names of the baseline's walks with better hardware.
+        outside: those, of the laws and the baseline, whose search found no gains that keep its limits.
     """
+    if table.attrs["baseline"] in outside:
+        return Verdict(None, "no verdict: no gains of retuned pd kept the limits of its search")
+    if not (laws := [name for name in laws if name not in outside]):
+        return Verdict(None, "none is better than retuned pd: no law has gains that kept the limits of its search")
     objective = table.sel(metric="objective", statistic="mean")
 
     def gained(name: str, values: xr.Dataset) -> float:

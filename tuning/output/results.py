@@ -134,7 +134,8 @@ def compare(found: Comparison, folder: Folder, _: None = None) -> Contents:
     reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]
     with folder.stage("intervals", compiles=False):
         table = paired.compared(found.data, pages.of_laws(metrics), retuned_pd.NAME, found.problem.objective)
-    said = paired.verdict(table, found.laws, reading, found.hardware)
+    outside = [name for name, own in found.tuned.items() if not own.feasible]
+    said = paired.verdict(table, found.laws, reading, found.hardware, outside)
     data = paired.beside(found.data, table).assign_attrs(verdict=said.in_words)
     found = folder.found(dataclasses.replace(found, data=data))
     name = "from Python" if folder.origin is None else folder.origin.name

@@ -101,8 +101,8 @@ def test_what_is_lost_counts_and_what_diverges_is_left_out():
     assert np.isnan(own.sel(gains="half the friction"))
 
 
-def said(data, reading=("mine", "other")):
-    return paired.verdict(compared(data), ["mine", "other"], reading, ["half the friction"])
+def said(data, reading=("mine", "other"), outside=()):
+    return paired.verdict(compared(data), ["mine", "other"], reading, ["half the friction"], outside)
 
 
 def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
@@ -130,6 +130,15 @@ def test_a_law_that_loses_walks_is_not_better():
     data = walks()
     data["peak_pull_force"][0, :20] = 16.0
     assert said(data).best is None
+
+
+def test_gains_that_break_the_limits_of_their_search_are_not_better():
+    """No law is better than a baseline that was not found, and none is recommended that breaks its limits."""
+    table = compared(walks())
+    baseline = said(walks(), outside=[table.attrs["baseline"]])
+    assert baseline.best is None and baseline.in_words.startswith("no verdict: no gains of retuned pd kept the limits")
+    assert said(walks(), outside=["mine"]).best != "mine" and "mine" not in said(walks(), outside=["mine"]).in_words
+    assert said(walks(), outside=["mine", "other"]).best is None
 
 
 def test_what_a_law_is_worse_in_is_named():
