@@ -29,7 +29,7 @@ Pictures = Mapping[str, tuple[str, "Callable[[], Figure]"]]  # by name: caption,
 # by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
 RESULTS = (
     "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json",
-    "excitation.csv", "replay.json", "compared.nc", "judged.nc",
+    "excitation.csv", "replay.json", "result.json", "compared.nc", "judged.nc",
 )  # fmt: skip
 _WITHOUT_PARTS = ("trajectory.nc", "margins.json", "reproduce.json", "excitation.csv", "replay.json")
 

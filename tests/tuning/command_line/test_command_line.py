@@ -52,7 +52,8 @@ def files(tmp_path_factory):
     law = "from mjx_climb.control import VirtualModelAdmittance\nclass Mine(VirtualModelAdmittance): pass"
     (folder / "law.py").write_text(law)
     (folder / "log.csv").write_text("time,LF.coxa.command\n" + "".join(f"{n / 100},0.1\n" for n in range(20)))
-    for name in ("trajectory.nc", "sweep.nc", "search.nc", "parts"):  # of other commands, the last one's unfinished
+    # of other commands, the last one's unfinished
+    for name in ("trajectory.nc", "sweep.nc", "search.nc", "result.json", "parts"):
         (folder / f"with_{name}").mkdir()
         (folder / f"with_{name}" / name).write_text("")
         (folder / f"with_{name}" / "config.yaml").write_text("theirs")
