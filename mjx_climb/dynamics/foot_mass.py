@@ -11,8 +11,10 @@ from mjx_climb.dynamics.spatial import skew
 from mjx_climb.robot.constants import Robot
 
 
-def with_foot_mass(robot: Robot, mass: Array) -> Robot:
-    """Return a robot with a point mass () kg at each foot."""
+def with_foot_mass(robot: Robot, mass: Array | float) -> Robot:
+    """Return a robot with a point mass () kg at each foot; the same one where this is a plain 0."""
+    if not isinstance(mass, jax.Array) and mass == 0:
+        return robot
     own, place, foot = robot.link_mass[:, -1:], robot.link_center[:, -1], robot.foot_center
     center = (own * place + mass * foot) / (own + mass)
     inertia = robot.link_inertia[:, -1]

@@ -57,18 +57,36 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
         shell.written(files, to_json(written.summary(found)))
 
 
-class Fitted(Options):
-    """What is fitted, to which log."""
+class Recorded(Options):
+    """What was recorded, how it is read, and how the robot stood."""
 
-    log: Path = setting(..., "log: MCAP, rosbag, CSV or netCDF", metavar="FILE")
-    fit: tuple[str, ...] = setting(..., "key that is fitted, or a pattern of keys, as hardware.servo.*", metavar="KEY")
+    log: Path = setting(..., "log of the robot: .csv, .nc, .mcap, .db3, or the folder of a bag", metavar="FILE")
     signals: Path | None = setting(
-        None, "where each signal stands in the log, YAML; null: by its own names, or guessed", metavar="FILE"
+        None, "where each signal stands in it, YAML; null: by the names of its columns, or guessed", metavar="FILE"
     )
     base: Literal["held", "free"] | None = setting(
         None, "base on a stand, or on its grippers; null: held where neither base nor foot forces were logged"
     )
     mass: NonNegative = setting(0.0, "known mass that hung on each foot while the log was made, kg")
+
+    def read(self, scenario: "mc.Scenario") -> "Log":
+        """Return the log."""
+        from mjx_climb.robot.constants import load_robot
+        from tuning.identification.readers import read_log
+
+        return read_log(self.log, load_robot(scenario.robot), self.signals)
+
+    def say_guess(self, log: "Log", shell: "Session") -> None:
+        """Say where each signal was found, where that was guessed."""
+        if log.guessed is not None:
+            how = "guessed where each signal stands (save this as signals.yaml, correct it, --signals signals.yaml):"
+            shell.say(f"{self.log}: {how}", log.guessed.to_yaml().rstrip())
+
+
+class Fitted(Recorded):
+    """What is fitted, to which log."""
+
+    fit: tuple[str, ...] = setting(..., "key that is fitted, or a pattern of keys, as hardware.servo.*", metavar="KEY")
     held_out: float = setting(0.2, "share of the log, at its end, that is predicted and not fitted", ge=0, le=0.8)
     starts: int = setting(4, "points from which the search begins, the config's own among them", ge=1, le=64)
 
@@ -105,9 +123,11 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         if output.out is not None and (shell.claim(FILE, walk.config.stem) / FOLDER).exists():
             shell.say(f"an interrupted fit is kept in {output.out}: goes on where it stopped")
         scenario = walk.load().scenario
+        log = asked.read(scenario)
+        asked.say_guess(log, shell)
         keeping = contextlib.nullcontext() if output.out is None else shell.keeping("iterations")
         with keeping, shell.stage("fit", unit="iterations", keeps=True) as show:
-            found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked))
+            found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked) | {"log": log})
         shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
         shell.show(f"{found.sentence}.")
         if output.out is not None:
@@ -119,43 +139,16 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
             shell.print_json(json.dumps(found.as_json(), indent=2))
 
 
-class Recorded(Options):
-    """What was recorded, and how it is read."""
+class Replayed(Recorded):
+    """What is replayed, and what it is compared with."""
 
-    log: Path = setting(..., "log of the robot: .csv, .nc, .mcap, .db3, or the folder of a bag", metavar="FILE")
-    signals: Path | None = setting(
-        None, "where each signal stands in it, YAML; null: by the names of its columns, or guessed", metavar="FILE"
-    )
-
-    def read(self, scenario: "mc.Scenario") -> "Log":
-        """Return the log."""
-        from mjx_climb.robot.constants import load_robot
-        from tuning.identification.readers import read_log
-
-        return read_log(self.log, load_robot(scenario.robot), self.signals)
-
-    def say(self, log: "Log", shell: "Session") -> None:
-        """Say how the signals of the log were found, and what seems wrong with it."""
-        if log.guessed is not None:
-            how = "guessed where each signal stands (save this as signals.yaml, correct it, --signals signals.yaml):"
-            shell.say(f"{self.log}: {how}", log.guessed.to_yaml().rstrip())
-        shell.say(*(f"warning: {line}" for line in log.warnings))
-
-
-class Replayed(Options):
-    """How it is simulated."""
-
-    base: Literal["held", "free"] | None = setting(
-        None, "base on a stand, or on its grippers; null: held where neither base nor foot forces were logged"
-    )
     judge: bool = setting(False, "walk under the config's law too, with the pushes that were logged, and compare")
 
 
 @command("results/<config>-replay")
 def replay(
     walk: Annotated[Walk, "-metrics"],
-    recorded: Recorded,
-    replayed: Replayed,
+    asked: Replayed,
     output: Output,
     pictures: Annotated[Pictures, "video", "size"],
 ) -> None:
@@ -173,6 +166,7 @@ def replay(
     Examples:
       mjx-climb replay case_1_2 --log walk.mcap
       mjx-climb replay case_1_2 --hardware dynamixel_x --log excitation.csv --base held
+      mjx-climb replay case_1_1 --log drop.csv --mass 0.1
       mjx-climb replay case_2 --log walk.db3 --signals signals.yaml --video
       mjx-climb replay case_2 --log walk.mcap --gains best.yaml --judge
     """
@@ -182,17 +176,18 @@ def replay(
 
         loaded = walk.load_with_gains()
         pictures.check(loaded.scenario)
-        log = recorded.read(loaded.scenario)
-        if replayed.judge and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
+        log = asked.read(loaded.scenario)
+        if asked.judge and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
             raise InputError(f"--judge: expected pushes in {log.source} (base.force.x ...), got none")
-        prepared = replays.prepare(log, loaded.scenario, replayed.base)
+        prepared = replays.prepare(log, loaded.scenario, asked.base, asked.mass)
         shell.claim("replay.json", walk.config.stem, "replay")
-        recorded.say(log, shell)
+        asked.say_guess(log, shell)
+        shell.say(*(f"warning: {line}" for line in log.warnings))
         shell.opening()
         with shell.stage("replay"):
             found = replays.simulate(prepared, loaded.engine)
         write_config(found.scenario, shell.out, loaded.law)
-        _write(found, _judged(found, loaded, shell) if replayed.judge else {}, shell, pictures)
+        _write(found, _judged(found, loaded, shell) if asked.judge else {}, shell, pictures)
 
 
 def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import check_time_step
+from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import stages_of
 from mjx_climb.quantities.parameters import KEYS, own_parameters
@@ -27,7 +28,6 @@ from mjx_climb.scenario.messages import config_error
 from tuning.background import Stage, silent
 from tuning.identification import commanded, motions
 from tuning.identification.commanded import Carried, Commands
-from tuning.identification.foot_mass import with_mass
 from tuning.identification.information import Information, information
 from tuning.identification.motions import Axes, Band
 from tuning.identification.rig import RATE, SETTLING, Rig, Segment
@@ -141,7 +141,7 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     stages = stages_of(scenario, dataclasses.replace(nominal, **there), rubbing)
     stages = stages._replace(command_delay=0) if held else stages
     with devices.on_host(), jax.enable_x64(True):
-        robot = jax.tree.map(lambda value: np.asarray(value, float), with_mass(robot, asked.mass))
+        robot = jax.tree.map(lambda value: np.asarray(value, float), with_foot_mass(robot, asked.mass))
     hold = round((scenario.hardware.control_period or 1 / RATE) / scenario.time_step)
     return Rig(own, scenario, asked, robot, nominal, stages, hold, wanted)
 

@@ -1,7 +1,6 @@
 """From a log to the parameters of a scenario: `identify`, and its result."""
 
 import dataclasses
-import math
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -165,13 +164,9 @@ def identify(
         ConfigError: no such key, or a log that holds nothing to fit.
         OutputError: `out` cannot be written to, or holds an unfinished computation of other arguments.
     """
-    if not 0 <= mass < math.inf:
-        raise ConfigError(f"mass: expected a mass on each foot of 0 kg or more, got {mass}")
     robot = load_robot(scenario.robot)
     log = log if isinstance(log, Log) else read_log(log, robot, signals)
-    chosen_base = base or base_of(log)
-    if mass and chosen_base == "free":
-        raise ConfigError(f"mass: expected none with the base free, got {mass:g} kg")
+    chosen_base = base_of(log, base, mass)
     chosen = variables(scenario, fit, held=chosen_base == "held", changes=changes)
     if chosen_base == "held":
         problem = _held(scenario, log, robot, chosen, held_out, mass)

@@ -12,13 +12,13 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb import execution
+from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
 from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
 from mjx_climb.quantities.parameters import KEYS, Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.walk import stand as stands
-from tuning.identification.foot_mass import with_mass
 from tuning.identification.schedule import Schedule, schedule_of
 from tuning.identification.variables import Place, Variable, applied, variables
 from tuning.identification.windows import KINDS, Windows
@@ -84,7 +84,7 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     """Return what would be recorded at steps 0 to `steps` (steps + 1, limb, joint), and the state at the last one."""
     dtype = point.x.dtype
     parameters, robot = applied(structure.places, point.x, parameters, load_robot(structure.robot))
-    robot = with_mass(robot, structure.mass)
+    robot = with_foot_mass(robot, structure.mass)
     robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
     stand, (angles, rates) = (

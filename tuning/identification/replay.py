@@ -1,6 +1,7 @@
 """A log's commands sent to the simulated robot: what it does beside what the real one did, and how far they differ."""
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 import mjx_climb as mc
+from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import hardware_of, stages_of
@@ -73,14 +75,17 @@ class Prepared(NamedTuple):
     base: Base
     targets: Float[np.ndarray, "time limb joint"]  # rad
     warnings: tuple[str, ...]
+    mass: float  # kg, that hangs on each foot
 
 
-def replay(log: Log, scenario: mc.Scenario, base: Base | None = None, engine: str = "limb") -> Replay:
+def replay(
+    log: Log, scenario: mc.Scenario, base: Base | None = None, engine: str = "limb", *, mass: float = 0.0
+) -> Replay:
     """Return a log beside the simulation that its commands drive; see `prepare`."""
-    return simulate(prepare(log, scenario, base), engine)
+    return simulate(prepare(log, scenario, base, mass), engine)
 
 
-def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepared:
+def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: float = 0.0) -> Prepared:
     """Return what a log's commands do to the servos, and the scenario in which they do it.
 
     Commands go to the servos as they were logged: `hardware.control_period` has no part in it, `command_delay` and the
@@ -89,11 +94,13 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepar
 
     Arguments:
         base: held or free; None: held where the log has neither base nor foot forces.
+        mass: that hung on each foot while the log was made, kg.
 
     Raises:
-        ConfigError: a log without commands, or shorter than a time step, or with pushes that are noise.
+        ConfigError: a log without commands, or shorter than a time step, or with pushes that are noise; a mass with the
+            base free.
     """
-    robot, signals = load_robot(scenario.robot), log.signals
+    robot, signals, chosen = load_robot(scenario.robot), log.signals, base_of(log, base, mass)
     sent = [name for name in signals if name.endswith(".command")]
     if not sent:
         raise ConfigError(f"{log.source}: expected commands of joints, such as LF.coxa.command, got none")
@@ -101,7 +108,6 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepar
     if not 2 <= steps <= MAX_STEPS:
         expected = f"a log of two to {MAX_STEPS} time steps of {scenario.time_step:g} s"
         raise ConfigError(f"{log.source}: expected {expected}, got {log.duration:g} s")
-    chosen = base or base_of(log)
     scenario = scenario.with_overrides({
         "duration": steps * scenario.time_step, "hardware.control_period": 0.0, "hardware.interpolation": "hold",
     })  # fmt: skip
@@ -111,20 +117,32 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None) -> Prepar
         said.append(f"{len(sent)} joints of {joints} have commands, the others are sent where they began")
     if chosen == "free" and schedule_of(signals, scenario.control.kp) is not None:
         said.append(f"{KP} and {OFF} of the log have no part in it: the base is free")
-    return Prepared(log, scenario, chosen, targets, tuple(said))
+    if mass:
+        said.append(f"{mass:g} kg hang on each foot of the simulated robot, of which config.yaml says nothing")
+    return Prepared(log, scenario, chosen, targets, tuple(said), mass)
 
 
-def base_of(log: Log) -> Base:
-    """Return whether the base was held: the log has neither base nor foot forces."""
-    return "free" if any(name.startswith("base.") or ".force." in name for name in log.signals) else "held"
+def base_of(log: Log, base: Base | None, mass: float) -> Base:
+    """Return whether the base was held: as is said, or, of None, where the log has neither base nor foot forces.
+
+    Raises:
+        ConfigError: a mass that hung on each foot, kg, which is none or of a free base.
+    """
+    grounded = any(name.startswith("base.") or ".force." in name for name in log.signals)
+    found: Base = base or ("free" if grounded else "held")
+    if not 0 <= mass < math.inf:
+        raise ConfigError(f"mass: expected a mass on each foot of 0 kg or more, got {mass}")
+    if mass and found == "free":
+        raise ConfigError(f"mass: expected none with the base free, got {mass:g} kg")
+    return found
 
 
 def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
     """Return a log beside the simulation that its commands drive."""
-    log, scenario, base, targets, said = prepared
+    log, scenario, base, targets, said, _ = prepared
     robot = load_robot(scenario.robot)
     if base == "held":
-        walk = _on_a_stand(scenario, robot, log, targets)
+        walk = _on_a_stand(prepared, robot)
     else:
         walk = mc.Simulation(scenario, engine=engine).rollout(targets=targets)
         said = (*said, *_of_a_walk(walk, log, robot))
@@ -200,10 +218,9 @@ def _of_a_walk(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
         yield f"grippers shut and open as the config's gait has it, other than in the log for {share}"
 
 
-def _on_a_stand(
-    scenario: mc.Scenario, robot: Robot, log: Log, targets: Float[np.ndarray, "time limb joint"]
-) -> mc.Trajectory:
+def _on_a_stand(prepared: Prepared, robot: Robot) -> mc.Trajectory:
     """Return the motion of a robot whose base is held, in the form of a walk: no foot touches anything."""
+    log, scenario, _, targets, _, mass = prepared
     begin = targets[0].copy()
     for row, limb in enumerate(robot.limbs):
         for column, joint in enumerate(robot.joint_names):
@@ -211,6 +228,7 @@ def _on_a_stand(
                 begin[row, column] = signal.value[0]
     own = own_parameters(scenario)
     with devices.on_host(), jax.enable_x64(True):
+        robot = with_foot_mass(robot, mass)
         held = stand.Stand(robot, hardware_of(own, stages_of(scenario, own, robot), scenario.time_step, robot))
 
         def step(moving: stand.Moving, sent: stand.Sent) -> tuple[stand.Moving, stand.Recorded]:

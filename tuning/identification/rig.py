@@ -12,6 +12,7 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
+from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.dynamics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.limb_engine import held_accelerations
@@ -24,7 +25,6 @@ from mjx_climb.scenario.messages import config_error
 from mjx_climb.walk.stand import targets_of
 from tuning.identification import commanded
 from tuning.identification.commanded import Carried, Commands
-from tuning.identification.foot_mass import with_mass
 from tuning.identification.motions import Axes
 from tuning.identification.variables import Place, Variable, applied
 from tuning.problem.excitation import Excitation
@@ -90,7 +90,7 @@ class Rig:
         """Return robot and parameters at a point (n,) of the variables' coordinates."""
         places = [Place(each.key, each.log) for each in self.chosen]
         parameters, robot = applied(places, point, self.parameters, load_robot(self.scenario.robot))
-        return with_mass(robot, self.asked.mass), parameters
+        return with_foot_mass(robot, self.asked.mass), parameters
 
     def run(self) -> commanded.Robots:
         """Return what carries out commands."""

@@ -11,10 +11,10 @@ import yaml
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.robot.constants import load_robot
 from tests.tuning.identification.stand_in_mujoco import JOINTS, Truth, welded
 from tuning.identification import excitation, motions
-from tuning.identification.foot_mass import with_mass
 from tuning.identification.information import information
 from tuning.identification.readers import read_log
 from tuning.identification.schedule import schedule_of
@@ -209,7 +209,7 @@ def test_a_mass_on_the_feet_is_that_of_mujoco():
         link_inertia=np.tile(own, (4, 3, 1, 1)), foot_center=np.tile([0.05, -0.02, 0.1], (4, 1)),
     )  # fmt: skip
     with jax.enable_x64(True):
-        loaded = with_mass(robot, 0.3)
+        loaded = with_foot_mass(robot, 0.3)
     mass, center = loaded.link_mass[1, -1], np.asarray(loaded.link_center[1, -1])
     about = np.asarray(loaded.link_inertia[1, -1]) + mass * (center @ center * np.eye(3) - np.outer(center, center))
     np.testing.assert_allclose(mass, whole[0, 0])

@@ -71,9 +71,11 @@ def test_a_log_of_another_start_and_gait_says_so(log):
     assert gait.startswith("grippers shut and open as the config's gait has it, other than in the log for 100 %")
 
 
-def test_without_base_and_forces_the_robot_is_on_a_stand_as_in_mujoco(tmp_path):
+@pytest.mark.parametrize("mass", [0.0, 0.1])
+def test_without_base_and_forces_the_robot_is_on_a_stand_as_in_mujoco(tmp_path, mass):
+    """Of a mass on the feet too, which no config says."""
     time, targets = sines(1.0, 0.001)
-    truth = dataclasses.replace(TRUTH, friction=0.0)
+    truth = dataclasses.replace(TRUTH, friction=0.0, mass=mass)
     of_mujoco = on_a_stand(truth, time, targets, step=5e-5)
     columns = {"time": time} | {f"{joint}.command": targets[:, n] for n, joint in enumerate(JOINTS)}
     for what in ("position", "velocity", "effort"):
@@ -83,12 +85,13 @@ def test_without_base_and_forces_the_robot_is_on_a_stand_as_in_mujoco(tmp_path):
     scenario = mc.load_scenario("configs/case_1_1.yaml", {
         "control.kp": truth.kp, "control.kd": truth.kd, **{f"hardware.servo.{k}": v for k, v in servo.items()}
     })  # fmt: skip
-    found = replay(read_log(tmp_path / "log.csv", ROBOT), scenario)
-    assert found.base == "held" and found.warnings == ()
+    log = read_log(tmp_path / "log.csv", ROBOT)
+    found = replay(log, scenario, mass=mass)
+    assert found.base == "held" and len(found.warnings) == (mass > 0) == any("0.1 kg" in w for w in found.warnings)
     bounds = {"position": 4e-4, "velocity": 1e-2, "effort": 0.15}
     for name, error in found.errors.items():
         assert error.largest < bounds[name.rpartition(".")[2]], (name, error)
-    wrong = replay(read_log(tmp_path / "log.csv", ROBOT), scenario.with_overrides({"hardware.servo.armature": 0.0}))
+    wrong = replay(log, scenario.with_overrides({} if mass else {"hardware.servo.armature": 0.0}))
     assert max(error.largest for error in wrong.errors.values()) > 0.15
     model = load_model(scenario.robot)  # feet by MuJoCo's kinematics
     data, row = mujoco.MjData(model), 700
