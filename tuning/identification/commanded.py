@@ -22,10 +22,9 @@ from mjx_climb.walk.control_loop import JointTargets
 class Commands(NamedTuple):
     """What the robot is told, at each time step."""
 
-    targets: AnyArray  # (steps, limb, joint) rad: of a held base as they reach the servos, else as they are sent
-    rates: AnyArray  # (steps, limb, joint) rad/s, of these targets over time
-    kp: AnyArray  # (steps,) as a share of the parameters'; 0: torque off
-    delay: AnyArray  # (steps,) s, with which the targets reach the servos
+    sent: stands.Sent  # (steps, ...) of a held base as it reaches the servos, else targets alone, as they are sent
+    rates: stands.Sent  # of these over time
+    delay: AnyArray  # (steps,) s, with which all of them reach the servos
 
 
 class Carried(NamedTuple):
@@ -54,17 +53,16 @@ def held(stages: Stages, time_step: float) -> Robots:
     def one_step(
         robot: Robot, parameters: Parameters, moving: stands.Moving, now: Commands
     ) -> tuple[stands.Moving, Carried]:
-        on = jnp.where(now.kp > 0, 1.0, 0.0)
-        stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot))
-        stand = stands.with_gains(stand, stands.Sent(now.targets, now.kp, on))
         late = parameters.command_delay - now.delay
-        after, seen = stands.advance(stand, moving, now.targets - late * now.rates)
+        sent: stands.Sent = jax.tree.map(lambda value, rate: value - late * rate, now.sent, now.rates)
+        stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot))
+        after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)
         return after, Carried(*seen, jnp.zeros_like(robot.foot_center))
 
     fast = execution.over_robots(one_step)
 
     def carried_out(robot: Robot, parameters: Parameters, commands: Commands) -> Carried:
-        first = commands.targets[0]
+        first = commands.sent.targets[0]
         stand = stands.Stand(robot, hardware_of(parameters, stages, time_step, robot))
         start = stands.begin(stand, first, jnp.zeros_like(first))
         done: Carried = jax.lax.scan(functools.partial(fast, robot, parameters), start, commands)[1]
@@ -96,7 +94,7 @@ def standing(scenario: mc.Scenario, stages: Stages) -> Robots:
 
     def carried_out(_: Robot, parameters: Parameters, commands: Commands) -> Carried:
         start = simulation.reset(parameters=parameters)
-        done: Carried = jax.lax.scan(one_step, start, commands.targets)[1]
+        done: Carried = jax.lax.scan(one_step, start, commands.sent.targets)[1]
         return done
 
     return carried_out

@@ -230,7 +230,7 @@ def _drop(rig: Rig) -> list[Segment]:
 def _carried(rig: Rig, targets: Sequence[np.ndarray], segments: Sequence[list[Segment]]) -> list[Carried]:
     """Return what the nominal model makes of several motions, at each time step, the lead before the log included."""
     each = [rig.commands(np.nan_to_num(one), some) for one, some in zip(targets, segments, strict=True)]
-    stacked = Commands(*map(np.stack, zip(*each, strict=True)))
+    stacked = jax.tree.map(lambda *parts: np.stack(parts), *each)
     done = commanded.in_batch(rig.run())(rig.robot, rig.parameters, stacked)
     return [Carried(*one) for one in zip(*map(np.asarray, done), strict=True)]
 
@@ -292,7 +292,7 @@ def informations(rig: Rig, found: Sequence[Motion]) -> list[Information]:
 
     directions = np.diag([1.0 if each.log else scale(each) for each in rig.chosen])
     each = [rig.commands(one.targets, one.segments) for one in found]
-    stacked = Commands(*map(np.stack, zip(*each, strict=True)))
+    stacked = jax.tree.map(lambda *parts: np.stack(parts), *each)
     tangents = jax.jit(jax.vmap(jax.vmap(along, (0, None)), (None, 0)))(directions, stacked)
     names = tuple(each.key for each in rig.chosen)
     return [information(names, white.T, np.ones(white.shape[1])) for white in np.asarray(tangents)]

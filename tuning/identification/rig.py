@@ -22,7 +22,7 @@ from mjx_climb.hardware.stages import Stages, hardware_of
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import config_error
-from mjx_climb.walk.stand import targets_of
+from mjx_climb.walk.stand import Sent, targets_of
 from tuning.identification import commanded
 from tuning.identification.commanded import Carried, Commands
 from tuning.identification.motions import Axes
@@ -155,15 +155,17 @@ class Rig:
             kp[segment.start : segment.stop] = segment.kp / float(self.parameters.kp)
         sent, kp = (np.repeat(np.concatenate([np.repeat(v[:1], self.lead, 0), v]), self.hold, 0) for v in (targets, kp))
         delay, step = float(self.parameters.command_delay), self.scenario.time_step
-        rates = np.zeros_like(sent)
-        if self.asked.base == "held":
-            if self.stages.linear:  # the line reaches a target at the end of its period
-                before, into = np.concatenate([sent[: self.hold], sent[: -self.hold]]), np.arange(len(sent)) % self.hold
-                sent = before + (sent - before) * ((into + 1) / self.hold)[:, None, None]
-            time = np.arange(len(sent)) * step
-            joints = [targets_of(time, joint, time - delay, step) for joint in sent.reshape(len(sent), -1).T]
-            sent, rates = (np.stack(part, 1).reshape(sent.shape) for part in zip(*joints, strict=True))
-        return Commands(sent, rates, kp, np.full(len(sent), delay))
+        delays = np.full(len(sent), delay)
+        if self.asked.base == "free":
+            return Commands(Sent(sent), Sent(np.zeros_like(sent)), delays)
+        if self.stages.linear:  # the line reaches a target at the end of its period
+            before, into = np.concatenate([sent[: self.hold], sent[: -self.hold]]), np.arange(len(sent)) % self.hold
+            sent = before + (sent - before) * ((into + 1) / self.hold)[:, None, None]
+        time = np.arange(len(sent)) * step
+        each = [*sent.reshape(len(sent), -1).T, kp, np.where(kp > 0, 1.0, 0.0)]
+        late = zip(*(targets_of(time, values, time - delay, step) for values in each), strict=True)
+        reached, rates = (Sent(np.stack(v[:-2], 1).reshape(sent.shape), *v[-2:]) for v in late)
+        return Commands(reached, rates, delays)
 
     def used(self, targets: np.ndarray, carried: Carried) -> tuple[float, str]:
         """Return the largest share of a limit that a stretch uses, and which, in words."""

@@ -52,7 +52,7 @@ def replayed(truth, targets, period, off=(), lead=0.5, step=2.5e-4):
         whole = np.clip(np.floor(at), 0, len(targets) - 1).astype(int)
         share = np.clip((at[1] - whole[1]) * each, 0, 1) if whole[0] != whole[1] else 1.0
         data.ctrl[:] = targets[whole[0]] + share * (targets[whole[1]] - targets[whole[0]])
-        if len(off) and n >= wait and off[(n - wait) // each]:
+        if len(off) and off[whole[0]] and n >= wait:
             model.actuator_gainprm[:], model.actuator_biasprm[:] = 0, 0
         mujoco.mj_forward(model, data)
         found.append((data.qpos.copy(), data.qvel.copy(), data.actuator_force.copy()))
@@ -91,6 +91,14 @@ def test_limits_hold_in_mujoco_and_are_used(found):
     assert max(share.max() for share in used) < 0.7 * 1.03
     moved = [share[: 300 * 40].max() for share in used]
     assert max(moved) > 0.55, moved
+
+
+@pytest.mark.slow
+def test_torque_goes_off_as_late_as_commands_come(found):
+    off = columns(found)["torque_off"] == 1
+    targets = found.best.motion.targets.reshape(-1, 12)
+    theirs = replayed(TRUTH, targets, found.period, off)[3]
+    np.testing.assert_allclose(np.reshape(found.carried.angles, theirs.shape), theirs, atol=5e-4)  # at once: 0.011
 
 
 @pytest.mark.slow
