@@ -38,8 +38,11 @@ _JOINT = {"armature": "kg m^2", "friction": "N m", "damping": "N m s/rad", "zero
 _CENTER = ("center.x", "center.y", "center.z")
 _INERTIA = ("xx", "yy", "zz", "xy", "xz", "yz")
 _PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of these in A and in the inertia
-_STILL = ("gait.", "disturbance.", "contact.capture_distance", "hardware.control_period", "hardware.seed")
-_OF_LAW = ("hardware.base_estimate", "force_sensor.noise", "force_sensor.resolution")
+_BY_STEPS = ("hardware.control_period", "hardware.servo.rate", "hardware.force_sensor.resolution")  # no derivative
+_OTHERS = (  # keys whose values no log of joint commands tells
+    "gait.", "disturbance.", "contact.capture_distance", "hardware.seed", "hardware.base_estimate.",
+    "hardware.force_sensor.noise",
+)  # fmt: skip
 ON_GROUND = ("contact.", "hardware.force_sensor.", "robot.base.", "log.")  # a robot on a stand does not tell them
 
 
@@ -81,7 +84,8 @@ def variables(
 
     Arguments:
         scenario: its values are nominal; its robot's file is the prior of the robot's.
-        asked: keys, or patterns of keys as `robot.*.armature`; `robot.LF.femur` stands for all of this link.
+        asked: keys, or patterns of keys as `robot.*.armature`; `robot.LF.femur` stands for all of this link. A pattern
+            is of keys that have a value, and that such a log tells.
         held: whether the base was held.
         changes: fields of a `Variable` that replace its own, by key.
 
@@ -91,12 +95,18 @@ def variables(
     known = {each.key: each for each in _all(scenario)}
     found: dict[str, Variable] = {}
     for key in asked:
+        if key in _BY_STEPS:
+            expected = "expected a key with a derivative, got one that works by steps"
+            raise ConfigError(f"--fit {key}: {expected} (--set each candidate, and compare the errors held out)")
         keys = [k for k in known if fnmatch.fnmatchcase(k, key) or k.startswith(f"{key}.")]
+        grounded = [k for k in keys if held and k.startswith(ON_GROUND)]
+        if key not in known:  # a pattern is of keys that such a log tells, with a value to begin at
+            keys = [k for k in keys if k not in grounded and math.isfinite(known[k].nominal)] or keys
         if not keys:
             near = difflib.get_close_matches(key, [*known, *(k.rpartition(".")[0] for k in known)], 3, 0.5)
             meant = f" (did you mean {' or '.join(dict.fromkeys(near))}?)" if near else ""
             raise ConfigError(f"--fit {key}: expected a key that can be fitted, got an unknown one{meant}")
-        if held and (grounded := [k for k in keys if k.startswith(ON_GROUND)]):
+        if grounded and grounded[0] in keys:
             raise ConfigError(
                 f"--fit {key}: expected a key that a robot on a stand can tell, got {grounded[0]}; a log with base or "
                 "foot forces of a gripped robot tells it (--base free)"
@@ -118,7 +128,7 @@ def _all(scenario: mc.Scenario) -> Iterator[Variable]:
     own, robot = own_parameters(scenario), load_robot(scenario.robot)
     for field, key in KEYS.items():
         unit = COORDINATES.get(field, ("",))[0]
-        if unit and not key.startswith(_STILL) and not any(part in key for part in _OF_LAW):
+        if unit and not key.startswith((*_BY_STEPS, *_OTHERS)):
             yield _of_scenario(key, unit, float(np.asarray(getattr(own, field))), scenario.time_step)
     for axis in "xy":
         yield Variable(f"gravity.tilt_{axis}", "rad", 0.0, 0.0, _TILT, -1.0, 1.0)

@@ -226,6 +226,7 @@ def test_a_start_on_a_bound_and_a_link_without_weight_are_no_obstacle():
 @pytest.mark.parametrize(("fit", "drop", "words"), [
     ("hardware.servo.armatur", "", "did you mean hardware.servo.armature"),
     ("contact.stiffness", "", "a key that a robot on a stand can tell"),
+    ("hardware.servo.rate", "", "a key with a derivative, got one that works by steps .--set each candidate"),
     ("hardware.servo.torque_limit", "", "expected a value in the config to begin at, got null"),
     ("control.kp", "command", "expected the commands of all joints of a limb, as LF.coxa.command"),
     ("control.kp", "position", "expected positions, velocities or efforts, as LF.coxa.position"),
@@ -236,6 +237,14 @@ def test_a_key_or_a_log_that_cannot_be_used_is_told_in_one_line(fit, drop, words
     with pytest.raises(mc.ConfigError, match=words) as refused:
         tuning.identify(SCENARIO, log, [fit])
     assert "\n" not in str(refused.value)
+
+
+def test_a_pattern_is_of_keys_with_a_derivative_and_a_value():
+    scenario = SCENARIO.with_overrides({"hardware.servo.rate": 500.0})
+    found = {v.key for v in variables(scenario, ["hardware.*"], held=True)}
+    assert {"hardware.command_delay", "hardware.servo.armature", "hardware.servo.backlash"} < found
+    without = {"hardware.servo.rate", "hardware.control_period", "hardware.servo.profile_velocity"}
+    assert not found & (without | {"hardware.force_sensor.delay"})
 
 
 # --------------------------------------------------------------------------------------------------- what is written
