@@ -23,6 +23,10 @@ class Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 (PyYAML's own protocol)
     depth = 0
 
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self.keys: dict[int, set[str]] = {}  # of each mapping, by its id
+
     def problem(self, text: str, at: Any) -> yaml.MarkedYAMLError:
         return yaml.MarkedYAMLError(problem=text, problem_mark=at.start_mark)
 
@@ -32,20 +36,20 @@ class Loader(yaml.SafeLoader):
             raise self.problem("tags, anchors and aliases are not used here", event)
         if self.depth == MAX_NESTING:
             raise self.problem(f"nested deeper than {MAX_NESTING}", event)
+        if isinstance(index, yaml.Node):  # of a value: its key
+            self.taken(index, self.keys.setdefault(id(parent), set()))
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if key.tag != "tag:yaml.org,2002:str":
-                raise self.problem("a key is not a word", key)
-            if key.value in seen:
-                raise self.problem(f"key {key.value!r} comes twice", key)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
+    def taken(self, key: Any, seen: set[str]) -> None:
+        """Refuse a key as soon as it is read: the rest of a long file would take seconds."""
+        if key.tag != "tag:yaml.org,2002:str":
+            raise self.problem("a key is not a word", key)
+        if key.value in seen:
+            raise self.problem(f"key {key.value!r} comes twice", key)
+        seen.add(key.value)
 
     def construct_integer(self, node: Any) -> int | float:
         # Decimal even with leading zeros. A huge one, too long for int(), becomes a float, perhaps inf.

@@ -169,6 +169,7 @@ BAD_FILES = [
     ("duration: -1\ntime_step: 0\nrobot: 3", "robot: expected the name of a robot, got 3 (and 2 more)"),
     ("duration: 8\ngait: {cycle: 4\nduty", "expected valid YAML, got line 3:"),
     ("duration: 8\nduration: 9", "expected valid YAML, got line 2: key 'duration' comes twice"),
+    ("gait: {}\ngait: {}\nx: [", "expected valid YAML, got line 2: key 'gait' comes twice"),  # the rest is not read
     ("1: 2", "expected valid YAML, got line 1: a key is not a word"),
     ("? [a, b]\n: 2", "expected valid YAML, got line 1: a key is not a word"),
     ("gait: &a {cycle: 2}\ncontact: *a", "expected valid YAML, got line 1: tags, anchors and aliases are not used"),
