@@ -124,6 +124,7 @@ def test_derivatives_by_every_gain_agree_with_central_differences(kind):
         np.testing.assert_allclose(back, found.sum(), rtol=1e-9, atol=1e-12, err_msg=name)
 
 
+@pytest.mark.slow
 @kinds
 def test_a_batch_moves_as_each_of_its_robots(kind):
     scenes = [scene(seed) for seed in range(3)]

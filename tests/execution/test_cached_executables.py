@@ -55,6 +55,7 @@ def run(tmp_path, monkeypatch):
     return process
 
 
+@pytest.mark.slow
 def test_the_next_process_neither_traces_nor_gets_another_executable(run):
     """The same bits; another identity, shape, precision or option: another one; none stored without an identity."""
     first = run()
@@ -67,6 +68,7 @@ def test_the_next_process_neither_traces_nor_gets_another_executable(run):
     assert run(identity="")[0] == 1
 
 
+@pytest.mark.slow
 def test_what_xlas_cache_holds_is_made_and_stored_again(run, tmp_path):
     """After an update, or where a file was lost: what XLA's cache returns could not be stored."""
     _, values = run()

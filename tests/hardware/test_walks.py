@@ -59,7 +59,8 @@ class Showing(PD):
         return state, super().step(state, measured, reference)[1]._replace(base_displacement=seen[:, 1, :2].ravel())
 
 
-@pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.slow), 0.0024])
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0.0, 0.0024])
 def test_a_law_is_told_of_the_joints_by_the_bus(delay):
     """Angles and rates of this step and the motors' torque of the one before, late as the targets, once a period."""
     scenario = mc.load_scenario("case_1_2", EVERYTHING | {"duration": 0.05})

@@ -21,7 +21,10 @@ TABLE = [  # case, law, peak foot force N, variation N, cost of transport, final
 ]
 
 
-@pytest.mark.parametrize(("name", "law", "peak", "variation", "cost", "final_x"), TABLE)
+@pytest.mark.parametrize(
+    ("name", "law", "peak", "variation", "cost", "final_x"),
+    [pytest.param(*row, marks=[pytest.mark.slow] * (row[1] != "pd")) for row in TABLE],
+)
 def test_figures_of_the_prototype(case, walk, name, law, peak, variation, cost, final_x):
     """Of each case and law; the prototype's variation and cost are given to two or three digits."""
     trajectory = walk(case(name, law, (("contact.holding_limit", None),)))

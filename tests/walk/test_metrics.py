@@ -230,6 +230,7 @@ def test_own_metrics_of_a_walk_and_of_a_batch(scenario):
     assert "smooth_impulse" not in batch
 
 
+@pytest.mark.slow
 def test_another_metric_of_the_same_name_is_another_program(scenario):
     """What is compiled knows a metric by what it is, not by its name."""
     walk = mc.rollout(scenario, mc.Gains(1.0, 100.0, STIFFNESS[0]))

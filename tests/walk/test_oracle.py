@@ -115,7 +115,10 @@ WALKS = {  # changes, and what is to happen
 OF_THE_JOINTS = 'damping="0.03" armature="0.002" frictionloss="0.015" actuatorfrcrange="-0.7 0.7"'
 
 
-LONG = ("a base that sways, low over feet that land fast", "servos of limited current", "end effector")
+LONG = (
+    "hardware on uneven ground", "servos on a voltage", "servos of limited current", "end effector",
+    "a base that sways, low over feet that land fast", "a robot of its own",
+)  # fmt: skip
 
 
 @pytest.fixture(

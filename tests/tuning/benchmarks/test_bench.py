@@ -74,6 +74,7 @@ def test_mujoco_batch_walks_the_same_walk(scenario, ours):
     check(peers.Batch(scenario, gains(SETS), threads=2), scenario, ours)
 
 
+@pytest.mark.slow
 def test_loop_over_mj_step_walks_the_same_walk(scenario, ours):
     second = {name: values[1:2] for name, values in ours.items()}
     check(peers.Loop(scenario, gains(SETS[1:2])), scenario, second)

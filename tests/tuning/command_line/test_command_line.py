@@ -124,7 +124,7 @@ def in_bash(line, folder):
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="writes to /dev/full")
-@pytest.mark.parametrize("case", SURROUNDINGS)
+@pytest.mark.parametrize("case", [pytest.param(c, marks=[pytest.mark.slow] * (c == "no nan")) for c in SURROUNDINGS])
 def test_surroundings_that_a_command_cannot_work_in_get_one_line(case, tmp_path):
     line, expected = SURROUNDINGS[case]
     done = in_bash(line, tmp_path)
@@ -204,6 +204,7 @@ def test_run_says_who_let_go(call, tmp_path):
         assert f"{words}{np.linalg.norm(force, axis=-1).max():.3g} N" in helps
 
 
+@pytest.mark.slow
 def test_run_survives_divergence(call, tmp_path):
     law = ["--set", "control.reading=measured_pose", "--set", "control.damping=1e7"]
     code, out, _ = call("run", CONFIG, *SHORT, *law, "--out", tmp_path)

@@ -64,7 +64,14 @@ def interrupted_in(module, folder):
     return subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("module", ["tuning.command_line.program", "typer", "jax", "mjx_climb.simulation"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "tuning.command_line.program",
+        "typer",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("jax", "mjx_climb.simulation")),
+    ],
+)
 def test_a_signal_while_modules_are_imported(module, tmp_path):
     """It ends the program in one line, not in an ImportError of whatever was under way."""
     done = interrupted_in(module, tmp_path)

@@ -53,6 +53,7 @@ def test_the_log_of_a_walk_gives_the_walk_again_with_its_pushes(walk, log):
     np.testing.assert_allclose(found.logged().foot_position, walk.foot_position, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_each_signal(walk, log):
     late = {name: Signal(s.time, s.value + 0.01 * s.time if name == "RH.femur.position" else s.value)
             for name, s in log.signals.items()}  # fmt: skip
@@ -63,6 +64,7 @@ def test_errors_are_those_of_each_signal(walk, log):
     assert max(e.largest for n, e in found.errors.items() if n != "RH.femur.position" and ".position" in n) < 1e-12
 
 
+@pytest.mark.slow
 def test_a_log_of_another_start_and_gait_says_so(log):
     signals = {name: Signal(s.time, s.value + 0.2 if name == "LF.tibia.position" else 1.0 - s.value
                             if name == "RF.support" else s.value) for name, s in log.signals.items()}  # fmt: skip

@@ -111,6 +111,7 @@ def test_a_chosen_method_stays(kernel, monkeypatch, robust):
             search(mc.load_scenario("case_1_2"), **settings)
 
 
+@pytest.mark.slow
 def test_the_search_is_a_call_of_the_package_and_of_its_module():
     """Whichever is imported first."""
     for first in ("import tuning", "import tuning.tune", "from tuning.tune import tune"):

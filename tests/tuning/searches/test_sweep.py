@@ -71,6 +71,7 @@ def test_parts_are_equal_and_hold_all(walks, steps):
         assert count * size - walks < count  # never a whole robot per part too many
 
 
+@pytest.mark.slow
 def test_killed_sweep_resumes_bit_by_bit(scenario, whole, tmp_path):
     script = f"""
 import os, signal, numpy as np, mjx_climb as mc
