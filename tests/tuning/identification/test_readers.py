@@ -260,6 +260,46 @@ def test_the_same_walk_gives_the_same_mcap_with_base_and_feet_as_transforms(push
         np.testing.assert_array_equal(found, values[rows])
 
 
+def test_every_channel_is_decoded_by_the_readers_of_mcap_themselves(pushed, tmp_path):
+    """Those of Foxglove: by the definitions of the messages that the file itself holds."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    found = {}
+    with save_mcap(pushed, tmp_path / "walk.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            found.setdefault(channel.topic, []).append((message.log_time, decoded))
+        assert {channel.topic for channel in reader.get_summary().channels.values()} == set(found)
+    feet = {f"/{limb}/{what}" for limb in ROBOT.limbs for what in ("force", "support")}
+    assert set(found) == feet | {"/joint_states", "/joint_commands", "/base_pose", "/base_twist", "/push", "/tf"}
+    row = len(pushed.time) - 1
+    assert all(len(each) == row + 1 for topic, each in found.items() if topic != "/tf")
+    last = {topic: each[-1][1] for topic, each in found.items()}
+    stamp = last["/joint_states"].header.stamp
+    assert (stamp.sec, stamp.nanosec, found["/push"][-1][0]) == (0, *[round(1e9 * pushed.time[row])] * 2)
+    assert last["/joint_states"].name == [joint.replace(".", "_") for joint in JOINTS]
+    twist, force, push = last["/base_twist"].twist, last["/RH/force"].wrench.force, last["/push"].wrench.force
+    pose, (base, *_) = last["/base_pose"].pose, found["/tf"][0][1].transforms
+    assert (base.header.frame_id, base.child_frame_id) == ("world", "base") and last["/RH/support"].data
+    for ours, theirs in (
+        (pushed.joint_angles[row], last["/joint_states"].position), (pushed.foot_force[row, 2], xyz(force)),
+        (pushed.joint_rates[row], last["/joint_states"].velocity), (pushed.base_position[row], xyz(pose.position)),
+        (pushed.joint_torque[row], last["/joint_states"].effort), (pushed.push[row, :3], xyz(push)),
+        (pushed.joint_targets[row], last["/joint_commands"].position),
+        (pushed.base_position[0], xyz(base.transform.translation)),
+        (pushed.base_orientation[row], [pose.orientation.w, *xyz(pose.orientation)]),
+        (pushed.base_linear_velocity[row], xyz(twist.linear)), (pushed.base_angular_velocity[row], xyz(twist.angular)),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(np.ravel(ours), theirs)
+
+
+def xyz(message):
+    return [message.x, message.y, message.z]
+
+
 def test_times_that_do_not_increase_are_left_out_and_counted(tmp_path):
     (tmp_path / "log.csv").write_text(
         "time;LF.coxa.position\n0;0.1\n1e-2;0.2\n5e-3;0.9\n1e-2;0.8\n2e-2;0.3\n3e-2;0.4\n"
