@@ -169,14 +169,17 @@ def cached_jit(
 
 def _kind(leaf: Any) -> tuple[Hashable, ...]:
     """Return what executables depend on of an argument: shape, type and devices."""
-    devices = sorted(f"{d.platform}:{d.id}" for d in leaf.devices()) if hasattr(leaf, "devices") else ()
-    return (leaf.shape, str(leaf.dtype), *devices)
+    return leaf.shape, leaf.dtype, getattr(leaf, "sharding", None)
 
 
 def _settings() -> Hashable:
     """Return the settings that JAX's traces and compilations depend on, as they hold in this thread."""
-    names = (name for name in sorted(jax.config.values) if not any(word in name for word in _OF_NO_EFFECT))
-    return tuple((name, str(getattr(jax.config, name, None))) for name in names)
+    return tuple((name, getattr(jax.config, name, None)) for name in _setting_names())
+
+
+@functools.cache
+def _setting_names() -> list[str]:
+    return [name for name in sorted(jax.config.values) if not any(word in name for word in _OF_NO_EFFECT)]
 
 
 def executable_file(function: Callable[..., Any], known: str, key: Hashable, options: Options) -> Path | None:

@@ -50,8 +50,8 @@ from mjx_climb.walk.step import Carry, Walk, advance, begin, prepare
 from mjx_climb.walk.structure import Structure, structure
 
 ROUNDING = 1e-9  # a radius above 1 by less is 1
-_ENTRIES = 64 * 50**2  # of the matrices that are made at once, about
-_MOST_MATRICES = 64
+_ENTRIES = 512 * 50**2  # of the matrices that are made at once, about: 10 MB
+_MOST_MATRICES = 512
 # Of the matrices that one call makes, 160 kB: XLA:CPU works out arrays of some 256 kB and more by several threads, and
 # makes invalid code of a region that holds one ("Incorrect number of arguments passed to called function", jaxlib 0.10)
 _ENTRIES_OF_A_CALL = 20_000
