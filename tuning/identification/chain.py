@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from tuning.identification.force_sensors import sensed
 from tuning.identification.gripped import FORCE_DELAY, LATE, GrippedModel
 from tuning.identification.least_squares import HUBER, LeastSquares, Normal
 from tuning.identification.windows import KINDS
@@ -49,8 +48,6 @@ class Chain(LeastSquares):
             of_window = np.searchsorted(which, self.rows.window[here])
             for k, point in enumerate(x):
                 own, along = ({name: v[k] for name, v in each.items()} for each in (values, tangents))
-                if "force" in own:
-                    sensed(self.model.variables, point, own, along)
                 self._predict(made[k], point, (here, of_window), own, along)
         return [self._normal(*each) for each in made]
 

@@ -126,9 +126,9 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     own, held = scenario, asked.base == "held"
     wanted = variables(scenario, asked.fit, held=held)
     if not held:
-        if others := [each.key for each in wanted if each.key.startswith(("robot.", "log.", "hardware.force_sensor."))]:
-            expected = "a key of the scenario with --base free, of what moves the robot"
-            raise config_error("excite", f"--fit {others[0]}", expected, "one of the robot's or of its sensors")
+        if others := [v.key for v in wanted if v.key.startswith(("robot.", "hardware.force_sensor.filter"))]:
+            expected = "a key of the scenario or of the log with --base free"
+            raise config_error("excite", f"--fit {others[0]}", expected, "one of the robot's or of a filter")
         scenario = commanded.swaying(scenario, asked.duration + SETTLING)
     for kp in asked.kp:
         check_time_step(scenario.with_overrides({"control.kp": kp}), f"--kp {kp:g}")
@@ -284,7 +284,9 @@ def informations(rig: Rig, found: Sequence[Motion]) -> list[Information]:
     def logged(point: jax.Array, commands: Commands) -> jax.Array:
         done = run(*rig.at(point), commands)
         seen = [done.angles[rows].ravel() / rig.asked.noise]
-        return jnp.concatenate(seen + [done.force[rows].ravel() / force_noise] * (rig.asked.base == "free"))
+        if rig.asked.base == "free":
+            seen.append(rig.logged_force(point, done.force)[rows].ravel() / force_noise)
+        return jnp.concatenate(seen)
 
     def along(direction: jax.Array, commands: Commands) -> jax.Array:
         tangent: jax.Array = jax.jvp(lambda point: logged(point, commands), (begin(rig.chosen),), (direction,))[1]

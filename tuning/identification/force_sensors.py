@@ -1,38 +1,29 @@
-"""What a foot's force sensor makes of the force on it: a share of it, an offset, and a share of another axis."""
+"""What a log has of the force on a foot: a share of it, an offset, and a share of another axis."""
 
 from collections.abc import Sequence
-from typing import Any
 
-import numpy as np
+import jax.numpy as jnp
+from jax import Array
 
-from tuning.identification.variables import Variable
+from tuning.identification.variables import Place
 
 _AXES = "xyz"
 
 
-def sensed(variables: Sequence[Variable], x: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]) -> None:
-    """Put what sensors say of the forces in the place of the forces (windows, steps, limb, 3), and of their tangents.
-
-    The tangents (windows, P, steps, limb, 3) are along the variables, `log.LF.force.gain` among them.
-    """
-    own = [n for n, v in enumerate(variables) if v.key.startswith("log.") and ".force." in v.key and v.limb is not None]
-    if not own:
-        return
-    force, limbs = values["force"], values["force"].shape[2]
-    mixed, zero = np.tile(np.eye(3), (limbs, 1, 1)), np.zeros((limbs, 3))
-    direct = np.zeros((len(own), *force.shape))
-    for place, n in enumerate(own):
-        limb, name = variables[n].limb, variables[n].key.split(".", 3)[3]
-        if name == "gain":
-            mixed[limb] += (x[n] - 1) * np.eye(3)
-            direct[place][:, :, limb] = force[:, :, limb]
-        elif name.startswith("zero"):
-            axis = _AXES.index(name[-1])
-            zero[limb, axis], direct[place][:, :, limb, axis] = x[n], 1.0
-        else:
-            source, axis = _AXES.index(name[0]), _AXES.index(name[-1])
-            mixed[limb, axis, source] = x[n]
-            direct[place][:, :, limb, axis] = force[:, :, limb, source]
-    values["force"] = np.einsum("nij,wtnj->wtni", mixed, force) + zero
-    tangents["force"] = np.einsum("nij,wptnj->wptni", mixed, tangents["force"])
-    tangents["force"][:, own] += direct.swapaxes(0, 1)
+def logged_force(places: Sequence[Place], x: Array, limbs: Sequence[str], force: Array) -> Array:
+    """Return what the log has of what force sensors read (..., limb, 3) N, at coordinates x of the variables."""
+    own = {place.key: value for place, value in zip(places, x, strict=True)}
+    if not any(key.startswith(f"log.{limb}.force.") for key in own for limb in limbs):
+        return force
+    one, none = jnp.ones_like(x[0]), jnp.zeros_like(x[0])
+    offset = [[own.get(f"log.{limb}.force.zero.{axis}", none) for axis in _AXES] for limb in limbs]
+    mixed = [
+        [
+            own.get(f"log.{limb}.force.gain", one) if axis == of else own.get(f"log.{limb}.force.{of}_in_{axis}", none)
+            for axis in _AXES
+            for of in _AXES
+        ]
+        for limb in limbs
+    ]
+    shares, zero = (jnp.stack([jnp.stack(row) for row in rows]) for rows in (mixed, offset))
+    return jnp.matvec(shares.reshape(-1, 3, 3), force) + zero

@@ -26,6 +26,7 @@ from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk import gripped as grips
 from mjx_climb.walk import stand as stands
+from tuning.identification.force_sensors import logged_force
 from tuning.identification.log import Log, Signal
 from tuning.identification.model import LATE as LATE_JOINTS
 from tuning.identification.model import LEAD, Fit, Structure, stages_for, with_nuisances
@@ -94,12 +95,15 @@ def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Wi
 def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
     """Return what would be recorded at steps 0 to `steps`, and the leaves of the state at the last one."""
     dtype = point.x.dtype
-    parameters, robot = applied(structure.places, point.x, parameters, load_robot(structure.robot))
+    nominal = load_robot(structure.robot)
+    parameters, robot = applied(structure.places, point.x, parameters, nominal)
+    # states are of the base's nominal centre of mass, but in the simulation itself
+    center = jnp.asarray(nominal.frame_position[0, 0] - robot.frame_position[0, 0], dtype)
     robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
     points = given.points + _of_grips(structure.places, point.x, robot)
     gripped = grips.Gripped(robot, hardware, grips.grips(robot, given.stood, hardware, points))
-    first = point.moving
+    first = _about(point.moving, center)
     limbs = first.limbs._replace(state=execution.of_limbs(first.limbs.state))
 
     def step(carry: Any, both: tuple[stands.Sent, stands.Sent]) -> tuple[Any, dict[str, Array]]:
@@ -108,13 +112,27 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
         driven = stands.with_gains(stands.Stand(robot, hardware), sent).hardware
         after, seen = grips.advance(gripped._replace(hardware=driven), moving, sent.targets)
         # the rate as it stands, half a step before the angle: right where the target jumps too
-        seen = seen._replace(velocity=moving.limbs.state.joint_rates)
+        arm = -quaternion_to_matrix(seen.base_orientation) @ center
+        seen = seen._replace(
+            velocity=moving.limbs.state.joint_rates, base_position=seen.base_position + arm,
+            base_linear_velocity=seen.base_linear_velocity + jnp.cross(seen.base_angular_velocity, arm),
+            force=logged_force(structure.places, point.x, robot.limbs, seen.force),
+        )  # fmt: skip
         recorded = {kind: getattr(seen, kind) for kind in structure.kinds}
         return (after, moving), {k: value[None] if k.startswith("base") else value for k, value in recorded.items()}
 
     first = first._replace(limbs=limbs)
     (_, last), seen = jax.lax.scan(step, (first, first), (given.sent, given.rates))
-    return seen | {f"end {n}": leaf for n, leaf in enumerate(jax.tree.leaves(last))}
+    return seen | {f"end {n}": leaf for n, leaf in enumerate(jax.tree.leaves(_about(last, -center)))}
+
+
+def _about(moving: grips.Moving, by: Array) -> grips.Moving:
+    """Return a robot whose base's position and velocity are those of another point of it, `by` (3,) m off."""
+    state = moving.limbs.state
+    arm = quaternion_to_matrix(state.base_orientation) @ by
+    velocity = state.base_linear_velocity + jnp.cross(state.base_angular_velocity, arm)
+    state = dataclasses.replace(state, base_position=state.base_position + arm, base_linear_velocity=velocity)
+    return moving._replace(limbs=moving.limbs._replace(state=state))
 
 
 def _of_grips(places: Sequence[Place], x: Array, robot: Robot) -> Array:

@@ -25,6 +25,7 @@ from mjx_climb.scenario.messages import config_error
 from mjx_climb.walk.stand import Sent, targets_of
 from tuning.identification import commanded
 from tuning.identification.commanded import Carried, Commands
+from tuning.identification.force_sensors import logged_force
 from tuning.identification.motions import Axes
 from tuning.identification.variables import Place, Variable, applied
 from tuning.problem.excitation import Excitation
@@ -86,11 +87,24 @@ class Rig:
         speed = float(np.min(self._hardware.no_load_speed))
         return speed if np.isfinite(speed) else SPEED
 
+    @property
+    def places(self) -> list[Place]:
+        """Keys and coordinates of the variables."""
+        return [Place(each.key, each.log) for each in self.chosen]
+
     def at(self, point: Array) -> tuple[Robot, Parameters]:
         """Return robot and parameters at a point (n,) of the variables' coordinates."""
-        places = [Place(each.key, each.log) for each in self.chosen]
-        parameters, robot = applied(places, point, self.parameters, load_robot(self.scenario.robot))
+        parameters, robot = applied(self.places, point, self.parameters, load_robot(self.scenario.robot))
         return with_foot_mass(robot, self.asked.mass), parameters
+
+    def logged_force(self, point: Array, force: Array) -> Array:
+        """Return what the log has of the forces (time, limb, 3) N on the feet; late by what a point moves the delay."""
+        _, parameters = self.at(point)
+        late = parameters.force_delay - self.parameters.force_delay
+        change = jnp.asarray(jnp.gradient(force, self.scenario.time_step, axis=0))
+        return logged_force(
+            self.places, point, self.robot.limbs, force - late * change + jnp.asarray(parameters.force_bias)
+        )
 
     def run(self) -> commanded.Robots:
         """Return what carries out commands."""

@@ -34,7 +34,6 @@ def write(source: str | RobotFile, robot: Robot, path: Path) -> dict[str, Any]:
     data = mujoco.MjData(model)
     data.qpos[3] = 1.0
     mujoco.mj_kinematics(model, data)
-    spec.body(model.body(1).name).mass = float(robot.base_mass)
     for key in list(spec.keys):
         spec.delete(key)
     for n, limb in enumerate(nominal.limbs):
@@ -47,9 +46,7 @@ def write(source: str | RobotFile, robot: Robot, path: Path) -> dict[str, Any]:
             to_body = own.T @ rotation
             center = own.T @ (at - data.xpos[model.body(name).id]) + to_body @ robot.link_center[n, j]
             inertia = to_body @ robot.link_inertia[n, j] @ to_body.T
-            body.explicitinertial, body.mass, body.ipos = True, float(robot.link_mass[n, j]), center
-            body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            body.iquat = [1, 0, 0, 0]
+            _weigh(body, robot.link_mass[n, j], center, inertia)
             turn = nominal.frame_rotation[n, j].T @ robot.frame_rotation[n, j]
             zero = float(np.arctan2(turn[1, 0], turn[0, 0]))
             _turn(body, model.body(name).quat, model.joint(name).axis, zero)
@@ -57,14 +54,16 @@ def write(source: str | RobotFile, robot: Robot, path: Path) -> dict[str, Any]:
                 if (values := getattr(robot, field)) is not None:
                     value = float(values[n, j])
                     setattr(moved, theirs, [value, 0, 0] if theirs == "damping" else value)
-    share = robot.base_mass / nominal.base_mass
-    if share != 1:
-        base = spec.body(model.body(1).name)
-        base.explicitinertial, base.iquat = True, [1, 0, 0, 0]
-        base.fullinertia = (nominal.base_inertia * share)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    base, center = spec.body(model.body(1).name), nominal.frame_position[0, 0] - robot.frame_position[0, 0]
+    _weigh(base, robot.base_mass, model.body_ipos[1] + center, robot.base_inertia)
     spec.compile()
     write_text_atomically(path, spec.to_xml())
-    return _section(robot, path)
+    return _section(robot, path, center)
+
+
+def _weigh(body: mujoco.MjsBody, mass: np.ndarray, center: np.ndarray, inertia: np.ndarray) -> None:
+    body.explicitinertial, body.mass, body.ipos, body.iquat = True, float(mass), center, [1, 0, 0, 0]
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _turn(body: mujoco.MjsBody, quaternion: np.ndarray, axis: np.ndarray, angle: float) -> None:
@@ -75,13 +74,15 @@ def _turn(body: mujoco.MjsBody, quaternion: np.ndarray, axis: np.ndarray, angle:
         body.quat = turned
 
 
-def _section(robot: Robot, path: Path) -> dict[str, Any]:
-    frames = limb_frames(robot, quaternion_to_matrix(robot.stance_orientation), robot.stance_joints)
+def _section(robot: Robot, path: Path, center: np.ndarray) -> dict[str, Any]:
+    """Return the section; height and footholds are of the base link's frame, `center` (3,) m off its centre of mass."""
+    rotation = quaternion_to_matrix(robot.stance_orientation)
+    feet = limb_frames(robot, rotation, robot.stance_joints).foot + rotation @ center
     limbs = {
         limb: {
             "joints": [f"{limb}_{joint}" for joint in robot.joint_names],
             "foot": f"{limb}_foot",
-            "foothold": [round(float(value), 9) for value in frames.foot[n, :2]],
+            "foothold": [round(float(value), 9) for value in feet[n, :2]],
         }
         for n, limb in enumerate(robot.limbs)
     }

@@ -1,7 +1,7 @@
 """What is fitted: keys of a scenario and of its robot, each with nominal value, prior, bounds and coordinate.
 
-A fit moves in coordinates: the logarithm of what is positive, the value itself of what may be zero or negative. A
-link's inertia moves in log-Cholesky coordinates of its mass distribution: with mass m, centre c and an upper
+A fit moves in coordinates: the logarithm of what is positive, the value itself of what may be zero or negative. An
+inertia moves in log-Cholesky coordinates of the body's mass distribution: with mass m, centre c and an upper
 triangular A (diagonal exp(d)), `A A^T` is the second moment about the centre over m, so that every point is a body that
 can exist (Rucker and Wensing, Smooth Parameterization of Rigid-Body Inertia, 2022).
 """
@@ -19,7 +19,6 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb.dynamics.spatial import (
-    AnyArray,
     quaternion_from_rotation_vector,
     quaternion_to_matrix,
     turn_about_z,
@@ -77,6 +76,14 @@ class Place(NamedTuple):
     log: bool
 
 
+class _Body(NamedTuple):
+    """The base or a link."""
+
+    mass: Any  # () kg
+    center: Any  # (3,) m, in the frame of the link, or in that of the base as its file has it
+    inertia: Any  # (3, 3) kg m^2 about the centre
+
+
 def variables(
     scenario: mc.Scenario, asked: Sequence[str], *, held: bool, changes: Mapping[str, Mapping[str, Any]] | None = None
 ) -> tuple[Variable, ...]:
@@ -132,11 +139,12 @@ def _all(scenario: mc.Scenario) -> Iterator[Variable]:
             yield _of_scenario(key, unit, float(np.asarray(getattr(own, field))), scenario.time_step)
     for axis in "xy":
         yield Variable(f"gravity.tilt_{axis}", "rad", 0.0, 0.0, _TILT, -1.0, 1.0)
-    yield _positive("robot.base.mass", "kg", float(robot.base_mass), 0.3)
+    for each in _of_body(_body(robot, ("base",))):
+        yield dataclasses.replace(each, key=f"robot.base.{each.key}")
     for n, limb in enumerate(robot.limbs):
         yield from _of_sensor(f"log.{limb}.force", n)
         for j, joint in enumerate(robot.joint_names):
-            for each in (*_of_joint(robot, n, j), *_of_link(robot, n, j)):
+            for each in (*_of_joint(robot, n, j), *_of_body(_body(robot, (limb, joint)))):
                 yield dataclasses.replace(each, key=f"robot.{limb}.{joint}.{each.key}", limb=n)
 
 
@@ -191,24 +199,30 @@ def _of_joint(robot: Robot, limb: int, joint: int) -> Iterator[Variable]:
             yield _linear(name, unit, 0.0 if values is None else float(values[limb, joint]), 0.0)
 
 
-def _of_link(robot: Robot, limb: int, joint: int) -> Iterator[Variable]:
-    yield _positive("mass", "kg", float(robot.link_mass[limb, joint]), 0.3)
-    for axis, value in zip(_CENTER, robot.link_center[limb, joint], strict=True):
+def _of_body(body: _Body) -> Iterator[Variable]:
+    yield _positive("mass", "kg", float(body.mass), 0.3)
+    for axis, value in zip(_CENTER, body.center, strict=True):
         yield Variable(axis, "m", float(value), float(value), 0.02, -math.inf, math.inf)
-    spread = _cholesky(robot.link_mass[limb, joint], robot.link_inertia[limb, joint])
+    spread = _cholesky(body)
     for name, (row, column) in zip(_INERTIA, _PLACES, strict=True):
         log, key = row == column, f"inertia.{name}"
         mean = float(np.log(spread[row, row])) if log else float(spread[row, column])
         sd = 0.3 if log else 0.3 * float(spread[row, row])
         # bounds of the coordinate, which is none of the value's
-        yield Variable(
-            key, "kg m^2", float(robot.link_inertia[limb, joint][row, column]), mean, sd, -math.inf, math.inf
-        )
+        yield Variable(key, "kg m^2", float(body.inertia[row, column]), mean, sd, -math.inf, math.inf)
 
 
-def _cholesky(mass: AnyArray, inertia: AnyArray) -> np.ndarray:
+def _body(robot: Robot, place: tuple[str, ...]) -> _Body:
+    """Return the base, by ("base",), or a link, by the names of its limb and joint."""
+    if place == ("base",):
+        return _Body(robot.base_mass, np.zeros(3), robot.base_inertia)
+    at = robot.limbs.index(place[0]), robot.joint_names.index(place[1])
+    return _Body(robot.link_mass[at], robot.link_center[at], robot.link_inertia[at])
+
+
+def _cholesky(body: _Body) -> np.ndarray:
     """Return the upper triangular A of a body, (3, 3) m, of which `A A^T` is the second moment over the mass."""
-    moment = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
+    moment = (0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia) / body.mass
     least = 1e-9 * np.trace(moment)  # a flat or thin body: as thick as rounding
     lower = np.asarray(np.linalg.cholesky(moment[::-1, ::-1] + least * np.eye(3)))
     return np.ascontiguousarray(lower[::-1, ::-1])
@@ -241,16 +255,10 @@ def _values(places: Sequence[Place], point: Array) -> dict[str, Array]:
 
 
 def _robot_at(values: Mapping[str, Array], nominal: Robot) -> Robot:
-    robot, own = nominal, {tuple(key.split(".", 3)[1:]): v for key, v in values.items() if key.startswith("robot.")}
-    if not own:
-        return nominal
-    if ("base", "mass") in own:
-        share = own["base", "mass"] / robot.base_mass
-        base: Any = {"base_mass": own["base", "mass"], "base_inertia": robot.base_inertia * share}
-        robot = dataclasses.replace(robot, **base)
+    robot, own = nominal, {_parted(key): v for key, v in values.items() if key.startswith("robot.")}
     for name in _JOINT:
         value: Any = None if name == "zero" else getattr(robot, name)
-        there = [[own.get((limb, joint, name)) for joint in robot.joint_names] for limb in robot.limbs]
+        there = [[own.get(((limb, joint), name)) for joint in robot.joint_names] for limb in robot.limbs]
         if any(each is not None for row in there for each in row):
             before = jnp.zeros_like(robot.link_mass) if value is None else jnp.asarray(value)
             after = _with(before, there)
@@ -261,16 +269,27 @@ def _robot_at(values: Mapping[str, Array], nominal: Robot) -> Robot:
             else:
                 changed: Any = {name: after}
                 robot = dataclasses.replace(robot, **changed)
-    links = dict.fromkeys(key[:2] for key in own if len(key) == 3 and key[2] not in _JOINT)
-    mass: Any
-    center: Any
-    inertia: Any
-    mass, center, inertia = map(jnp.asarray, (robot.link_mass, robot.link_center, robot.link_inertia))
-    for limb, joint in links:
-        at = robot.limbs.index(limb), robot.joint_names.index(joint)
-        new = _link_at({k[2]: v for k, v in own.items() if k[:2] == (limb, joint)}, nominal, at)
-        mass, center, inertia = (old.at[at].set(value) for old, value in zip((mass, center, inertia), new, strict=True))
-    return dataclasses.replace(robot, link_mass=mass, link_center=center, link_inertia=inertia)
+    for place in dict.fromkeys(place for place, name in own if name not in _JOINT):
+        body = _body_at({name: v for (of, name), v in own.items() if of == place}, _body(nominal, place))
+        robot = _with_body(robot, place, body)
+    return robot
+
+
+def _parted(key: str) -> tuple[tuple[str, ...], str]:
+    """Return which body a key of the robot is of, as `_body` takes it, and what of it."""
+    _, *place, name = key.split(".", 2 if key.startswith("robot.base.") else 3)
+    return tuple(place), name
+
+
+def _with_body(robot: Robot, place: tuple[str, ...], body: _Body) -> Robot:
+    """Return a robot with another base or link; the base's frame sits at its centre of mass, so that the hips move."""
+    if place == ("base",):
+        hips: Any = jnp.asarray(robot.frame_position).at[:, 0].add(-body.center)
+        return dataclasses.replace(robot, base_mass=body.mass, base_inertia=body.inertia, frame_position=hips)
+    at = robot.limbs.index(place[0]), robot.joint_names.index(place[1])
+    changes: Any = {f"link_{name}": value for name, value in body._asdict().items()}
+    links: Any = {name: jnp.asarray(getattr(robot, name)).at[at].set(value) for name, value in changes.items()}
+    return dataclasses.replace(robot, **links)
 
 
 def _with(before: Array, there: Sequence[Sequence[Any]]) -> Array:
@@ -279,11 +298,11 @@ def _with(before: Array, there: Sequence[Sequence[Any]]) -> Array:
     ])  # fmt: skip
 
 
-def _link_at(own: Mapping[str, Array], robot: Robot, at: tuple[int, int]) -> tuple[Any, Any, Any]:
-    """Return mass, centre and inertia of a link; a mass alone scales the inertia with it."""
-    mass = own.get("mass", jnp.asarray(robot.link_mass)[at])
-    center = jnp.stack([own.get(name, jnp.asarray(robot.link_center)[at][n]) for n, name in enumerate(_CENTER)])
-    nominal = _cholesky(robot.link_mass[at], robot.link_inertia[at])
+def _body_at(own: Mapping[str, Array], body: _Body) -> _Body:
+    """Return a body with other values; a mass alone scales the inertia with it."""
+    mass = own.get("mass", jnp.asarray(body.mass))
+    center = jnp.stack([own.get(name, jnp.asarray(body.center)[n]) for n, name in enumerate(_CENTER)])
+    nominal = _cholesky(body)
     spread = [[jnp.zeros_like(mass)] * 3 for _ in range(3)]
     for name, (row, column) in zip(_INERTIA, _PLACES, strict=True):
         value = own.get(f"inertia.{name}")
@@ -293,7 +312,7 @@ def _link_at(own: Mapping[str, Array], robot: Robot, at: tuple[int, int]) -> tup
             spread[row][column] = jnp.asarray(nominal[row, column], mass.dtype) if value is None else value
     factor = jnp.stack([jnp.stack(row) for row in spread])
     moment = factor @ factor.T
-    return mass, center, mass * (jnp.trace(moment) * jnp.eye(3, dtype=moment.dtype) - moment)
+    return _Body(mass, center, mass * (jnp.trace(moment) * jnp.eye(3, dtype=moment.dtype) - moment))
 
 
 def in_units(chosen: Sequence[Variable], point: Array, robot: Robot) -> Array:
@@ -301,9 +320,8 @@ def in_units(chosen: Sequence[Variable], point: Array, robot: Robot) -> Array:
     found, at_point = [], _robot_at(_values([Place(v.key, v.log) for v in chosen], point), robot)
     for variable, x in zip(chosen, point, strict=True):
         if ".inertia." in variable.key:
-            _, limb, joint, _, name = variable.key.split(".")
-            at = robot.limbs.index(limb), robot.joint_names.index(joint)
-            found.append(at_point.link_inertia[at][_PLACES[_INERTIA.index(name)]])
+            place, name = _parted(variable.key)
+            found.append(_body(at_point, place).inertia[_PLACES[_INERTIA.index(name[-2:])]])
         else:
             found.append(jnp.exp(x) if variable.log else x)
     return jnp.stack(found)

@@ -26,6 +26,8 @@ class Truth:
     kp: float = 50.0
     kd: float = 0.2
     base_mass: float | None = None  # kg; None: its file's
+    base_center: tuple = (0.0, 0.0, 0.0)  # m, of the base's mass, from where its file has it
+    base_spread: float = 1.0  # inertia of the base, of that of its mass as its file spreads it
     delay: float = 0.0  # s, of the commands
     gravity: tuple = (0.0, 0.0, -9.81)
     gain: float = 1.0  # of the force sensors
@@ -53,8 +55,9 @@ def free_model(name, truth):
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
     model = spec.compile()
     if truth.base_mass is not None:
-        model.body_inertia[1] *= truth.base_mass / model.body_mass[1]
+        model.body_inertia[1] *= truth.base_spread * truth.base_mass / model.body_mass[1]
         model.body_mass[1] = truth.base_mass
+    model.body_ipos[1] += truth.base_center
     return model
 
 
@@ -72,7 +75,7 @@ def swayed(truth, time, targets, *, step=1e-4, name="hubrobo_v3_2", lead=0.0):
     data.qpos[:7] = [*robot.stance_position, *robot.stance_orientation]
     data.qpos[places] = np.ravel(robot.stance_joints)
     mujoco.mj_forward(model, data)
-    data.qpos[:3] += robot.stance_position - data.xipos[1]
+    data.qpos[:3] += robot.stance_position - data.xpos[1]
     mujoco.mj_forward(model, data)
     sites = [model.site(i).id for i in range(model.nsite)]
     grips = data.site_xpos[sites].copy()
@@ -99,7 +102,7 @@ def swayed(truth, time, targets, *, step=1e-4, name="hubrobo_v3_2", lead=0.0):
         mujoco.mj_forward(model, data)
         orientation = np.zeros(4)
         mujoco.mju_mulQuat(orientation, data.qpos[3:7], np.array([1.0, 0, 0, 0]))
-        seen = (data.qpos[places], data.qvel[dofs], data.actuator_force, force, data.xipos[1], orientation)
+        seen = (data.qpos[places], data.qvel[dofs], data.actuator_force, force, data.xpos[1], orientation)
         for kind, value in zip(found, seen, strict=True):
             found[kind].append(np.array(value))
     return {kind: np.array(values) for kind, values in found.items()}

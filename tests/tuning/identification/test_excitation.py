@@ -227,9 +227,8 @@ def test_a_mass_on_the_feet_is_that_of_mujoco():
 
 @pytest.mark.slow
 def test_a_sway_keeps_all_feet_where_they_grip_and_pulls_less_than_they_hold():
-    found = tuning.excite(
-        scenario(**{"contact.holding_limit": 8.0}), ["contact.stiffness"], base="free", duration=2, candidates=1
-    )
+    fit = ("contact.stiffness", "log.LF.force.gain", "log.LF.force.zero.z", "hardware.force_sensor.bias")
+    found = tuning.excite(scenario(**{"contact.holding_limit": 8.0}), fit, base="free", duration=2, candidates=1)
     targets, model = found.best.motion.targets, ROBOT.model
     data, sites = mujoco.MjData(model), []
     for angles in [ROBOT.stance_joints, *targets[::10]]:
@@ -244,6 +243,10 @@ def test_a_sway_keeps_all_feet_where_they_grip_and_pulls_less_than_they_hold():
     pulled = np.where(force[..., 2] < 0, np.linalg.norm(force, axis=-1), 0.0)
     assert pulled.max() < 0.7 * 8.0
     assert found.gain > 1 and found.best.information.deviations[0] < 0.1
+    of_sensors = np.zeros((3, *force.shape))  # what a sensor's own numbers move in the log, by their scales
+    of_sensors[0, :, 0], of_sensors[1, :, 0, 2], of_sensors[2] = force[:, 0], 2.0, 1.0
+    flat = of_sensors.reshape(3, -1) / excitation.FORCE_NOISE
+    np.testing.assert_allclose(found.best.information.matrix[1:, 1:], flat @ flat.T, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -256,7 +259,7 @@ def test_a_sway_keeps_all_feet_where_they_grip_and_pulls_less_than_they_hold():
         (["--base", "free", "--drop"], "--drop: expected none with base free"),
         (
             ["--base", "free", "--fit", "robot.LF.tibia.mass"],
-            "--fit robot.LF.tibia.mass: expected a key of the scenario",
+            "--fit robot.LF.tibia.mass: expected a key of the scenario or of the log",
         ),
     ],
 )

@@ -42,7 +42,7 @@ def recorded(duration, kinds=("position", "velocity", "force")):
 def test_gradient_is_that_of_the_cost_by_finite_differences():
     """Through two windows and what is before them, with a filter, late forces and cross-talk."""
     scenario = SCENARIO.with_overrides({"hardware.force_sensor.filter": 20.0})
-    keys = ("contact.*", "robot.base.mass", "hardware.force_sensor.*", "hardware.command_delay", "log.LF.force.gain",
+    keys = ("contact.*", "robot.base", "hardware.force_sensor.*", "hardware.command_delay", "log.LF.force.gain",
             "log.LF.force.zero.x", "log.RF.force.y_in_z", "robot.LF.tibia.mass")  # fmt: skip
     log = recorded(2.0, ("position", "velocity", "force", "base_position"))
     windows = cut_gripped(log, ROBOT, 0.001, 0.0)
@@ -73,6 +73,22 @@ def test_truths_are_inside_their_intervals():
     assert any("base free" in line for line in found.warnings)
     for signal, noise in zip(found.model.windows.names, found.fitted.noise, strict=True):
         assert noise == pytest.approx(NOISE[signal.rpartition(".")[2] if "force" not in signal else "force"], rel=0.2)
+
+
+@pytest.mark.nightly
+def test_a_load_off_the_middle_of_the_base_is_found():
+    """Where its centre of mass is, from 6 mm off, and its inertia, of 1.5 times as much; found again in the file."""
+    center = (0.006, -0.004, 0.005)
+    log = log_of(dataclasses.replace(TRUTH, delay=0.004, base_mass=0.55, base_center=center, base_spread=1.5), 4.0)
+    fit = ["robot.base", "contact.stiffness", "contact.damping", "hardware.command_delay"]
+    found = tuning.identify(SCENARIO, log, fit, starts=1)
+    inertia = 1.5 * 0.55 / ROBOT.base_mass * ROBOT.base_inertia
+    truths = {"mass": 0.55, **{f"center.{axis}": value for axis, value in zip("xyz", center, strict=True)}}
+    truths |= {f"inertia.{axis * 2}": inertia[n, n] for n, axis in enumerate("xyz")}
+    for name, truth in truths.items():
+        estimate = found.estimates[f"robot.base.{name}"]
+        half = (estimate.high - estimate.low) / 2
+        assert abs(estimate.value - truth) < 1.5 * half < 0.5 * abs(truth), (name, estimate)
 
 
 @pytest.mark.nightly

@@ -4,13 +4,14 @@ import dataclasses
 import functools
 import json
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.dynamics.limb_engine import held_accelerations
+from mjx_climb.dynamics.limb_engine import build
 from mjx_climb.dynamics.state import State
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile, validated
@@ -285,24 +286,27 @@ def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_p
 
 
 def test_any_point_is_a_body_that_can_exist_and_its_mjcf_moves_alike(tmp_path):
-    chosen = variables(SCENARIO, ["robot.LF.femur", "robot.RH.tibia", "robot.*.armature"], held=True)
+    chosen = variables(SCENARIO, ["robot.LF.femur", "robot.RH.tibia", "robot.*.armature", "robot.base"], held=False)
     rng = np.random.default_rng(3)
     x = begin(chosen) + np.array([v.sd for v in chosen]) * rng.normal(0, 1.0, len(chosen))
     x = np.clip(x, *np.reshape([v.bounds for v in chosen], (-1, 2)).T)
     places = [Place(v.key, v.log) for v in chosen]
     _, robot = applied(places, jnp.asarray(x), mc.parameters(SCENARIO), ROBOT)
-    for inertia in np.asarray(robot.link_inertia).reshape(-1, 3, 3):
+    for inertia in [*np.asarray(robot.link_inertia).reshape(-1, 3, 3), np.asarray(robot.base_inertia)]:
         a, b, c = np.linalg.eigvalsh(inertia)
         assert a > 0 and a + b >= c * (1 - 1e-9)
     section = robot_files.write("hubrobo_v3_2", robot, tmp_path / "robot.xml")
     read = load_robot(validated(RobotFile, section, "robot"))
     assert read.limbs == robot.limbs
+    center = ROBOT.frame_position[0, 0] - np.asarray(robot.frame_position)[0, 0]
+    np.testing.assert_allclose(read.stance_position, ROBOT.stance_position + center, atol=1e-6)
+    # feet of the limbs whose zeros are as before stand where they stood
+    np.testing.assert_allclose(read.stance_joints[1::2], ROBOT.stance_joints[1::2], atol=1e-5)
     still, gravity = jnp.zeros(3), jnp.array([0.5, -1.0, -9.0])
-    angles, rates, torque = (jnp.asarray(rng.normal(0, s, (4, 3))) for s in (0.3, 2.0, 1.0))
-    state = State(jnp.asarray(robot.stance_position), jnp.array([1.0, 0, 0, 0]), still, still, angles, rates)
-    np.testing.assert_allclose(
-        held_accelerations(read, state, torque, gravity), held_accelerations(robot, state, torque, gravity), rtol=1e-5
-    )
+    angles, rates, torque, force = (jnp.asarray(rng.normal(0, s, (4, 3))) for s in (0.3, 2.0, 1.0, 5.0))
+    state = State(still, jnp.array([0.8, 0, 0.6, 0]), still, jnp.array([0.5, 1.0, -2.0]), angles, rates)
+    moved = [build(each)(state, torque, force, jnp.zeros(6), jnp.zeros(()), gravity) for each in (read, robot)]
+    jax.tree.map(lambda ours, theirs: np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4), *moved)
 
 
 def test_a_posterior_is_drawn_with_its_covariance_and_leaves_other_draws_alone():
