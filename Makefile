@@ -3,7 +3,10 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 UNOPTIMISED := XLA_FLAGS=--xla_backend_optimization_level=0
 
-.PHONY: sweep test test-slow test-nightly lint types docs clean .venv
+# Whole files to each worker, which a module's fixtures and programs ask for.
+SPREAD := -n 2 --dist loadfile
+
+.PHONY: sweep test test-slow test-all test-nightly lint types docs clean .venv
 
 # The main job: search the paper's case 1.2 for better gains.
 sweep: .venv/.installed
@@ -12,16 +15,21 @@ sweep: .venv/.installed
 # COVER=--cov prints which lines the tests reach, for a few per cent of their time.
 # Its programs are compiled more often than walked: without LLVM's optimisations, as those of the next.
 test: .venv/.installed-test
-	$(UNOPTIMISED) $(PYTEST) -n 2 --dist loadfile -m "not slow and not timing and not nightly" $(COVER)
+	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "not slow and not timing and not nightly" $(COVER)
 
 # Those that compare speeds run alone, and compiled as users' programs are.
 test-slow: .venv/.installed-test
-	$(UNOPTIMISED) $(PYTEST) -n 2 --dist loadfile -m "slow and not timing and not nightly"
+	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "slow and not timing and not nightly"
+	$(PYTEST) -m "timing and not nightly"
+
+# Both in one run: the slow tests of a file find there what its quick ones compiled.
+test-all: .venv/.installed-test
+	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "not timing and not nightly" $(COVER)
 	$(PYTEST) -m "timing and not nightly"
 
 # Whole searches and notebooks, every robot and shape from start to end: some two hours.
 test-nightly: .venv/.installed-test
-	$(PYTEST) -n 2 --dist loadfile -m "nightly and not timing"
+	$(PYTEST) $(SPREAD) -m "nightly and not timing"
 	$(PYTEST) -m "nightly and timing"
 
 lint: .venv/.installed-dev
@@ -39,11 +47,12 @@ docs: .venv/.installed-docs
 .venv: .venv/.installed-test
 
 # One stamp for each set of packages: nothing is installed again until pyproject.toml changes.
+# EXTRAS=[dev,docs] installs those in the first place.
 .venv/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "mjx-climb needs Python 3.11 or newer as $(PYTHON); choose another with make PYTHON=..." >&2; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".$(EXTRAS)"
 	@touch $@
 
 .venv/.installed-%: .venv/.installed
