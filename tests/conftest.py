@@ -21,7 +21,7 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.execution import cache, gpu_kernel
+from mjx_climb.execution import batches, cache, gpu_kernel, paths
 from tests.execution.interpreter import launched
 
 jax.config.update("jax_enable_x64", True)
@@ -41,6 +41,7 @@ LAWS = {
     "measured_pose": {"control.controller": "base_admittance", "control.reading": "measured_pose"},
     "end_effector": {"control.controller": "end_effector_admittance", "control.reading": "virtual_model"},
 }
+OPTIMISED = "xla_backend_optimization_level"  # by regions, see `compiler_options`
 PUSHES = 3
 BROWSER = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
@@ -75,6 +76,17 @@ def without_nvrtc(monkeypatch):
 def interpreted(monkeypatch):
     """Have kernels carried out by XLA's own operations, on any device and in any precision."""
     monkeypatch.setattr(gpu_kernel, "_launched", launched)
+
+
+@pytest.fixture(scope="module")
+def optimised():
+    """Have batches optimised as users' are, also under `make test-slow`: they walk for longer than that takes."""
+    options = paths.compiler_options
+    batches._program.cache_clear()  # knows programs by other options
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paths, "compiler_options", lambda *of, **how: {OPTIMISED: 1} | options(*of, **how))
+        yield
+    batches._program.cache_clear()
 
 
 @pytest.fixture(scope="session")

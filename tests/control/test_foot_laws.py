@@ -134,7 +134,10 @@ def test_a_batch_moves_as_each_of_its_robots(kind):
         np.testing.assert_allclose(own, started(kind.law, one[1], one[0])[1], rtol=0, atol=1e-12)
 
 
-@kinds
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name != "InternalForce")) for name, kind in KINDS.items()],
+)
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
 def test_a_foot_whose_sensor_is_dead_goes_back_to_where_the_gait_wants_it(kind, value):
     """Alone it leaves the others at work; with all sensors dead no foot stays off its target (landing still would)."""
@@ -216,6 +219,7 @@ def test_loads_leave_a_foot_before_it_lifts_off():
     assert shift[0] > 0 > shift[1]
 
 
+@pytest.mark.slow
 def test_a_limb_at_its_torque_limit_is_not_wound_up():
     """The offset of its foot grows no longer, that of others does; it still may shrink."""
     reference, measured = scene()

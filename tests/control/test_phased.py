@@ -121,6 +121,7 @@ def test_each_foot_has_the_gains_of_its_own_phase(scene):
     np.testing.assert_allclose(command.foot_position - reference.foot_position, turn.apply(shift), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_each_foot_hands_its_load_over_by_the_gains_of_its_own_phase(scene):
     """Under load transfer, against NumPy with gains of each foot."""
     reference, measured = scene

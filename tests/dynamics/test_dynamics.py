@@ -26,6 +26,11 @@ MASS = REFERENCE["model"]["total_mass"]
 STEPS, MOTIONS = 1000, 4
 
 
+engines = pytest.mark.parametrize(
+    "engine", [pytest.param(name, marks=[pytest.mark.slow] * (name == "mjx")) for name in mc.ENGINES]
+)
+
+
 @functools.partial(jax.jit, static_argnames=("engine", "robot"))  # one program, where eager JAX compiles hundreds
 def dynamics(state, tau, foot_force, push, cargo, engine, robot="hubrobo_v3_2"):
     return mc.forward_dynamics(state, tau, foot_force, push, cargo, gravity=GRAVITY, robot=robot, engine=engine)
@@ -47,6 +52,7 @@ def forces():
     return of_cases("inputs", "tau"), of_cases("inputs", "foot_force_world"), jnp.pad(push, ((0, 0), (0, 3)))
 
 
+@engines
 def test_accelerations_are_those_of_climblab(engine, states, forces):
     """The equations of motion, foot forces and base force included, hold for robots in any state."""
     ours = vars(dynamics(states, *forces, 0.0, engine)).values()
@@ -72,9 +78,7 @@ def test_one_state_without_batch_axes(engine, states, forces):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[3], rtol=1e-12), alone, batch)
 
 
-@pytest.mark.parametrize(
-    "engine", [pytest.param(name, marks=[pytest.mark.slow] * (name == "mjx")) for name in mc.ENGINES]
-)
+@engines
 def test_a_second_of_motion_is_that_of_mujoco(engine):
     """Random torques, foot forces, pushes and gravity; cargo comes and goes: our steps are mj_step's."""
     rng = np.random.default_rng(0)

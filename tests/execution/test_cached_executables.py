@@ -93,7 +93,9 @@ DAMAGE = {
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
+@pytest.mark.parametrize(
+    "damage", [pytest.param(d, id=n, marks=[pytest.mark.slow] * (n != "changed")) for n, d in DAMAGE.items()]
+)
 def test_a_file_that_is_not_what_was_written_is_not_executed(run, tmp_path, damage):
     _, values = run()
     [file] = (tmp_path / "programs").iterdir()

@@ -61,6 +61,7 @@ def carried_out(tmp_path):
     return carry_out
 
 
+@pytest.mark.slow
 def test_every_operation_in_cuda_c(carried_out):
     """All that kernels know, in single precision, but for what is of other types: to 1e-5, whole numbers the same."""
     rng, programs, kernels = np.random.default_rng(5), {}, {}

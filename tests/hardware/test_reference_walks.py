@@ -11,7 +11,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import law_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "hardware_walks.json").read_text())
 SEEDS = 10

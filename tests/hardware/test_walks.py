@@ -60,7 +60,7 @@ class Showing(PD):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.0, 0.0024])
+@pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.nightly), 0.0024])
 def test_a_law_is_told_of_the_joints_by_the_bus(delay):
     """Angles and rates of this step and the motors' torque of the one before, late as the targets, once a period."""
     scenario = mc.load_scenario("case_1_2", EVERYTHING | {"duration": 0.05})
@@ -94,7 +94,7 @@ class Softening(PD):
 @pytest.mark.parametrize(
     "hardware",
     [
-        pytest.param({"control.ki": 30.0}, marks=pytest.mark.slow, id="ideal"),
+        pytest.param({"control.ki": 30.0}, marks=pytest.mark.nightly, id="ideal"),
         pytest.param(
             {"hardware.control_period": 0.005, "hardware.command_delay": 0.0024, "control.ki": 30.0}, id="bus"
         ),

@@ -360,6 +360,7 @@ def test_every_way_to_opengl_draws_the_same_picture(name, library, tmp_path):
 WATCH = """
 import time
 import test_rendering as tests
+from scipy.stats import theilslopes
 from mjx_climb import rendering
 from mjx_climb.rendering import marks
 
@@ -375,9 +376,9 @@ pressed, unloaded = (tests.walk_of(force, duration=2.0) for force in (tests.PRES
 rendering.view(pressed, unloaded, rounds=1)
 second = next(i for i, now in enumerate(shown) if i and now[1] < shown[i - 1][1])
 for walk in (shown[:second], shown[second:]):
-    walked = [now for now in walk if 0.2 < now[1] < 1.8]
-    (start, first, _), (end, last, _) = walked[0], walked[-1]
-    print(len(walked), (last - first) / (end - start), *sorted({arrows for _, _, arrows in walked}))
+    real, walked, arrows = zip(*(now for now in walk if 0.2 < now[1] < 1.8))
+    speed = theilslopes(walked, real).slope  # whatever the system does for a while at one of the pictures
+    print(len(walked), speed, *sorted(set(arrows)))
 """
 
 

@@ -13,6 +13,7 @@ WALKED = SHORT.with_overrides(GAIT | {"gait.stride": 0.02 * 0.76})
 PAPER = {"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}
 
 
+@pytest.mark.slow
 def test_the_walk_is_that_of_the_scenario_with_these_values():
     """Bit by bit, at the same speed of travel, whatever law has the other gains; the walk says which gait it had."""
     walk, same = mc.rollout(SHORT, {"kp": 40.0, **GAIT}), mc.rollout(WALKED, {"kp": 40.0})

@@ -37,6 +37,7 @@ def test_rollout_metrics_are_the_metrics_of_the_rollout(scenario, batched, walk)
         np.testing.assert_allclose(batched[name][0], np.nan if value is None else value, rtol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 def test_metrics_are_of_the_parameters_that_were_walked(case, gains, numbers):
     """A rollout with parameters in place of the scenario's is evaluated with them: other gravity, other cost."""
     scenario = case("case_2", "pd")

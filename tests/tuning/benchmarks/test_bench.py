@@ -117,6 +117,7 @@ def test_mujoco_warp_falls_as_mujoco_does(of_ones_own):
     np.testing.assert_allclose(peer.data.qpos.numpy(), other.states[:, -1, 1:20], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_peers_lose_a_gripper_in_the_same_step():
     scenario = mc.load_scenario(CASE, ["duration=0.4", "contact.holding_limit=1.0", "gait.cycle=1.6"])
     ours = mc.rollout_metrics(scenario, mc.Gains(**gains(SETS)), dtype=np.float64)

@@ -24,6 +24,8 @@ from tuning.identification.variables import Place, applied, begin, variables
 from tuning.identification.windows import KINDS, cut
 from tuning.problem import ensemble as ensembles
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 TRUE = dataclasses.replace(TRUTH, delay=0.004, damping=0.0)
 VALUES = {
     "hardware.servo.armature": TRUE.armature, "hardware.servo.coulomb_friction": TRUE.friction, "control.kp": TRUE.kp,
@@ -34,7 +36,7 @@ ROBOT = load_robot("hubrobo_v3_2")
 
 
 @functools.cache
-def identified(truth=TRUE, duration=6.0, fit=tuple(VALUES), starts=1, **how):
+def identified(truth=TRUE, duration=4.0, fit=tuple(VALUES), starts=1, **how):
     return tuning.identify(SCENARIO, log_of(truth, duration, **how), fit, starts=starts)
 
 
@@ -89,7 +91,7 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
     write_csv(tmp_path / "log.csv", columns_of(log_of(TRUE, 4.0)))
     fit = [word for key in VALUES for word in ("--fit", key)]
     code, out, _ = call(
-        "identify", "case_1_2", "--log", tmp_path / "log.csv", *fit, "--fit", "robot.LF.tibia.mass", "--starts", 2,
+        "identify", "case_1_2", "--log", tmp_path / "log.csv", *fit, "--fit", "robot.LF.tibia.mass", "--starts", 1,
         "--set", "gravity=[0, 0, -9.81]", "--set", "control.kp=45", "--out", tmp_path / "out", "--json",
     )  # fmt: skip
     made = json.loads(out)

@@ -250,6 +250,7 @@ def made_up(monkeypatch):
     return asked
 
 
+@pytest.mark.slow
 def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenario, files, tmp_path):
     """Ctrl-C in the second law's search: what was searched is not walked again."""
     opened = []

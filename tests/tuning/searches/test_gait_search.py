@@ -49,6 +49,7 @@ def test_the_default_bounds_keep_the_order_of_the_swings():
     assert [gains[name] for name in ("gait.duty", "gait.stride", "gait.cycle")] == pytest.approx([0.8, 0.01, 1.0])
 
 
+@pytest.mark.slow
 def test_sway_height_and_landing_speed_are_searched_by_gradients_too():
     """From the nearest bound where the scenario has none; with ideal hardware the joint gains stay."""
     moving = ("gait.sway", "gait.height", "gait.landing_speed")
