@@ -164,7 +164,11 @@ MANY = [(limbs, joints) for limbs in range(2, 9) for joints in range(2, 8)]
 
 
 @pytest.mark.parametrize(
-    ("limbs", "joints"), [pytest.param(*shape, marks=() if shape in FEW else pytest.mark.slow) for shape in MANY]
+    ("limbs", "joints"),
+    [
+        pytest.param(*shape, marks=() if shape in FEW else pytest.mark.nightly if sum(shape) % 2 else pytest.mark.slow)
+        for shape in MANY
+    ],
 )
 def test_any_number_of_limbs(saved, limbs, joints):
     """The limbs of a climber are found, it stands with its joints off their limits, and one limb swings at a time."""
