@@ -132,9 +132,9 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         shell.show(f"{found.sentence}.")
         if output.out is not None:
             again = repeated(["identify"], *(f"--{name.replace('_', '-')}" for name in Fitted.model_fields))
-            with shell.stage("writing", compiles=False):
-                files = found.write(output.out, origin=origin(walk.config.stem, again), figures=output.figures)
-            shell.written(", ".join(files), json.dumps(found.as_json(), indent=2))
+            where = origin(walk.config.stem, again)
+            files = found.write(output.out, origin=where, figures=output.figures, stage=shell.stage)
+            shell.written(files, json.dumps(found.as_json(), indent=2))
         else:
             shell.print_json(json.dumps(found.as_json(), indent=2))
 

@@ -13,7 +13,7 @@ from tuning.identification.gripped import FORCE_DELAY, LATE, GrippedModel
 from tuning.identification.least_squares import HUBER, LeastSquares, Normal
 from tuning.identification.windows import KINDS
 
-LEAD = 0.5  # s, at the beginning of a stretch, that is not fitted: the motion may go on there from before the log
+_UNSETTLED = 0.5  # s, at the beginning of a stretch, not fitted: the motion may go on there from before the log
 
 
 class _Made(NamedTuple):
@@ -32,7 +32,7 @@ class Chain(LeastSquares):
     def __post_init__(self) -> None:
         super().__post_init__()
         rows, windows = self.rows, self.model.windows
-        early = ~windows.abuts[rows.window] & ((rows.step + rows.share) * windows.time_step < LEAD)
+        early = ~windows.abuts[rows.window] & ((rows.step + rows.share) * windows.time_step < _UNSETTLED)
         vars(self)["fitted"] = self.fitted & ~early
 
     def some(self, count: int) -> np.ndarray:

@@ -36,19 +36,19 @@ class Carried(NamedTuple):
     force: AnyArray  # (steps, limb, 3) N, of the ground on the feet
 
 
-Robots = Callable[[Robot, Parameters, Commands], Carried]  # pure, of one robot
+Simulate = Callable[..., Carried]  # pure, of one robot, of a `Robot`, `Parameters` and `Commands`
 
 
 @functools.cache
-def in_batch(robots: Robots) -> Robots:
-    """Return what carries out a batch of commands, compiled."""
-    compiled: Robots = jax.jit(jax.vmap(robots, (None, None, 0)))
+def in_batch(simulate: Simulate) -> Simulate:
+    """Return what simulates a batch of commands, compiled."""
+    compiled: Simulate = jax.jit(jax.vmap(simulate, (None, None, 0)))
     return compiled
 
 
 @functools.cache
-def held(stages: Stages, time_step: float) -> Robots:
-    """Return what a robot does whose base is held in its rest stance; at the start it is at the first targets."""
+def held(stages: Stages, time_step: float) -> Simulate:
+    """Return what a robot does whose base is held; it begins at rest at angles (limb, joint) or the first targets."""
 
     def one_step(
         robot: Robot, parameters: Parameters, moving: stands.Moving, now: Commands
@@ -61,8 +61,8 @@ def held(stages: Stages, time_step: float) -> Robots:
 
     fast = execution.over_robots(one_step)
 
-    def carried_out(robot: Robot, parameters: Parameters, commands: Commands) -> Carried:
-        first = commands.sent.targets[0]
+    def carried_out(robot: Robot, parameters: Parameters, commands: Commands, begin: Array | None = None) -> Carried:
+        first = jnp.asarray(commands.sent.targets[0] if begin is None else begin)
         stand = stands.Stand(robot, hardware_of(parameters, stages, time_step, robot))
         start = stands.begin(stand, first, jnp.zeros_like(first))
         done: Carried = jax.lax.scan(functools.partial(fast, robot, parameters), start, commands)[1]
@@ -83,7 +83,7 @@ def swaying(scenario: mc.Scenario, duration: float) -> mc.Scenario:
 
 
 @functools.cache
-def standing(scenario: mc.Scenario, stages: Stages) -> Robots:
+def standing(scenario: mc.Scenario, stages: Stages) -> Simulate:
     """Return what the robot of a scenario of `swaying` does; it is the scenario's own, whatever robot is given."""
     simulation = mc.Simulation(scenario)
     vars(simulation)["structure"] = simulation.structure._replace(stages=stages)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.robot.constants import Robot
-from tuning.identification.log import Signal
+from tuning.identification.log import Signal, joints_of
 from tuning.identification.signals import Signals
 
 MOVES = 0.02  # rad: a command that moves by less tells nothing
@@ -34,7 +34,7 @@ def doubts(read: Read, recorded: Read, robot: Robot, signals: Signals) -> tuple[
         robot: whose joints they are, for their limits.
         signals: where they stand, for the rates that the user knows.
     """
-    joints = [f"{limb}.{joint}" for limb in robot.limbs for joint in robot.joint_names]
+    joints = list(joints_of(robot))
     found = [*_spacing(recorded, signals), *_clock_unit(recorded), *_beyond_limits(read, robot), *_rates(read, joints)]
     return (*found, *_against_commands(read, joints))
 
@@ -90,15 +90,13 @@ def _clock_unit(recorded: Read) -> Iterator[str]:
 
 def _beyond_limits(read: Read, robot: Robot) -> Iterator[str]:
     def lines() -> Iterator[tuple[str, str]]:
-        for row, limb in enumerate(robot.limbs):
-            for column, joint in enumerate(robot.joint_names):
-                low, high = robot.joint_lower[row, column], robot.joint_upper[row, column]
-                if robot.sliding is not None and robot.sliding[row, column]:
-                    continue
-                for what in ("position", "command"):
-                    if (signal := read.get(f"{limb}.{joint}.{what}")) is not None:
-                        if words := _range(signal.value, float(low), float(high)):
-                            yield f"{limb}.{joint}.{what}", words
+        for joint, place in joints_of(robot).items():
+            if robot.sliding is not None and robot.sliding[place]:
+                continue
+            for name in (f"{joint}.position", f"{joint}.command"):
+                if (signal := read.get(name)) is not None:
+                    if words := _range(signal.value, float(robot.joint_lower[place]), float(robot.joint_upper[place])):
+                        yield name, words
 
     return _together(lines())
 

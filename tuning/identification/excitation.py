@@ -8,7 +8,7 @@ beside it.
 import dataclasses
 import itertools
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -229,10 +229,16 @@ def _drop(rig: Rig) -> list[Segment]:
 
 def _carried(rig: Rig, targets: Sequence[np.ndarray], segments: Sequence[list[Segment]]) -> list[Carried]:
     """Return what the nominal model makes of several motions, at each time step, the lead before the log included."""
-    each = [rig.commands(np.nan_to_num(one), some) for one, some in zip(targets, segments, strict=True)]
-    stacked = jax.tree.map(lambda *parts: np.stack(parts), *each)
-    done = commanded.in_batch(rig.run())(rig.robot, rig.parameters, stacked)
+    all_commands = _commands(rig, [np.nan_to_num(one) for one in targets], segments)
+    done = commanded.in_batch(rig.run())(rig.robot, rig.parameters, all_commands)
     return [Carried(*one) for one in zip(*map(np.asarray, done), strict=True)]
+
+
+def _commands(rig: Rig, targets: Iterable[np.ndarray], segments: Iterable[Sequence[Segment]]) -> Commands:
+    """Return the commands of several motions, stacked."""
+    each = itertools.starmap(rig.commands, zip(targets, segments, strict=True))
+    stacked: Commands = jax.tree.map(lambda *parts: np.stack(parts), *each)
+    return stacked
 
 
 def within_limits(rig: Rig, made: dict[str, list[Segment]]) -> tuple[list[Motion], list[Carried]]:
@@ -293,8 +299,7 @@ def informations(rig: Rig, found: Sequence[Motion]) -> list[Information]:
         return tangent
 
     directions = np.diag([1.0 if each.log else scale(each) for each in rig.chosen])
-    each = [rig.commands(one.targets, one.segments) for one in found]
-    stacked = jax.tree.map(lambda *parts: np.stack(parts), *each)
-    tangents = jax.jit(jax.vmap(jax.vmap(along, (0, None)), (None, 0)))(directions, stacked)
+    commands = _commands(rig, [one.targets for one in found], [one.segments for one in found])
+    tangents = jax.jit(jax.vmap(jax.vmap(along, (0, None)), (None, 0)))(directions, commands)
     names = tuple(each.key for each in rig.chosen)
     return [information(names, white.T, np.ones(white.shape[1])) for white in np.asarray(tangents)]

@@ -26,29 +26,20 @@ from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk import gripped as grips
 from mjx_climb.walk import stand as stands
+from tuning.identification import model
 from tuning.identification.force_sensors import logged_force
-from tuning.identification.log import Log, Signal
-from tuning.identification.model import LATE as LATE_JOINTS
-from tuning.identification.model import LEAD, Fit, Structure, stages_for, with_nuisances
+from tuning.identification.log import Log, Signal, joints_of
+from tuning.identification.model import CLOCK, DELAY, LATENESS, LEAD, Fit, Point, Structure, stages_for, with_nuisances
 from tuning.identification.variables import Place, Variable, applied
 from tuning.identification.windows import KINDS, Windows, cut
 
 FORCE_DELAY = "hardware.force_sensor.delay"
 LATE = {  # kinds that are recorded late, by the keys of their delays
-    **{key: (kind,) for key, kind in LATE_JOINTS.items()},
+    **{key: (kind,) for key, kind in model.LATE.items()},
     FORCE_DELAY: ("force",), "log.force.delay": ("force",), "log.base.delay": KINDS[4:],
 }  # fmt: skip
-_DELAY = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds
 _GRIP = (0.0, 0.003, -0.1, 0.1)  # m, of a grip point from where the foot is seen
 _AXES = "xyz"
-
-
-class Point(NamedTuple):
-    """Where the fit is, and what it may move along."""
-
-    x: Any  # (n,) coordinates of the variables
-    moving: Any  # a `grips.Moving`
-    late: Any  # () s, delay of the commands beyond that of the targets
 
 
 class Given(NamedTuple):
@@ -85,8 +76,7 @@ def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Wi
             raise ConfigError(f"{log.source}: expected all grippers shut (a sway), got {name} 0 at {opened:.4g} s")
         if name.startswith(("base.force.", "base.moment.")) and log.signals[name].value.any():
             raise ConfigError(f"{log.source}: expected no push on the base of a robot that is identified, got {name}")
-    joints = [f"{limb}.{joint}.command" for limb in robot.limbs for joint in robot.joint_names]
-    if missing := [name for name in joints if name not in log.signals]:
+    if missing := [name for joint in joints_of(robot) if (name := f"{joint}.command") not in log.signals]:
         expected = "the commands of all joints of a gripped robot"
         raise ConfigError(f"{log.source}: expected {expected}, got none of {missing[0]} (--base held: some limbs)")
     return cut(log, robot, time_step, held_out, signals_beside(log, robot))
@@ -103,7 +93,7 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
     points = given.points + _of_grips(structure.places, point.x, robot)
     gripped = grips.Gripped(robot, hardware, grips.grips(robot, given.stood, hardware, points))
-    first = _about(point.moving, center)
+    first = _about(point.start, center)
     limbs = first.limbs._replace(state=execution.of_limbs(first.limbs.state))
 
     def step(carry: Any, both: tuple[stands.Sent, stands.Sent]) -> tuple[Any, dict[str, Array]]:
@@ -207,7 +197,7 @@ class GrippedModel(Fit):
 
     def _run(self, x: np.ndarray, point: Point, turned: Any, given: Given) -> Any:
         robots, count = len(given.sent.targets), x.shape[1]
-        late = np.array([float(v.key in ("hardware.command_delay", "log.command.delay")) for v in self.variables])
+        late = np.array([float(v.key in (DELAY, CLOCK)) for v in self.variables])
         along = Point(np.eye(count)[None], turned, late[None])
         point = point._replace(x=np.repeat(x, robots // len(x), axis=0), late=np.zeros(robots))
         own, sent, rates = jax.tree.map(lambda value: value.ndim - 1, (point, given.sent, given.rates))
@@ -251,7 +241,7 @@ def _delays(windows: Windows, chosen: Sequence[Variable]) -> list[Variable]:
         return []
     found = ["log.force.delay"] if "force" in there and FORCE_DELAY not in keys else []
     found += ["log.base.delay"] if there & set(KINDS[4:]) else []
-    return [Variable(key, "s", 0.0, *_DELAY) for key in found]
+    return [Variable(key, "s", 0.0, *LATENESS) for key in found]
 
 
 def _posed(log: Log, robot: Robot, moment: float) -> tuple[np.ndarray, np.ndarray]:

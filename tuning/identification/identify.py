@@ -15,6 +15,7 @@ from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.quantities.parameters import KEYS
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
+from tuning.background import Stage, silent
 from tuning.identification import inference
 from tuning.identification.chain import Chain
 from tuning.identification.gripped import cut_gripped, gripped_model
@@ -109,8 +110,13 @@ class Identified:
         return constants
 
     def write(
-        self, folder: str | os.PathLike[str], *, origin: "Origin | None" = None, figures: Collection[str] = ("png",)
-    ) -> list[str]:
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        origin: "Origin | None" = None,
+        figures: Collection[str] = ("png",),
+        stage: Stage = silent,
+    ) -> str:
         """Write the result as `mjx-climb identify --out` does, and return the names of the files.
 
         Raises:
@@ -118,7 +124,7 @@ class Identified:
         """
         from tuning.identification.output import write
 
-        return write(self, Path(folder), origin, figures)
+        return write(self, Path(folder), origin, figures, stage)
 
 
 def turned(angles: Sequence[float]) -> np.ndarray:
@@ -286,7 +292,7 @@ def _rough_noise(model: Fit) -> np.ndarray:
 
 
 def _estimates(model: Fit, found: Fitted, known: Posterior) -> dict[str, Estimate]:
-    robot, prior = load_robot(model.structure.robot), prior_of(model)
+    robot = load_robot(model.structure.robot)
     with jax.enable_x64(True):
         values = np.asarray(in_units(model.variables, jnp.asarray(found.x), robot))
         slope = np.asarray(jax.jacfwd(lambda x: in_units(model.variables, x, robot))(jnp.asarray(found.x)))
@@ -299,19 +305,18 @@ def _estimates(model: Fit, found: Fitted, known: Posterior) -> dict[str, Estimat
         if ".inertia." in v.key:
             low, high = (float(values[n] + side * inference.Z * sd_units[n]) for side in (-1, 1))
         estimates[v.key] = Estimate(
-            float(values[n]), low, high, bool(known.seen[n]), v.nominal, v.unit, _remark(v, found.x[n], prior, n)
+            float(values[n]), low, high, bool(known.seen[n]), v.nominal, v.unit, _remark(v, found.x[n])
         )
     return estimates
 
 
-def _remark(variable: Variable, x: float, prior: Any, n: int) -> str:
+def _remark(variable: Variable, x: float) -> str:
     low, high = variable.bounds
     for name, bound in (("lower", low), ("upper", high)):
         if np.isfinite(bound) and abs(x - bound) < 1e-9 + 1e-6 * abs(bound):
             return f"on its {name} bound"
-    if abs(x - prior.mean[n]) > 3 * prior.sd[n]:
-        return f"{abs(x - prior.mean[n]) / prior.sd[n]:.1f} sd off its prior"
-    return ""
+    off = abs(x - variable.mean) / variable.sd
+    return f"{off:.1f} sd off its prior" if off > 3 else ""
 
 
 def _predicted(problem: LeastSquares, found: Fitted) -> dict[str, Any]:

@@ -70,6 +70,13 @@ def names(robot: Robot) -> Iterator[str]:
     yield from (KP, OFF)
 
 
+def joints_of(robot: Robot) -> dict[str, tuple[int, int]]:
+    """Return limb and joint of each joint, by its name in a log."""
+    return {
+        f"{limb}.{joint}": (n, j) for n, limb in enumerate(robot.limbs) for j, joint in enumerate(robot.joint_names)
+    }
+
+
 def unit_of(name: str) -> str:
     """Return the SI unit of a signal that a robot can record."""
     first, last = (parts := name.split("."))[0], parts[-1]

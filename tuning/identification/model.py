@@ -29,7 +29,7 @@ LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of wh
 LEAD = "log.friction.lead"  # of dry friction, see `mjx_climb.walk.stand`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
 _LEADS = (0.0, 0.005, 0.03)  # s, mean and sd of the prior, and the upper bound
-_LATE = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
+LATENESS = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
 
 
 class Structure(NamedTuple):
@@ -48,7 +48,7 @@ class Point(NamedTuple):
     """Where the fit is, and what it may move along."""
 
     x: Any  # (n,) coordinates of the variables
-    start: Any  # (limb, joint, S): angle, rate, and what the servo remembers of each joint
+    start: Any  # (limb, joint, S): angle, rate, what the servo remembers of each joint; base free: a `gripped.Moving`
     late: Any  # () s, delay of the commands beyond that of the targets
 
 
@@ -248,7 +248,7 @@ def with_nuisances(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Var
     """
     there, least, keys = {KINDS[k] for k in windows.kind}, -windows.time_step / 4, {v.key for v in chosen}
     found = [dataclasses.replace(v, lower=least) if v.key == DELAY else v for v in chosen]
-    found += [Variable(key, "s", 0.0, *_LATE) for key, kind in LATE.items() if {kind, "position"} <= there]
+    found += [Variable(key, "s", 0.0, *LATENESS) for key, kind in LATE.items() if {kind, "position"} <= there]
     if DELAY not in keys:
         found.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
     if not stages_for(scenario, chosen).dry_friction:

@@ -1,8 +1,9 @@
 """What `identify` leaves in its folder: values, sections that other commands read, a posterior ensemble, a page."""
 
 import dataclasses
+import functools
 import json
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,15 +16,16 @@ from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.files.scenario_files import portable_yaml
 from mjx_climb.quantities.parameters import KEYS
+from tuning.background import Stage
 from tuning.identification import robot_files
 from tuning.identification.inference import suspicious
 from tuning.identification.variables import begin
 from tuning.identification.windows import KINDS, UNITS
-from tuning.output.folder import check_own, write_config
+from tuning.output.folder import Contents, Folder, write_config
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.report import page
 from tuning.report.numbers import number
-from tuning.searches import parts
+from tuning.searches.result import Written
 
 if TYPE_CHECKING:
     from tuning.identification.identify import Estimate, Identified
@@ -35,33 +37,25 @@ PREDICTION = "The signal that is predicted worst: log, and model with the values
 COLUMNS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
 
 
-def write(found: "Identified", folder: Path, origin: "page.Origin | None", figures: Collection[str]) -> list[str]:
+def write(
+    found: "Identified", folder: Path, origin: "page.Origin | None", figures: Collection[str], stage: Stage
+) -> str:
     """Write all files of a result into a folder and return their names."""
-    check_own(folder, FILE)
-    scenario, call = write_config(found.scenario, folder), "tuning.identify(...)"
-    own = origin or page.Origin("the scenario", call, call)
+    place, call = Folder(folder, FILE, origin, figures, stage), "tuning.identify(...)"
+    scenario = write_config(found.scenario, folder)
     identified = identified_scenario(found, scenario, folder)
     texts = {
         "identified.yaml": portable_yaml(identified, folder),
         "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),
         "posterior.yaml": ensemble_of(found).to_yaml(),
-        FILE: json.dumps(_result(found, own), indent=2) + "\n",
+        FILE: json.dumps(_result(found, call if origin is None else origin.asked), indent=2) + "\n",
     }
-    for name, text in texts.items():
-        dataset.write_text_atomically(folder / name, text)
-    pictures = {}
-    drawn: dict[str, tuple[str, Callable[[], Figure]]] = {
+    drawn = {
         "residuals": (RESIDUALS, lambda: plot_residuals(found)),
         "autocorrelation": (CORRELATION, lambda: plot_correlation(found)),
         "prediction": (PREDICTION, lambda: plot_prediction(found)),
     }
-    for name, (caption, picture) in drawn.items():
-        plots.save_figure(picture(), folder / name, {"png", *figures})
-        pictures[caption] = folder / f"{name}.png"
-    own = own._replace(config=(folder / "config.yaml").read_text(encoding="utf-8"), pictures=pictures)
-    report = page.write(page_of(found, own), folder).name
-    parts.clear(folder)
-    return [report, *texts, "config.yaml", *(f"{name}.png" for name in drawn)]
+    return place.fill(Contents(Written(), texts, drawn, functools.partial(page_of, found)), call)
 
 
 def identified_scenario(found: "Identified", scenario: mc.Scenario, folder: Path) -> mc.Scenario:
@@ -95,7 +89,7 @@ def _yaml(data: Any) -> str:
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
 
 
-def _result(found: "Identified", origin: page.Origin) -> dict[str, Any]:
+def _result(found: "Identified", command: str) -> dict[str, Any]:
     made = dataset.provenance(found.scenario)
     made.pop("scenario")
     told = {
@@ -103,7 +97,7 @@ def _result(found: "Identified", origin: page.Origin) -> dict[str, Any]:
     }
     noise = dict(zip(found.model.windows.names, found.fitted.noise.tolist(), strict=True))
     more = {"combined": list(found.combined), "noise": noise, "mass": found.model.structure.mass}
-    made_of = {"log": found.log.source, "log_sha256": found.log.digest, "command": origin.asked, "provenance": made}
+    made_of = {"log": found.log.source, "log_sha256": found.log.digest, "command": command, "provenance": made}
     return found.as_json() | told | more | made_of
 
 

@@ -2,11 +2,10 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -14,13 +13,14 @@ import mjx_climb as mc
 from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.execution import devices
-from mjx_climb.hardware.stages import hardware_of, stages_of
+from mjx_climb.hardware.stages import stages_of
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_STEPS
 from mjx_climb.walk import stand
-from tuning.identification.log import KP, OFF, Log, Signal
+from tuning.identification.commanded import Carried, Commands, held
+from tuning.identification.log import KP, OFF, Log, Signal, joints_of
 from tuning.identification.schedule import schedule_of, without_jumps
 
 Base = Literal["held", "free"]
@@ -112,7 +112,7 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: flo
         "duration": steps * scenario.time_step, "hardware.control_period": 0.0, "hardware.interpolation": "hold",
     })  # fmt: skip
     scenario, said = _with_pushes(scenario, log) if chosen == "free" else (scenario, [])
-    targets = _targets(log, robot, scenario, held=chosen == "held")
+    targets = _targets(log, robot, scenario, on_a_stand=chosen == "held")
     if len(sent) < (joints := targets[0].size):
         said.append(f"{len(sent)} joints of {joints} have commands, the others are sent where they began")
     if chosen == "free" and schedule_of(signals, scenario.control.kp) is not None:
@@ -149,22 +149,20 @@ def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
     return Replay(log, scenario, base, walk, _errors(walk, log, robot), said)
 
 
-def _targets(log: Log, robot: Robot, scenario: mc.Scenario, held: bool) -> Float[np.ndarray, "time limb joint"]:
+def _targets(log: Log, robot: Robot, scenario: mc.Scenario, on_a_stand: bool) -> Float[np.ndarray, "time limb joint"]:
     """Return the joint targets of every step, each command held until the next; of a stand as they reach the servos."""
     at, delay = scenario.time_step * np.arange(scenario.steps), scenario.hardware.command_delay
     targets = np.empty((len(at), len(robot.limbs), robot.joints))
-    for row, limb in enumerate(robot.limbs):
-        for column, joint in enumerate(robot.joint_names):
-            command, position = (log.signals.get(f"{limb}.{joint}.{what}") for what in ("command", "position"))
-            if command is None:
-                began = robot.stance_joints[row, column] if position is None else position.value[0]
-                targets[:, row, column] = began
-            elif held:
-                sent = without_jumps(command, log.signals)
-                targets[:, row, column], _ = stand.targets_of(sent.time + delay, sent.value, at, scenario.time_step)
-            else:
-                last = np.searchsorted(command.time, at + 1e-6 * scenario.time_step, side="right") - 1
-                targets[:, row, column] = command.value[np.maximum(last, 0)]
+    for joint, (row, column) in joints_of(robot).items():
+        command, position = (log.signals.get(f"{joint}.{what}") for what in ("command", "position"))
+        if command is None:
+            targets[:, row, column] = robot.stance_joints[row, column] if position is None else position.value[0]
+        elif on_a_stand:
+            sent = without_jumps(command, log.signals)
+            targets[:, row, column], _ = stand.targets_of(sent.time + delay, sent.value, at, scenario.time_step)
+        else:
+            last = np.searchsorted(command.time, at + 1e-6 * scenario.time_step, side="right") - 1
+            targets[:, row, column] = command.value[np.maximum(last, 0)]
     return targets
 
 
@@ -198,10 +196,9 @@ def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str
 def _of_a_walk(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
     """Yield what a walk's comparison rests on."""
     begins = {
-        f"{limb}.{joint}": abs(signal.value[0] - walk.joint_angles[0, row, column])
-        for row, limb in enumerate(robot.limbs)
-        for column, joint in enumerate(robot.joint_names)
-        if (signal := log.signals.get(f"{limb}.{joint}.position")) is not None
+        joint: abs(signal.value[0] - walk.joint_angles[(0, *place)])
+        for joint, place in joints_of(robot).items()
+        if (signal := log.signals.get(f"{joint}.position")) is not None
     }
     if begins and (far := max(begins.values())) > _FAR:
         joint = max(begins, key=lambda name: begins[name])
@@ -222,42 +219,33 @@ def _on_a_stand(prepared: Prepared, robot: Robot) -> mc.Trajectory:
     """Return the motion of a robot whose base is held, in the form of a walk: no foot touches anything."""
     log, scenario, _, targets, _, mass = prepared
     begin = targets[0].copy()
-    for row, limb in enumerate(robot.limbs):
-        for column, joint in enumerate(robot.joint_names):
-            if (signal := log.signals.get(f"{limb}.{joint}.position")) is not None:
-                begin[row, column] = signal.value[0]
-    own = own_parameters(scenario)
+    for joint, place in joints_of(robot).items():
+        if (signal := log.signals.get(f"{joint}.position")) is not None:
+            begin[place] = signal.value[0]
+    own, sent = own_parameters(scenario), stand.Sent(targets)
+    if (schedule := schedule_of(log.signals, scenario.control.kp)) is not None:
+        at = scenario.time_step * np.arange(len(targets)) - scenario.hardware.command_delay
+        sent = sent._replace(**schedule.at(at, scenario.time_step)[0])
+    commands = Commands(sent, jax.tree.map(np.zeros_like, sent), np.full(len(targets), own.command_delay))
     with devices.on_host(), jax.enable_x64(True):
         robot = with_foot_mass(robot, mass)
-        held = stand.Stand(robot, hardware_of(own, stages_of(scenario, own, robot), scenario.time_step, robot))
-
-        def step(moving: stand.Moving, sent: stand.Sent) -> tuple[stand.Moving, stand.Recorded]:
-            return stand.advance(stand.with_gains(held, sent), moving, sent.targets)
-
-        def moved(begin: jax.Array, sent: stand.Sent) -> stand.Recorded:
-            recorded: stand.Recorded = jax.lax.scan(step, stand.begin(held, begin, jnp.zeros_like(begin)), sent)[1]
-            return recorded
-
-        sent = stand.Sent(targets)
-        if (schedule := schedule_of(log.signals, scenario.control.kp)) is not None:
-            at = scenario.time_step * np.arange(len(targets)) - scenario.hardware.command_delay
-            sent = sent._replace(**schedule.at(at, scenario.time_step)[0])
-        recorded = [np.asarray(values) for values in jax.jit(moved)(*jax.tree.map(jnp.asarray, (begin, sent)))]
-    return _as_walk(scenario, robot, own, targets, recorded)
+        run = held(stages_of(scenario, own, robot), scenario.time_step)
+        carried = jax.tree.map(np.asarray, jax.jit(run)(robot, own, commands, begin))
+    return _as_walk(scenario, robot, own, targets, carried)
 
 
 def _as_walk(
-    scenario: mc.Scenario, robot: Robot, own: Parameters, targets: np.ndarray, recorded: Sequence[np.ndarray]
+    scenario: mc.Scenario, robot: Robot, own: Parameters, targets: np.ndarray, carried: Carried
 ) -> mc.Trajectory:
     """Return what moves on a stand as a walk: what is not defined there is NaN, and what does not act is 0."""
-    angles, rates, torque = recorded
+    angles, rates, torque, of_feet = carried
     steps, limbs = targets.shape[:2]
     time, none = scenario.time_step * np.arange(steps), np.zeros((steps, limbs), bool)
     position = np.broadcast_to(robot.stance_position, (steps, 3))
     turned = np.broadcast_to(robot.stance_orientation, (steps, 4))
     feet = _feet(robot, position, turned, angles)
     speed, later = (np.gradient(values, scenario.time_step, axis=0) for values in (feet, rates))
-    still, wrench, of_feet = np.zeros((steps, 3)), np.zeros((steps, 6)), np.zeros((steps, limbs, 3))
+    still, wrench = np.zeros((steps, 3)), np.zeros((steps, 6))
     undefined = np.full(steps, np.nan)
     return mc.Trajectory(
         scenario=scenario, gains={}, parameters=own, limbs=robot.limbs, law="JointTargets", time=time,
@@ -287,14 +275,9 @@ def _feet(
 
 def _fields(robot: Robot) -> dict[str, dict[str, tuple[Any, ...]]]:
     """Return the fields of a walk that a robot can log: by the name of a signal, its place behind time."""
-    joints = {
-        f"{limb}.{joint}": (row, column)
-        for row, limb in enumerate(robot.limbs)
-        for column, joint in enumerate(robot.joint_names)
-    }
     what = {"joint_angles": "position", "joint_rates": "velocity", "joint_torque": "effort"}
     found: dict[str, dict[str, tuple[Any, ...]]] = {
-        field: {f"{joint}.{of}": place for joint, place in joints.items()} for field, of in what.items()
+        field: {f"{joint}.{of}": place for joint, place in joints_of(robot).items()} for field, of in what.items()
     }
     limbs = enumerate(robot.limbs)
     found["foot_force"] = {f"{limb}.force.{axis}": (row, n) for row, limb in limbs for n, axis in enumerate("xyz")}

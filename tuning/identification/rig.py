@@ -106,7 +106,7 @@ class Rig:
             self.places, point, self.robot.limbs, force - late * change + jnp.asarray(parameters.force_bias)
         )
 
-    def run(self) -> commanded.Robots:
+    def run(self) -> commanded.Simulate:
         """Return what carries out commands."""
         if self.asked.base == "free":
             return commanded.standing(self.scenario, self.stages)

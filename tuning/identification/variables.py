@@ -216,8 +216,12 @@ def _body(robot: Robot, place: tuple[str, ...]) -> _Body:
     """Return the base, by ("base",), or a link, by the names of its limb and joint."""
     if place == ("base",):
         return _Body(robot.base_mass, np.zeros(3), robot.base_inertia)
-    at = robot.limbs.index(place[0]), robot.joint_names.index(place[1])
+    at = _at(robot, place)
     return _Body(robot.link_mass[at], robot.link_center[at], robot.link_inertia[at])
+
+
+def _at(robot: Robot, place: tuple[str, ...]) -> tuple[int, int]:
+    return robot.limbs.index(place[0]), robot.joint_names.index(place[1])
 
 
 def _cholesky(body: _Body) -> np.ndarray:
@@ -256,19 +260,9 @@ def _values(places: Sequence[Place], point: Array) -> dict[str, Array]:
 
 def _robot_at(values: Mapping[str, Array], nominal: Robot) -> Robot:
     robot, own = nominal, {_parted(key): v for key, v in values.items() if key.startswith("robot.")}
-    for name in _JOINT:
-        value: Any = None if name == "zero" else getattr(robot, name)
-        there = [[own.get(((limb, joint), name)) for joint in robot.joint_names] for limb in robot.limbs]
-        if any(each is not None for row in there for each in row):
-            before = jnp.zeros_like(robot.link_mass) if value is None else jnp.asarray(value)
-            after = _with(before, there)
-            if name == "zero":
-                robot = dataclasses.replace(
-                    robot, frame_rotation=turn_about_z(jnp.asarray(robot.frame_rotation), after)
-                )
-            else:
-                changed: Any = {name: after}
-                robot = dataclasses.replace(robot, **changed)
+    for (place, name), value in own.items():
+        if name in _JOINT:
+            robot = _with_joint(robot, place, name, value)
     for place in dict.fromkeys(place for place, name in own if name not in _JOINT):
         body = _body_at({name: v for (of, name), v in own.items() if of == place}, _body(nominal, place))
         robot = _with_body(robot, place, body)
@@ -281,36 +275,34 @@ def _parted(key: str) -> tuple[tuple[str, ...], str]:
     return tuple(place), name
 
 
+def _with_joint(robot: Robot, place: tuple[str, ...], name: str, value: Array) -> Robot:
+    at, field = _at(robot, place), "frame_rotation" if name == "zero" else name
+    before = robot.link_mass * 0.0 if getattr(robot, field) is None else getattr(robot, field)
+    value = turn_about_z(jnp.asarray(before[at]), value) if name == "zero" else value
+    changed: Any = {field: jnp.asarray(before).at[at].set(value)}
+    return dataclasses.replace(robot, **changed)
+
+
 def _with_body(robot: Robot, place: tuple[str, ...], body: _Body) -> Robot:
     """Return a robot with another base or link; the base's frame sits at its centre of mass, so that the hips move."""
     if place == ("base",):
         hips: Any = jnp.asarray(robot.frame_position).at[:, 0].add(-body.center)
         return dataclasses.replace(robot, base_mass=body.mass, base_inertia=body.inertia, frame_position=hips)
-    at = robot.limbs.index(place[0]), robot.joint_names.index(place[1])
-    changes: Any = {f"link_{name}": value for name, value in body._asdict().items()}
-    links: Any = {name: jnp.asarray(getattr(robot, name)).at[at].set(value) for name, value in changes.items()}
-    return dataclasses.replace(robot, **links)
-
-
-def _with(before: Array, there: Sequence[Sequence[Any]]) -> Array:
-    return jnp.stack([
-        jnp.stack([before[n, j] if each is None else each for j, each in enumerate(row)]) for n, row in enumerate(there)
-    ])  # fmt: skip
+    changes: Any = {
+        name: jnp.asarray(getattr(robot, name)).at[_at(robot, place)].set(value)
+        for name, value in zip(("link_mass", "link_center", "link_inertia"), body, strict=True)
+    }
+    return dataclasses.replace(robot, **changes)
 
 
 def _body_at(own: Mapping[str, Array], body: _Body) -> _Body:
     """Return a body with other values; a mass alone scales the inertia with it."""
     mass = own.get("mass", jnp.asarray(body.mass))
     center = jnp.stack([own.get(name, jnp.asarray(body.center)[n]) for n, name in enumerate(_CENTER)])
-    nominal = _cholesky(body)
-    spread = [[jnp.zeros_like(mass)] * 3 for _ in range(3)]
-    for name, (row, column) in zip(_INERTIA, _PLACES, strict=True):
-        value = own.get(f"inertia.{name}")
-        if row == column:
-            spread[row][row] = jnp.asarray(nominal[row, row], mass.dtype) if value is None else jnp.exp(value)
-        else:
-            spread[row][column] = jnp.asarray(nominal[row, column], mass.dtype) if value is None else value
-    factor = jnp.stack([jnp.stack(row) for row in spread])
+    factor = jnp.asarray(_cholesky(body), mass.dtype)
+    for name, at in zip(_INERTIA, _PLACES, strict=True):
+        if (value := own.get(f"inertia.{name}")) is not None:
+            factor = factor.at[at].set(jnp.exp(value) if at[0] == at[1] else value)
     moment = factor @ factor.T
     return _Body(mass, center, mass * (jnp.trace(moment) * jnp.eye(3, dtype=moment.dtype) - moment))
 

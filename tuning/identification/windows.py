@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.stand import targets_of
-from tuning.identification.log import KP, OFF, Log, Signal
+from tuning.identification.log import KP, OFF, Log, Signal, joints_of
 from tuning.identification.schedule import without_jumps
 
 LENGTH = 1.0  # s, of a window
@@ -88,22 +88,19 @@ def cut(
         ConfigError: a log without commands, without anything that can be predicted, or too short.
     """
     commands = {
-        (n, j): without_jumps(log.signals[name], log.signals)
-        for n, limb in enumerate(robot.limbs)
-        for j, joint in enumerate(robot.joint_names)
-        if (name := f"{limb}.{joint}.command") in log.signals
+        place: without_jumps(log.signals[name], log.signals)
+        for joint, place in joints_of(robot).items()
+        if (name := f"{joint}.command") in log.signals
     }
     whole = [n for n in range(len(robot.limbs)) if all((n, j) in commands for j in range(robot.joints))]
-    names, places = [], []
-    for n in whole:
-        for j, joint in enumerate(robot.joint_names):
-            for k, kind in enumerate(KINDS[:3]):
-                if (name := f"{robot.limbs[n]}.{joint}.{kind}") in log.signals:
-                    names.append(name)
-                    places.append((n, j, k))
-    for name, place in (beside or {}).items():
-        names.append(name)
-        places.append(place)
+    placed = {
+        f"{joint}.{kind}": (n, j, k)
+        for joint, (n, j) in joints_of(robot).items()
+        for k, kind in enumerate(KINDS[:3])
+        if n in whole and f"{joint}.{kind}" in log.signals
+    }
+    placed |= beside or {}
+    names = tuple(placed)
     if not names:
         missing = "the commands of all joints of a limb" if not whole else "positions, velocities or efforts"
         first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else 'command'}"
@@ -116,11 +113,11 @@ def cut(
     if len(begin) < 2:
         raise ConfigError(f"{log.source}: expected two seconds or more, got {log.duration:.3g} s without gaps")
     count = len(begin) - min(round(held_out * len(begin)), len(begin) - 1)
-    limb, joint, kind = np.array(places).T
+    limb, joint, kind = np.array(list(placed.values())).T
     rows = _rows(signals, kind == 1, begin, ends, steps, time_step)
     return Windows(
         begin=begin, abuts=abuts, held_out=np.arange(len(begin)) >= count, steps=steps, time_step=time_step,
-        names=tuple(names), limb=limb, joint=joint, kind=kind, rows=rows,
+        names=names, limb=limb, joint=joint, kind=kind, rows=rows,
         start=_start(log, robot, begin), commands=commands, resting=np.asarray(robot.stance_joints, float),
         gains={name: log.signals[name] for name in (KP, OFF) if name in log.signals},
     )  # fmt: skip
@@ -161,14 +158,13 @@ def _start(log: Log, robot: Robot, begin: np.ndarray) -> np.ndarray:
     """Return first guesses of angles and rates, (window, limb, joint, 2): of the log, or at rest where it has none."""
     start = np.zeros((len(begin), *robot.stance_joints.shape, 2))
     start[..., 0] = robot.stance_joints
-    for n, limb in enumerate(robot.limbs):
-        for j, joint in enumerate(robot.joint_names):
-            position = log.signals.get(f"{limb}.{joint}.position", log.signals.get(f"{limb}.{joint}.command"))
-            velocity = log.signals.get(f"{limb}.{joint}.velocity")
-            if position is not None:
-                start[:, n, j] = [_line(position, moment) for moment in begin]
-            if velocity is not None:
-                start[:, n, j, 1] = np.interp(begin, velocity.time, velocity.value)
+    for joint, (n, j) in joints_of(robot).items():
+        position = log.signals.get(f"{joint}.position", log.signals.get(f"{joint}.command"))
+        velocity = log.signals.get(f"{joint}.velocity")
+        if position is not None:
+            start[:, n, j] = [_line(position, moment) for moment in begin]
+        if velocity is not None:
+            start[:, n, j, 1] = np.interp(begin, velocity.time, velocity.value)
     return start
 
 

@@ -8,17 +8,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mjx_climb import plots
-from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.scenario.model import RobotFile
 from tuning.background import Stage
 from tuning.identification.excitation import PLAIN, Excited, scale
 from tuning.identification.information import SEEN
-from tuning.identification.readers import write_csv
+from tuning.identification.log import joints_of
+from tuning.identification.readers.csv_file import csv_of
 from tuning.identification.rig import SPEED
-from tuning.output.folder import check_own, without_folders, write_config
-from tuning.report import page
+from tuning.output.folder import Contents, Folder, write_config
 from tuning.report.numbers import to_json
 from tuning.report.page import Origin, Page, Table
+from tuning.searches.result import Written
 
 FILE = "excitation.csv"  # by it the folder is known
 TRAJECTORY = "excitation_trajectory.yaml"
@@ -28,36 +28,31 @@ _EARTH = 9.81  # m/s^2
 
 def write(found: Excited, folder: Path, origin: Origin | None, figures: Collection[str], stage: Stage) -> str:
     """Write everything and return the names of the files; OutputError where it cannot be."""
-    check_own(folder, FILE)
+    place = Folder(folder, FILE, origin, figures, stage)
     scenario = write_config(found.scenario, folder)
-    write_csv(folder / FILE, columns(found))
-    write_text_atomically(folder / TRAJECTORY, trajectory(found))
-    write_text_atomically(folder / "excitation.json", to_json(summary(found)) + "\n")
-    with stage("drawing", compiles=False):
-        plots.save_figure(plot(found), folder / "excitation", {"png", *figures})
+
+    def report(origin: Origin) -> Page:
+        return Page(
+            title=f"What to command to identify {origin.name}", origin=origin, verdict=found.best.information.unseen(),
+            scenario=scenario, notes=notes(found), tables=[table(found), limits(found)],
+            facts={"seed": found.asked.seed, "candidates": len(found.candidates)},
+        )  # fmt: skip
+
+    texts = {
+        FILE: csv_of(columns(found)), TRAJECTORY: trajectory(found), "excitation.json": to_json(summary(found)) + "\n",
+    }  # fmt: skip
+    drawn = {"excitation": ("Commands, rates and torques of the nominal robot", lambda: plot(found))}
     call = f"tuning.excite(mjx_climb.load_scenario('config.yaml'), **{found.asked.model_dump(exclude_unset=True)})"
-    origin = (origin or Origin("the scenario", call, call))._replace(
-        config=without_folders((folder / "config.yaml").read_text(encoding="utf-8")),
-        pictures={"Commands, rates and torques of the nominal robot": folder / "excitation.png"},
-    )
-    report = Page(
-        title=f"What to command to identify {origin.name}", origin=origin, verdict=found.best.information.unseen(),
-        scenario=scenario, notes=notes(found), tables=[table(found), limits(found)],
-        facts={"seed": found.asked.seed, "candidates": len(found.candidates)},
-    )  # fmt: skip
-    page.write(report, folder)
-    pictures = [f"excitation.{kind}" for kind in figures]
-    return ", ".join(["report.html", FILE, TRAJECTORY, "excitation.json", *pictures, "config.yaml"])
+    return place.fill(Contents(Written(), texts, drawn, report), call)
 
 
 def columns(found: Excited) -> dict[str, np.ndarray]:
     """Return the columns of the CSV file: time, commands (NaN: torque off), P gain, and whether the torque is off."""
     kp, off = gains(found)
     each = {
-        f"{limb}.{joint}.command": np.where(off, np.nan, found.best.motion.targets[:, i, j].round(6))
-        for i, limb in enumerate(found.robot.limbs)
-        for j, joint in enumerate(found.robot.joint_names)
-        if found.robot.driven is None or found.robot.driven[i, j]
+        f"{joint}.command": np.where(off, np.nan, found.best.motion.targets[:, *place].round(6))
+        for joint, place in joints_of(found.robot).items()
+        if found.robot.driven is None or found.robot.driven[place]
     }
     return {"time": found.time.round(6), **each, "control.kp": np.where(off, np.nan, kp), "torque_off": off * 1.0}
 

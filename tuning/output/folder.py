@@ -64,18 +64,24 @@ class Folder:
         from tuning.output import results  # which imports matplotlib
 
         made: Contents = getattr(results, found.KIND)(found, self, begun)
+        return dataclasses.replace(made.written, files=self.fill(made, f"tuning.{found.KIND}(...)"))
+
+    def fill(self, made: Contents, call: str) -> str:
+        """Write what is declared, the page last, remove kept parts, and return the names of the files; `call` made it.
+
+        The folder has its config.yaml already.
+        """
         for name, content in made.files.items():
             self.add(name, content)
         self.draw(made.pictures)
         if made.page is not None:
             with self.stage("report", compiles=False):
-                call = f"tuning.{found.KIND}(...)"
                 origin = self.origin or Origin("the scenario", call, made.again or call)
                 config = without_folders((self.path / "config.yaml").read_text(encoding="utf-8"))
                 named = page.write(made.page(origin._replace(config=config, pictures=self._pictures)), self.path).name
                 self._files.insert(0, named)
         parts.clear(self.path)
-        return dataclasses.replace(made.written, files=", ".join(dict.fromkeys([*self._files, "config.yaml"])))
+        return ", ".join(dict.fromkeys([*self._files, "config.yaml"]))
 
     def found(self, found: _Found) -> _Found:
         """Write what was asked for, gains and data; return the result of the scenario with its files copied here."""

@@ -23,9 +23,14 @@ def write_csv(path: str | os.PathLike[str], columns: Mapping[str, Sequence[float
     Raises:
         OutputError: the file cannot be written.
     """
+    return write_text_atomically(path, csv_of(columns))
+
+
+def csv_of(columns: Mapping[str, Sequence[float] | np.ndarray]) -> str:
+    """Return the text of such a file."""
     table = np.column_stack([np.asarray(values, float) for values in columns.values()]).tolist()
     rows = [",".join("" if value != value else repr(value) for value in row) for row in table]
-    return write_text_atomically(path, "\n".join([",".join(columns), *rows]) + "\n")
+    return "\n".join([",".join(columns), *rows]) + "\n"
 
 
 def read(path: Path) -> Recording:
