@@ -113,7 +113,6 @@ class Simulation:
     table: MetricTable  # the metrics
     engine: str
     smooth: bool
-    structure: Structure  # what the scenario's own walk is compiled for
 
     def __init__(
         self,
@@ -150,7 +149,11 @@ class Simulation:
             engine=engine,
             smooth=smooth,
         )
-        vars(self)["structure"] = self._structure(own_parameters(scenario))
+
+    @functools.cached_property
+    def structure(self) -> Structure:
+        """What the scenario's own walk is compiled for."""
+        return self._structure(own_parameters(self.scenario))
 
     def _structure(self, parameters: Parameters) -> Structure:
         """Return what a walk under these parameters is compiled for: they say which stages of hardware there are."""

@@ -14,7 +14,7 @@ import itertools
 import sys
 import types
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -121,32 +121,58 @@ class _Digests:
         yield from self._code(function.__code__, {} if in_library(home) else function.__globals__)
 
     def _code(self, code: types.CodeType, space: dict[str, Any]) -> Iterator[Any]:
-        """Return byte code, that of the functions in it, and what it takes from its module and by imports."""
-        yield from (getattr(code, part) for part in _CODE)
-        for constant in code.co_consts:
-            yield from self._code(constant, space) if isinstance(constant, types.CodeType) else [self.of(constant)]
-        for step in dis.get_instructions(code):
-            name, loads = step.argval, step.opname in ("LOAD_GLOBAL", "LOAD_NAME")
-            if loads and name in space:
-                used = space[name]
-            elif loads and space and name in _UNSEEN:
-                raise self._refused(f"a call of {name} in {code.co_name}")
-            elif space and step.opname == "IMPORT_NAME":
-                try:
-                    used = importlib.import_module(name)
-                except (ImportError, ValueError):  # ValueError: a relative import
-                    raise self._refused(f"an import of {name or 'a neighbour'} inside {code.co_name}") from None
+        """Return what code says of itself, and what it takes from its module and by imports."""
+        for said in _said(code):
+            if isinstance(said, _Taken):
+                yield from self._taken(said, space)
             else:
-                continue
-            yield from (name, self.of(used, f" ({name})"))
-            for path, member in _members(used, code.co_names):
-                yield from (path, self.of(member, f" ({path})"))
+                yield said
+
+    def _taken(self, taken: "_Taken", space: dict[str, Any]) -> Iterator[Any]:
+        name, code = taken.name, taken.by
+        if taken.loaded and name in space:
+            used = space[name]
+        elif taken.loaded and space and name in _UNSEEN:
+            raise self._refused(f"a call of {name} in {code.co_name}")
+        elif space and not taken.loaded:
+            try:
+                used = importlib.import_module(name)
+            except (ImportError, ValueError):  # ValueError: a relative import
+                raise self._refused(f"an import of {name or 'a neighbour'} inside {code.co_name}") from None
+        else:
+            return
+        yield from (name, self.of(used, f" ({name})"))
+        for path, member in _members(used, code.co_names):
+            yield from (path, self.of(member, f" ({path})"))
 
     def _refused(self, what: str) -> Unidentifiable:
         return Unidentifiable(
             f"{''.join(self._path)}: expected what can be told from others by its contents, got {what} "
             "(needed with out= alone, to know an interrupted search again)"
         )
+
+
+class _Taken(NamedTuple):
+    """A name that code takes: a global, or a module by an import."""
+
+    name: str
+    loaded: bool  # a global
+    by: types.CodeType
+
+
+@functools.lru_cache(maxsize=4096)
+def _said(code: types.CodeType) -> tuple[Any, ...]:
+    """Return byte code, the digests of its constants, the same of the functions in it, and the names that it takes.
+
+    These never change. What is behind the names may, and is looked up each time.
+    """
+    said = [getattr(code, part) for part in _CODE]
+    for constant in code.co_consts:
+        said += _said(constant) if isinstance(constant, types.CodeType) else [identity(constant)]
+    for step in dis.get_instructions(code):
+        if (loaded := step.opname in ("LOAD_GLOBAL", "LOAD_NAME")) or step.opname == "IMPORT_NAME":
+            said.append(_Taken(step.argval, loaded, code))
+    return tuple(said)
 
 
 def _hash(*parts: Any) -> str:
