@@ -8,11 +8,12 @@ fuses and computes again what is broadcast: each component is a row of robots, o
 import functools
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Hashable, Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
@@ -21,12 +22,27 @@ from mjx_climb.execution.array_writer import ArrayWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import can_write, results
 from mjx_climb.execution.elements import Unsupported
-from mjx_climb.execution.flat import Has, by_axis, carried_on, flat, mapped, needed, reached, region, runs, variables_of
+from mjx_climb.execution.flat import (
+    Has,
+    Stacks,
+    by_axis,
+    carried_on,
+    carrying,
+    flat,
+    mapped,
+    needed,
+    reached,
+    region,
+    rows_of,
+    runs,
+    variables_of,
+)
 from mjx_climb.execution.jax_internals import carried_out, new_program, scan_sizes
 from mjx_climb.execution.limbs import LimbAxes
 
 EQUATIONS = 250  # in a region: with fewer the calls cost more, with more compiling takes longer
 EQUATIONS_OF_ONE = 1000  # the same of a single robot, whose arithmetic takes no longer than the calls
+A_CALL = 5  # of a region costs about as much as so many values that are stored and read again
 STORED_FROM = 3  # operations
 # put together by an equation within a region: XLA fuses them, and asks of each element which row it is in
 MOST_ROWS = 16
@@ -125,18 +141,43 @@ class _Program(NamedTuple):
         parameters, has = equation.params, [has for _, has in given]
         written_has: list[Has] = []
         constants, carry = scan_sizes(parameters)
-        begun, read = given[constants : constants + carry], given[constants + carry :]
+        read = given[constants + carry :]
         moving = by_axis(functools.partial(carried_on, parameters), has, len(self.batch), carry)
+        begun = [*map(self._wide, given[constants : constants + carry], moving)]
+        stacks, body = self._stacked(parameters["jaxpr"], constants, moving)
+        carried_has = stacks.stacked(moving, lambda some: some[0])
 
         def step(carried: list[Any], now: list[Any]) -> tuple[list[Any], list[Any]]:
-            values = zip([*carried, *now], [*moving, *has[constants + carry :]], strict=True)
-            made = self.results(parameters["jaxpr"], [*given[:constants], *values])
-            written_has[:] = [has for _, has in made[carry:]]
-            return [*map(self._wide, made[:carry], moving)], [value for value, _ in made[carry:]]
+            values = zip([*carried, *now], [*carried_has, *has[constants + carry :]], strict=True)
+            made = self.results(body, [*given[:constants], *values])
+            written_has[:] = [has for _, has in made[len(carried) :]]
+            return [*map(self._wide, made, carried_has)], [value for value, _ in made[len(carried) :]]
 
-        start, how = _unseen([*map(self._wide, begun, moving)]), ("length", "reverse", "unroll")
+        start, how = _unseen(stacks.stacked(begun, rows_of)), ("length", "reverse", "unroll")
         after, written = lax.scan(step, start, [value for value, _ in read], **{name: parameters[name] for name in how})
-        return [*zip(after, moving, strict=True), *zip(written, written_has, strict=True)]
+        return [*zip(stacks.apart(after), moving, strict=True), *zip(written, written_has, strict=True)]
+
+    def _stacked(
+        self, body: core.ClosedJaxpr, constants: int, moving: Sequence[Has]
+    ) -> tuple[Stacks, core.ClosedJaxpr]:
+        """Return which values a loop carries as one array, those that are one row of robots, and its body with these.
+
+        XLA:CPU copies each such value in each step, as the first region hands it on under another shape. Where more
+        than eight operations could be next, it hands some to other threads, for longer than a step takes (jaxlib 0.10).
+        """
+        carried = slice(constants, constants + len(moving))
+        groups: dict[Hashable, list[int]] = {}
+        for place, (variable, has) in enumerate(zip(body.jaxpr.invars[carried], moving, strict=True)):
+            aval, axis = cast(Any, variable.aval), self.limbs.of(variable)
+            if aval.size == (1 if axis is None else self.limbs.count):
+                groups.setdefault((aval.shape, aval.dtype, axis, has), []).append(place)
+        split = [g[n : n + MOST_ROWS] for g in groups.values() for n in range(0, len(g), MOST_ROWS)]
+        stacks = Stacks(tuple(tuple(group) for group in split if len(group) > 1))
+        stacked = carrying(stacks, body, constants, len(moving))
+        axes = [self.limbs.of(variable) for variable in body.jaxpr.invars]
+        axes[carried] = stacks.stacked(axes[carried], lambda same: None if same[0] is None else same[0] + 1)
+        self.limbs.follow(stacked.jaxpr, axes)
+        return stacks, stacked
 
     def _wide(self, array: Array, wanted: Has) -> Any:
         """Return an array with more of the batch axes."""
@@ -178,34 +219,70 @@ def _in_kernels(function: Callable[..., list[Any]], arguments: Sequence[Any], mo
 def _regions(closed: core.ClosedJaxpr, most: int) -> list[core.ClosedJaxpr]:
     """Return regions of at most so many equations, in order of execution, without what nothing depends on.
 
-    Equations that put many rows together are apart. Those of constants alone are in each region that reads them, see
-    `_unseen`.
+    Those of constants alone are in each region that reads them, see `_unseen`. So are those that take arguments apart:
+    an array is read in place at no cost. But where a region reads what a loop carries and makes what it carries next,
+    XLA would copy the whole: before such regions the first one takes apart what they read.
     """
-    jaxpr = closed.jaxpr
-    of_constants, others, known = [], [], set(jaxpr.constvars)
+    jaxpr, results = closed.jaxpr, variables_of(closed.jaxpr.outvars)
+    of_constants, moves, others, known, moved = [], [], [], set(jaxpr.constvars), set(jaxpr.invars)
     for equation in needed(jaxpr.eqns, jaxpr.outvars):
-        if all(variable in known for variable in variables_of(equation.invars)):
+        read = set(variables_of(equation.invars))
+        if read <= known:
             known.update(equation.outvars)
             of_constants.append(equation)
+        elif read <= moved and equation.primitive.name in ("slice", "reshape"):
+            moved.update(equation.outvars)
+            moves.append(equation)
         else:
             others.append(equation)
 
-    def puts_together(equation: core.JaxprEqn) -> bool:
-        return equation.primitive.name == "concatenate" and len(equation.invars) > MOST_ROWS
-
-    alike = [list(run) for _, run in itertools.groupby(others, puts_together)]
-    groups = [run[start : start + most] for run in alike for start in range(0, len(run), most)]
-    results = variables_of(jaxpr.outvars)
+    groups = _groups(others, most, results) or [[]]
+    last = [group for group in groups if any(made in results for equation in group for made in equation.outvars)]
+    read_there = [atom for group in last for equation in group for atom in equation.invars]
+    early = needed(moves, [*read_there, *jaxpr.outvars])
+    moves = [equation for equation in moves if equation not in early]
     later, found = dict(results), []
-    for group in reversed(groups):
-        whole = [*needed(of_constants, [atom for equation in group for atom in equation.invars]), *group]
-        repeated = variables_of([variable for equation in whole[: -len(group)] for variable in equation.outvars])
+    for number, group in reversed([*enumerate(groups)]):
+        again = needed([*of_constants, *moves], [atom for equation in group for atom in equation.invars])
+        repeated = variables_of([variable for equation in again for variable in equation.outvars])
         wanted = {variable: None for variable in later if variable not in repeated}
-        found.append(region(jaxpr, whole, wanted | dict.fromkeys(_stored(group))))
-        later |= variables_of(found[-1].jaxpr.invars)
+        if whole := [*([] if number else early), *again, *group]:
+            found.append(region(jaxpr, whole, wanted | dict.fromkeys(_stored(group))))
+            later |= variables_of(found[-1].jaxpr.invars)
     if known_results := needed(of_constants, jaxpr.outvars):
         found.append(region(jaxpr, known_results, results))
     return found[::-1]
+
+
+def _groups(equations: list[core.JaxprEqn], most: int, results: Container[core.Var]) -> list[list[core.JaxprEqn]]:
+    """Return equations in groups of at most so many, cut where few values go on: these are stored and read again.
+
+    Equations that put many rows together are apart.
+    """
+
+    def puts_together(place: int) -> bool:
+        return equations[place].primitive.name == "concatenate" and len(equations[place].invars) > MOST_ROWS
+
+    count = len(equations)
+    read_last = {v: n for n, equation in enumerate(equations) for v in variables_of(equation.invars)}
+    going_on = np.zeros(count + 2, int)  # how many more values are read by an equation or behind it than one before
+    for n, equation in enumerate(equations):
+        for made in equation.outvars:
+            going_on[n + 1] += 1
+            going_on[count + 1 if made in results else read_last.get(made, n) + 1] -= 1
+    cost = np.cumsum(going_on)[: count + 1] + A_CALL  # of a cut before each equation and, added below, those before it
+    begins, alike = [0], 0  # where a group begins that ends at each place, and where equations of its kind do
+    for end in range(1, count + 1):
+        if end > 1 and puts_together(end - 1) != puts_together(end - 2):
+            alike = end - 1
+        begins.append(max(alike, end - most))
+        begins[end] += int(np.argmin(cost[begins[end] : end]))
+        cost[end] += cost[begins[end]]
+    groups, end = [], count
+    while end:
+        groups.append(equations[begins[end] : end])
+        end = begins[end]
+    return groups[::-1]
 
 
 def _stored(equations: Sequence[core.JaxprEqn]) -> list[core.Var]:

@@ -9,7 +9,7 @@ where JAX takes the mean; what is not a number stays, as in JAX's own.
 import functools
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -82,6 +82,44 @@ def region(like: core.Jaxpr, equations: list[core.JaxprEqn], later: dict[core.Va
     made = variables_of([variable for equation in equations for variable in equation.outvars])
     read = variables_of([atom for equation in equations for atom in equation.invars])
     return new_program(like, equations, [v for v in read if v not in made], [v for v in made if v in later])
+
+
+class Stacks(NamedTuple):
+    """Which of some values, each of one shape and type, are one array: places in a sequence, in groups."""
+
+    groups: tuple[tuple[int, ...], ...]
+
+    def stacked(self, values: Sequence[Any], stack: Callable[[list[Any]], Any]) -> list[Any]:
+        """Return what `stack` makes of each group, and then the values that are in none."""
+        within = set(itertools.chain.from_iterable(self.groups))
+        made = [stack([values[place] for place in group]) for group in self.groups]
+        return made + [value for place, value in enumerate(values) if place not in within]
+
+    def apart(self, arrays: Sequence[Any]) -> list[Any]:
+        """Return the values of which `stacked` made arrays by `rows_of`."""
+        rest = iter(arrays[len(self.groups) :])
+        rows: dict[int, Array] = {}
+        for array, group in zip(arrays, self.groups, strict=False):
+            rows |= {place: lax.index_in_dim(array, row, keepdims=False) for row, place in enumerate(group)}
+        count = len(rows) + len(arrays) - len(self.groups)
+        return [rows[place] if place in rows else next(rest) for place in range(count)]
+
+
+def rows_of(values: Sequence[Any]) -> Array:
+    """Return values of one shape and type as one array, along a first axis."""
+    return lax.concatenate([lax.expand_dims(jnp.asarray(value), (0,)) for value in values], 0)
+
+
+def carrying(stacks: Stacks, body: core.ClosedJaxpr, constants: int, carry: int) -> core.ClosedJaxpr:
+    """Return a loop's body that carries stacks and what is behind them in place of `carry` values."""
+    avals = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in body.in_avals]
+    common, carried, read = avals[:constants], avals[constants : constants + carry], avals[constants + carry :]
+
+    def step(common: list[Any], carried: list[Any], read: list[Any]) -> list[Any]:
+        made = core.jaxpr_as_fun(body)(*common, *stacks.apart(carried), *read)
+        return [*stacks.stacked(made[:carry], rows_of), *made[carry:]]
+
+    return jax.make_jaxpr(step)(common, stacks.stacked(carried, lambda some: jax.eval_shape(rows_of, some)), read)
 
 
 # --- activity analysis: what depends on what, and so which batch axes a value has

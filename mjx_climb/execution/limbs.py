@@ -39,13 +39,14 @@ class LimbAxes:
     def __init__(self, program: core.ClosedJaxpr) -> None:
         self.count = 1
         self._axes: dict[core.Var, int] = {}
-        self._body(program.jaxpr, [None] * len(program.jaxpr.invars))
+        self.follow(program.jaxpr, [None] * len(program.jaxpr.invars))
 
     def of(self, atom: core.Var | core.Literal) -> Axis:
         """Return the axis of a value, None where it has none."""
         return None if isinstance(atom, core.Literal) else self._axes.get(atom)
 
-    def _body(self, jaxpr: core.Jaxpr, axes: Sequence[Axis]) -> list[Axis]:
+    def follow(self, jaxpr: core.Jaxpr, axes: Sequence[Axis]) -> list[Axis]:
+        """Find the axes of all that is in a program, from those of its arguments; return those of its results."""
         self._note(jaxpr.invars, axes)
         for equation in jaxpr.eqns:
             self._note(equation.outvars, self._through(equation))
@@ -64,7 +65,7 @@ class LimbAxes:
         if name == "scan":
             return self._scan(equation, given)
         if (inner := inner_program(equation)) is not None:
-            return self._body(inner.jaxpr, given)
+            return self.follow(inner.jaxpr, given)
         moves = [(axis, atom) for axis, atom in zip(given, equation.invars, strict=True) if axis is not None]
         if not moves:
             axis = None
@@ -85,7 +86,7 @@ class LimbAxes:
         common, carried, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
         read = [None if not axis else axis - 1 for axis in read]
         while True:
-            found = self._body(body, [*common, *carried, *read])
+            found = self.follow(body, [*common, *carried, *read])
             after = [was if was is not None else now for was, now in zip(carried, found[:carry], strict=True)]
             if after == carried:
                 return [*carried, *(None if axis is None else axis + 1 for axis in found[carry:])]
