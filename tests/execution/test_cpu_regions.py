@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -127,6 +128,24 @@ def test_a_loop_has_lax_scans_derivatives(moving):
         return jax.jit(lambda *v: (jax.jvp(ends, v, v), jax.grad(lambda *v: ends(*v)[-1].sum())(*v)))(*some)
 
     for mine, theirs in zip(*(jax.tree.leaves(derivatives(each)) for each in (over_robots(walk), walk)), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-12)
+
+
+def test_a_loop_that_carries_many_rows_copies_few_arrays():
+    """XLA gives more than eight operations that could be next to several threads, for longer than a step takes."""
+
+    def walk(start: Array) -> list[Array]:
+        def step(carry: list[Array], number: Array) -> tuple[list[Array], None]:
+            return [0.5 * a + jnp.sin(b) + number for a, b in zip(carry, [*carry[1:], carry[0]], strict=True)], None
+
+        return jax.lax.scan(step, [start + n for n in range(40)], jnp.arange(5.0))[0]
+
+    robots = np.linspace(0, 1, 16)
+    program = jax.jit(jax.vmap(over_robots(walk, regions=True))).lower(robots).compile()
+    [body] = re.findall(r"while\(.*body=(%[\w.]+)", program.as_text())
+    step = program.as_text().split(f"\n{body} ")[1].split("\n}")[0]
+    assert "call(" in step and len(re.findall(r" copy\(", step)) <= 8
+    for mine, theirs in zip(program(robots), jax.vmap(walk)(robots), strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-12)
 
 
