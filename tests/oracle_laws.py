@@ -75,8 +75,12 @@ class OfFeet:
         for limb, own in enumerate(force):
             silent = support[limb] and not (np.isfinite(own).all() and np.abs(own).sum() > 1e-6)
             if silent and (np.abs(self.heard).sum() > 1 or self.doubt[limb] >= 0):
-                self.doubt[limb] = min(self.doubt[limb] + self.period, 0.1)
+                self.doubt[limb] += self.period
         return support & (self.doubt < 0)
+
+    def whole(self, support):
+        """Return whether every foot that stands is believed and no sensor is lost: else nothing gives way."""
+        return (self.doubt[support] < 0).all() and not self.lost.any()
 
     @property
     def lost(self):
@@ -104,7 +108,7 @@ class LoadTransfer(OfFeet):
         whole = rigid(levers, self.offset, support * 1.0)
         damping = np.ones((len(force), 1)) * gains["tangential_damping"] * [1, 1, 0]
         damping = damping + np.ones((len(force), 1)) * gains["normal_damping"] * [0, 0, 1]
-        rate = trusted[:, None] * (force - wanted) / damping
+        rate = self.whole(support) * (force - wanted) / damping
         rate = rate - gains["leak"] * (self.offset - whole) - gains["leveling"] * whole
         moved = bounded(self.offset + h * bounded(rate, 0.1), 0.02)
         lands = -gains["landing"] * (error[:3] + np.cross(error[3:], levers))
@@ -117,7 +121,7 @@ class InternalForce(OfFeet):
         stiffness, h = self.gains["stiffness"], self.period
         weight = support * np.where(trusted, 1, 0.02)
         wrench = grasp(levers) @ force.ravel()
-        internal = trusted[:, None] * (force - (pseudoinverse(levers, weight) @ wrench).reshape(-1, 3))
+        internal = self.whole(support) * (force - (pseudoinverse(levers, weight) @ wrench).reshape(-1, 3))
         kept = np.exp(-h * stiffness / self.gains["damping"])
         moved = bounded(internal / stiffness + kept * (self.offset - internal / stiffness), 0.02)
         self.offset = np.where(support[:, None], moved, self.offset * np.exp(-h / 0.05))
@@ -132,7 +136,7 @@ class ClimbSDK(OfFeet):
         if self.steps % round(0.05 / h) == 0:
             weight = support * np.where(trusted, 1, 0.02)
             wanted = of_largest_margin(grasp(levers) @ force.ravel(), levers, weight, trusted, gains["force_cost"])
-            pushed = trusted[:, None] * (force - wanted)
+            pushed = self.whole(support) * (force - wanted)
             change = gains["force_gain"] * (pushed - rigid(levers, pushed, support * 1.0))
             change = change + gains["body_gain"] * (error[:3] + np.cross(error[3:], levers))
         self.steps += 1

@@ -79,6 +79,7 @@ class Start(NamedTuple):
     period: float | Array  # () s, from one step of the law to the next
     reference: Reference  # at the start
     joint_angles: Array | None = None  # (limb, joint) rad; None: not known
+    kp: Array | float = jnp.inf  # N m/rad, () or (limb, joint), of the joint loop; infinite: not known
 
 
 def shifted(reference: Reference, displacement: Array, turn: Array | None = None) -> Command:

@@ -16,7 +16,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.foot_offsets import LEAST, Offsets, base_error, feet_shifted, released, trusted_forces
+from mjx_climb.control.foot_offsets import LEAST, SAFE_KP, Offsets, base_error, feet_shifted, released, trusted_forces
 from mjx_climb.control.force_distribution import distributed, moved_rigidly, net_wrench, rigid_part
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
@@ -43,6 +43,7 @@ class LoadTransfer(Law):
     max_offset: float = 0.02  # m
     max_rate: float = 0.1  # m/s
     torque_limit: float = math.inf  # N m, of the servos: from there on more offset makes no more force
+    safe_kp: float = SAFE_KP  # N m/rad, of the joint loop at least, once a force sensor is lost
 
     LIMBWISE: ClassVar[frozenset[str]] = frozenset(
         {"normal_damping", "tangential_damping", "leak", "leveling", "unloading", "loading", "landing"}
@@ -50,7 +51,7 @@ class LoadTransfer(Law):
 
     def init(self, start: Start) -> Offsets:
         """Return no offsets."""
-        return Offsets.begin(start)
+        return Offsets.begin(start, self.safe_kp)
 
     def step(self, offsets: Offsets, measured: Measurement, reference: Reference) -> tuple[Offsets, Command]:
         """Let the feet that stand give way towards the wanted forces; the offset of an open gripper fades."""
@@ -59,7 +60,7 @@ class LoadTransfer(Law):
         offsets, sensed = trusted_forces(offsets, measured, rotation)
         weight = jnp.where(sensed.trusted, self.weights(reference), LEAST) * jnp.where(measured.support, 1.0, 0.0)
         wanted = distributed(net_wrench(lever, sensed.force), lever, weight, self.pull_limit)
-        pushed = jnp.where(sensed.trusted[:, None], sensed.force - wanted, 0.0)
+        pushed = jnp.where(sensed.whole, sensed.force - wanted, 0.0)
 
         # what of the offsets only turns and shifts the base: its way back, and where a swinging foot finds the ground
         before = offsets.displacement
@@ -75,8 +76,8 @@ class LoadTransfer(Law):
         moved = bounded(before + offsets.period * yielding, self.max_offset)
         lands = -self.landing * moved_rigidly(lever, base_error(measured, reference, rotation))
         displacement = jnp.where(measured.support[:, None], moved, released(offsets, lands))
-        command = feet_shifted(reference, displacement, rotation, sensed.lost)
-        return offsets._replace(displacement=displacement), command
+        offsets = offsets._replace(displacement=displacement)
+        return offsets, feet_shifted(reference, offsets, rotation, sensed.lost)
 
     def weights(self, reference: Reference) -> Array:
         """Return the shares (limb,) that the gait wants the feet to have, if they stand."""

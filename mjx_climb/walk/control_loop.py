@@ -93,7 +93,9 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
     hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
     stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
     no_wrench = jnp.zeros_like(state.base_position, shape=6)
-    law, reads_servos, factors, lost = beginning(controller.law, Start(hardware.law_period, reference, angles))
+    law, reads_servos, factors, lost = beginning(
+        controller.law, Start(hardware.law_period, reference, angles, servo.gains_of(hardware).kp)
+    )
     held: Any = ()
     if stages.control_period:
         command = Command(state.base_position, state.base_orientation, feet, no_wrench, factors, lost)

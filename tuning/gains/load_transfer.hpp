@@ -56,6 +56,7 @@ struct LoadTransferGains {
   double max_offset = 0.0;          ///< m, largest distance of a foot from its reference
   double max_rate = 0.0;            ///< m/s, largest speed of a standing foot
   double torque_limit = 0.0;        ///< N m: a limb of a servo that has it is not moved further out; infinite: never
+  double safe_kp = 0.0;             ///< N m/rad, of all joints at least, once a force sensor is lost
 };
 
 /// What is measured, and what the gait asks for, at one instant; world axes.
@@ -78,7 +79,7 @@ template <std::size_t Limbs>
 struct LoadTransferState {
   Feet<Limbs> offset{};  ///< m, axes of the base reference
   Feet<Limbs> heard{};   ///< N, last reading of a foot's sensor since it stands
-  /// s, from -0.1, as a sensor reads something, up to 0.1, of one that is lost; from 0 on it is not believed
+  /// s, from -0.1, as a sensor reads something; from 0 on it is not believed, from 0.1 on it is lost
   std::array<double, Limbs> doubt{};
 };
 
@@ -89,6 +90,7 @@ using Matrix6 = std::array<Vector6, 6>;
 
 constexpr double kRelease = 0.05;       // s, in which an offset fades once its gripper has opened
 constexpr double kSilence = 0.1;         // s without a reading, after which a sensor is not believed
+constexpr double kStiffening = 0.5;      // s, in which kp rises once a sensor is lost
 constexpr double kNothing = 1e-6;        // N, finer than any sensor tells
 constexpr double kLoaded = 1.0;          // N in all, with which a robot stands firmly
 constexpr double kLeast = 0.02;         // weight of a foot that stands: three of them can always take the wrench
@@ -298,7 +300,7 @@ void listen(LoadTransferState<Limbs>& state, const LoadTransferInput<Limbs>& inp
     if (reads[limb]) {
       doubt = -kSilence;
     } else if (input.support[limb] && (loads > kLoaded || doubt >= 0.0)) {
-      doubt = doubt + period < kSilence ? doubt + period : kSilence;
+      doubt = std::fmin(doubt + period, kSilence + kStiffening);
     }
   }
 }
@@ -311,6 +313,15 @@ bool sensor_lost(const LoadTransferState<Limbs>& state, std::size_t limb) {
   return state.doubt[limb] >= detail::kSilence;
 }
 
+/// Return what kp of all joints should be, N m/rad, where it is `kp` as long as no sensor is lost. It rises slowly.
+template <std::size_t Limbs>
+double safe_kp(const LoadTransferGains& gains, const LoadTransferState<Limbs>& state, double kp) {
+  double doubt = 0.0;
+  for (const double each : state.doubt) doubt = std::fmax(doubt, each);
+  const double share = std::fmin(std::fmax((doubt - detail::kSilence) / detail::kStiffening, 0.0), 1.0);
+  return kp + share * std::fmax(gains.safe_kp - kp, 0.0);
+}
+
 /// Advance the state by one period and return where the inverse kinematics should put the feet, (limb) m, world axes.
 template <std::size_t Limbs>
 Feet<Limbs> step(const LoadTransferGains& gains, LoadTransferState<Limbs>& state,
@@ -319,15 +330,17 @@ Feet<Limbs> step(const LoadTransferGains& gains, LoadTransferState<Limbs>& state
   const Rotation axes(input.base_orientation_reference);
   listen(state, input, gains.period);
   Feet<Limbs> force{}, lever{};
-  std::array<bool, Limbs> trusted{};
   std::array<double, Limbs> standing{}, weight{};
+  bool whole = true;  // all that stands is trusted, and no sensor is lost
   for (std::size_t limb = 0; limb < Limbs; ++limb) {
     lever[limb] = axes.from_world(input.foot_position_reference[limb] - input.base_position);
+    whole = whole && !sensor_lost(state, limb);
     if (!input.support[limb]) continue;
     standing[limb] = 1.0;
     weight[limb] = kLeast;
-    trusted[limb] = state.doubt[limb] < 0.0;
-    if (!trusted[limb]) continue;
+    const bool trusted = state.doubt[limb] < 0.0;
+    whole = whole && trusted;
+    if (!trusted) continue;
     weight[limb] = weight_of(gains, input.until_lift_off[limb], input.since_touchdown[limb]);
     force[limb] = axes.from_world(state.heard[limb]);
   }
@@ -342,8 +355,8 @@ Feet<Limbs> step(const LoadTransferGains& gains, LoadTransferState<Limbs>& state
   for (std::size_t limb = 0; limb < Limbs; ++limb) {
     Vector3& offset = state.offset[limb];
     if (input.support[limb]) {
-      // a foot whose sensor is dead only goes back
-      const Vector3 excess = trusted[limb] ? force[limb] - wanted[limb] : Vector3{};
+      // without one of the sensors all feet only go back
+      const Vector3 excess = whole ? force[limb] - wanted[limb] : Vector3{};
       const Vector3 yielding{excess.x / gains.tangential_damping, excess.y / gains.tangential_damping,
                              excess.z / gains.normal_damping};
       const Vector3 back = -gains.leak * (offset - rigid[limb]) - gains.leveling * rigid[limb];

@@ -16,6 +16,7 @@ Parameters = dict[str, tuple[float, str, str]]  # value, unit and meaning by nam
 _BOUNDS = {
     "max_offset": ("m", "distance of a standing foot from its reference, at most"),
     "max_rate": ("m/s", "speed of a standing foot, at most"),
+    "safe_kp": ("N m/rad", "kp of all joints at least, once a force sensor is lost"),
     "torque_limit": ("N m", "torque of a servo from where on its foot is not moved further out; infinite: never"),
 }
 _HEADER = """\
@@ -26,8 +27,9 @@ Gains of load transfer, written by mjx-climb export for the law in load_transfer
 - The times until lift-off and since touchdown are those of the gait that the robot is going to walk.
 - pull_limit is soft: feet that cannot bear the wrench otherwise pull harder. Keep it well below what grippers hold.
 - max_offset and max_rate bound the targets of standing feet. Whether a limb can reach its target is yours to check.
-- A sensor that reads exactly 0, or no number, for 0.1 s counts as dead (sensor_lost says so). The offset of its foot
-  then fades, the others share what is still measured. One that is stuck or biased is not noticed: give 0 in its place.
+- A sensor that reads exactly 0, or no number, for 0.1 s counts as dead (sensor_lost says so). Then no foot gives way,
+  and safe_kp() says what kp should be: soft joints may not hold without the law. One that is stuck or biased is not
+  noticed: give 0 in its place.
 - Begin with offsets of zero, in the air; then one foot, then all feet, standing; then walk."""
 _CPP = """\
 {comment}

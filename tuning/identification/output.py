@@ -19,7 +19,6 @@ from mjx_climb.quantities.parameters import KEYS
 from tuning.background import Stage
 from tuning.identification import robot_files
 from tuning.identification.inference import suspicious
-from tuning.identification.least_squares import scaled_residuals
 from tuning.identification.variables import begin
 from tuning.identification.windows import KINDS, UNITS
 from tuning.output.folder import Contents, Folder, write_config
@@ -97,8 +96,7 @@ def _result(found: "Identified", command: str) -> dict[str, Any]:
         name: {k: dataclasses.asdict(e) for k, e in getattr(found, name).items()} for name in ("estimates", "beside")
     }
     noise = dict(zip(found.model.windows.names, found.fitted.noise.tolist(), strict=True))
-    own = {"noise": noise, "clock": found.fitted.clock, "mass": found.model.structure.mass}
-    more = {"combined": list(found.combined), **own}
+    more = {"combined": list(found.combined), "noise": noise, "mass": found.model.structure.mass}
     made_of = {"log": found.log.source, "log_sha256": found.log.digest, "command": command, "provenance": made}
     return found.as_json() | told | more | made_of
 
@@ -155,7 +153,7 @@ def _times(found: "Identified") -> np.ndarray:
 def plot_residuals(found: "Identified") -> Figure:
     """Return residuals over time by kind of signal."""
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
-    scaled = scaled_residuals(found.problem, found.fitted.normal)
+    scaled = found.fitted.normal.residuals / found.fitted.noise[rows.signal]
     kinds = sorted(set(windows.kind))
     figure = Figure(figsize=(7.0, 1.6 * len(kinds) + 0.4), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(kinds), sharex=True))
@@ -195,7 +193,7 @@ def plot_correlation(found: "Identified") -> Figure:
 def plot_prediction(found: "Identified") -> Figure:
     """Return log and model, before and after the fit, of the signal with the largest error over its noise."""
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
-    scaled = np.abs(scaled_residuals(found.problem, found.fitted.normal))
+    scaled = np.abs(found.fitted.normal.residuals) / found.fitted.noise[rows.signal]
     means = [float(scaled[rows.signal == n].mean()) for n in range(len(windows.names))]
     worst = int(np.argmax(means))
     own = np.flatnonzero(rows.signal == worst)

@@ -394,7 +394,7 @@ def test_a_file_holds_the_limits_of_its_law_and_a_config_too(tmp_path):
     """Beside --law as well; what a config.yaml does not say is the law's own."""
     scenario, law = mc.load_scenario("case_1_2"), LoadTransfer(max_offset=0.01, torque_limit=1.5)
     path = gains_file.save(law, tmp_path / "g.yaml", law=law)
-    assert "limits: {max_offset: 0.01, max_rate: 0.1, torque_limit: 1.5}" in path.read_text()
+    assert "limits: {max_offset: 0.01, max_rate: 0.1, torque_limit: 1.5, safe_kp: 50.0}" in path.read_text()
     read = gains_file.whole(path, scenario).law
     found = [read, gains_file.walker(path, scenario)[1], gains_file.limited(path, LoadTransfer())]
     named = own_section.section(law)

@@ -21,7 +21,7 @@ STEPS, PERIOD = 400, 0.005
 LAW = LoadTransfer(
     normal_damping=87.3, tangential_damping=112.1, leak=0.31, leveling=0.93, unloading=0.21, loading=0.37,
     landing=0.83, pull_limit=0.54, max_offset=0.0061, max_rate=0.057,
-    torque_limit=2.3,
+    torque_limit=2.3, safe_kp=34.5,
 )  # fmt: skip
 
 
@@ -48,7 +48,7 @@ def scenes(limbs):
     base = position + random.normal(0, 0.01, (STEPS, 3)), quaternions(random, orientation, 0.02)
     for dead in (0.0, np.nan, np.inf):
         force[random.random(support.shape) < 0.02] = dead
-    force[50:90, 0] = force[120:, 1] = 0.0  # for a while, and for good
+    force[50:90, 0] = force[250:, 1] = 0.0  # for a while, and for good
     unread, torque = np.zeros(STEPS), random.normal(0, 1, (STEPS, limbs, 3))
     measured = Measurement(*base, unread, unread, force, unread, support, unread, unread, torque)
     return measured, Reference(position, orientation, foot, *times)
@@ -56,13 +56,13 @@ def scenes(limbs):
 
 @jax.jit
 def here(law, scenes):
-    """The foot targets (STEPS, limb, 3) of the law in Python."""
+    """The foot targets (STEPS, limb, 3) of the law in Python, and kp of joints that have 20 N m/rad."""
 
     def step(state, scene):
         state, command = law.step(state, *scene)
-        return state, command.foot_position
+        return state, (command.foot_position, 20 * command.joint_gains.kp[0])
 
-    start = Start(PERIOD, jax.tree.map(lambda value: value[0], scenes[1]))
+    start = Start(PERIOD, jax.tree.map(lambda value: value[0], scenes[1]), kp=20.0)
     return jax.lax.scan(step, law.init(start), scenes)[1]
 
 
@@ -84,7 +84,8 @@ def there(tmp_path_factory):
         fields = (*measured[:2], measured.foot_force, measured.support, peak, *reference)
         scenes = np.concatenate([np.reshape(field, (STEPS, -1)) for field in fields], axis=1, dtype=np.float64)
         out = subprocess.run([program], input=scenes.tobytes(), capture_output=True, check=True).stdout
-        return np.frombuffer(out).reshape(STEPS, limbs, 3)
+        rows = np.frombuffer(out).reshape(STEPS, -1)
+        return rows[:, :-1].reshape(STEPS, limbs, 3), rows[:, -1]
 
     return there
 
@@ -94,8 +95,10 @@ def there(tmp_path_factory):
 def test_the_law_in_cpp_takes_the_steps_of_the_law_here(there, limbs):
     """Offsets to 1e-10 of the largest: what a reference in metres rounds is a part of them."""
     measured, reference = scenes(limbs)
-    expected = here(LAW, (measured, reference)) - reference.foot_position
-    got = there(measured, reference) - reference.foot_position
+    (feet, expected_kp), (got, kp) = here(LAW, (measured, reference)), there(measured, reference)
+    expected, got = feet - reference.foot_position, got - reference.foot_position
+    assert kp[0] == 20 and kp[-1] > 30 and len(np.unique(kp)) > 50
+    np.testing.assert_allclose(kp, expected_kp, rtol=1e-12)
     bounded = np.isclose(np.linalg.norm(expected, axis=-1)[measured.support], LAW.max_offset)
     assert 0.01 < bounded.mean() < 0.5  # the scenes show the law at its bound, and within
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
@@ -134,7 +137,7 @@ def test_what_is_written_is_what_the_file_has_to_the_last_digit(export, tmp_path
     assert isinstance(how["law"], LoadTransfer) and how["law"].max_offset == 0.013
     assert scenario.hardware.control_period == 0.005
     written = yaml.safe_load((folder / "load_transfer.yaml").read_text())
-    own = {"max_offset": 0.013, "max_rate": 0.1, "torque_limit": 1.7}
+    own = {"max_offset": 0.013, "max_rate": 0.1, "torque_limit": 1.7, "safe_kp": 50.0}
     expected = {"period": 0.005} | {name: getattr(LAW, name) for name in LAW.GAINS} | own | digits
     assert expected.pop("kp") == written["walked"]["kp"] == gains["kp"]
     assert written["load_transfer"] == expected
@@ -174,7 +177,11 @@ def test_a_filter_that_the_law_had_is_said(export, tmp_path):
         (("--format", "json"), {}, "--format: expected none with gains of LoadTransfer"),
         ((), {"leak": -1.0}, "leak: expected"),
         ((), {"leak": None}, "leak: expected a value, got none"),
-        ((), {"limits": {"max_pull": 1}}, "limits.max_pull: expected only the keys max_offset, max_rate, torque_limit"),
+        (
+            (),
+            {"limits": {"max_pull": 1}},
+            "limits.max_pull: expected only the keys max_offset, max_rate, torque_limit, safe_kp",
+        ),
         ((), {"limits": {"max_rate": 0}}, "limits.max_rate: expected a number above 0, got 0"),
         ((), {"law": [1]}, "law: expected gains of the config's law, got those of [1]"),
         ((), {"law": "mine.py:Law"}, "law: expected gains of the config's law, got those of mine.py:Law"),
