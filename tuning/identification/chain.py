@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.identification.gripped import FORCE_DELAY, LATE, GrippedModel
-from tuning.identification.least_squares import HUBER, LeastSquares, Normal
+from tuning.identification.least_squares import LeastSquares, Normal
+from tuning.identification.stamps import stamped
 from tuning.identification.windows import KINDS
 
 _UNSETTLED = 0.5  # s, at the beginning of a stretch, not fitted: the motion may go on there from before the log
@@ -84,16 +85,15 @@ class Chain(LeastSquares):
         fitted = self.fitted
         finite = bool(np.isfinite(value).all() and np.isfinite(along).all())
         value, along = (v if finite else np.zeros_like(v) for v in (value, along))
-        residuals, noise = rows.value - value, self.noise[rows.signal]
-        scaled = np.abs(residuals) / noise
-        weight = np.where(fitted, np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12)), 0.0) / noise**2
-        loss = np.where(scaled < HUBER, scaled**2 / 2, HUBER * scaled - HUBER**2 / 2)
+        residuals = rows.value - value
+        # time stamps are taken as they are
+        late = stamped(residuals, np.zeros_like(residuals), fitted, rows.stamp, self.noise[rows.signal], 0.0)
         by_block = np.zeros((1, windows, count))
-        np.add.at(by_block[0], self.place, along * (weight * residuals)[:, None])
+        np.add.at(by_block[0], self.place, along * (late.weight * residuals)[:, None])
         none = np.zeros((0, windows, 0))
         return Normal(
-            cost=float(loss[fitted].sum()) if finite else np.inf, gradient=by_block.sum((0, 1)),
-            hessian=along.T @ (along * weight[:, None]), state_gradient=none, state_hessian=none[..., None],
+            cost=late.cost if finite else np.inf, gradient=by_block.sum((0, 1)),
+            hessian=along.T @ (along * late.weight[:, None]), state_gradient=none, state_hessian=none[..., None],
             onward=none[..., None], mixed=np.zeros((0, windows, count, 0)), by_block=by_block, state_by_block=none,
-            residuals=residuals,
+            residuals=residuals, stamps=late,
         )  # fmt: skip

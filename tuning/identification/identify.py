@@ -21,11 +21,12 @@ from tuning.identification.chain import Chain
 from tuning.identification.gripped import cut_gripped, gripped_model
 from tuning.identification.inference import Posterior, Whiteness
 from tuning.identification.iterates import Iterates, Progress
-from tuning.identification.least_squares import Fitted, LeastSquares, Problem, noise_of, prior_of, search
+from tuning.identification.least_squares import Fitted, LeastSquares, Problem, prior_of, scaled_residuals, search
 from tuning.identification.log import Log
 from tuning.identification.model import DELAY, PRESLIDING, Fit, model_of, with_nuisances
 from tuning.identification.readers import read_log
 from tuning.identification.replay import Base, base_of
+from tuning.identification.stamps import Noise, noise_of
 from tuning.identification.variables import Variable, applied, begin, in_units, variables
 from tuning.identification.windows import KINDS, cut
 from tuning.problem.evaluation import Problem as Walks
@@ -238,6 +239,11 @@ def _gripped(
 def _of_fit(found: Fitted, wrong: Sequence[Whiteness], signals: int, ahead: Mapping[str, Any]) -> list[str]:
     """Return what is to be said of a fit as a whole."""
     said = []
+    if found.clock:
+        said.append(
+            f"time stamps err by {found.clock:.2g} s (standard deviation), what was sampled at once together; this is "
+            "counted as noise"
+        )
     if wrong:
         said.append(f"{wrong[0].in_words} ({len(wrong)} of {signals} signals; intervals are widened)")
     if not found.converged:
@@ -270,12 +276,13 @@ def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitte
     x, start = best.x[None], problem.guess[None]
     for n in range(_PASSES):
         (found,) = search(problem, x, start, _MOST, f"pass {n + 1}", kept)
-        noise = noise_of(problem, found.normal)
+        which, before = (problem.rows.signal, problem.rows.stamp), Noise(problem.noise, problem.clock)
+        now = noise_of(found.normal.residuals, found.normal.stamps, problem.fitted, which, before)
         x, start = found.x[None], found.start[None]
-        settled = np.abs(np.log(noise / problem.noise)).max() < _SETTLED
-        if settled:
+        settled = np.abs(np.log(now.signals / problem.noise)).max() < _SETTLED
+        if settled and abs(now.clock - problem.clock) <= _SETTLED * now.clock:
             break
-        problem = dataclasses.replace(problem, noise=noise)
+        problem = dataclasses.replace(problem, noise=now.signals, clock=now.clock)
     if not np.isfinite(found.cost):
         raise ConfigError("the model diverges at the values that it begins with (--set others)")
     return found, problem
@@ -324,7 +331,7 @@ def _predicted(problem: LeastSquares, found: Fitted) -> dict[str, Any]:
     held = problem.model.windows.held_out[problem.rows.window]
     if not held.any():
         return {}
-    scaled = found.normal.residuals / found.noise[problem.rows.signal]
+    scaled = scaled_residuals(problem, found.normal)
     by_signal = {
         name: float(np.sqrt((scaled[held & (problem.rows.signal == n)] ** 2).mean()))
         for n, name in enumerate(problem.model.windows.names)

@@ -2,7 +2,8 @@
 
 Residuals are the samples over their noise under Huber's loss, what a window's end misses of the next one's beginning
 over a small tolerance, and priors. Windows of a limb form a chain, so that their states are eliminated by a banded
-solve, and a small system of the variables is left.
+solve, and a small system of the variables is left. Where time stamps err, the states of all limbs form one chain: what
+was sampled at a stamp is late together (`tuning.identification.stamps`).
 
 References:
     H. G. Bock, Recent Advances in Parameter Identification Techniques for O.D.E., 1983.
@@ -19,10 +20,9 @@ from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
 from tuning.identification.iterates import Iterate, Iterates
 from tuning.identification.model import LATE, MEMORY, Fit, Model
+from tuning.identification.stamps import Stamped, stamped
 from tuning.identification.windows import KINDS
 
-HUBER = 2.5  # standard deviations, beyond which a sample counts by its size alone
-_WINSORIZED = 0.97756  # mean of min(z^2, HUBER^2) of a normal z
 _STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
 _TIGHT = 0.05  # of the noise, what a window's end may miss
 _ENOUGH = 0.02  # decrease of the cost, half a chi^2, at which the search ends
@@ -30,7 +30,10 @@ _DAMPING, _SOFTER, _HARDER, _MOST = 1e-4, 0.1, 10.0, 1e3
 
 
 class Normal(NamedTuple):
-    """The normal equations at a point, without priors of the variables; P variables, D numbers of a limb's state."""
+    """The normal equations at a point, without priors of the variables; P variables, D numbers of a limb's state.
+
+    Where time stamps err, there is one limb that has the states of all.
+    """
 
     cost: float
     gradient: Float[np.ndarray, " P"]
@@ -41,7 +44,8 @@ class Normal(NamedTuple):
     mixed: Float[np.ndarray, "limb window P D"]
     by_block: Float[np.ndarray, "limb window P"]  # gradients of a limb's samples in a window
     state_by_block: Float[np.ndarray, "limb window D"]
-    residuals: Float[np.ndarray, " rows"]  # in SI units, of all rows
+    residuals: Float[np.ndarray, " rows"]  # in SI units, of all rows, less what their time stamps' errors make
+    stamps: Stamped
 
 
 class Fitted(NamedTuple):
@@ -50,6 +54,7 @@ class Fitted(NamedTuple):
     x: Float[np.ndarray, " P"]
     start: Float[np.ndarray, "window limb joint S"]
     noise: Float[np.ndarray, " signals"]
+    clock: float  # s, standard deviation of a time stamp's error
     normal: Normal
     cost: float  # with priors
     iterations: int
@@ -58,11 +63,12 @@ class Fitted(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class LeastSquares:
-    """What is minimised: a model, some windows of its log, and the noise of each signal."""
+    """What is minimised: a model, some windows of its log, the noise of each signal, and that of the time stamps."""
 
     model: Fit
     which: np.ndarray  # windows, in order
     noise: Float[np.ndarray, " signals"]
+    clock: float = 0.0  # s, standard deviation of a time stamp's error
 
     def __post_init__(self) -> None:
         windows = self.model.windows
@@ -162,6 +168,7 @@ class _Predicted(NamedTuple):
     value: np.ndarray  # (rows,)
     along: np.ndarray  # (rows, lanes)
     late: np.ndarray  # (rows, 2), per delay of what is recorded, in the order of LATE
+    rate: np.ndarray  # (rows,) SI units per s: what a sample changes by, taken a second later
     known: np.ndarray  # (rows,) bool: not of the time before the window
 
 
@@ -173,7 +180,9 @@ def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents
     rows, windows = problem.rows, problem.model.windows
     delays = {v.key: float(each) for v, each in zip(problem.model.variables, x, strict=True) if v.key in LATE}
     count, lanes = len(rows.value), next(iter(tangents.values())).shape[1]
-    made = _Predicted(np.zeros(count), np.zeros((count, lanes)), np.zeros((count, 2)), np.ones(count, bool))
+    made = _Predicted(
+        np.zeros(count), np.zeros((count, lanes)), np.zeros((count, 2)), np.zeros(count), np.ones(count, bool)
+    )
     for number, kind in enumerate(KINDS):
         chosen = np.flatnonzero(windows.kind[rows.signal] == number)
         if not len(chosen):
@@ -197,8 +206,9 @@ def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents
                 made.value[chosen] += factor * far * there
                 made.along[chosen] += factor * far[:, None] * tangents[kind][w, :, at_k, limb, joint]
                 slope += factor * (share / 2 - 0.25) * there
+        made.rate[chosen] = slope / windows.time_step
         if key in delays:
-            made.late[chosen, list(LATE).index(key)] = -slope / windows.time_step
+            made.late[chosen, list(LATE).index(key)] = -made.rate[chosen]
             made.known[chosen] = at >= -1e-6
     return made
 
@@ -210,24 +220,29 @@ def _normal(
     limbs, joints, size = problem.model.sizes
     count, windows, width = len(problem.model.variables), len(problem.which), joints * size
     made = _predicted(problem, x, values, tangents)
+    fitted, residuals = problem.fitted & made.known, problem.rows.value - made.value
+    late = stamped(residuals, made.rate, fitted, problem.rows.stamp, problem.noise[problem.rows.signal], problem.clock)
     sums = Normal(
         cost=0.0, gradient=np.zeros(count), hessian=np.zeros((count, count)),
         state_gradient=np.zeros((limbs, windows, width)), state_hessian=np.zeros((limbs, windows, width, width)),
         onward=np.zeros((limbs, windows, width, width)), mixed=np.zeros((limbs, windows, count, width)),
         by_block=np.zeros((limbs, windows, count)), state_by_block=np.zeros((limbs, windows, width)),
-        residuals=problem.rows.value - made.value,
+        residuals=residuals - made.rate * late.error, stamps=late,
     )  # fmt: skip
-    cost = _add_samples(problem, sums, made) + _add_guesses(problem, sums, start)
-    return sums._replace(cost=cost + _add_gaps(problem, sums, start, values["end"], tangents["end"]))
+    together = _add_samples(problem, sums, made)
+    cost = late.cost + _add_guesses(problem, sums, start)
+    cost += _add_gaps(problem, sums, start, values["end"], tangents["end"])
+    return (_with_stamps(problem, sums, together) if problem.clock else sums)._replace(cost=cost)
 
 
-def _add_samples(problem: Problem, sums: Normal, made: _Predicted) -> float:
-    """Add what the samples say to the sums, and return their cost."""
+def _add_samples(problem: Problem, sums: Normal, made: _Predicted) -> np.ndarray:
+    """Add what the samples say to the sums, and return how stamps' errors go with variables and states of limbs.
+
+    The latter is (stamps, P + limbs D) of the same matrix, empty without such errors.
+    """
     model, limbs, count, lanes = problem.model, len(sums.mixed), len(sums.gradient), len(problem.model.lanes)
-    fitted, noise = problem.fitted & made.known, problem.noise[problem.rows.signal]
-    scaled = np.abs(sums.residuals) / noise
-    weight = np.where(fitted, np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12)), 0.0) / noise**2
-    loss = np.where(scaled < HUBER, scaled**2 / 2, HUBER * scaled - HUBER**2 / 2)
+    weight, width = sums.stamps.weight, sums.state_gradient.shape[2]
+    together = np.zeros((len(sums.stamps.stiffness), count + limbs * width))
     group = problem.place * limbs + problem.limb
     late = [(place, list(LATE).index(v.key)) for place, v in enumerate(model.variables) if v.key in LATE]
     for first, last in _runs(group):
@@ -243,9 +258,40 @@ def _add_samples(problem: Problem, sums: Normal, made: _Predicted) -> float:
         sums.hessian[:] += product[:count, :count]
         sums.state_hessian[n, w] += product[count:, count:]
         sums.mixed[n, w] += product[:count, count:]
+        if problem.clock:
+            there, own = problem.rows.stamp[first:last], weighted * made.rate[first:last, None]
+            np.add.at(together[:, :count], there, own[:, :count])
+            np.add.at(together[:, count + n * width : count + (n + 1) * width], there, own[:, count:])
     sums.gradient[:] += sums.by_block.sum((0, 1))
     sums.state_gradient[:] += sums.state_by_block
-    return float(loss[fitted].sum())
+    return together
+
+
+def _with_stamps(problem: Problem, sums: Normal, together: np.ndarray) -> Normal:
+    """Return the sums with the errors of time stamps eliminated: as of one limb that has the states of all."""
+    limbs, windows, width = sums.state_gradient.shape
+    count = len(sums.gradient)
+    window = np.zeros(len(together), int)
+    window[problem.rows.stamp] = problem.place
+    borne = together / np.sqrt(sums.stamps.stiffness)[:, None]
+    hessian, onward = np.zeros((2, 1, windows, limbs * width, limbs * width))
+    mixed = sums.mixed.transpose(1, 2, 0, 3).reshape(1, windows, count, limbs * width)
+    for n in range(limbs):
+        own = slice(n * width, (n + 1) * width)
+        hessian[0, :, own, own], onward[0, :, own, own] = sums.state_hessian[n], sums.onward[n]
+    for w in range(windows):
+        of_x, of_states = np.split(borne[window == w], [count], axis=1)
+        sums.hessian[:] -= of_x.T @ of_x
+        hessian[0, w] -= of_states.T @ of_states
+        mixed[0, w] -= of_x.T @ of_states
+
+    def of_all(each: np.ndarray) -> np.ndarray:
+        return each.swapaxes(0, 1).reshape(1, windows, limbs * width)
+
+    return sums._replace(
+        state_gradient=of_all(sums.state_gradient), state_hessian=hessian, onward=onward, mixed=mixed,
+        by_block=sums.by_block.sum(0, keepdims=True), state_by_block=of_all(sums.state_by_block),
+    )  # fmt: skip
 
 
 def _add_guesses(problem: Problem, sums: Normal, start: np.ndarray) -> float:
@@ -390,7 +436,8 @@ def search(
         kept.keep(iteration, Iterate(x, start, damping, done))
     kept.end(iteration)
     return [
-        Fitted(x[k], start[k], problem.noise, normals[k], costs[k], iteration, bool(done[k])) for k in range(points)
+        Fitted(x[k], start[k], problem.noise, problem.clock, normals[k], costs[k], iteration, bool(done[k]))
+        for k in range(points)
     ]
 
 
@@ -415,9 +462,10 @@ def _step(
             break
         free &= ~out
     after = np.clip(x + move, prior.lower, prior.upper)
-    moved, later = after - x, start.copy()
-    for n, way in enumerate(ways):
-        later[:, n] += (way[:, -1] - way[:, :-1] @ moved).reshape(later[:, n].shape)
+    later = start.copy()
+    if ways:
+        of_states = np.stack([way[:, -1] - way[:, :-1] @ (after - x) for way in ways])
+        later += of_states.reshape(len(ways), len(start), -1).swapaxes(0, 1).reshape(start.shape)
     if "bristle" in memory:
         place = 2 + memory.index("bristle")
         later[..., place] = np.clip(later[..., place], -1.0, 1.0)
@@ -435,15 +483,7 @@ def _factor(matrix: np.ndarray) -> Any:
     raise FloatingPointError("the normal equations are not finite")
 
 
-def noise_of(problem: LeastSquares, normal: Normal) -> np.ndarray:
-    """Return the noise (signals,) of each signal, as its residuals have it, outliers winsorised."""
-    noise = problem.noise.copy()
-    for signal in range(len(noise)):
-        own = normal.residuals[problem.fitted & (problem.rows.signal == signal)]
-        if len(own) < 10:
-            continue
-        sd = 1.4826 * float(np.median(np.abs(own)))
-        for _ in range(10):
-            sd = float(np.sqrt(np.minimum(own**2, (HUBER * sd) ** 2).mean() / _WINSORIZED))
-        noise[signal] = max(sd, 1e-9)
-    return noise
+def scaled_residuals(problem: LeastSquares, normal: Normal) -> Float[np.ndarray, " rows"]:
+    """Return residuals over their noise; that of what was not fitted has the errors of its time stamps in it."""
+    noise, stamps = problem.noise[problem.rows.signal], normal.stamps
+    return np.asarray(normal.residuals / np.hypot(noise, np.where(problem.fitted, 0.0, problem.clock * stamps.rate)))

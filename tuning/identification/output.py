@@ -19,6 +19,7 @@ from mjx_climb.quantities.parameters import KEYS
 from tuning.background import Stage
 from tuning.identification import robot_files
 from tuning.identification.inference import suspicious
+from tuning.identification.least_squares import scaled_residuals
 from tuning.identification.variables import begin
 from tuning.identification.windows import KINDS, UNITS
 from tuning.output.folder import Contents, Folder, write_config
@@ -153,7 +154,7 @@ def _times(found: "Identified") -> np.ndarray:
 def plot_residuals(found: "Identified") -> Figure:
     """Return residuals over time by kind of signal."""
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
-    scaled = found.fitted.normal.residuals / found.fitted.noise[rows.signal]
+    scaled = scaled_residuals(found.problem, found.fitted.normal)
     kinds = sorted(set(windows.kind))
     figure = Figure(figsize=(7.0, 1.6 * len(kinds) + 0.4), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(kinds), sharex=True))
@@ -193,7 +194,7 @@ def plot_correlation(found: "Identified") -> Figure:
 def plot_prediction(found: "Identified") -> Figure:
     """Return log and model, before and after the fit, of the signal with the largest error over its noise."""
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
-    scaled = np.abs(found.fitted.normal.residuals) / found.fitted.noise[rows.signal]
+    scaled = np.abs(scaled_residuals(found.problem, found.fitted.normal))
     means = [float(scaled[rows.signal == n].mean()) for n in range(len(windows.names))]
     worst = int(np.argmax(means))
     own = np.flatnonzero(rows.signal == worst)

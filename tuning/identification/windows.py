@@ -32,6 +32,7 @@ class Rows(NamedTuple):
     step: Int[np.ndarray, " rows"]  # of the window, before the sample
     share: Float[np.ndarray, " rows"]  # of the way to the next step; the steps' rates stand half a step before angles
     value: Float[np.ndarray, " rows"]
+    stamp: Int[np.ndarray, " rows"]  # which time of the log; signals that were sampled at once share one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,14 +142,14 @@ def _stretches(signals: Sequence[Signal], length: float) -> tuple[np.ndarray, np
 def _rows(
     signals: Sequence[Signal], rates: np.ndarray, begin: np.ndarray, ends: np.ndarray, steps: int, time_step: float
 ) -> Rows:
-    parts = []
+    parts, stamps = [], np.unique(np.concatenate([signal.time for signal in signals]))
     for number, signal in enumerate(signals):
         window = np.searchsorted(begin, signal.time + time_step / 2, side="right") - 1
         inside = (window >= 0) & (signal.time + time_step / 2 < ends[window])
         window, time, value = window[inside], signal.time[inside], signal.value[inside]
         at = (time - begin[window]) / time_step + (0.5 if rates[number] else 0.0)  # rates stand half a step before
         step = np.clip(np.floor(at), 0, steps - 1).astype(int)
-        parts.append((window, np.full(len(window), number), step, at - step, value))
+        parts.append((window, np.full(len(window), number), step, at - step, value, np.searchsorted(stamps, time)))
     window, *rest = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(window, kind="stable")
     return Rows(window[order], *(column[order] for column in rest))

@@ -144,6 +144,7 @@ def log_of(
     *,
     noise=NOISE,
     jitter=0.0,
+    misread=0.0,
     step=2.5e-4,
     seed=0,
     drop=(),
@@ -151,7 +152,7 @@ def log_of(
     gains=(),
     **motion,
 ):
-    """Return a noisy log; `jitter` s moves the samples, `drop` are spans without any.
+    """Return a noisy log; `jitter` s moves the samples, `misread` s their time stamps alone, `drop` are spans without.
 
     `gains` are P gains and when each begins, as the robot is told them: at NOMINAL it has the truth's; 0: torque off.
     """
@@ -166,12 +167,13 @@ def log_of(
     when = np.clip(time + rng.normal(0, jitter, time.shape) if jitter else time, 0, duration)
     when = np.maximum.accumulate(when + np.arange(len(when)) * 1e-9)
     keep = np.all([(when < a) | (when > b) for a, b in drop], axis=0) if drop else np.ones(len(when), bool)
+    stamps = when + np.random.default_rng((seed, 1)).normal(0, misread, when.shape) if misread else when
     signals = {}
     for j, joint in enumerate(JOINTS):
         signals[f"{joint}.command"] = Signal(time, targets[:, j])
         for kind in kinds:
             value = np.interp(when, fine, true[kind][:, j]) + rng.normal(0, noise[kind], when.shape)
-            signals[f"{joint}.{kind}"] = Signal(when[keep], value[keep])
+            signals[f"{joint}.{kind}"] = Signal(stamps[keep], value[keep])
     if gains:
         signals |= {KP: Signal(time[told > 0], told[told > 0]), OFF: Signal(time, np.where(told > 0, 0.0, 1.0))}
     return Log(signals, "log.csv")
