@@ -97,7 +97,8 @@ def _result(found: "Identified", command: str) -> dict[str, Any]:
         name: {k: dataclasses.asdict(e) for k, e in getattr(found, name).items()} for name in ("estimates", "beside")
     }
     noise = dict(zip(found.model.windows.names, found.fitted.noise.tolist(), strict=True))
-    more = {"combined": list(found.combined), "noise": noise, "mass": found.model.structure.mass}
+    own = {"noise": noise, "clock": found.fitted.clock, "mass": found.model.structure.mass}
+    more = {"combined": list(found.combined), **own}
     made_of = {"log": found.log.source, "log_sha256": found.log.digest, "command": command, "provenance": made}
     return found.as_json() | told | more | made_of
 

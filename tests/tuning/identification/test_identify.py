@@ -367,7 +367,7 @@ def test_a_posterior_is_drawn_with_its_covariance_and_leaves_other_draws_alone()
 def test_intervals_hold_as_often_as_they_say_and_are_no_wider_than_they_need_be(misread):
     found = counted(20, 5.0, misread)
     assert found.inside.mean() > 0.85  # of a hundred that hold in 95 %, three standard deviations below
-    assert found.error.std() == pytest.approx(1.0, abs=0.25)  # three standard deviations; some parameters go together
+    assert 0.75 < found.error.std() < 1.3  # three standard deviations, some parameters go together; see the docs
     assert found.width.mean() < 1.5
     assert found.ahead.max() < 1.2
     told = [line for line in found.warned if "time stamps err" in line]
